@@ -63,6 +63,7 @@ class RosRig(SteppedRig):
             raise ConfigError(f"time.mode of a rig in lockstep is stepped, got {self.config.time.mode}")
         self._directory = directory
         self._peers = ["client", "recorder"]
+        self._injected: list[tuple[str, Fault]] = []
         self._stack = contextlib.ExitStack()
         self._step_blocks = self.config.step.blocks
         with contextlib.ExitStack() as stack:
@@ -155,6 +156,8 @@ class RosRig(SteppedRig):
             ServiceFailedError: a peer does not acknowledge; names it.
             ProcessDiedError: a node process ended; its last words.
         """
+        if blocks < 1:
+            return
         if blocks != self._step_blocks:
             self.client.set_parameters("rig", {"step.blocks": blocks})
             self._step_blocks = blocks
@@ -173,14 +176,24 @@ class RosRig(SteppedRig):
         """Change parameters of the rig's node; see `SteppedRig`."""
         self.client.set_parameters("rig", changes)
         self.config = from_flat(self.config, changes)
+        self._step_blocks = changes.get("step.blocks", self._step_blocks)
         return self.config
 
     def inject(self, fault: Fault) -> int:
         """Start a fault by a further line of `instruments.faults.planned`; see `SteppedRig`."""
         since = attrs.evolve(fault, start_sample=fault.start_sample - self.frontier_sample)
-        planned = [*self.config.instruments.faults.planned, since.line(self.rate_hz)]
+        line = since.line(self.rate_hz)
+        planned = [*self.config.instruments.faults.planned, line]
         self.configure({"instruments.faults.planned": planned})
+        self._injected.append((line, fault))
         return len(planned)
+
+    @property
+    def faults(self) -> list[Fault]:
+        """The faults that were planned or injected; the lines of these count from when they were added."""
+        injected = {line for line, _ in self._injected}
+        planned = zip(self.config.instruments.faults.planned, super().faults, strict=True)
+        return [fault for line, fault in planned if line not in injected] + [fault for _, fault in self._injected]
 
     def save(self, directory: Path) -> Path:
         """Finish the recording and copy it, the logs beside it; the rig cannot go on after that.

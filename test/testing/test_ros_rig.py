@@ -106,6 +106,25 @@ def test_a_node_can_answer_or_acknowledge_and_is_named_when_it_falls_silent(rig:
         rig.step(20)
 
 
+def test_no_blocks_and_blocks_set_by_parameter_are_stepped_as_asked_for(rig: RosRig) -> None:
+    """No time at all was refused; once `step.blocks` was set, a step took that many blocks, whatever was asked for."""
+    rig.run(0.0)
+    rig.configure({"step.blocks": 3})
+    rig.step(1)
+    assert (rig.sample, len(rig.tables())) == (100, 1)
+    rig.step(3)
+    assert (rig.sample, len(rig.tables())) == (400, 4)
+
+
+def test_an_injected_fault_is_told_at_the_scan_it_acts_on(rig: RosRig) -> None:
+    """A report once gave its start counted from the instant of the injection."""
+    rig.step(10)
+    fault = Fault(kind="offset_step", channel="laser", start_sample=1200, value=1e-3)
+    rig.inject(fault)
+    assert rig.faults == [LOST, fault]
+    assert str(fault) in rig.report()
+
+
 def test_a_running_rig_takes_changes_and_faults_and_has_its_own_analysis(rig: RosRig) -> None:
     """As docs/testing.md says it is done through topics; without ROS it is `configure` and `inject`."""
     rig.processes.start("analysis")
