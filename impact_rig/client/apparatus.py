@@ -323,6 +323,8 @@ class FreewheelApparatus(RosApparatus):
         client.pause()
         changes = differences(job.config(), self._config)
         client.set_parameters("rig", {name: value for name, value in changes.items() if not name.startswith(FIXED)})
+        if self._stopped() is not None:  # by the job before: no latched rig is reset
+            client.trigger("rig/clear_trip")
         client.trigger("rig/reset")
         client.set_parameters("analysis", {"gap_m": job.gap_m})
         self._start_recording(run_name)

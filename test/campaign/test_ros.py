@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import attrs
 import numpy as np
 import pytest
 from kits.campaign import assert_same
@@ -34,3 +35,14 @@ def test_ros_and_process_give_the_same_bits(tmp_path, measured):
         assert verdict.identical, verdict
         settled = again[again["settled"] == 1.0]["transmissibility"]
         np.testing.assert_array_equal(settled[: len(found[job.key].rows)], found[job.key].rows["transmissibility"])
+
+
+def test_a_job_after_one_that_tripped_is_measured(tmp_path, measured):
+    """As fast as the peers follow, every job after a trip once failed: a latched rig is not reset."""
+    from impact_rig.client.apparatus import freewheel_runner
+
+    point, _, _, _, trip, _ = (job for job, _ in measured.values())
+    runner = freewheel_runner(tmp_path, point.config(), lambda job: job.key, lambda _job, _sweep: None)
+    outcomes = [outcome for _, outcome in runner([trip, attrs.evolve(point, traces=False)])]
+    assert "over_travel" in outcomes[0].failure
+    assert (outcomes[1].failure, len(outcomes[1].rows)) == ("", 1)
