@@ -40,6 +40,7 @@ from impact_rig.nodes import messages
 from impact_rig.nodes.managed import with_info
 from impact_rig.nodes.messages import Template, by_name, header_stamp_ns
 from impact_rig.nodes.process import make_executor, patient_threads
+from impact_rig.simtime import NS_PER_S
 from impact_rig.system.endings import unhurried
 from impact_rig.topics import Topic
 
@@ -127,6 +128,7 @@ SPIN_S = 0.1
 GONE_S = 2.0  # a rig that says nothing for so long is gone: it reports once a second, whatever it does
 DIAGNOSTICS_PERIOD_S = 1.0
 LOOK_S = 0.05  # what has arrived while nobody spun is handed over in this time
+HISTORY_S = 1.0  # a client that has just found a rig is sent the rig's latched messages in this time
 
 
 class WaitTimeoutError(ImpactRigError, TimeoutError):
@@ -271,6 +273,7 @@ class Client:
         self._publishers: dict[str, Any] = {}
         self._acknowledgements: dict[str, Template] = {}
         self._heard: set[Any] = set()
+        self._knows_past = False  # whether all has come that had been applied before this client came
         self._clients: dict[tuple[str, Any], Any] = {}
         self.subscribe(topics.DIAGNOSTICS, self._on_diagnostics)
         self.applied = Collector(topics.APPLIED)
@@ -412,6 +415,8 @@ class Client:
             if value is None:
                 continue
             check = self.given(f"{column} = {value:g}")
+            self._reach(self.publisher(topic), topic, timeout_s, "rig", check)
+            self._hear_applied()
             before = len(self.applied)
             self.publish(topic, Float64(data=value), timeout_s, "rig", check)
             accepted = functools.partial(self._accepted, before, column, value, self.refusal(topic.name))
@@ -455,10 +460,7 @@ class Client:
     ) -> None:
         """Publish a message once somebody listens: everybody the graph knows, and the node `listener` among them."""
         publisher = self.publisher(topic)
-        if publisher not in self._heard:
-            heard = functools.partial(is_heard, self.node, publisher, listener)
-            self.wait_until(heard, f"{listener or 'somebody'} to subscribe {topic.name}", timeout_s, check)
-            self._heard.add(publisher)
+        self._reach(publisher, topic, timeout_s, listener, check)
         publisher.publish(message)
 
     def note(self, text: str) -> None:
@@ -632,6 +634,26 @@ class Client:
         """Subscribe to a row of the topics table; the callback gets message, or CDR bytes if `raw`, and info."""
         kind, profile = messages.class_of(topic), profile or messages.profile(topic.qos)
         return self.node.create_subscription(kind, topic.name, with_info(callback), profile, raw=raw)
+
+    def _reach(self, publisher: Any, topic: topics.Topic, timeout_s: float, listener: str | None, check: Check) -> None:
+        """Wait once until somebody listens; see `publish`."""
+        if publisher not in self._heard:
+            heard = functools.partial(is_heard, self.node, publisher, listener)
+            self.wait_until(heard, f"{listener or 'somebody'} to subscribe {topic.name}", timeout_s, check)
+            self._heard.add(publisher)
+
+    def _hear_applied(self) -> None:
+        """Hear first what was applied before this client came: it would be taken for the answer to a command.
+
+        A rig that has not begun has applied nothing.
+        """
+        deadline = time.monotonic() + HISTORY_S
+        while not self._knows_past and time.monotonic() < deadline:
+            came_ns = [message.received_system_ns for message in self.applied.received[:1]]
+            self._knows_past = bool(came_ns) and time.time_ns() - came_ns[0] > LOOK_S * NS_PER_S  # all came with it
+            if not self._knows_past:
+                self.spin_for(LOOK_S)
+        self._knows_past = True
 
     def _acknowledge(self, message: Received) -> None:
         self.acknowledge_for(self.name, codec.header_stamp_ns(message.data))

@@ -162,3 +162,24 @@ def test_pluck_uses_its_parameter(client: Client) -> None:
     client.wait_until(lambda: len(truth) == 2, "the truth")
     assert truth.rows()["x_1"][0] == pytest.approx(0.003)
     assert np.all(truth.rows()["x_b"] == 0)
+
+
+def test_a_new_client_takes_nothing_of_the_past_for_the_answer_to_its_command(
+    client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rows of before, which a newcomer is sent, once ended its first `command`: with a scan of the past."""
+    host_rig(client)
+    client.wait_active("rig")
+    client.command(current_a=0.5)
+    client.step(10)
+    client.command(current_a=0.3)
+    client.step(10)
+    with Client(client.context.get_domain_id(), name="newcomer") as newcomer:
+        spin = newcomer._spinner.spin
+
+        def spin_both(longest_s: float = 0.1) -> None:
+            client.executor.spin_once(timeout_sec=min(longest_s, 0.005))
+            spin(min(longest_s, 0.005))
+
+        monkeypatch.setattr(newcomer._spinner, "spin", spin_both)
+        assert newcomer.command(current_a=0.5)["sample"] == 2000
