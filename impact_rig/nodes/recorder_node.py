@@ -266,7 +266,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         values: dict[str, Any] = {}
         with contextlib.suppress(ConfigError):  # it comes from the network
             values = parameters_in(configuration or "")
-        mode = str(values.get("time.mode", "unknown"))
+        mode, seed = str(values.get("time.mode", "unknown")), values.get("daq.seed")
         attachments = [Attachment("environment.json", environment(), "application/json")]
         if configuration is not None:
             attachments.append(Attachment(CONFIGURATION, configuration.encode(), "application/yaml"))
@@ -276,7 +276,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             directory / name,
             provenance=Provenance(
                 version=impact_rig.__version__,
-                seed=int(values.get("daq.seed", -1)),
+                seed=seed if isinstance(seed, int) else -1,
                 wall_start_ns=self._opened_ns,
                 extra={"mode": mode, "namespace": self.get_namespace()},
             ),

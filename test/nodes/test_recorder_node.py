@@ -70,6 +70,19 @@ def test_a_run_holds_every_message_and_the_configuration(client: Client, tmp_pat
         assert max(times) < 10**9, "rig time, not the system's"
 
 
+@pytest.mark.parametrize("seed", ["abc", ".inf", "null", "[1]"])
+def test_a_seed_that_is_no_number_keeps_nobody_from_recording(client: Client, tmp_path: Path, seed: str) -> None:
+    """It is heard from anybody; the recorder was idle ever after, acknowledged nothing, and did not tell why."""
+    host_recorder(client, tmp_path)
+    client.wait_active("recorder")
+    client.publish(topics.CONFIGURATION, String(data=f"daq: {{seed: {seed}}}"), listener="recorder")
+    client.wait_until(lambda: client.status("recorder").message.startswith("recording"), "the recorder")
+    client.trigger("recorder/stop")
+    with open_run(tmp_path / "run") as run:
+        assert run.provenance["seed"] == "-1"
+        assert run.attachments()["config.yaml"].decode() == f"daq: {{seed: {seed}}}"
+
+
 @pytest.mark.parametrize("end", ["stop", "deactivate", "failed", "broken"])
 def test_in_real_time_what_several_blocks_bring_is_taken_together_and_all_of_it_before_the_end(
     client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, end: str
