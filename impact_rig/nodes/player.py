@@ -42,6 +42,7 @@ LONGEST_PAUSE_NS = 3600 * NS_PER_S
 """Between two messages; the player would stand still, or fill it with ticks of /clock."""
 WINDOW = 16  # blocks ahead of the slowest peer
 PEER_TIMEOUT_S = 10.0
+AWAY_S = 1.0  # a gap this long between two rests: this process was suspended, or busy, not the peers
 DELIVERY = Duration(seconds=1.0)
 LAST_WORDS_S = 0.3
 Spin = Callable[[float], None]  # lets callbacks run, for at most so many seconds
@@ -109,7 +110,9 @@ class Player:
         self._readers = Readers(node, self._publishers[self._scan]) if peers else None
         if self._readers is not None:
             self._readers.expect(peers)
-        self._window = AckWindow(peers, WINDOW, round(PEER_TIMEOUT_S * NS_PER_S), time.monotonic_ns)
+        self._peers = tuple(peers)
+        self._window = self._new_window()
+        self._rested_at = 0.0
         self._pacer = Pacer(time.monotonic_ns, factor or 1.0)
         ack = self._scan.removesuffix(topics.SCAN.name) + topics.ACK.name
         node.create_subscription(Header, ack, self._on_ack, messages.profile(topics.ACK.qos))
@@ -119,13 +122,15 @@ class Player:
         self.end_ns = run.end_ns
 
     def play(self) -> Iterator[int]:
-        """Publish the run once; yields the rig time [ns] now and then, also while waiting.
+        """Publish the run once, from its start; yields the rig time [ns] now and then, also while waiting.
 
         Raises:
             RecordingError: a chunk is damaged; what came before is out.
             ImpactRigError: a peer stopped acknowledging.
         """
         self.now_ns = self.start_ns
+        self._window = self._new_window()  # stamps begin again
+        self._rested_at = time.monotonic()
         while self._readers is not None and not self._readers.all_matched():
             yield from self._rest(SPIN_S)
         self._pacer.rebase(self.start_ns)
@@ -163,11 +168,18 @@ class Player:
 
     def _rest(self, longest_s: float) -> Iterator[int]:
         """Let callbacks run once."""
+        now = time.monotonic()
+        if now - self._rested_at > AWAY_S:
+            self._window.excuse()
+        self._rested_at = now
         silent = self._window.silent()
         if silent:
             raise ImpactRigError(f"peer {', '.join(silent)} acknowledged nothing for {PEER_TIMEOUT_S:g} s")
         self._spin(longest_s)
         yield self.now_ns
+
+    def _new_window(self) -> AckWindow:
+        return AckWindow(self._peers, WINDOW, round(PEER_TIMEOUT_S * NS_PER_S), time.monotonic_ns)
 
     def _publisher(self, recorded: RecordedTopic) -> Any:
         topic = recorded.topic

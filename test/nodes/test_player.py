@@ -1,0 +1,62 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""A player and who acknowledges what it replays: in every round, and after a time away."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+
+from impact_rig.client import Client, Collector
+from impact_rig.nodes import player
+from impact_rig.nodes.player import WINDOW, Player
+from impact_rig.recording import Run
+from impact_rig.testing import VirtualRig
+
+pytestmark = pytest.mark.ros
+BLOCKS = 3 * WINDOW
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    rig = VirtualRig({"sphere.present": False})
+    rig.step(BLOCKS)
+    return rig.save(tmp_path / "run")
+
+
+def follow(client: Client, run: Run) -> tuple[Player, Collector]:
+    """A player as fast as this client acknowledges, in the client's node."""
+    playing = Player(run, client.node, client.executor.spin_once, factor=None, peers=[client.name])
+    return playing, client.collect("daq/scan", acknowledge=True)
+
+
+def test_a_run_is_replayed_again_and_again_to_who_acknowledges(
+    client: Client, run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the second round once nothing counted as acknowledged: stamps began again, and the window had those before."""
+    monkeypatch.setattr(player, "PEER_TIMEOUT_S", 1.0)
+    with Run(run) as opened:
+        playing, scans = follow(client, opened)
+        for played in (1, 2):
+            for _ in playing.play():
+                pass
+            client.wait_until(lambda played=played: len(scans) == played * BLOCKS, "every block")
+
+
+def test_a_player_that_was_away_blames_no_peer(client: Client, run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was acknowledged while this process was suspended waits to be heard; the replay once ended instead."""
+    monkeypatch.setattr(player, "PEER_TIMEOUT_S", 0.5)
+    monkeypatch.setattr(player, "AWAY_S", 0.3)
+    with Run(run) as opened:
+        playing, scans = follow(client, opened)
+        away = 0
+        for _ in playing.play():
+            if playing._window.outstanding() and not away:
+                time.sleep(0.7)
+                away += 1
+        assert away
+        client.wait_until(lambda: len(scans) == BLOCKS, "every block")
