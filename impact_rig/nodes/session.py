@@ -349,7 +349,8 @@ class Session:
         period_s = AHEAD_PERIOD_S
         if self.is_realtime:
             block_s = config.daq.block_scans / config.daq.rate_hz / config.time.factor
-            period_s = min(max(block_s, SHORTEST_PERIOD_S), LONGEST_PERIOD_S)
+            calls = math.ceil(block_s / LONGEST_PERIOD_S)  # a block; one of them when it ends
+            period_s = max(block_s / calls, SHORTEST_PERIOD_S)
         self._timer.start(period_s, self._wait_s() if self.is_realtime else 0.0)
 
     def _wait_s(self) -> float:

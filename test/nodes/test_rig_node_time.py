@@ -218,6 +218,15 @@ def test_blocks_longer_than_the_lag_that_is_given_up_come_in_real_time(client: C
     assert node._session.pacer.slips == 0
 
 
+def test_a_long_block_is_published_when_it_ends(client: Client) -> None:
+    """Where the longest period of the work was no part of a block, it came up to a period late: in the median half."""
+    node = host_rig(client, "realtime", daq__block_scans=700)
+    client.wait_active("rig")
+    scans = client.collect("daq/scan")
+    client.wait_until(lambda: len(scans) > 30, "blocks of 70 ms")
+    assert node._session.pacer.lateness().median_ms < 12.0
+
+
 def test_a_pause_and_another_speed_keep_what_there_is_of_a_block(client: Client) -> None:
     """Once the pacer began again with the block, and the rig stood still for as long as it was into it."""
     node = host_rig(client, "realtime", daq__rate_hz=1000, daq__block_scans=10_000)
