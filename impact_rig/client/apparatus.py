@@ -521,10 +521,11 @@ class OverTopics:
 
         Raises:
             CommandError: the rig has stopped.
+            GoneError: a process ended.
         """
         try:
             self._client.wait_until(lambda: len(self._scans), "a block of scans", timeout_s)
-        except ImpactRigError:
+        except WaitTimeoutError:
             self._refuse_if_stopped()
             return None
         table = self._scans.tables()[0]

@@ -25,7 +25,7 @@ from std_srvs.srv import Trigger
 
 from impact_rig import codec, topics
 from impact_rig.blocks import WAVEFORM, Table
-from impact_rig.client import Client, Collector, ServiceFailedError, apparatus
+from impact_rig.client import Client, Collector, ProcessDiedError, ServiceFailedError, apparatus
 from impact_rig.client.apparatus import over_topics
 from impact_rig.client.client import ros_parameters
 from impact_rig.errors import CommandError
@@ -298,6 +298,21 @@ def test_a_controllers_hardware_reads_over_topics_what_it_reads_in_process(clien
     assert len(over) == len(alone) > RATE_HZ // 2
     assert np.array_equal(over["laser"], alone["laser"])
     assert np.array_equal(over["current"], alone["current"])
+
+
+def test_a_controller_whose_rig_has_died_is_told_so(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It once waited on, as hard as it could, until its time was over, and was told that no scans came."""
+    host_rig(client, "freewheel", time__peers=[client.name], **STREAM)
+    client.wait_active("rig")
+    hardware = over_topics(client)
+
+    class Died:
+        def check(self) -> None:
+            raise ProcessDiedError("the rig process was ended by SIGKILL")
+
+    monkeypatch.setattr(client, "_processes", Died())
+    with pytest.raises(ProcessDiedError, match="ended by SIGKILL"):
+        hardware.turn(time.monotonic() + 0.5, "scans")
 
 
 def test_a_stop_while_a_controller_looks_for_readers_is_not_overlooked(
