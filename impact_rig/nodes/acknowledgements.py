@@ -87,7 +87,7 @@ class AckWindow:
         before, self._peers = self._peers, tuple(peers)
         for name in set(self._peers).difference(before):
             reader = self._readers.setdefault(name, _Reader(self._published, self._clock()))
-            reader.forgiven, reader.heard_ns = self._published, self._clock()
+            reader.forgiven, reader.heard_ns, reader.waived = self._published, self._clock(), False
         for name in set(self._readers).difference(self._peers):
             if self._readers[name].acknowledged is None:
                 del self._readers[name]

@@ -132,6 +132,24 @@ def test_without_peers_there_is_always_room() -> None:
     assert (window.room(), window.silent()) == (4, ())
 
 
+def test_a_peer_that_is_named_anew_is_waited_for_again() -> None:
+    """One given up for its silence was not, whatever list it was in, until it spoke: blocks were lost to it."""
+    clock = FakeClock()
+    window = AckWindow(("a", "b"), 4, NS_PER_S, clock)
+    window.published(0)
+    window.acknowledge("b", 0)
+    window.published(1)
+    window.acknowledge("a", 1)
+    clock.now += 2 * NS_PER_S
+    window.waive()
+    assert window.waived() == ("b",)
+    for peers in (("a",), ("a", "b")):
+        window.set_peers(peers)
+    window.published(2)
+    window.acknowledge("a", 2)
+    assert (window.waived(), window.room()) == ((), 3)
+
+
 def test_new_peers_owe_nothing_of_the_past() -> None:
     window = AckWindow(("a",), 4, NS_PER_S, FakeClock())
     window.published(0)
