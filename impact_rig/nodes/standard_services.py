@@ -16,6 +16,7 @@ from impact_rig import __version__
 from impact_rig.errors import CommandError, describe
 from impact_rig.nodes.managed import Done, LateService
 from impact_rig.nodes.session import Session
+from impact_rig.rig import Rig
 
 PACKAGE = "simulation_interfaces"
 OFFERS = {
@@ -35,7 +36,7 @@ class StandardServices:
 
     def __init__(self, session: Session) -> None:
         self._session, self._node = session, session.node
-        self._stopped_ns = -1
+        self._stopped: tuple[Rig, int] | None = None  # which rig was stopped, and its next block then
         try:
             self._messages = importlib.import_module(f"{PACKAGE}.msg")
             services = importlib.import_module(f"{PACKAGE}.srv")
@@ -85,7 +86,7 @@ class StandardServices:
         states, rig = self._messages.SimulationState, self._session.rig
         if self._node.quitting or self._node.state == "finalized":
             return int(states.STATE_QUITTING)
-        if rig is None or (self._session.paused and rig.next_block_ns == self._stopped_ns):
+        if rig is None or (self._session.paused and self._stopped == (rig, rig.next_block_ns)):
             return int(states.STATE_STOPPED)
         stands = self._session.paused or self._session.is_stepped
         return int(states.STATE_PAUSED if stands else states.STATE_PLAYING)
@@ -119,7 +120,7 @@ class StandardServices:
         elif wanted == states.STATE_PLAYING:
             self._session.resume(self._done(tell, response.STATE_TRANSITION_ERROR))
         elif wanted == states.STATE_PAUSED:
-            self._stopped_ns = -1
+            self._stopped = None
             self._session.pause(self._done(tell, response.STATE_TRANSITION_ERROR))
         else:
             self._session.pause(lambda success, message: self._stop(success, message, tell, response))
@@ -138,7 +139,7 @@ class StandardServices:
         rig = self._session.running()
         self._session.reset(rig)
         if stop:
-            self._stopped_ns = rig.next_block_ns
+            self._stopped = rig, rig.next_block_ns
 
     def _step_simulation(self, request: Any, _response: Any, tell: Tell) -> None:
         failed = self._messages.Result.RESULT_OPERATION_FAILED

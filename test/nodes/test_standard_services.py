@@ -255,6 +255,23 @@ def test_a_reset_is_of_the_state_alone(user: User) -> None:
     assert user.set(17)[0] == Result.RESULT_FEATURE_UNSUPPORTED
 
 
+def test_a_rig_that_begins_anew_is_not_the_one_that_was_stopped(user: User) -> None:
+    """At the time at which one before it was stopped it once was STOPPED in a pause, and took no step."""
+    client = user.client
+    host_rig(client, "stepped", time__peers=["client"])
+    client.wait_active("rig")
+    client.collect("daq/scan", acknowledge=True)
+    user.call("step_simulation", StepRequest(5))
+    assert user.set(STOPPED) == (Result.RESULT_OK, "")
+    assert user.state == STOPPED
+    for transition in ("deactivate", "activate"):
+        assert client.change_state("rig", transition)
+    client.pause()
+    for _ in range(2):
+        assert user.call("step_simulation", StepRequest(5)).result == Result(Result.RESULT_OK, "")
+        assert user.state == PAUSED
+
+
 def test_a_pause_is_answered_when_the_peers_are_done(user: User) -> None:
     client = user.client
     host_rig(client, "freewheel", time__peers=["client"])
