@@ -51,13 +51,18 @@ def parameters_of_rig(context: LaunchContext, file: RigConfig) -> dict[str, Any]
     if word("autostart"):
         given["output.autostart"] = word("autostart") == "true"
     given["output.frame_prefix"] = frame_prefix(context)
-    peers = [name for name in word("peers").split(",") if name]
+    peers = names_in(word("peers"))
     if peers:
         given["time.peers"] = peers
     elif not file.time.peers and "time.peers" not in given:
         # scan 0 waits for these two, and not in real time every block, so that none is lost
         given["time.peers"] = ["analysis", "recorder"]
     return given
+
+
+def names_in(text: str) -> list[str]:
+    """Return names with commas between, and perhaps blanks."""
+    return [name.strip() for name in text.split(",") if name.strip()]
 
 
 def frame_prefix(context: LaunchContext) -> str:
@@ -83,8 +88,8 @@ def start_nodes(context: LaunchContext) -> list[Node]:
     given = parameters_of_rig(context, file)
     config = from_flat(file, given)
     follow_rig_time = {"use_sim_time": config.time.is_simulated}
-    autostart = {"autostart": LaunchConfiguration("autostart").perform(context) != "false"}
-    required = LaunchConfiguration("required").perform(context).split(",")
+    autostart = {"autostart": config.output.autostart}
+    required = names_in(LaunchConfiguration("required").perform(context))
     seen = {name: LaunchConfiguration(name).perform(context) == "true" for name in ("lab", "rviz", "state_publisher")}
     common: dict[str, Any] = {
         "namespace": LaunchConfiguration("namespace"),

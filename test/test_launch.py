@@ -101,6 +101,19 @@ def test_what_is_asked_for_daily_is_an_argument() -> None:
     assert parameters(started["analysis"]) == {"use_sim_time": True, "autostart": False}
 
 
+def test_names_may_have_blanks_between_them() -> None:
+    """Scan 0 once waited for a peer called ` recorder`, whose end ended nothing."""
+    started = nodes(RIG, peers="analysis, recorder", required="rig, recorder")
+    assert parameters(started["rig"])["time.peers"] == ["analysis", "recorder"]
+    assert [name for name, node in started.items() if "on_exit" in node] == ["rig", "recorder"]
+
+
+def test_all_nodes_wait_for_their_lifecycle_services_where_the_rig_does() -> None:
+    """Analysis and recorder once began by themselves where the configuration says that nothing does."""
+    started = nodes(RIG, overrides="{output.autostart: false}")
+    assert [parameters(started[name])["autostart"] for name in ("analysis", "recorder")] == [False, False]
+
+
 @pytest.mark.parametrize("arguments", [{"overrides": "{gap_m: 1}"}, {"overrides": "{barriers.gap_m: -1}"}])
 def test_an_argument_that_cannot_be_is_refused_before_anything_starts(arguments: dict[str, str]) -> None:
     with pytest.raises(ConfigError, match="gap_m"):
