@@ -14,6 +14,7 @@ fixture does, when it is used.
 
 from __future__ import annotations
 
+import itertools
 import re
 import shutil
 from collections.abc import Callable, Generator, Iterator
@@ -115,7 +116,9 @@ def _starting(request: pytest.FixtureRequest, make: Callable[..., R]) -> Iterato
 
     def start(*args: Any, **kwargs: Any) -> R:
         rigs[:] = [rig for rig in rigs if not rig.closed]
-        kwargs.setdefault("name", f"rig{len(rigs) + 1}" if rigs else "rig")
+        taken = {rig.name for rig in rigs}
+        free = (name for name in itertools.chain(["rig"], map("rig{}".format, itertools.count(2))) if name not in taken)
+        kwargs.setdefault("name", next(free))
         rig = make(*args, **kwargs)
         rigs.append(rig)
         return rig

@@ -13,6 +13,8 @@ from typing import Any
 
 import pytest
 
+from impact_rig.testing import VirtualRig, plugin
+
 ROOT = Path(__file__).parents[2]
 
 
@@ -41,3 +43,13 @@ def test_everything_the_package_offers_can_be_had() -> None:
     assert [name for name in testing.__all__ if getattr(testing, name).__name__ != name] == []
     with pytest.raises(AttributeError, match="no attribute 'Rug'"):
         _ = testing.Rug
+
+
+def test_no_two_rigs_of_a_test_have_one_name(request: pytest.FixtureRequest) -> None:
+    """They have a folder each; after one was closed, the next was once called as one that was still there."""
+    started = plugin._starting(request, lambda name: VirtualRig(name=name))
+    start = next(started)
+    first, second = start(), start()
+    first.close()
+    assert (first.name, second.name, start().name, start().name) == ("rig", "rig2", "rig", "rig3")
+    assert next(started, None) is None
