@@ -90,9 +90,11 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
     def deactivate(self) -> None:
         """Measure what was held back, and stop listening."""
         tracker, self._tracker = self._tracker, None
-        if tracker is not None and self.context.ok():
-            self._publish(tracker.flush())
-        self._acknowledgements.flush()
+        try:
+            if tracker is not None and self.context.ok():
+                self._publish(tracker.flush())
+        finally:  # or the next activation would take its timer for one that is there
+            self._acknowledgements.flush()
 
     def settings_changed(self, settings: AnalysisSettings, changes: dict[str, Any]) -> None:
         """Take a new label at once; settings of the measurement wait for the next activation."""

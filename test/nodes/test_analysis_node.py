@@ -73,6 +73,23 @@ def test_a_time_that_is_none_is_a_status_and_the_block_is_acknowledged(client: C
     assert "time must be" in node.refusals.last["daq/scan"]
 
 
+def test_blocks_are_acknowledged_after_a_deactivation_that_failed(
+    client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of real time none ever was again: the timer had ended with the activation, and was thought to be there."""
+    client.host(AnalysisNode)
+    host_rig(client, "realtime")
+    client.wait_active("rig", "analysis")
+    acknowledged = client.collect("daq/ack")
+    client.wait_until(lambda: len(acknowledged), "an acknowledgement")
+    with monkeypatch.context() as patch:
+        patch.setattr(Tracker, "flush", lambda _self: 1 / 0)
+        client.change_state("analysis", "deactivate")
+    acknowledged.clear()
+    assert client.change_state("analysis", "activate")
+    client.wait_until(lambda: len(acknowledged) > 2, "acknowledgements")
+
+
 def test_labels_come_as_remarks_or_as_a_parameter(client: Client) -> None:
     client.host(AnalysisNode)
     host_rig(client, time__peers=["analysis"])
