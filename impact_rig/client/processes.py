@@ -161,7 +161,9 @@ class Processes:
     def stop(self, *names: str, timeout_s: float = STOP_TIMEOUT_S) -> dict[str, int]:
         """End the named processes, or all: SIGINT, then SIGTERM, then SIGKILL; return their exit codes."""
         with unhurried():
-            chosen = [self.running.pop(name) for name in names or tuple(self.running)]
+            chosen = [self.running[name] for name in names or tuple(self.running)]
+            for process in chosen:
+                self.running.pop(process.name, None)
             for number, patience in ((signal.SIGINT, timeout_s), (signal.SIGTERM, 2.0), (signal.SIGKILL, 5.0)):
                 waiting = [process for process in chosen if process.exit_code is None]
                 for process in waiting:

@@ -84,6 +84,17 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+def test_a_name_that_is_none_takes_no_process_out_of_the_end(module: Path) -> None:
+    """Those named before it were forgotten, and ran on."""
+    (module / "sleeps.py").write_text("import time\ntime.sleep(60)\n")
+    with Processes(1, module / "logs") as processes:
+        process = processes.start("sleeps")
+        with pytest.raises(KeyError, match="nobody"):
+            processes.stop("sleeps", "nobody")
+        assert process.exit_code is None
+    assert process.exit_code is not None
+
+
 def test_a_process_that_dies_is_quoted_with_its_exit_code(module: Path) -> None:
     (module / "dies.py").write_text("import sys\nprint('line', 'one')\nprint('the reason')\nsys.exit(3)\n")
     with Processes(1, module / "logs") as processes:
