@@ -19,6 +19,7 @@ from kits.campaign import TINY, assert_same
 from kits.measured import measured as watched
 
 from impact_rig.campaign import run
+from impact_rig.campaign.job import Outcome
 from impact_rig.campaign.plan import load_campaign
 from impact_rig.campaign.store import Store
 from impact_rig.campaign.tasks import measure
@@ -74,6 +75,20 @@ def test_a_run_stored_without_its_trace_counts_but_is_measured_again_for_the_tra
     found = store.get(job, as_it_is=True)
     assert found is not None
     assert_same(found, attrs.evolve(outcome, trace={}))
+
+
+def test_a_run_that_fails_now_leaves_no_trace_of_an_earlier_one(measured, tmp_path):
+    """The trace of earlier code stayed beside it: it was damaged for ever, and so was the whole campaign."""
+    job, outcome = next((job, outcome) for job, outcome in measured.values() if outcome.trace)
+    store = Store(tmp_path)
+    store.put(job, outcome)
+    store.put(job, Outcome(failure="the rig tripped"))
+    found = store.get(job, as_it_is=True)
+    assert found is not None
+    assert found.failure == "the rig tripped"
+    assert not found.trace
+    assert store.get(job) is not None
+    assert store.damaged == []
 
 
 def test_a_result_of_other_code_is_shown_but_not_mixed_with_new_ones(tiny, measured, tmp_path, monkeypatch):
