@@ -246,8 +246,9 @@ class PhaseLock:
 
     def _seek(self, turned: complex) -> None:
         detuned = _detuning(turned)  # > 0: the resonance is above
-        if self._before is not None and (self._before[1] > 0.0) != (detuned > 0.0):
-            other, was = self._before
+        other, was = self._before or (self.frequency_hz, detuned)
+        # where the range has held the frequency back the phase crosses by itself, as a transient dies: that is no slope
+        if (was > 0.0) != (detuned > 0.0) and other != self.frequency_hz:
             self._slope = (self.frequency_hz - other) / (was - detuned)
             self.stage = Stage.TRACKING
             self._turn_to(self.frequency_hz + self._slope * detuned)

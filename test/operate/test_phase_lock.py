@@ -74,6 +74,22 @@ def test_a_resonance_is_found_and_held(reference, start_hz, zeta):
     assert lock.rows["time"][-1] * NS_PER_S - lock.locked_ns >= 10 * NS_PER_S
 
 
+@pytest.mark.parametrize(("start_hz", "side", "low_hz", "high_hz"), [(9.9, 1.0, 5.0, 10.0), (8.1, -1.0, 8.0, 20.0)])
+def test_a_transient_that_dies_at_an_end_of_the_range_is_no_resonance(start_hz, side, low_hz, high_hz):
+    """The frequency stood still between the two looks: the slope was 0, and the lock never left the end again."""
+
+    class Ringing(Resonance):
+        def look(self, seconds):
+            found = super().look(seconds)
+            turned = cmath.exp(1j * math.radians(-90.0 + 30.0 * side))  # as if it were beyond the end
+            return found._replace(superior=found.base * turned) if self.now < 6 * NS_PER_S else found
+
+    plan = attrs.evolve(PLAN, start_hz=start_hz, low_hz=low_hz, high_hz=high_hz, reference=Reference.CURRENT)
+    lock = lock_on(plan, Ringing())
+    assert lock.state is State.FINISHED, lock.reason
+    assert lock.frequency_hz == pytest.approx(TRUE_HZ, abs=0.003)
+
+
 def test_it_follows_a_resonance_that_moves():
     bench = Resonance()
     lock = PhaseLock(attrs.evolve(PLAN, dwell_s=1e6))
