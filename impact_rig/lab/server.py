@@ -432,6 +432,18 @@ class Server:
     async def _guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
         """Refuse who asks for another host (DNS rebinding) or comes from another page."""
         self._unserved.discard(request.protocol)
+        response: web.StreamResponse | None = self._turned_away(request)
+        try:
+            if response is None:
+                response = await handler(request)
+        except web.HTTPException as error:  # there is no such page
+            self._close_after(error)
+            raise
+        if not isinstance(response, web.WebSocketResponse):
+            self._close_after(response)
+        return response
+
+    def _turned_away(self, request: web.Request) -> web.Response | None:
         local = self._host == LOOPBACK
         if local and request.host not in self._hosts():
             return self._refuse("host", "this lab has another name")
@@ -439,12 +451,11 @@ class Server:
         allowed = {f"http://{host}" for host in self._hosts()} | {f"http://{request.host}"}
         if origin is not None and origin not in allowed:
             return self._refuse("origin", "pages of others may not look into this lab")
-        response = await handler(request)
-        if isinstance(response, web.WebSocketResponse):
-            return response
+        return None
+
+    def _close_after(self, response: web.StreamResponse) -> None:
         response.headers.update(HEADERS)
         response.force_close()  # a connection is for one request: none is held open for a second one
-        return response
 
     def _known(self, request: web.Request) -> bool:
         return hmac.compare_digest(request.query.get("token", "").encode(), self.token.encode())

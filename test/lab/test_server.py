@@ -85,6 +85,27 @@ def test_the_page_needs_the_token_and_carries_a_strict_policy(server: Server) ->
     assert server.token not in text
 
 
+@pytest.mark.parametrize(
+    ("request_line", "host", "status"),
+    [
+        ("GET /nothing", None, 404),
+        ("POST /", None, 405),
+        ("GET /", "evil.example", 403),
+        ("GET /socket?token={token}", None, 400),  # asks for no WebSocket
+    ],
+)
+def test_whoever_is_refused_is_not_held_on_to(server: Server, request_line: str, host: str | None, status: int) -> None:
+    """They were held open for a minute: sixty-four of them, of anybody, and no page came in any more."""
+    here = f"{LOOPBACK}:{server.port}"
+    lines = [f"{request_line.format(token=server.token)} HTTP/1.1", f"Host: {host or here}"]
+    lines += [f"Origin: http://{here}"] if host is None else []
+    with socket.create_connection((LOOPBACK, server.port), timeout=10.0) as connection:
+        connection.sendall("\r\n".join([*lines, "", ""]).encode())
+        answer = b"".join(iter(lambda: connection.recv(4096), b""))  # to its end: a connection held open times out
+    assert answer.startswith(f"HTTP/1.1 {status} ".encode())
+    assert POLICY.encode() in answer
+
+
 def test_files_are_those_of_the_package_and_no_others(server: Server) -> None:
     assert get(server, "/static/main.js")[0] == 200
     assert get(server, "/uplot/uPlot.iife.js")[0] == 200
