@@ -286,6 +286,7 @@ class Server:
         self._unserved: set[Any] = set()
         self._folders = {"": STATIC, "uplot": plotter_files()}
         self._sockets: dict[web.WebSocketResponse, Source] = {}
+        self._pages = 0  # open, or about to be: a player takes a while to find its run
         self._thread = threading.Thread(target=self._run, name="lab-server", daemon=True)
         self._ready = threading.Event()
         self._failure: OSError | None = None
@@ -484,21 +485,28 @@ class Server:
             return self._refuse("token", "the token is missing or wrong")
         if request.headers.get("Origin") is None:
             return self._refuse("origin", "a page says where it comes from")
-        if len(self._sockets) >= MOST_PAGES:
+        if self._pages >= MOST_PAGES:
             return self._refuse("too many pages", f"{MOST_PAGES} pages are open already", 503)
+        self._pages += 1
+        try:
+            return await self._serve_page(request)
+        finally:
+            self._pages -= 1
+
+    async def _serve_page(self, request: web.Request) -> web.StreamResponse:
         try:
             names = request.query.getall("run", [])
             source = await asyncio.to_thread(self._player, names) if names else self._source
         except ImpactRigError as error:
             return self._refuse("run", str(error), 404)
         page = web.WebSocketResponse(max_msg_size=protocol.LONGEST_REQUEST, heartbeat=20.0, compress=False)
-        await page.prepare(request)
-        self._sockets[page] = source
-        self._watched(source)
         try:
+            await page.prepare(request)  # raises where no WebSocket is asked for, or the page has gone
+            self._sockets[page] = source
+            self._watched(source)
             await Session(page, source, self.refused).run()
         finally:
-            del self._sockets[page]
+            self._sockets.pop(page, None)
             self._watched(source)
             if isinstance(source, PlaybackSource) and source is not self._source:
                 await asyncio.to_thread(source.close)

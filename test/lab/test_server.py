@@ -9,6 +9,7 @@ import contextlib
 import json
 import socket
 import struct
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -343,3 +344,44 @@ def test_the_token_is_kept_for_this_user_alone(tmp_path: Path, monkeypatch: pyte
     assert kept_token() == token
     path.chmod(0o644)
     assert kept_token() != token, "one that others could read is not used again"
+
+
+def test_a_player_ends_with_whoever_asked_for_it(source: FakeSource, sample: Path) -> None:
+    """Of who then asked for no WebSocket the player went on for ever, its thread and its files with it."""
+    before = set(threading.enumerate())
+    with Server(source, port=0, runs=sample.parent) as server:
+        path = f"/socket?token={server.token}&run={sample.name}"
+        status, _, _ = get(server, path, Origin=f"http://{LOOPBACK}:{server.port}")
+        assert status == 400
+        players = [one for one in set(threading.enumerate()) - before if one.name == "lab-playback"]
+        assert not players
+        assert server._pages == 0
+
+
+def test_pages_that_still_open_count(source: FakeSource, sample: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """While players looked for their runs any number of pages came in."""
+    release, players = threading.Event(), []
+
+    def player(server: Server, _names: object) -> FakeSource:
+        release.wait(20.0)
+        players.append(FakeSource())
+        return players[-1]
+
+    monkeypatch.setattr("impact_rig.lab.server.MOST_PAGES", 2)
+    monkeypatch.setattr(Server, "_player", player)
+
+    async def ask(server: Server) -> list[Any]:
+        base = f"http://{LOOPBACK}:{server.port}"
+        async with aiohttp.ClientSession(timeout=TIMEOUT) as session:
+            address = f"{base}/socket?token={server.token}&run={sample.name}"
+            opening = [
+                asyncio.ensure_future(session.ws_connect(address, headers={"Origin": base})) for _ in range(4)
+            ]
+            await asyncio.wait(opening, timeout=2.0, return_when=asyncio.FIRST_COMPLETED)
+            release.set()
+            found = await asyncio.gather(*opening, return_exceptions=True)
+            return [getattr(one, "status", 101) for one in found]
+
+    with Server(source, port=0, runs=sample.parent) as server:
+        assert sorted(loops.run(ask(server))) == [101, 101, 503, 503]
+    assert len(players) == 2
