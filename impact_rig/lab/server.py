@@ -40,6 +40,7 @@ STATIC = Path(__file__).parent / "static"
 LOOPBACK = "127.0.0.1"
 PORT = 8765
 HIGHEST_PORT = 65535
+HTTP_PORT = 80
 MOST_PAGES = 16
 FASTEST_HZ = 60.0  # pictures per second, at most
 MOST_UNDRAWN = 2  # pictures on their way to a page: one is drawn while the next travels
@@ -296,7 +297,8 @@ class Server:
     @property
     def address(self) -> str:
         """Return the address of the page."""
-        return f"http://{self._host}:{self.port}/?token={self.token}"
+        host = f"[{self._host}]" if ":" in self._host else self._host  # of IPv6
+        return f"http://{host}:{self.port}/?token={self.token}"
 
     def start(self) -> None:
         """Begin to serve.
@@ -427,7 +429,8 @@ class Server:
 
     def _hosts(self) -> set[str]:
         names = {self._host, "localhost", LOOPBACK} if self._host == LOOPBACK else {self._host}
-        return {f"{name}:{self.port}" for name in names}
+        known = {f"{name}:{self.port}" for name in names}
+        return known | names if self.port == HTTP_PORT else known  # browsers leave that one out
 
     @web.middleware
     async def _guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
@@ -538,10 +541,12 @@ class Server:
         return web.json_response(found)
 
     def _described_runs(self) -> list[dict[str, Any]]:
-        return [
-            {"name": path.name, "megabytes": round(sum(one.stat().st_size for one in path.glob("*.mcap")) / 1e6, 1)}
-            for path in self.runs()
-        ]
+        found = []
+        for path in self.runs():
+            with contextlib.suppress(OSError):  # a run that is being removed, or whose file is elsewhere and gone
+                size = sum(one.stat().st_size for one in path.glob("*.mcap"))
+                found.append({"name": path.name, "megabytes": round(size / 1e6, 1)})
+        return found
 
     def _player(self, names: Sequence[str]) -> Source:
         """Return a player of runs for a page of its own."""

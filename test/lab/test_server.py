@@ -325,6 +325,33 @@ def test_runs_are_listed_and_played_beside_what_the_lab_shows(
         assert refused_status(server, token=f"{server.token}&run=no_run") == 404
 
 
+def test_a_run_that_cannot_be_looked_at_does_not_hide_the_others(source: FakeSource, tmp_path: Path) -> None:
+    """One link that leads nowhere, or a run that was being removed, and the page got no list at all."""
+    for name in ("gone", "whole"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "gone" / "run.mcap").symlink_to(tmp_path / "nowhere.mcap")
+    (tmp_path / "whole" / "run.mcap").write_bytes(b"x" * 200_000)
+    with Server(source, port=0, runs=tmp_path) as server:
+        status, _, text = get(server, f"/runs?token={server.token}")
+    assert status == 200
+    assert json.loads(text) == [{"name": "whole", "megabytes": 0.2}]
+
+
+def test_the_address_of_an_ipv6_lab_is_one(source: FakeSource) -> None:
+    """It had no brackets, and no browser could open it."""
+    with Server(source, "::1", 0) as server:
+        assert server.address.startswith(f"http://[::1]:{server.port}/?token=")
+
+
+def test_at_the_port_of_http_a_page_is_asked_for_without_it(source: FakeSource) -> None:
+    """A browser leaves port 80 out of the name, and every page was refused: this lab had another one."""
+    server = Server(source)
+    server.port = 80
+    assert {"127.0.0.1", "localhost", "127.0.0.1:80"} <= server._hosts()
+    server.port = 8080
+    assert "127.0.0.1" not in server._hosts()
+
+
 @pytest.mark.parametrize("port", [-1, 65536, 99999])
 def test_a_port_that_there_is_not_is_refused(source: FakeSource, port: int) -> None:
     with pytest.raises(ImpactRigError, match=f"a port is 0 \\(any\\) to 65535, got {port}"):
