@@ -353,8 +353,6 @@ class ControlledSine(SteppedSine):
         close = abs(reached / self._hold.target - 1.0) <= self._hold.tolerance
         if close or self._taken or self._corrected >= self._hold.corrections or not reached > 0.0:
             self._tries.append(self._corrected)
-            if self._taken + 1 >= self._plan.measurements_per_point:
-                self._corrected, self._before = 0, None
             return None
         wanted = self._corrected_current(reached)
         if wanted > self._hold.current_limit_a:
@@ -363,6 +361,10 @@ class ControlledSine(SteppedSine):
         self._current_a = wanted
         self._corrected += 1
         return self._go(now_ns)
+
+    def _next(self, now_ns: int) -> Setpoint:
+        self._corrected, self._before = 0, None  # also of a point that is left out
+        return super()._next(now_ns)
 
     def _corrected_current(self, reached: float) -> float:
         current, amplitude = math.log(self._current_a), math.log(reached)

@@ -18,6 +18,7 @@ from impact_rig.operate.stepped_sine import ControlledSine, Hold, HoldPlan, Plan
 from impact_rig.physics.prediction import transmissibility
 from impact_rig.rig.config import RigConfig
 from impact_rig.simtime import NS_PER_S
+from impact_rig.states import Status
 from impact_rig.studies.closed_loop import hold
 from tools import prediction as by_test
 
@@ -79,6 +80,24 @@ def test_a_point_that_cannot_be_held_keeps_its_error():
     assert sweep.held["held"].tolist() == [0.0] * 4
     assert sweep.held["error"] == pytest.approx(0.5)
     assert sweep.held["corrections"].tolist() == [8.0] * 4
+
+
+def test_a_point_that_is_left_out_takes_no_corrections_from_the_next():
+    """Its count was kept: the next point had none left, and was taken as it was."""
+
+    class Loud(Bench):
+        def wait(self):
+            news = super().wait()
+            row = news.rows[0]
+            if row["frequency"] == 8.0 and len(self.set_) > 1:  # after a correction a sensor is over range
+                row["status"], row["settled"] = Status.OVER_RANGE.value, 0.0
+            return news
+
+    sweep = walked(Loud(), attrs.evolve(PLAN, direction="up", current_a=0.1), attrs.evolve(HELD, corrections=1))
+    assert sweep.skipped == [8.0]
+    assert sweep.held["frequency"].tolist() == [9.0]
+    assert sweep.held["corrections"].tolist() == [1.0]
+    assert sweep.held["held"].tolist() == [1.0]
 
 
 @pytest.mark.parametrize(
