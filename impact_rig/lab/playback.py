@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import bisect
 import contextlib
+import math
 import tempfile
 import threading
 import time
@@ -293,6 +294,8 @@ class PlaybackSource(Source):
         first = self._runs[0]
         self._now_s, self._begin_s, self._end_s = 0.0, first.begin_s, first.end_s
         self._playing, self._speed, self._aligned = True, 1.0, "start"
+        self._impact_s = self._jumped_s = math.nan
+        """The impact that was jumped to, and the instant then: less than `PEEK_S` after it at the end of the run."""
         for run in self._runs[1:]:
             run.offset_s = run.begin_s - first.begin_s
         super().__init__("playback", first.record)
@@ -390,11 +393,13 @@ class PlaybackSource(Source):
             case "seek":
                 self._move(float(value or 0.0))
             case "next_impact":
-                found = self._runs[0].impact_after(self.now_s - PEEK_S, float(value or 1.0))
+                shown_s = self._impact_s if self.now_s == self._jumped_s else self.now_s - PEEK_S
+                found = self._runs[0].impact_after(shown_s, float(value or 1.0))
                 if found is None:
                     raise RecordingError("there is no further impact in what was read so far")
                 self._playing = False
                 self._move(found + PEEK_S)
+                self._impact_s, self._jumped_s = found, self.now_s
             case "align":
                 return self._align(request.values["by"], float(value or 0.0))
             case _:

@@ -109,6 +109,23 @@ def from_second(found: Messages, second: float) -> Messages:
     return [(name, table) for name, table in found if name != "daq/scan" or table.stamp_ns >= second * 1e9]
 
 
+def test_every_impact_is_stepped_to_and_the_last_one_ends_it(sample: Path) -> None:
+    """One less than 50 ms before the end of the run was found again and again: those behind it were never reached."""
+    with PlaybackSource([sample]) as source:
+        run = source._runs[0]
+        wait_until(lambda: run.whole, "the marks")
+        impacts = sorted(run._impacts)
+        assert impacts[-2] > run.end_s - 0.05
+        assert asked(source, "seek", value=run.end_s - 0.2)[0]
+        shown = []
+        while asked(source, "next_impact", value=1.0)[0]:
+            shown.append(source._impact_s)
+            assert len(shown) <= len(impacts)
+        assert shown == [one for one in impacts if one > run.end_s - 0.25]
+        assert asked(source, "next_impact", value=-1.0)[0]
+        assert source._impact_s == impacts[-2]
+
+
 def test_two_runs_are_aligned_by_start_time_or_change_and_have_a_legend(
     shown: Callable[..., Server], open_page: Callable[..., Page], recorded: Messages, tmp_path: Path
 ) -> None:
