@@ -26,7 +26,7 @@ from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.errors import ImpactRigError, RecordingError
 from impact_rig.lab.protocol import Request
-from impact_rig.lab.record import Record, came_before, guard, plain, scan_rate, start_ns
+from impact_rig.lab.record import MOST_ROWS, Record, came_before, guard, plain, scan_rate, start_ns
 from impact_rig.lab.scope import LONGEST_S, Scope
 from impact_rig.lab.state import KNOBS, Answer, Source
 from impact_rig.lab.theory import closed_form
@@ -256,9 +256,9 @@ class RunPlayer:
         }  # fmt: skip
 
     def rows(self, page_s: float) -> list[dict[str, Any]]:
-        """Return the measurements before an instant of the page."""
+        """Return the measurements before an instant of the page, the newest if there are many."""
         at_s = page_s + self.offset_s
-        return [row for row in self.record.curve.part(self.start_ns) if row["t"] <= at_s]
+        return [row for row in self.record.curve.part(self.start_ns) if row["t"] <= at_s][-MOST_ROWS:]
 
     def impact_after(self, page_s: float, direction: float) -> float | None:
         """Return the next impact after an instant of the page, or the last one before it; None: there is none."""

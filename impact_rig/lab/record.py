@@ -114,13 +114,13 @@ class Journal:
     """The journal, faults and remarks, as lines for people; and what the rig is by the journal, at any instant.
 
     Args:
-        most: changes that are kept; None: all.
+        most: changes that are kept; None: all, and all lines.
     """
 
     def __init__(self, most: int | None = MOST_APPLIED) -> None:
         self._view = JournalView()
         self._changes: deque[Change] = deque(maxlen=most)
-        self._lines: deque[list[Any]] = deque(maxlen=MOST_ENTRIES)
+        self._lines: deque[list[Any]] = deque(maxlen=None if most is None else MOST_ENTRIES)
         self._part: tuple[int, list[list[Any]]] | None = None
 
     def add(self, table: Table) -> None:
@@ -186,10 +186,14 @@ def _value(kind: Kind, key: str, value: float) -> str:
 
 
 class Faults:
-    """Instrument faults, of `truth/faults`: which are in force, now or at an instant."""
+    """Instrument faults, of `truth/faults`: which are in force, now or at an instant.
 
-    def __init__(self) -> None:
-        self._rows: deque[tuple[int, int, bool, str]] = deque(maxlen=MOST_ENTRIES)
+    Args:
+        most: begins and ends that are kept; None: all.
+    """
+
+    def __init__(self, most: int | None = MOST_ENTRIES) -> None:
+        self._rows: deque[tuple[int, int, bool, str]] = deque(maxlen=most)
 
     def add(self, table: Table) -> None:
         """Take a table of `truth/faults`."""
@@ -231,11 +235,15 @@ class Judged:
 
 
 class Curve:
-    """The measurements of the transmissibility."""
+    """The measurements of the transmissibility.
 
-    def __init__(self) -> None:
-        self._rows: deque[tuple[int, dict[str, Any]]] = deque(maxlen=MOST_ROWS)
-        self.judged: deque[Judged] = deque(maxlen=MOST_ROWS)
+    Args:
+        most: rows that are kept; None: all.
+    """
+
+    def __init__(self, most: int | None = MOST_ROWS) -> None:
+        self._rows: deque[tuple[int, dict[str, Any]]] = deque(maxlen=most)
+        self.judged: deque[Judged] = deque(maxlen=most)
         """Every row, those without numbers too."""
         self._part: tuple[int, list[dict[str, Any]]] | None = None
 
@@ -292,7 +300,7 @@ class Record:
     """One rig: every message of it comes through `take`, from the graph or from a file.
 
     Args:
-        most: changes of rig and drive that are kept; None: all.
+        most: changes of rig and drive that are kept; None: all, and every row and fault: one goes back to any instant.
     """
 
     def __init__(self, most: int | None = MOST_APPLIED) -> None:
@@ -300,8 +308,8 @@ class Record:
         """The newest scans; None before the calibration has said how many there are a second."""
         self.motion = Motion()
         self.journal = Journal(most)
-        self.faults = Faults()
-        self.curve = Curve()
+        self.faults = Faults(None if most is None else MOST_ENTRIES)
+        self.curve = Curve(None if most is None else MOST_ROWS)
         self.epoch = 0  # counts resets and jumps: what was drawn before belongs to another record
         self.start_ns = self.newest_ns = 0
         self.told_start_ns = 0

@@ -194,6 +194,31 @@ def test_a_recorded_value_holds_only_until_something_changes(recorded: Messages,
         assert source.snapshot.get("faults") == []
 
 
+def test_of_a_long_run_the_beginning_is_shown_as_well(recorded: Messages, tmp_path: Path) -> None:
+    """Only the last 400 rows and 300 faults and lines were kept: what had been measured before them was not shown."""
+    measured = next(table for name, table in recorded if name == "transmissibility/table")
+    with PlaybackSource([record(tmp_path / "run", recorded)]) as source:
+        run = source._runs[0]
+        wait_until(lambda: run.whole, "the marks")
+        fault = np.zeros(1, topics.FAULTS.columns)
+        fault["id"], fault["active"], fault["kind"], fault["channel"] = 1, 1, b"dropout", b"laser"
+        begins = Table(measured.stamp_ns, fault)
+        run.record.faults.add(begins)
+        run.record.journal.fault(begins)
+        for number in range(500):  # an hour later
+            later_ns = measured.stamp_ns + (3600 + number) * NS_PER_S
+            run.record.curve.add(Table(later_ns, measured.rows))
+            fault["id"] = 2 + number
+            run.record.faults.add(Table(later_ns, fault))
+            run.record.journal.fault(Table(later_ns, fault))
+        at_s = measured.stamp_ns / NS_PER_S + 0.05
+        assert len(run.rows(at_s)) == 1
+        assert run.present(at_s, run.at(at_s))["state"] == "measuring"
+        assert len(run.record.faults.in_force(0, run.instant_ns(at_s))) == 1
+        assert any("dropout" in line[3] and line[0] < at_s for line in run.record.journal.part(0))
+        assert len(run.rows(5000.0)) == 400
+
+
 def test_a_recorded_value_does_not_hold_over_a_fault(recorded: Messages, tmp_path: Path) -> None:
     measured_ns = next(table.stamp_ns for name, table in recorded if name == "transmissibility/table")
     row = np.zeros(1, topics.FAULTS.columns)
