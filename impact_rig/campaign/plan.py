@@ -88,6 +88,15 @@ class Campaign:
     analysis: Mapping[str, Value]  # settings of the measurement that differ from the default
     studies: tuple[Study, ...]
     text: str
+    first: Study | None = None  # whose first combination is the reference rig; None: the first of `studies`
+
+    def reference(self) -> Job:
+        """Return the first job on the reference rig.
+
+        Raises:
+            ConfigError: its values make no sense; the message names the study.
+        """
+        return next(self._expand(self.first or self.studies[0])).job
 
     def planned(self) -> list[Planned]:
         """Return all jobs in order; one that two studies share comes twice, with one key.
@@ -96,18 +105,18 @@ class Campaign:
             ConfigError: a combination of values makes no sense; the message names the study.
         """
         found = [planned for study in self.studies for planned in self._expand(study)]
-        first = found[0]
-        rig = _without_gap(first.job.changes)
+        first = self.reference()
+        rig = _without_gap(first.changes)
         return [
             attrs.evolve(
                 planned,
-                reference=_without_gap(planned.job.changes) == rig and planned.job.current_a == first.job.current_a,
+                reference=_without_gap(planned.job.changes) == rig and planned.job.current_a == first.current_a,
             )
             for planned in found
         ]
 
     def only(self, names: tuple[str, ...]) -> Campaign:
-        """Return the campaign with these studies only.
+        """Return the campaign with these studies only; the reference rig stays the one it was.
 
         Raises:
             ConfigError: there is no study of that name.
@@ -115,7 +124,8 @@ class Campaign:
         known = [study.name for study in self.studies]
         for name in names:
             axes.word("study", name, known)
-        return attrs.evolve(self, studies=tuple(study for study in self.studies if study.name in names))
+        chosen = tuple(study for study in self.studies if study.name in names)
+        return attrs.evolve(self, studies=chosen, first=self.first or self.studies[0])
 
     def _expand(self, study: Study) -> Iterator[Planned]:
         combinations = itertools.product(itertools.product(*study.vary.values()), study.currents_a, study.gaps_m)

@@ -90,7 +90,7 @@ class Finished:
         """
         path = self.directory / CALIBRATION_FILE
         if not path.exists():
-            return Chain(self.campaign.planned()[0].job.config()).info()
+            return Chain(self.campaign.reference().config()).info()
         try:
             rows = json.loads(files.read_bytes(path, MAX_CALIBRATION_BYTES))
             names = DAQ_INFO.names or ()

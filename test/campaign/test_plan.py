@@ -125,3 +125,12 @@ def test_the_papers_campaign_is_six_cases_at_ten_frequencies():
     assert all(one.reference for one in campaign.planned())
     with pytest.raises(ConfigError, match="study must be one of curves"):
         campaign.only(("nothing",))
+
+
+@pytest.mark.parametrize("name", ["restitution", "mass", "amplitude"])
+def test_studies_that_are_run_alone_keep_the_campaign_s_reference_rig(name):
+    """The first of them gave another one: a rig of light spheres was judged by the paper's statements."""
+    campaign = load_campaign(config_dir() / "campaigns" / "beyond.yaml")
+    whole = {one.job.key: one.reference for one in campaign.planned()}
+    alone = campaign.only((name,)).planned()
+    assert [one.reference for one in alone] == [whole[one.job.key] for one in alone]
