@@ -7,6 +7,7 @@ Loads the module of the chosen subcommand only, and that after the signals are t
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -64,6 +65,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments is not None:
         return _run(_parse(arguments), None)
     words = sys.argv[1:]
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="surrogateescape")  # a file's name may be no text: it goes out as it came in
     if "_ARGCOMPLETE" in os.environ:
         _complete()
     ending = Ending(" ".join([PROGRAM, *words[:1]]) if words and words[0] in COMMANDS else PROGRAM)

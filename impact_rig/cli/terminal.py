@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import sys
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
@@ -40,6 +41,7 @@ LONGEST_HEADING = 11  # characters of a heading over numbers that stay in one li
 LONGEST_WORD = 12  # characters of a word in a cell that are not parted
 LARGEST_WIDTH = 10_000  # of a table, in characters
 LINES = 50  # of a progress that nobody watches, about
+BYTES = re.compile("[\ud800-\udfff]")  # what Python makes of the bytes of a file's name that are no UTF-8
 
 
 class Console(rich_console.Console):
@@ -161,7 +163,9 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 
 def tell_json(content: object) -> None:
     """Print what was found for a program; numbers that do not exist are null."""
-    print(json.dumps(plain(content), indent=2, ensure_ascii=False))  # noqa: T201  # a command line tool talks
+    text = json.dumps(plain(content), indent=2, ensure_ascii=False)
+    text = BYTES.sub(lambda byte: f"\\u{ord(byte[0]):04x}", text)
+    print(text)  # noqa: T201  # a command line tool talks
 
 
 def tell_results(directory: Path, content: Mapping[str, object], *, as_json: bool) -> None:

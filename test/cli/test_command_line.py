@@ -8,6 +8,7 @@ import argparse
 import io
 import json
 import math
+import os
 import re
 import shlex
 import subprocess
@@ -158,6 +159,22 @@ def test_progress_without_a_terminal_is_some_plain_lines(capsys: pytest.CaptureF
 def test_json_has_no_number_that_json_lacks(capsys: pytest.CaptureFixture[str]) -> None:
     tell_json({"a": math.nan, "b": (1.5, math.inf), "c": Path("x"), 4: b"word"})
     assert json.loads(capsys.readouterr().out) == {"a": None, "b": [1.5, None], "c": "x", "4": "word"}
+
+
+@pytest.mark.parametrize("words", [("check", "{}", "--json"), ("campaign", "{}", "--output", "{}_run")])
+def test_a_name_that_is_no_text_goes_out_as_it_came_in(words: tuple[str, ...], tmp_path: Path) -> None:
+    """Where the locale is strict about UTF-8, what had been found ended in a traceback instead of on the terminal."""
+    file = tmp_path / os.fsdecode(b"m\xff 1.yaml")
+    study = "studies: {one: {frequencies_hz: 9.1, gaps_m: 0.01}}\nset: {daq.rate_hz: 1000}\n"
+    file.write_text("daq: {rate_hz: 1000}\n" if words[0] == "check" else study)
+    environment = {**os.environ, "PYTHONIOENCODING": "utf-8:strict"}
+    asked = [word.format(file) for word in words]
+    done = subprocess.run([*PROGRAM, *asked], env=environment, capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr
+    if "--json" in words:
+        assert json.loads(done.stdout)["path"] == str(file)
+    else:
+        assert os.fsdecode(done.stdout.splitlines()[-1]) == f"{file}_run"
 
 
 @pytest.mark.parametrize(
