@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from impact_rig.analysis.scans import CHANNELS
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.cli.terminal import Console, add_json, subcommand, tell_results
-from impact_rig.errors import CommandError, ConfigError, ImpactRigError
+from impact_rig.errors import CommandError, ConfigError, ImpactRigError, visible
 from impact_rig.operate.hardware import Hardware
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat, load
@@ -161,7 +161,11 @@ def _play(arguments: argparse.Namespace) -> int:
     samples = _history(arguments, "A")
     if arguments.seconds is not None and arguments.seconds * arguments.rate < len(samples):
         samples = samples[: round(arguments.seconds * arguments.rate)]
-    return _drive(arguments, f"Played: {arguments.file.name}", "A", lambda rig: play(rig, samples, arguments.clip))
+    if not len(samples):
+        raise ConfigError(f"--seconds {arguments.seconds:g} is less than a sample at --rate {arguments.rate}")
+    return _drive(
+        arguments, f"Played: {visible(arguments.file.name)}", "A", lambda rig: play(rig, samples, arguments.clip)
+    )
 
 
 def _frf(arguments: argparse.Namespace) -> int:
@@ -198,7 +202,7 @@ def _replicate(arguments: argparse.Namespace) -> int:
 
     plan = _plan(arguments, ReplicatePlan)
     asked = _history(arguments, plan.response.unit, plan.response.channel)
-    title = f"Replicated: {plan.response.replace('_', ' ')} of {arguments.file.name}"
+    title = f"Replicated: {plan.response.replace('_', ' ')} of {visible(arguments.file.name)}"
     return _drive(arguments, title, plan.response.unit, lambda rig: replicate(rig, asked, plan))
 
 
@@ -253,7 +257,7 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work) -> 
         rig = f"gap {arguments.gap}" if config.sphere.present else "no sphere"
         about = [
             ("Rig", arguments.namespace if arguments.through == RUNNING else rig), ("Through", arguments.through),
-            ("Rate", f"{arguments.rate} Hz"), ("Recording", f"{directory.name}; impact-rig verify re-simulates it"),
+            ("Rate", f"{arguments.rate} Hz"), ("Recording", f"{visible(directory.name)}; impact-rig verify re-simulates it"),
         ]  # fmt: skip
         files.write_text(directory / f"{what}.json", json.dumps(files.plain(figures), indent=2) + "\n")
         page = directory / f"{what}.html"

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -47,6 +48,16 @@ def test_a_played_file_is_what_the_current_was(tmp_path, capsys):
     assert told(tmp_path / "again", "play")[0]["peak_asked"] == pytest.approx(0.3, abs=0.02)
     assert run(*given, "--output", tmp_path / "run") == 1
     assert "nothing is overwritten" in capsys.readouterr().err
+
+
+def test_names_that_are_no_text_are_told_on_the_page(tmp_path):
+    """The run was driven, and then its page could not be written: a traceback instead of what was found."""
+    file, directory = tmp_path / os.fsdecode(b"d\xff.csv"), tmp_path / os.fsdecode(b"run\xff")
+    file.write_text("time,current\n0,0\n0.05,0.1\n0.1,0\n")
+    assert run("play", file, "--output", directory) == 0
+    page = (directory / "play.html").read_text()
+    assert "Played: d\\udcff.csv" in page
+    assert "run\\udcff; impact-rig verify" in page
 
 
 def test_a_frequency_response_is_told_with_its_coherence(tmp_path):
@@ -130,6 +141,7 @@ def test_wrong_words_are_refused_by_name(tmp_path, capsys, words, says):
     ("words", "says"),
     [
         (("play", "drive.csv", "--rate", "0"), "whole number of Hz above 0, got 0"),
+        (("play", "drive.csv", "--seconds", "1e-5"), "--seconds 1e-05 is less than a sample"),  # an empty reason, once
         (("frf", "--frames", "1000000000"), "samples of 1000000000 frames"),
         (("frf", "--frame-s", "1e9"), "samples of 20 frames"),
         (("frf", "--seed", "-1"), "seed must be"),

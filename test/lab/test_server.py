@@ -401,9 +401,7 @@ def test_pages_that_still_open_count(source: FakeSource, sample: Path, monkeypat
         base = f"http://{LOOPBACK}:{server.port}"
         async with aiohttp.ClientSession(timeout=TIMEOUT) as session:
             address = f"{base}/socket?token={server.token}&run={sample.name}"
-            opening = [
-                asyncio.ensure_future(session.ws_connect(address, headers={"Origin": base})) for _ in range(4)
-            ]
+            opening = [asyncio.ensure_future(session.ws_connect(address, headers={"Origin": base})) for _ in range(4)]
             await asyncio.wait(opening, timeout=2.0, return_when=asyncio.FIRST_COMPLETED)
             release.set()
             found = await asyncio.gather(*opening, return_exceptions=True)
