@@ -115,15 +115,14 @@ def points_of(planned: Planned, outcome: Outcome) -> list[Point]:
     for place, frequency in enumerate(visits):
         own = rows[taken : taken + job.repetitions]
         own = own[np.isclose(own["frequency"], frequency, rtol=1e-9, atol=0.0)]
-        if frequency in skipped and not len(own):
-            skipped.remove(frequency)
-            failure = SKIPPED
-        else:
-            taken += len(own)
-            unsettled = own["status"][own["settled"] != 1.0]
-            failure = str(unsettled[0].decode()) if len(unsettled) else ""
-            if len(own) < job.repetitions:
-                failure = outcome.failure or NOT_REACHED
+        taken += len(own)
+        unsettled = own["status"][own["settled"] != 1.0]
+        failure = str(unsettled[0].decode()) if len(unsettled) else ""
+        if len(own) < job.repetitions:  # some may have been taken before a sensor went over range
+            failure = outcome.failure or NOT_REACHED
+            if frequency in skipped:
+                skipped.remove(frequency)
+                failure = SKIPPED
         direction = RESET
         if once > 1:
             down = job.direction is Direction.DOWN or place >= once

@@ -143,6 +143,17 @@ def test_a_sweep_visits_up_and_down_and_keeps_the_state(tiny, measured):
     assert points[0].dt == pytest.approx(points[3].dt, rel=0.05)
 
 
+def test_a_point_that_was_left_out_after_its_first_row_says_why(tiny, measured):
+    """It was `not reached`, and the way down, which the rig's trip had ended, was over range."""
+    sweep = next(one for one in tiny.planned() if one.study == "sweep")
+    job = attrs.evolve(sweep.job, repetitions=2)
+    rows = measured[sweep.job.key][1].rows[[0, 1, 1]]  # one at the first frequency, two at the second, going up
+    outcome = Outcome(rows=rows, skipped_hz=(9.0,), failure="the rig tripped")
+    points = run.points_of(attrs.evolve(sweep, job=job), outcome)
+    assert [len(point.rows) for point in points] == [1, 2, 0, 0]
+    assert [point.failure for point in points] == ["over_range", "", "the rig tripped", "the rig tripped"]
+
+
 def test_a_study_shares_the_runs_of_another(tiny):
     planned = tiny.planned()
     assert len(planned) == 7
