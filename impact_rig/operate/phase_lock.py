@@ -172,6 +172,7 @@ class PhaseLock:
         self.locked_ns: int | None = None
         self.u_gain = 0.0
         self._began_ns = self._held_ns = 0
+        self._tracked_ns = 0  # since when it is tracked at these settings
         self._rows: list[tuple[float, ...]] = []
         self._slope = 0.0  # Hz per tan φ'
         self._before: tuple[float, float] | None = None
@@ -214,7 +215,7 @@ class PhaseLock:
         """Forget the lock: something was changed, the phase must be found again."""
         if self.stage is Stage.LOCKED:
             self.stage = Stage.TRACKING
-        self._held_ns = now_ns
+        self._held_ns = self._tracked_ns = now_ns
         self._looks.clear()
 
     def on_look(self, look: Look) -> Setpoint:
@@ -228,6 +229,7 @@ class PhaseLock:
         turned = look.superior / (look.base if self._plan.reference is Reference.BASE else look.current)
         if self.stage is Stage.SEEKING:
             self._seek(turned)
+            self._tracked_ns = look.end_ns
         else:
             self._track(look.end_ns, turned)
         self.u_gain = look.u_gain
@@ -262,7 +264,7 @@ class PhaseLock:
         self._looks.append((now_ns, turned / abs(turned)))
         first = now_ns - round(MEAN_S * NS_PER_S)
         self._looks = [one for one in self._looks if one[0] > first]
-        whole = len(self._looks) * self._plan.look_s >= MEAN_S * 0.999
+        whole = now_ns - self._tracked_ns >= MEAN_S * 0.999 * NS_PER_S  # between two looks a command may take its time
         mean = sum(one for _, one in self._looks)
         if whole and abs(math.degrees(_turn_from_quarter(mean))) <= self._plan.within_deg:
             self.stage, self._held_ns = Stage.LOCKED, now_ns

@@ -90,6 +90,20 @@ def test_a_transient_that_dies_at_an_end_of_the_range_is_no_resonance(start_hz, 
     assert lock.frequency_hz == pytest.approx(TRUE_HZ, abs=0.003)
 
 
+@pytest.mark.parametrize(("look_s", "command_s"), [(0.5, 0.6), (0.1, 0.03)])
+def test_it_locks_where_commands_take_their_time(look_s, command_s):
+    """Looks were counted as if one followed the other at once: with these the phase was held, and nothing locked."""
+
+    class Late(Resonance):
+        def look(self, seconds):
+            self.now += round(command_s * NS_PER_S)
+            return super().look(seconds)
+
+    lock = lock_on(attrs.evolve(PLAN, look_s=look_s), Late())
+    assert lock.state is State.FINISHED, lock.reason
+    assert lock.frequency_hz == pytest.approx(TRUE_HZ, abs=0.003)
+
+
 def test_it_follows_a_resonance_that_moves():
     bench = Resonance()
     lock = PhaseLock(attrs.evolve(PLAN, dwell_s=1e6))
