@@ -1,7 +1,7 @@
 // Unit tests of the page's pure modules; test_units.py runs them in the browser of the other tests.
 (async () => {
   const { hermite, Motion, Clock } = await import("/static/motion.js");
-  const { clock, decibel, engineering, limits, line, steps, withUncertainty } = await import("/static/format.js");
+  const { clock, decibel, engineering, fixed, limits, line, steps, withUncertainty } = await import("/static/format.js");
   const { Knobs, patience, status } = await import("/static/store.js");
   const { decode, Kind } = await import("/static/frames.js");
   const { drawPhase, drawRig } = await import("/static/rigview.js");
@@ -21,6 +21,10 @@
   test("hermite pieces go through both ends and are exact for cubics", () => {
     const x = (t) => 2 - t + 3 * t * t - 0.5 * t ** 3, v = (t) => -1 + 6 * t - 1.5 * t * t;
     for (const t of [1, 1.3, 1.9, 2]) near(hermite(1, x(1), v(1), 2, x(2), v(2), t), x(t), 1e-12);
+  });
+  test("what is shown as zero has no sign", () => {
+    same([fixed(-0.04, 1), fixed(-0.06, 1), fixed(-0.4, 0), fixed(0, 2)], ["0.0", "-0.1", "0", "0.00"]);
+    same([clock(-0.04), clock(-0.06), clock(0)], ["0.0 s", "−0.1 s", "0.0 s"]);
   });
   test("the sphere turns at the wall, not between samples", () => {
     const motion = new Motion(), gap = 0.006; // structure at rest, sphere flies to the right wall and back

@@ -2,14 +2,16 @@
 
 /** @param {number | null | undefined} value @param {number} digits after the point @returns {string} */
 export function fixed(value, digits) {
-  return value === null || value === undefined || !Number.isFinite(value) ? "–" : value.toFixed(digits);
+  if (value === null || value === undefined || !Number.isFinite(value)) return "–";
+  const text = value.toFixed(digits);
+  return Number(text) === 0 ? text.replace("-", "") : text; // what is shown as zero has no sign
 }
 
 /** @param {number} seconds @returns {string} e.g. 12.3 s, 4:05.2, 1:02:03 */
 export function clock(seconds) {
   if (!Number.isFinite(seconds)) return "–";
-  const sign = seconds < 0 ? "−" : "";
   const s = Math.round(Math.abs(seconds) * 10) / 10;
+  const sign = seconds < 0 && s > 0 ? "−" : "";
   if (s < 100) return `${sign}${s.toFixed(1)} s`;
   const h = Math.floor(s / 3600), m = Math.floor((s % 3600) / 60), rest = s % 60;
   if (h) return `${sign}${h}:${String(m).padStart(2, "0")}:${String(Math.floor(rest)).padStart(2, "0")}`;

@@ -1,6 +1,6 @@
 // The rig in motion: table, bending columns, superior base with its barriers, sphere; walls flash with the peak force.
 
-import { engineering } from "./format.js";
+import { engineering, fixed } from "./format.js";
 import { colour, paper, stroke } from "./paper.js";
 
 const BASE_ENLARGED = 20;
@@ -89,9 +89,9 @@ function labels(g, s) {
   g.fillRect(s.w - 10 - ruler, s.h - 21, ruler, 2);
   g.textAlign = "left";
   if (!s.at) return;
-  g.fillText(`x₁ ${(s.at.structure * 1e3).toFixed(2)} mm`, 10, 14);
-  g.fillText(`x_b ${(s.at.base * 1e6).toFixed(0)} µm`, 10, 29);
-  if (s.present) g.fillText(`x₂ ${(s.at.sphere * 1e3).toFixed(2)} mm`, 10, 44);
+  g.fillText(`x₁ ${fixed(s.at.structure * 1e3, 2)} mm`, 10, 14);
+  g.fillText(`x_b ${fixed(s.at.base * 1e6, 0)} µm`, 10, 29);
+  if (s.present) g.fillText(`x₂ ${fixed(s.at.sphere * 1e3, 2)} mm`, 10, 44);
   g.textAlign = "right";
   g.fillText(s.present ? `gap ${(s.gap * 1e3).toFixed(1)} mm` : "no sphere", s.w - 10, 14);
 }
