@@ -296,6 +296,28 @@ def test_a_knob_without_a_told_value_shows_none(
     page.wait(f"{seen} === ',hidden'", "no gap of another rig")
 
 
+def test_a_lab_that_is_started_anew_begins_a_new_record(open_page: Callable[..., Page]) -> None:
+    """Its first record has the number of the one before: impacts of the rig that was gone stayed in the scope."""
+
+    def found(second: int) -> FakeSource:
+        made = FakeSource()
+        made.scope.add(scans(second * 1000, 1000), 0)
+        made.record.motion.detected.add((second + 0.9, 1.0, 1.0))
+        return made
+
+    def marked(second: int) -> str:
+        return f"JSON.stringify(lab.scope.impacts[1]) === '[{second + 0.9}]'"
+
+    with Server(found(500), port=0) as before:
+        page = open_page(before.address)
+        page.wait(marked(500), "the impact")
+        page.expected = "ERR_CONNECTION_REFUSED"
+    with Server(found(1), port=before.port, token=before.token):
+        page.wait("lab.link.connected && lab.scope.trace.begin < 100", "the new record")
+        assert page.js(marked(1)), page.js("JSON.stringify(lab.scope.impacts)")
+        page.js("lab.link.socket.onclose = null")
+
+
 def test_runs_are_listed_and_played_beside_what_the_lab_shows(
     source: FakeSource, sample: Path, open_page: Callable[..., Page]
 ) -> None:

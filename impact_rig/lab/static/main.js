@@ -82,7 +82,10 @@ function newRecord(epoch) {
 }
 
 function onConnection(connected) {
-  if (!connected) knobs.knobs.lose();
+  if (!connected) {
+    knobs.knobs.lose();
+    drawn.epoch = -1; // a lab that was started anew counts its records anew
+  }
   knobs.refresh();
   showStatus();
 }
