@@ -79,6 +79,9 @@ def _run(arguments: argparse.Namespace) -> int:
     config, gap = rig_of(arguments)
     if arguments.output is not None and os.path.lexists(arguments.output):
         raise RecordingError(f"{arguments.output} exists already and is not overwritten")
+    if arguments.output is not None:  # what cannot be written is told before anything is measured
+        with files.errors_as(f"cannot write {arguments.output}"):
+            arguments.output.parent.mkdir(parents=True, exist_ok=True)
     console = Console(quiet=arguments.json)
     return {"hold": _hold, "lock": _lock, "backbone": _backbone}[arguments.kind](arguments, config, gap, console)
 
@@ -209,4 +212,5 @@ def _write(path: Path | None, rows: NDArray[np.void] | Sequence[Rung]) -> None:
     else:
         writer.writerow([field.name for field in attrs.fields(Rung)])
         writer.writerows(attrs.astuple(one) for one in rows)
-    files.write_text(path, text.getvalue())
+    with files.errors_as(f"cannot write {path}"), files.written_whole(path, replace=False) as file:
+        file.write(text.getvalue().encode())

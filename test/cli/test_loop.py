@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from impact_rig.cli import loop
 from impact_rig.cli.main import main
 
 RATE = "daq: {rate_hz: 2000}\n"
@@ -35,6 +36,24 @@ def test_hold(rig, tmp_path, capsys):
     assert "base held at 6e-05" in capsys.readouterr().out
     assert main(["loop", "hold", *words, *rig]) == 1
     assert "not overwritten" in capsys.readouterr().err
+
+
+def test_where_it_shall_be_written_is_looked_at_first(rig, tmp_path, monkeypatch, capsys):
+    """In a folder that was not there the rows were lost after the measurement; a file that came meanwhile was lost."""
+    words = ["loop", "hold", "base", "60e-6", "--frequencies", "9.2", "--gap", "none", *rig, "--output"]
+    out = tmp_path / "new" / "folder" / "held.csv"
+    assert main([*words, str(out)]) == 0
+    assert len(rows_of(out)) == 1
+    (tmp_path / "file").write_text("")
+    with monkeypatch.context() as patched:
+        patched.setattr("impact_rig.cli.loop._held", lambda *_: pytest.fail("it was measured"))
+        assert main([*words, str(tmp_path / "file" / "held.csv")]) == 1
+    assert "cannot write" in capsys.readouterr().err
+
+    found, late = loop._held, tmp_path / "late.csv"
+    monkeypatch.setattr("impact_rig.cli.loop._held", lambda *held: late.write_text("mine") and found(*held))
+    assert main([*words, str(late)]) == 1
+    assert late.read_text() == "mine"
 
 
 def test_an_amplitude_that_was_not_reached_is_said_and_is_no_success(rig, tmp_path, capsys):
