@@ -257,7 +257,8 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work) -> 
         rig = f"gap {arguments.gap}" if config.sphere.present else "no sphere"
         about = [
             ("Rig", arguments.namespace if arguments.through == RUNNING else rig), ("Through", arguments.through),
-            ("Rate", f"{arguments.rate} Hz"), ("Recording", f"{visible(directory.name)}; impact-rig verify re-simulates it"),
+            ("Rate", f"{arguments.rate} Hz"),
+            ("Recording", f"{visible(directory.name)}; impact-rig verify re-simulates it"),
         ]  # fmt: skip
         files.write_text(directory / f"{what}.json", json.dumps(files.plain(figures), indent=2) + "\n")
         page = directory / f"{what}.html"
