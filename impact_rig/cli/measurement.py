@@ -64,7 +64,7 @@ def _import(arguments: argparse.Namespace) -> int:
     drive = foreign_files.read(arguments.drive) if arguments.drive else None
     sheet = foreign_files.read(arguments.calibration) if arguments.calibration else None
     several = len(arguments.files) > 1
-    if several and not arguments.campaign and len({file.stem for file in arguments.files}) < len(arguments.files):
+    if several and len({file.stem for file in arguments.files}) < len(arguments.files):
         raise ConfigError("two files have one name: each becomes the run of its name")
     directories, shown = [], []
     for file in arguments.files:

@@ -440,6 +440,22 @@ def test_an_uncertainty_below_a_thousandth_is_not_shown_as_none(
     assert abs(float(value) - 1 / 15) <= 1.5 * float(u)  # what is shown is 2u
 
 
+@pytest.mark.parametrize("more", [[], ["--campaign"]])
+def test_two_files_of_one_name_are_refused_before_one_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str]
+) -> None:
+    """Of a campaign the first was written, and stood in the way of every later attempt."""
+    turn = 2.0 * np.pi * 9.0 * np.arange(2_000) / RATE_HZ
+    files = [tmp_path / folder / "own.npz" for folder in ("a", "b")]
+    for file in files:
+        file.parent.mkdir()
+        np.savez(file, base=1e-3 * np.sin(turn), laser=1e-2 * np.sin(turn))
+    words = ["import", *map(str, files), "--output", str(tmp_path / "out"), "--rate", str(RATE_HZ), *more]
+    assert main(words) == 1
+    assert "two files have one name" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def test_what_an_import_leaves_out_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     turn = 2.0 * np.pi * 9.0 * np.arange(20_000) / RATE_HZ
     base, laser = 1e-3 * np.sin(turn), 1e-2 * np.sin(turn)
