@@ -13,6 +13,7 @@ import asyncio
 import contextlib
 import hmac
 import importlib.util
+import ipaddress
 import logging
 import os
 import secrets
@@ -276,6 +277,7 @@ class Server:
         check_port(port)
         self._source, self._runs = source, runs
         self._host, self._wanted_port = host, port
+        self._is_local = host == LOOPBACK
         self.token = token or secrets.token_hex(24)
         self.port = 0
         self.refused: Counter[str] = Counter()
@@ -297,8 +299,11 @@ class Server:
     @property
     def address(self) -> str:
         """Return the address of the page."""
-        host = f"[{self._host}]" if ":" in self._host else self._host  # of IPv6
-        return f"http://{host}:{self.port}/?token={self.token}"
+        return f"http://{self._name}:{self.port}/?token={self.token}"
+
+    @property
+    def _name(self) -> str:
+        return f"[{self._host}]" if ":" in self._host else self._host  # of IPv6
 
     def start(self) -> None:
         """Begin to serve.
@@ -347,7 +352,8 @@ class Server:
             family = (await loop.getaddrinfo(self._host, self._wanted_port, type=socket.SOCK_STREAM))[0][0]
             listener = socket.create_server((self._host, self._wanted_port), family=family)
             listener.setblocking(False)
-            self.port = listener.getsockname()[1]
+            address, self.port = listener.getsockname()[:2]
+            self._is_local = ipaddress.ip_address(address).is_loopback  # by whatever name it was asked for
         except OSError as error:
             self._failure = error
             await runner.cleanup()
@@ -428,7 +434,7 @@ class Server:
         return web.Response(status=status, text=text, headers=HEADERS)
 
     def _hosts(self) -> set[str]:
-        names = {self._host, "localhost", LOOPBACK} if self._host == LOOPBACK else {self._host}
+        names = {self._name.lower(), "localhost", LOOPBACK} if self._is_local else {self._name.lower()}
         known = {f"{name}:{self.port}" for name in names}
         return known | names if self.port == HTTP_PORT else known  # browsers leave that one out
 
@@ -448,8 +454,7 @@ class Server:
         return response
 
     def _turned_away(self, request: web.Request) -> web.Response | None:
-        local = self._host == LOOPBACK
-        if local and request.host not in self._hosts():
+        if self._is_local and request.host.lower() not in self._hosts():
             return self._refuse("host", "this lab has another name")
         origin = request.headers.get("Origin")
         allowed = {f"http://{host}" for host in self._hosts()} | {f"http://{request.host}"}

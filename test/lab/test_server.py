@@ -365,6 +365,19 @@ def test_the_address_of_an_ipv6_lab_is_one(source: FakeSource) -> None:
         assert server.address.startswith(f"http://[::1]:{server.port}/?token=")
 
 
+@pytest.mark.parametrize("host", [LOOPBACK, "localhost", "127.0.0.2", "::1"])
+def test_no_other_name_leads_to_a_lab_of_this_machine(source: FakeSource, host: str) -> None:
+    """Only of 127.0.0.1 names were looked at: a page of somebody else could have his own name lead to `localhost`."""
+    with Server(source, host, 0) as server:
+        own = server.address.removeprefix("http://").partition("/")[0]
+        for name, status in ((own, 200), (f"localhost:{server.port}", 200), ("evil.example", 403)):
+            lines = [f"GET /?token={server.token} HTTP/1.1", f"Host: {name}", f"Origin: http://{name}", "", ""]
+            with socket.create_connection((host, server.port), timeout=10.0) as connection:
+                connection.sendall("\r\n".join(lines).encode())
+                answer = b"".join(iter(lambda: connection.recv(65536), b""))
+            assert answer.startswith(f"HTTP/1.1 {status} ".encode()), (name, answer[:100])
+
+
 def test_at_the_port_of_http_a_page_is_asked_for_without_it(source: FakeSource) -> None:
     """A browser leaves port 80 out of the name, and every page was refused: this lab had another one."""
     server = Server(source)
