@@ -65,8 +65,11 @@ class Record:
 
     def plot(self, path: Path | str | None = None) -> Figure:
         """Draw the newest half second of base, structure and acceleration; write it where a path is given."""
-        rows = self.scans[-round(DRAWN_S * self.config.daq.rate_hz) :]
-        begin = rows["time"][0] if len(rows) else math.inf  # a fault may withhold all scans
+        times = self.scans["time"]
+        rows = (
+            self.scans[times > times[-1] - DRAWN_S] if len(times) else self.scans
+        )  # a fault may withhold some, or all
+        begin = rows["time"][0] if len(rows) else math.inf
         figure = time_traces(rows, self.impact_times[self.impact_times >= begin])
         figure.axes[0].set_title(str(self), loc="left", fontsize=9.5, pad=11.0)
         if path is not None:

@@ -15,7 +15,7 @@ from impact_rig.errors import ConfigError
 from impact_rig.physics.prediction import transmissibility
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
-from impact_rig.simulation import simulate
+from impact_rig.simulation import DRAWN_S, simulate
 from impact_rig.states import Analysis
 
 DRIVEN = {"drive.frequency_hz": 9.1, "drive.amplitude": 0.52}
@@ -56,10 +56,12 @@ def test_the_analysis_hears_of_a_drive_that_was_stopped(parameters):
 
 
 def test_scans_that_a_fault_withholds_are_missing_for_the_analysis_too():
-    record = impact_rig.simulate(1.0, {"instruments.faults.planned": ["lost_block start_s=0.5 duration_s=0.02"]})
+    record = impact_rig.simulate(1.0, {"instruments.faults.planned": ["lost_block start_s=0.8 duration_s=0.02"]})
     assert len(record.scans) == 9_800
     assert np.diff(record.scans["time"]).max() == pytest.approx(0.02 + 1e-4)
     assert record.state.reason == "lost_blocks"
+    drawn = record.plot().axes[0].lines[0].get_xdata()
+    assert drawn[-1] - drawn[0] == pytest.approx(DRAWN_S, abs=1e-3)
     assert len(impact_rig.simulate(0.1, {"instruments.faults.planned": ["lost_block duration_s=1"]}).scans) == 0
 
 

@@ -170,7 +170,7 @@ class Chain:
         clock = self._clock.lengths
         breakpoints = None if self._config.instruments.ideal else motion.breakpoints()
         durations = motion.impacts["duration"]
-        blows = motion.impacts[durations == 0.0 if 0.0 in durations.tolist() else slice(0)]
+        blows = motion.impacts[durations == 0.0] if 0.0 in durations.tolist() else motion.impacts[:0]
         for first in range(0, count, _TICKS_AT_ONCE):
             ticks = min(_TICKS_AT_ONCE, count - first)
             if breakpoints is None:

@@ -11,6 +11,7 @@ milliseconds where the thread has to wait for a core. Of what comes once, such a
 from __future__ import annotations
 
 import faulthandler
+import traceback
 import weakref
 from collections.abc import Callable
 from typing import Any  # rclpy is untyped
@@ -18,6 +19,8 @@ from typing import Any  # rclpy is untyped
 import rclpy.experimental.events_executor  # noqa: F401  # absent before rclpy 7.1.2
 from rclpy.client import Client
 from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.logging import get_logger
+from rclpy.qos import HistoryPolicy
 from rclpy.subscription import Subscription
 
 EventsExecutor: Any = rclpy_implementation.EventsExecutor
@@ -33,15 +36,18 @@ class LookingExecutor(EventsExecutor):
         super().__init__(context)
         faulthandler.enable()  # this and the next as `rclpy.experimental.EventsExecutor` does
         context.on_shutdown(self._wake)
-        self._nodes: weakref.WeakSet[Any] = weakref.WeakSet()
         self._known: weakref.WeakSet[Any] = weakref.WeakSet()
 
     def add_node(self, node: Any) -> bool:
         """Run a node's callbacks from now on."""
-        self._nodes.add(node)
         added = bool(super().add_node(node))
         self._look_soon()
         return added
+
+    def remove_node(self, node: Any) -> None:
+        """Run a node's callbacks no longer."""
+        super().remove_node(node)
+        self._look_soon()
 
     def wake(self) -> None:
         """Begin to listen to what nodes have that is new."""
@@ -53,7 +59,7 @@ class LookingExecutor(EventsExecutor):
 
     def _look_soon(self) -> None:
         """Look at what is new once it is listened to: that is asked for by now, and done in the order of asking."""
-        nodes = [node for node in self._nodes if node.executor is self]
+        nodes = self.get_nodes()
         found = {one for node in nodes for one in (*node.subscriptions, *node.services, *node.clients)}
         for entity in found.difference(self._known):
             self.create_task(_look, weakref.ref(entity))
@@ -63,11 +69,18 @@ class LookingExecutor(EventsExecutor):
 def _look(reference: weakref.ref[Any]) -> None:
     """Hand over what an entity holds; what was told as well is no longer there when its turn comes."""
     entity = reference()
-    for _ in range(0 if entity is None else entity.qos_profile.depth or MOST):  # more come, and are told, meanwhile
-        hand_over = _taken(entity)
-        if hand_over is None:
-            return
-        hand_over()
+    if entity is None:
+        return
+    qos = entity.qos_profile
+    endless = qos.history == HistoryPolicy.KEEP_ALL
+    for _ in range(MOST if endless else qos.depth or MOST):  # more come, and are told, meanwhile
+        try:
+            hand_over = _taken(entity)
+            if hand_over is None:
+                return
+            hand_over()
+        except Exception:  # one that leaves a task of this executor ends the process in the middleware
+            get_logger("executor").error(traceback.format_exc())
 
 
 def _taken(entity: Any) -> Callable[[], None] | None:

@@ -326,6 +326,8 @@ def _contact_phase(model, f, work, t_end, account):  # type: ignore[no-untyped-d
             ended = SETTLED
             break
         ended = PAUSED
+        if s.t >= t_end:  # by rounding
+            break
     s.h = 0.0
     _keep_state(work)
     return ended

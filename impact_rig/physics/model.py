@@ -34,7 +34,7 @@ from impact_rig.physics.state import DRIVES, PARAMETERS, PRESCRIBED, SYSTEM, V1,
 
 STANDARD_GRAVITY = 9.80665
 CONTACT_RTOL = 1e-9
-"""Default relative tolerance of each step of a contact, of each step."""
+"""Default relative tolerance of each step of a contact."""
 
 
 class Model(NamedTuple):

@@ -228,7 +228,7 @@ def _chebyshev(values: NDArray[np.float64]) -> NDArray[np.float64]:
 def look_up(p, table, s, step, rest):  # type: ignore[no-untyped-def]
     """Fill `table.outcome` for the contact that begins at s, `step` expanded about it.
 
-    Returns whether it is tabulated and over within `rest` seconds, and as long as `step` holds.
+    Returns whether it is tabulated, and over within `rest` seconds and while the polynomials of `step` hold.
     """
     speed = s.speed
     if speed < p.speed_floor:  # a floored approach speed is a scale of its own

@@ -152,9 +152,8 @@ def largest(position, velocity, spacing_s):  # type: ignore[no-untyped-def]
         if low_rate * high_rate < 0.0:  # it turns in between
             square = 3.0 * (high - low) - 2.0 * low_rate - high_rate
             cube = low_rate + high_rate - 2.0 * (high - low)
-            root = math.sqrt(
-                max(0.0, square * square - 3.0 * cube * low_rate)
-            )  # rounding may make a double root negative
+            # rounding may make a double root negative
+            root = math.sqrt(max(0.0, square * square - 3.0 * cube * low_rate))
             divisor = square + math.copysign(root, high_rate)
             x = min(1.0, max(0.0, -low_rate / divisor)) if divisor != 0.0 else 0.0
             found = max(found, abs(low + x * (low_rate + x * (square + x * cube))))

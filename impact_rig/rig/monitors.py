@@ -120,7 +120,7 @@ def _weigh(rows, layout, least, first, step, weights, sums, statuses, done):  # 
         weights: of a window's scans.
         sums: of each window: sum of the weights, and of the weighed readings by channel. Window k is in row k modulo
             their number.
-        statuses: of each window: status bits of the scans nearer to its instant than to any other.
+        statuses: of each window: status bits of the scans between the instants before and after its own.
         done: is filled in for each window that ends: number of its scan, status, means by channel.
     """
     half = weights.shape[0] // 2

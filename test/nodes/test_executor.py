@@ -18,7 +18,7 @@ pytest.importorskip("rclpy", reason="no ROS 2 here")
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -96,6 +96,32 @@ def test_messages_that_were_never_told_are_handed_over_in_order(
     if not with_info:  # Jazzy's own way to hand over both is another
         run(heard)
         assert got == ["a", "b", "c"]
+
+
+@pytest.mark.parametrize("qos", [KEPT, QoSProfile(depth=2, history=HistoryPolicy.KEEP_ALL)], ids=["last", "all"])
+def test_a_callback_that_raises_in_a_look_keeps_nobody_from_what_follows(
+    executors: list[Any], make_node: Callable[[str], Node], qos: QoSProfile
+) -> None:
+    """An exception that leaves a task of rclpy's events executor ends the process: a segmentation fault."""
+    told, heard = executors
+    node, other = make_node("one"), make_node("other")
+    got: list[str] = []
+
+    def take(message: String) -> None:
+        got.append(message.data)
+        if message.data == "a":
+            raise ValueError("no")
+
+    node.create_subscription(String, "words", take, qos)
+    told.add_node(node)
+    run(told)
+    publisher = other.create_publisher(String, "words", KEPT)
+    for word in "abc":
+        publisher.publish(String(data=word))
+    assert publisher.wait_for_all_acked(SOON)
+    heard.add_node(node)
+    run(heard)
+    assert got == ["a", "b", "c"]
 
 
 def test_a_look_ends_though_more_comes_all_the_time(executors: list[Any], make_node: Callable[[str], Node]) -> None:

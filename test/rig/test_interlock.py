@@ -147,5 +147,6 @@ def test_an_extreme_between_two_looks_is_found(frequency_hz: float, phase: float
 
 
 def test_a_saddle_at_a_look_is_no_root_of_a_negative_number() -> None:
+    """As plain Python it once raised; compiled, the root was NaN and the ends decided."""
     rate = 0.9693949389499377
     assert largest(np.array([0.0, rate / 3.0]), np.array([rate, -1e-22]), 1.0) == pytest.approx(rate / 3.0)
