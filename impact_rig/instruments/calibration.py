@@ -15,7 +15,6 @@ with var c_2 = var c_3 = 1/6; both are in the certificate.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import attrs
 import numpy as np
@@ -24,9 +23,6 @@ from numpy.typing import NDArray
 from impact_rig.arithmetic.random import Random
 from impact_rig.blocks import DAQ_INFO
 from impact_rig.instruments.sensor import Adc, Sensor
-
-if TYPE_CHECKING:
-    from impact_rig.instruments.channel import ScanClock
 
 _VARIANCE_C = 1.0 / 6.0
 
@@ -96,22 +92,23 @@ def _square(value: float) -> float:
     return value * value
 
 
-def certificate(sensors: list[Sensor], adc: Adc, clock: ScanClock, ideal: bool) -> NDArray[np.void]:
+def certificate(sensors: list[Sensor], adc: Adc, rate_hz: int, skews_s: list[float], ideal: bool) -> NDArray[np.void]:
     """Return the `blocks.DAQ_INFO` rows: what an analysis may know about the instruments.
 
     Args:
         sensors: in scan order.
         adc: the converter.
-        clock: the scan clock.
+        rate_hz: scans per second.
+        skews_s: of each channel [s].
         ideal: ideal instruments read the true value: sensitivity 1, no lag, no uncertainty.
     """
     rows = np.zeros(len(sensors), dtype=DAQ_INFO)
     for channel, sensor in enumerate(sensors):
         low, high = sensor.measuring_range()
         row = rows[channel : channel + 1]
-        row["name"], row["unit"], row["rate"] = sensor.name.encode(), sensor.unit.encode(), clock.rate_hz
+        row["name"], row["unit"], row["rate"] = sensor.name.encode(), sensor.unit.encode(), rate_hz
         row["range_low"], row["range_high"] = low, high
-        row["skew"] = clock.skew_s(channel)
+        row["skew"] = skews_s[channel]
         if ideal:
             row["sensitivity"], row["bandwidth"] = 1.0, math.inf
             row["range_low"], row["range_high"] = -math.inf, math.inf

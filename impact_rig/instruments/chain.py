@@ -219,7 +219,8 @@ class Chain:
     def info(self) -> NDArray[np.void]:
         """Return the calibration certificate, `blocks.DAQ_INFO` rows."""
         instruments = self._config.instruments
-        return calibration.certificate(self._sensors, instruments.adc, self._clock, instruments.ideal)
+        skews_s = [self._clock.skew_s(channel) for channel in range(len(self._sensors))]
+        return calibration.certificate(self._sensors, instruments.adc, self._clock.rate_hz, skews_s, instruments.ideal)
 
     def calibrate(self, channel: str, frequency_hz: float, amplitude: float, ticks: int) -> None:
         """Put a known sine in place of one channel's input for some ticks, from the next one on.
