@@ -54,7 +54,6 @@ _NOT_COMPARED = {
 }
 """Why a topic is not compared, by its name or publisher."""
 _FOREIGN = "not of a rig"
-_SUMS = 1e-12  # of a reading and of its unit: earlier versions left the order of a monitor's sums to NumPy
 
 
 @attrs.frozen
@@ -585,8 +584,8 @@ class _Beside:
 class _Monitor:
     """The monitor of one channel: its recorded messages beside the filtered scans of the re-simulation.
 
-    Who publishes monitors makes them only where somebody listens, and an earlier version began its filter then: the
-    first messages after a pause are not compared.
+    A filter begins where the rate of the monitors changes, and weighs only what comes from there on: the first messages
+    of a series that follow on one another are not compared.
     """
 
     def __init__(self, run: Run, channel: str) -> None:
@@ -654,10 +653,8 @@ def _fields_differ(found: dict[str, Any], wanted: Mapping[str, object]) -> str:
     for path, value in wanted.items():
         ours, theirs = (np.array(one, np.float64).reshape(-1) for one in (value, found.get(path, math.nan)))
         if ours.shape == theirs.shape:
-            with np.errstate(over="ignore", invalid="ignore"):  # a reading out of range is infinite
-                is_single = theirs.astype(np.float32) == theirs
-                bound = _SUMS + np.where(is_single, 2.0**-23, _SUMS) * np.abs(ours)
-                same = (ours == theirs) | (np.abs(ours - theirs) <= bound)
+            with np.errstate(over="ignore"):
+                same = (theirs == ours) | (theirs == ours.astype(np.float32))  # by the field's precision
             if same.all():
                 continue
         return f"{path}: logged {found.get(path)!r}, re-simulated {value!r}"

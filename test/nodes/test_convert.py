@@ -234,7 +234,8 @@ def test_verify_finds_a_reading_that_its_scans_do_not_give(
         seen, changed = seen + (topic.name == name), bytearray(data)
         if seen == 30 and topic.name == name:
             (value,) = struct.unpack_from(form, data, len(data) + at)
-            struct.pack_into(form, changed, len(data) + at, value * (1 + 1e-6))
+            kind = np.dtype(form).type
+            struct.pack_into(form, changed, len(data) + at, np.nextafter(kind(value), kind(np.inf)))  # the last bit
         return bytes(changed)
 
     found = beside_scans(monkeypatch, since, altered)
