@@ -170,9 +170,6 @@ def _first_event(p, law, s, step):  # type: ignore[no-untyped-def]
             if not _end_at(p, law, s, step, event) or estimate_error(step, s.h) > 1.0:
                 return FAILED
             ended = event
-    # not beyond the end of the segment, but as near as can be told
-    if ended == NOTHING and step.since[LAST] >= (1.0 - _REACHED) * step.rest:
-        ended = PAUSED
     if ended == SEPARATED and step.speed[LAST] > 0.0:  # nothing leaves inwards: a false solution as well
         return FAILED
     for i in range(STAGES):

@@ -326,7 +326,7 @@ def _contact_phase(model, f, work, t_end, account):  # type: ignore[no-untyped-d
             ended = SETTLED
             break
         ended = PAUSED
-        if s.t >= t_end:  # by rounding
+        if s.t >= t_end:  # the step ended there by itself, or beyond it by less than what counts as PAUSED
             break
     s.h = 0.0
     _keep_state(work)

@@ -10,10 +10,13 @@ pytest.importorskip("rclpy", reason="no ROS 2 here")
 
 from kits.nodes import DRIVEN, TICK, host_rig
 
+from impact_rig import codec
 from impact_rig.client import Client
 from impact_rig.errors import SimulationError
+from impact_rig.nodes.managed import ManagedNode
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig, from_flat, load
+from impact_rig.topics import Topic
 
 pytestmark = pytest.mark.ros
 
@@ -62,6 +65,35 @@ def test_a_late_subscriber_gets_calibration_configuration_journal_and_present_co
     assert late["daq/info"].rows()["name"].tolist() == [b"accelerometer", b"laser", b"base", b"current"]
     assert late["shaker/applied"].rows()[["frequency", "current"]].tolist() == [(9.1, 0.0), (8.0, 0.0), (8.0, 0.2)]
     assert late["rig/journal"].rows()["key"].tolist() == [b"", b"frequency", b"current"]
+
+
+def test_the_scans_of_a_block_go_out_before_what_is_made_of_them(
+    client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Who waits for the monitors of a block has its scans: what is true of it, and readings filtered 80 ms later."""
+    sent: list[tuple[str, int]] = []
+    send = ManagedNode.send
+
+    def noted(node: ManagedNode, topic: Topic, message: object) -> None:
+        if isinstance(message, bytes):
+            sent.append((topic.name, codec.header_stamp_ns(message)))
+        send(node, topic, message)
+
+    monkeypatch.setattr(ManagedNode, "send", noted)
+    host_rig(client, **DRIVEN)
+    client.wait_active("rig")
+    delays = {"truth/joint_states": 0, "laser": 8 * TICK}
+    for name in delays:
+        client.collect(name)
+    client.step(20)
+    newest, seen = -1, set()
+    for name, stamp in sent:
+        if name == "daq/scan":
+            newest = stamp
+        elif name in delays:
+            assert newest <= stamp + delays[name] < newest + TICK, name
+            seen.add(name)
+    assert seen == set(delays)
 
 
 def test_the_published_configuration_is_a_file_that_loads_again(client: Client, tmp_path) -> None:
