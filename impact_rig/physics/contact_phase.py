@@ -16,7 +16,7 @@ A step ends where its error allows, and earlier at the first of these events:
     PAUSED     t = t_end      the drive segment is over
     RELEASED   F = 0, δ > 0   a law that lets go would pull: the surface stays behind until the sphere is out of there
     TURNED     δ' = 0         a law with a memory changes branch, at the largest indentation
-    RELOADED   w = deepest    it presses further than before, and changes branch again
+    RELOADED   w = deepest_w    it presses further than before, and changes branch again
 
 A step that overshoots an event is taken again, its length found by Newton's method, until it ends there.
 """
@@ -58,14 +58,14 @@ _HOP = 3.0  # of the pressing acceleration, see `settles`
 _GUESSES, _NEAR = 12, 1e-6  # of the event's scale: as good as a step's polynomial is
 _PEAK_FOUND = 1e-5  # of a step: the force is flat there
 _PEAK_MARGIN = 0.95  # of an earlier peak: a step whose stages all stay below this does not exceed it between them
-_PART_OF_FALL, _RADIANS = 0.4, 8.0  # see `_limited`
+_PART_OF_FALL, _RADIANS = 0.4, 8.0  # see `_limit_length`
 
 
 @kernel
-def _force_slope(p, law, s, step, point):  # type: ignore[no-untyped-def]
+def _force_slope(p, law, s, step, motion):  # type: ignore[no-untyped-def]
     """Return the force at a point (w, δ', dδ'/dχ) of the step, and its derivative along the motion, dF/dχ."""
-    w, speed, slope = point
-    elastic, lossy, _, by_w, by_speed = law.one(p.stiffness, p.factor, s.per_v0, step.turned_at, w, speed)
+    w, speed, slope = motion
+    elastic, lossy, _, by_w, by_speed = law.at_point(p.stiffness, p.factor, s.per_v0, step.turned_at, w, speed)
     return elastic + lossy, 0.5 * by_w * speed + by_speed * slope
 
 
@@ -73,22 +73,22 @@ def _force_slope(p, law, s, step, point):  # type: ignore[no-untyped-def]
 def _excess(p, law, s, step, event, at):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Return how far a point of the step is beyond an event, in units of the event's scale; at most 0 before it.
 
-    The point is `at` = (time since the start of the step, w, δ'). Where `step.rest` is infinite none is PAUSED: its
-    excess is NaN, which is not beyond anything.
+    The point is `at` = (time since the start of the step, w, δ'). Where `step.time_left` is infinite none is PAUSED:
+    its excess is NaN, which is not beyond anything.
     """
     since, w, speed = at
     if event == SEPARATED:
-        return -w / max(s.w, s.deepest, _SMALLEST)
+        return -w / max(s.w, s.deepest_w, _SMALLEST)
     if event == PAUSED:
-        return (since - step.rest) / step.rest
+        return (since - step.time_left) / step.time_left
     if event == RELEASED:
         if not p.lets_go:
             return -1.0
-        elastic, lossy, _, _, _ = law.one(p.stiffness, p.factor, s.per_v0, step.turned_at, w, speed)
+        elastic, lossy, _, _, _ = law.at_point(p.stiffness, p.factor, s.per_v0, step.turned_at, w, speed)
         return -(elastic + lossy) / max(step.start_force, s.peak_force, _SMALLEST)
     if event == TURNED:
         return -speed / s.speed if p.remembers and step.turned_at == 0.0 and s.speed > 0.0 else -1.0
-    return (w - s.deepest) / s.deepest if p.remembers and s.w < s.deepest else -1.0
+    return (w - s.deepest_w) / s.deepest_w if p.remembers and s.w < s.deepest_w else -1.0
 
 
 @kernel
@@ -96,15 +96,15 @@ def _excess_slope(p, law, s, step, event):  # type: ignore[no-untyped-def]
     """Return the derivative of `_excess` at the end of the step with respect to its length in χ."""
     w, speed = step.w[LAST], step.speed[LAST]
     if event == SEPARATED:
-        return -0.5 * speed / max(s.w, s.deepest, _SMALLEST)
+        return -0.5 * speed / max(s.w, s.deepest_w, _SMALLEST)
     if event == PAUSED:
-        return w / step.rest
+        return w / step.time_left
     if event == RELEASED:
         _, slope = _force_slope(p, law, s, step, (w, speed, step.speed_slope[LAST]))
         return -slope / max(step.start_force, s.peak_force, _SMALLEST)
     if event == TURNED:
         return -step.speed_slope[LAST] / s.speed
-    return 0.5 * speed / s.deepest
+    return 0.5 * speed / s.deepest_w
 
 
 @kernel
@@ -180,7 +180,7 @@ def _first_event(p, law, s, step):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _limited(s, step):  # type: ignore[no-untyped-def]
+def _limit_length(s, step):  # type: ignore[no-untyped-def]
     """Return the proposed length of a step, or less where it is longer than its polynomials hold, or would go too far.
 
     While the sphere rests on the wall, δ falls as the two thirds' power of the time to the lift-off (to the zero of
@@ -189,13 +189,13 @@ def _limited(s, step):  # type: ignore[no-untyped-def]
     """
     if not s.w > 0.0:
         return s.next_h
-    longest = step.validity  # [s]
-    level, linear, square = step.acceleration[0], step.acceleration[1], step.acceleration[2]
-    discriminant = linear * linear - 4.0 * level * square
-    if level > 0.0 and discriminant > 0.0:
-        fall = math.sqrt(discriminant) - linear  # [m/s³]: a_r is zero 2 level / fall from here
-        if fall > 0.0:
-            longest = min(longest, max(_PART_OF_FALL * 2.0 * level / fall, _RADIANS * step.radian))
+    longest = step.valid_for  # [s]
+    constant, linear, quadratic = step.acceleration[0], step.acceleration[1], step.acceleration[2]
+    discriminant = linear * linear - 4.0 * constant * quadratic
+    if constant > 0.0 and discriminant > 0.0:
+        fall_rate = math.sqrt(discriminant) - linear  # [m/s³]: a_r is zero 2 constant / fall_rate from here
+        if fall_rate > 0.0:
+            longest = min(longest, max(_PART_OF_FALL * 2.0 * constant / fall_rate, _RADIANS * step.contact_time_scale))
     return min(s.next_h, longest / s.w)
 
 
@@ -207,12 +207,12 @@ def take_step(p, law, s, step):  # type: ignore[no-untyped-def]
     of the segment.
     """
     begin_step(p, law, s, step)
-    s.h = _limited(s, step)
+    s.h = _limit_length(s, step)
     for _ in range(_REJECTIONS):
         if not solve(p, law, s, step, s.h, FEW_ROUNDS):
             s.h *= 0.25
-        elif step.since[LAST] > step.validity:
-            s.h *= 0.9 * step.validity / step.since[LAST]
+        elif step.since[LAST] > step.valid_for:
+            s.h *= 0.9 * step.valid_for / step.since[LAST]
         else:
             keep_dense_output(s, step)
             error = estimate_error(step, s.h)
@@ -234,7 +234,7 @@ def take_next_step(model, f, s, step, t_end):  # type: ignore[no-untyped-def]
     expand(p, f, s, step)
     if s.next_h == 0.0:
         s.next_h = first_length(p, s.approach, step.acceleration[0])
-    step.rest = t_end - s.t
+    step.time_left = t_end - s.t
     return take_step(p, model.law, s, step)
 
 
@@ -248,15 +248,15 @@ def dissipated(step, h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _peak_at(p, law, s, step, of_force):  # type: ignore[no-untyped-def]
+def _find_peak(p, law, s, step, of_force):  # type: ignore[no-untyped-def]
     """Return the place (a part of the step) where the force, or the indentation, stops growing, by the polynomial."""
     low, high = 0.0, 1.0
     while high - low > _PEAK_FOUND:
         middle = 0.5 * (low + high)
-        _, w, growing = dense_output(s, step, middle)
+        _, w, rate = dense_output(s, step, middle)
         if of_force:
-            _, growing = _force_slope(p, law, s, step, (w, growing, dense_slope(step, middle)))
-        if growing > 0.0:
+            _, rate = _force_slope(p, law, s, step, (w, rate, dense_slope(step, middle)))
+        if rate > 0.0:
             low = middle
         else:
             high = middle
@@ -265,34 +265,34 @@ def _peak_at(p, law, s, step, of_force):  # type: ignore[no-untyped-def]
 
 @kernel
 def find_peaks(p, law, s, step):  # type: ignore[no-untyped-def]
-    """Raise `s.peak_force` [N] and `s.deepest` to the largest of the step, also where they lie inside of it.
+    """Raise `s.peak_force` [N] and `s.deepest_w` to the largest of the step, also where they lie inside of it.
 
     Inside, a step is solved that ends where the polynomial says; what is left to the peak is of second order. Where all
     stages are well below an earlier peak, so is the step. A law with a memory ends its steps where it is deepest.
     """
     w, speed, slope = step.w[LAST], step.speed[LAST], step.speed_slope[LAST]
-    _, rising = _force_slope(p, law, s, step, (s.w, s.speed, step.start_speed_slope))
-    last, falling = _force_slope(p, law, s, step, (w, speed, slope))
-    force_before, deepest_before = _PEAK_MARGIN * s.peak_force, _PEAK_MARGIN * s.deepest
-    s.peak_force = max(s.peak_force, step.start_force, last)
-    largest, deepest = 0.0, 0.0
+    _, start_rate = _force_slope(p, law, s, step, (s.w, s.speed, step.start_speed_slope))
+    end_force, end_rate = _force_slope(p, law, s, step, (w, speed, slope))
+    force_before, deepest_before = _PEAK_MARGIN * s.peak_force, _PEAK_MARGIN * s.deepest_w
+    s.peak_force = max(s.peak_force, step.start_force, end_force)
+    largest_force, largest_w = 0.0, 0.0
     for i in range(STAGES):
-        largest, deepest = max(largest, step.force[i]), max(deepest, step.w[i])
-    of_force = rising > 0.0 > falling and largest >= force_before
-    of_depth = not p.remembers and s.speed > 0.0 > speed and deepest >= deepest_before
+        largest_force, largest_w = max(largest_force, step.force[i]), max(largest_w, step.w[i])
+    of_force = start_rate > 0.0 > end_rate and largest_force >= force_before
+    of_depth = not p.remembers and s.speed > 0.0 > speed and largest_w >= deepest_before
     if of_force:
-        h = s.h * _peak_at(p, law, s, step, True)
+        h = s.h * _find_peak(p, law, s, step, True)
         if solve(p, law, s, step, h, ROUNDS):
-            found, _ = _force_slope(p, law, s, step, (step.w[LAST], step.speed[LAST], step.speed_slope[LAST]))
-            s.peak_force = max(s.peak_force, found)
+            peak, _ = _force_slope(p, law, s, step, (step.w[LAST], step.speed[LAST], step.speed_slope[LAST]))
+            s.peak_force = max(s.peak_force, peak)
     if of_depth:
-        h = s.h * _peak_at(p, law, s, step, False)
+        h = s.h * _find_peak(p, law, s, step, False)
         if solve(p, law, s, step, h, ROUNDS):
             w, speed, slope = step.w[LAST], step.speed[LAST], step.speed_slope[LAST]
             depth = w * w
             if slope < 0.0:
                 depth -= 0.5 * w * speed * speed / slope  # δ'' = slope / w
-            s.deepest = max(s.deepest, math.sqrt(depth))
+            s.deepest_w = max(s.deepest_w, math.sqrt(depth))
     if of_force or of_depth:  # what is in step must be the step whose length is in s
         solve(p, law, s, step, s.h, ROUNDS)
 
@@ -332,8 +332,8 @@ def conclude(p, s, step, ended, t_end):  # type: ignore[no-untyped-def]
     s.w = 0.0 if ended == SEPARATED else w
     s.speed = 0.0 if ended == TURNED else speed
     if ended == RELOADED:
-        s.w = s.deepest
-    s.deepest = max(s.deepest, s.w)
+        s.w = s.deepest_w
+    s.deepest_w = max(s.deepest_w, s.w)
     s.t = t_end if ended == PAUSED else s.t + since
 
 
@@ -345,7 +345,7 @@ def settles(p, law, s, step):  # type: ignore[no-untyped-def]
     three times the acceleration that presses, a hop is as short as a period of the ringing: it counts as ringing, not
     as flight.
     """
-    elastic, lossy, _, by_w, _ = law.one(p.stiffness, p.factor, s.per_v0, turned_at(s), s.w, s.speed)
+    elastic, lossy, _, by_w, _ = law.at_point(p.stiffness, p.factor, s.per_v0, turned_at(s), s.w, s.speed)
     pressing = step.acceleration[0]  # a_r where the step began: it hardly changes in one
     ringing_acceleration = abs(pressing - (elastic + lossy) * p.per_m_eff)  # |δ''| [m/s²]
     return ringing_acceleration <= _HOP * pressing and ringing_acceleration <= p.speed_floor * math.sqrt(

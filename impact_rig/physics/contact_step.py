@@ -73,42 +73,42 @@ _AMPLE = 4.0  # terms are chosen before the length is known, for this many times
 def expand(p, f, s, step):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Fill `step.path` and `step.acceleration` with the pair's Taylor coefficients about the state s, drive included.
 
-    As many terms as the step that is expected needs, and how long they hold: `step.terms`, `step.validity`.
+    As many terms as the step that is expected needs, and how long they hold: `step.terms`, `step.valid_for`.
     """
     path = step.path
     fastest = max(p.fastest, f.omega)
     expected = _AMPLE * s.next_h * max(s.w, 0.5 * s.next_h * abs(s.speed))  # ∫ w dχ, with w + (δ'/2) χ
-    step.terms, step.validity = FEW_TERMS, _FEW_VALID_RADIANS / fastest
-    if expected > step.validity:
-        step.terms, step.validity = STEP_TERMS, _VALID_RADIANS / fastest
-    step.fastest_time = 1.0 / fastest
+    step.terms, step.valid_for = FEW_TERMS, _FEW_VALID_RADIANS / fastest
+    if expected > step.valid_for:
+        step.terms, step.valid_for = STEP_TERMS, _VALID_RADIANS / fastest
+    step.fastest_time_scale = 1.0 / fastest
     for q in range(STRUCTURE):
         path[q, 0] = s.y[q]
-    level = f.amplitude + f.growth * s.t
+    amplitude = f.amplitude + f.growth * s.t
     sine, cosine = sincos(f.omega * s.t + f.phase)  # then their coefficients, order by order
-    drive = level * sine
+    u = amplitude * sine
     for n in range(step.terms):
-        per = 1.0 / (n + 1)
-        sine_next, cosine_next = f.omega * cosine * per, -f.omega * sine * per
-        drive_next = level * sine_next + f.growth * sine
-        if p.drive == PRESCRIBED:
-            path[XB, n], path[VB, n] = drive, (n + 1) * drive_next
-        columns = -p.k_1 * (path[X1, n] - path[XB, n]) - p.c_1 * (path[V1, n] - path[VB, n])
-        step.acceleration[n] = -s.side * columns * p.per_m_1
+        per_order = 1.0 / (n + 1)
+        sine_next, cosine_next = f.omega * cosine * per_order, -f.omega * sine * per_order
+        u_next = amplitude * sine_next + f.growth * sine
+        if p.drive_kind == PRESCRIBED:
+            path[XB, n], path[VB, n] = u, (n + 1) * u_next
+        columns_force = -p.k_1 * (path[X1, n] - path[XB, n]) - p.c_1 * (path[V1, n] - path[VB, n])
+        step.acceleration[n] = -s.side * columns_force * p.per_m_1
         if n + 1 < step.terms:
-            path[X1, n + 1] = path[V1, n] * per
-            path[V1, n + 1] = columns * p.per_m_pair * per
-            if p.drive != PRESCRIBED:
-                current = drive
-                if p.drive == VOLTAGE:
+            path[X1, n + 1] = path[V1, n] * per_order
+            path[V1, n + 1] = columns_force * p.per_m_pair * per_order
+            if p.drive_kind != PRESCRIBED:
+                current = u
+                if p.drive_kind == VOLTAGE:
                     current = path[COIL, n]
-                    path[COIL, n + 1] = (drive - p.resistance * current - p.force_factor * path[VB, n]) * (
-                        p.per_inductance * per
+                    path[COIL, n + 1] = (u - p.resistance * current - p.force_factor * path[VB, n]) * (
+                        p.per_inductance * per_order
                     )
-                on_base = p.force_factor * current - p.c_f * path[VB, n] - p.k_f * path[XB, n] - columns
-                path[XB, n + 1] = path[VB, n] * per
-                path[VB, n + 1] = on_base * p.per_m_base * per
-        sine, cosine, drive = sine_next, cosine_next, drive_next
+                base_force = p.force_factor * current - p.c_f * path[VB, n] - p.k_f * path[XB, n] - columns_force
+                path[XB, n + 1] = path[VB, n] * per_order
+                path[VB, n + 1] = base_force * p.per_m_base * per_order
+        sine, cosine, u = sine_next, cosine_next, u_next
 
 
 @kernel
@@ -128,9 +128,9 @@ def pair_at(step, since, y):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _integrate(step, state, h):  # type: ignore[no-untyped-def]
+def _integrate(step, place, h):  # type: ignore[no-untyped-def]
     """Fill the correction of one state at the stages from its slopes d/dχ there."""
-    slope, correction = step.correction_slope[state], step.correction[state]
+    slope, correction = step.correction_slope[place], step.correction[place]
     for i in range(STAGES):
         total = 0.0
         for j in range(STAGES):
@@ -143,21 +143,21 @@ def improve_correction(p, step, h):  # type: ignore[no-untyped-def]
     """Improve the correction z at the stages by one sweep of fixed-point iteration; each sweep adds an order in h."""
     z, slope = step.correction, step.correction_slope
     for j in range(STAGES):
-        on_z = p.k_1 * (step.w[j] * step.w[j] - z[X1, j] + z[XB, j]) + p.c_1 * (step.speed[j] - z[V1, j] + z[VB, j])
-        slope[V1, j] = step.w[j] * on_z * p.per_m_pair
-        if p.drive != PRESCRIBED:
-            on_base = p.force_factor * z[COIL, j] - p.c_f * z[VB, j] - p.k_f * z[XB, j] - on_z
-            slope[VB, j] = step.w[j] * on_base * p.per_m_base
+        force_z = p.k_1 * (step.w[j] * step.w[j] - z[X1, j] + z[XB, j]) + p.c_1 * (step.speed[j] - z[V1, j] + z[VB, j])
+        slope[V1, j] = step.w[j] * force_z * p.per_m_pair
+        if p.drive_kind != PRESCRIBED:
+            force_z_base = p.force_factor * z[COIL, j] - p.c_f * z[VB, j] - p.k_f * z[XB, j] - force_z
+            slope[VB, j] = step.w[j] * force_z_base * p.per_m_base
     _integrate(step, V1, h)
     for j in range(STAGES):
         slope[X1, j] = step.w[j] * z[V1, j]
     _integrate(step, X1, h)
-    if p.drive != PRESCRIBED:
+    if p.drive_kind != PRESCRIBED:
         _integrate(step, VB, h)
         for j in range(STAGES):
             slope[XB, j] = step.w[j] * z[VB, j]
         _integrate(step, XB, h)
-    if p.drive == VOLTAGE:
+    if p.drive_kind == VOLTAGE:
         for j in range(STAGES):
             voltage = -p.resistance * z[COIL, j] - p.force_factor * z[VB, j]
             slope[COIL, j] = step.w[j] * voltage * p.per_inductance
@@ -192,7 +192,7 @@ def drop_dense_output(step):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _speed(step, x):  # type: ignore[no-untyped-def]
+def _dense_speed(step, x):  # type: ignore[no-untyped-def]
     """Return δ' at x."""
     speed = step.dense[STAGES]
     for n in range(STAGES - 1, -1, -1):
@@ -213,9 +213,9 @@ def dense_slope(step, x):  # type: ignore[no-untyped-def]
 def predict_speeds(s, step, h):  # type: ignore[no-untyped-def]
     """Fill the stages of a step of length h from s with the speeds that are expected there."""
     if step.dense_since + h <= _FAR * step.dense_length:
-        start, stretch = step.dense_since / step.dense_length, h / step.dense_length
+        x_start, x_length = step.dense_since / step.dense_length, h / step.dense_length
         for i in range(STAGES):
-            step.speed[i] = _speed(step, start + STAGE_AT[i] * stretch)
+            step.speed[i] = _dense_speed(step, x_start + STAGE_AT[i] * x_length)
     else:
         for i in range(STAGES):
             step.speed[i] = s.speed + STAGE_AT[i] * h * step.start_speed_slope
@@ -224,12 +224,12 @@ def predict_speeds(s, step, h):  # type: ignore[no-untyped-def]
 @kernel
 def dense_output(s, step, x):  # type: ignore[no-untyped-def]
     """Return (time since the start [s], w, δ') at x of the step from s, whose polynomial was kept last."""
-    for_time, for_w = 0.0, 0.0  # sums over the speeds [m/s]
+    time_sum, w_sum = 0.0, 0.0  # sums over the speeds [m/s]
     for n in range(STAGES, -1, -1):
-        for_w = for_w * x + step.dense[n] / (n + 1)
-        for_time = for_time * x + step.dense[n] / ((n + 1) * (n + 2))
+        w_sum = w_sum * x + step.dense[n] / (n + 1)
+        time_sum = time_sum * x + step.dense[n] / ((n + 1) * (n + 2))
     half_length = 0.5 * step.dense_length * x
-    return step.dense_length * x * (s.w + half_length * for_time), s.w + half_length * for_w, _speed(step, x)
+    return step.dense_length * x * (s.w + half_length * time_sum), s.w + half_length * w_sum, _dense_speed(step, x)
 
 
 ERROR_ORDER = 8.0  # in h, of the relieved estimate_error: between 6, where it is relieved by a constant, and 10
@@ -245,7 +245,7 @@ _LEAST_PART = 1e-3  # of `speed_floor`: slower motion of a contact need not be r
 @kernel
 def turned_at(s):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Return the w from which the law unloads, 0 while it loads: see `contact.law`."""
-    return 0.0 if s.w >= s.deepest and s.speed > 0.0 else s.deepest
+    return 0.0 if s.w >= s.deepest_w and s.speed > 0.0 else s.deepest_w
 
 
 @kernel
@@ -258,16 +258,16 @@ def begin_step(p, law, s, step):  # type: ignore[no-untyped-def]
     again, from another prediction, and must find the same.
     """
     step.turned_at = turned_at(s)
-    elastic, lossy, _, by_w, _ = law.one(p.stiffness, p.factor, s.per_v0, step.turned_at, s.w, s.speed)
+    elastic, lossy, _, by_w, _ = law.at_point(p.stiffness, p.factor, s.per_v0, step.turned_at, s.w, s.speed)
     depth = s.w * s.w
     step.start_force = elastic + lossy
-    from_columns = p.columns_by_depth * depth + p.columns_by_speed * s.speed  # taken off δ'' [m/s²]
+    from_columns = p.slowing_by_depth * depth + p.slowing_by_speed * s.speed  # taken off δ'' [m/s²]
     step.start_speed_slope = s.w * (step.acceleration[0] - from_columns - step.start_force * p.per_m_eff)
-    vibration = math.sqrt(0.5 * s.w * depth * abs(by_w) * p.per_m_eff)  # δ times the contact's own frequency
-    step.radian = depth / vibration if vibration > 0.0 else 0.0
-    own = max(abs(s.speed), vibration, _LEAST_PART * p.speed_floor)
-    step.goal = max(_CONVERGED * p.rtol * own, _RESOLUTION * abs(s.speed))
-    step.tolerance = p.rtol * max(own, _AT_REST * abs(step.acceleration[0]) * step.fastest_time)
+    vibration_speed = math.sqrt(0.5 * s.w * depth * abs(by_w) * p.per_m_eff)  # δ times the contact's own frequency
+    step.contact_time_scale = depth / vibration_speed if vibration_speed > 0.0 else 0.0
+    own_speed = max(abs(s.speed), vibration_speed, _LEAST_PART * p.speed_floor)
+    step.goal = max(_CONVERGED * p.rtol * own_speed, _RESOLUTION * abs(s.speed))
+    step.tolerance = p.rtol * max(own_speed, _AT_REST * abs(step.acceleration[0]) * step.fastest_time_scale)
 
 
 @kernel
@@ -304,11 +304,11 @@ def _evaluate_slopes(p, law, s, step):  # type: ignore[no-untyped-def]
     law.at_stages(p, s.per_v0, step)
     for i in range(STAGES):
         w, speed = step.w[i], step.speed[i]
-        from_columns = p.columns_by_depth * w * w + p.columns_by_speed * speed
+        from_columns = p.slowing_by_depth * w * w + p.slowing_by_speed * speed
         acceleration = step.acceleration_at[i] - from_columns - step.force[i] * p.per_m_eff
         step.speed_slope[i] = w * acceleration
-        step.speed_slope_by_w[i] = acceleration - w * (step.force_by_w[i] * p.per_m_eff + 2.0 * p.columns_by_depth * w)
-        step.speed_slope_by_speed[i] = -w * (step.force_by_speed[i] * p.per_m_eff + p.columns_by_speed)
+        step.speed_slope_by_w[i] = acceleration - w * (step.force_by_w[i] * p.per_m_eff + 2.0 * p.slowing_by_depth * w)
+        step.speed_slope_by_speed[i] = -w * (step.force_by_speed[i] * p.per_m_eff + p.slowing_by_speed)
 
 
 @kernel
@@ -335,10 +335,10 @@ def _add_acceleration_to_newton(step, h):  # type: ignore[no-untyped-def]
             jerk = jerk * step.since[i] + n * step.acceleration[n]
         through_time = 0.5 * h * h * h * step.w[i] * jerk
         for j in range(STAGES):
-            square = 0.0
+            matrix_squared = 0.0
             for q in range(STAGES):
-                square += MATRIX[i, q] * MATRIX[q, j]
-            step.newton[i, j] -= through_time * square
+                matrix_squared += MATRIX[i, q] * MATRIX[q, j]
+            step.newton[i, j] -= through_time * matrix_squared
 
 
 @kernel
@@ -388,7 +388,7 @@ def solve(p, law, s, step, h, rounds):  # type: ignore[no-untyped-def]
     """
     predict_speeds(s, step, h)
     step.correction[:] = 0.0
-    before, contraction = 0.0, 1.0
+    last_change, contraction = 0.0, 1.0
     for n in range(rounds):
         _integrate_speeds(s, step, h)
         improve_correction(p, step, h)
@@ -402,8 +402,8 @@ def solve(p, law, s, step, h, rounds):  # type: ignore[no-untyped-def]
         change = _newton_step(s, step, h)
         if change == math.inf:
             return False
-        contraction = change / before if before > 0.0 else 1.0
-        before = change
+        contraction = change / last_change if last_change > 0.0 else 1.0
+        last_change = change
         remaining = change * contraction / (1.0 - contraction) if contraction < 0.5 else change
         if min(change, remaining) <= step.goal:
             _integrate_speeds(s, step, h)
@@ -423,9 +423,11 @@ def estimate_error(step, h):  # type: ignore[no-untyped-def]
     defect = step.start_speed_slope
     for j in range(STAGES):
         defect -= TO_START[j] * step.speed_slope[j]
-    scaled = REAL_EIGENVALUE * h
-    weight = scaled / (
-        1.0 - scaled * step.speed_slope_by_speed[LAST] - 0.5 * scaled * scaled * step.speed_slope_by_w[LAST]
+    filter_length = REAL_EIGENVALUE * h
+    weight = filter_length / (
+        1.0
+        - filter_length * step.speed_slope_by_speed[LAST]
+        - 0.5 * filter_length * filter_length * step.speed_slope_by_w[LAST]
     )
     stiff = h * abs(step.speed_slope_by_speed[LAST]) + 0.5 * h * h * abs(step.speed_slope_by_w[LAST])
     relief = max(1.0, _RELIEF / (1.0 + stiff * stiff))

@@ -31,14 +31,14 @@ _FORGOTTEN = 50.0  # e-foldings after which a mode no longer needs panels of its
 def add_powers(p, f, y, t, weight, ledger):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Add weight [s] times the powers at t; of a prescribed base y need not hold the motion."""
     u, u_rate = drive(f, t)
-    x_b, v_b = (u, u_rate) if p.drive == PRESCRIBED else (y[XB], y[VB])
+    x_b, v_b = (u, u_rate) if p.drive_kind == PRESCRIBED else (y[XB], y[VB])
     v_rel = y[V1] - v_b
     ledger.columns += weight * p.c_1 * v_rel * v_rel
-    if p.drive == PRESCRIBED:
+    if p.drive_kind == PRESCRIBED:
         ledger.work += weight * (p.k_1 * (x_b - y[X1]) - p.c_1 * v_rel) * v_b
         return
     ledger.shaker += weight * p.c_f * v_b * v_b
-    if p.drive == VOLTAGE:
+    if p.drive_kind == VOLTAGE:
         ledger.work += weight * u * y[COIL]
         ledger.shaker += weight * p.resistance * y[COIL] * y[COIL]
     else:
@@ -54,13 +54,13 @@ def account_flight(p, system, f, flight, end, ledger):  # type: ignore[no-untype
         for n in range(system.modes):
             if -system.rate[n].real * done < _FORGOTTEN:
                 fastest = max(fastest, modulus(system.rate[n]))
-        rest = duration - done
-        width = rest / max(1, math.ceil(rest * fastest / _PANEL))
+        time_left = duration - done
+        panel = time_left / max(1, math.ceil(time_left * fastest / _PANEL))
         nodes, weights = GAUSS_NODES, GAUSS_WEIGHTS
-        if width * fastest < _SHORT:
+        if panel * fastest < _SHORT:
             nodes, weights = _SHORT_NODES, _SHORT_WEIGHTS
         for point in range(len(nodes)):
-            t = flight.t_b + done + 0.5 * width * (1.0 + nodes[point])
+            t = flight.t_b + done + 0.5 * panel * (1.0 + nodes[point])
             structure_at(system, f, flight, t)
-            add_powers(p, f, flight.y, t, 0.5 * width * weights[point], ledger)
-        done += width
+            add_powers(p, f, flight.y, t, 0.5 * panel * weights[point], ledger)
+        done += panel

@@ -38,10 +38,10 @@ from impact_rig.physics.flight import (
     SEGMENT,
     choose_system,
     drive,
+    drive_segment,
     evaluate,
     fly,
     fly_attached,
-    forcing,
     guide_friction,
     prepare_segment,
     rounding,
@@ -52,12 +52,12 @@ from impact_rig.physics.state import (
     ATTACHED,
     CONTACT,
     CONTACT_STEP,
+    COUNTS,
     FAILED,
     FLIGHT,
     FREE,
     IMPACT,
     LEDGER,
-    LOG,
     NOTHING,
     PAUSED,
     PRESCRIBED,
@@ -93,7 +93,7 @@ class Workspace(NamedTuple):
         flight: one record of FLIGHT.
         step: one record of CONTACT_STEP.
         ledger: one record of LEDGER.
-        filled: one record of LOG: how many states, impacts, segments and ticks there are.
+        counts: one record of COUNTS: how many states, impacts, segments and ticks there are.
         history: records of STATE: the state at each event and each step of a contact.
         impacts: records of IMPACT.
         first_state: row of the history that holds each segment's first state, and the number of rows.
@@ -104,14 +104,14 @@ class Workspace(NamedTuple):
     flight: NDArray[np.void]
     step: NDArray[np.void]
     ledger: NDArray[np.void]
-    filled: NDArray[np.void]
+    counts: NDArray[np.void]
     history: NDArray[np.void]
     impacts: NDArray[np.void]
     first_state: NDArray[np.int64]
     first_segment: NDArray[np.int64]
 
 
-WORKSPACE = Fields(Workspace, (STATE, FLIGHT, CONTACT_STEP, LEDGER, LOG, STATE, IMPACT, INTEGERS, INTEGERS))
+WORKSPACE = Fields(Workspace, (STATE, FLIGHT, CONTACT_STEP, LEDGER, COUNTS, STATE, IMPACT, INTEGERS, INTEGERS))
 
 
 def new_workspace(states: int, impacts: int) -> Workspace:
@@ -121,7 +121,7 @@ def new_workspace(states: int, impacts: int) -> Workspace:
         records(1, FLIGHT),
         records(1, CONTACT_STEP),
         records(1, LEDGER),
-        records(1, LOG),
+        records(1, COUNTS),
         room(states, STATE),
         room(impacts, IMPACT),
         np.zeros(1, np.int64),
@@ -132,8 +132,8 @@ def new_workspace(states: int, impacts: int) -> Workspace:
 @kernel
 def _keep_state(work):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Append the state to the history."""
-    work.history[work.filled[0].states] = work.states[0]
-    work.filled[0].states += 1
+    work.history[work.counts[0].states] = work.states[0]
+    work.counts[0].states += 1
 
 
 @kernel
@@ -181,7 +181,7 @@ def _touch(p, s, side, ledger):  # type: ignore[no-untyped-def]
     s.y[V1] += p.share * s.d_rate  # not `speed`: the least speed must not change the pair's momentum
     s.phase, s.side = CONTACT, side
     s.d, s.d_rate, s.slide = side * (p.half_gap + s.dent), 0.0, 0.0
-    s.w, s.speed, s.deepest = 0.0, speed, 0.0
+    s.w, s.speed, s.deepest_w = 0.0, speed, 0.0
     s.per_v0 = 1.0 / max(speed, p.speed_floor)
     s.next_h, s.tabulated = 0.0, 0
     s.approach = speed
@@ -191,12 +191,12 @@ def _touch(p, s, side, ledger):  # type: ignore[no-untyped-def]
 @kernel
 def _keep_impact(work, s, separation, indentation):  # type: ignore[no-untyped-def]
     """Append the contact of s as an impact; separation speed [m/s], largest indentation [m]."""
-    row = work.impacts[work.filled[0].impacts]
+    row = work.impacts[work.counts[0].impacts]
     row.tick, row.offset, row.wall = s.touch_tick, s.touch_t, int(s.side)
     row.approach_speed, row.separation_speed = s.approach, separation
     row.peak_force, row.peak_indentation = s.peak_force, indentation
     row.impulse, row.duration, row.energy_lost = s.impulse, s.elapsed, s.lost
-    work.filled[0].impacts += 1
+    work.counts[0].impacts += 1
 
 
 @kernel
@@ -207,10 +207,10 @@ def _leave(model, s, work, settled):  # type: ignore[no-untyped-def]
     """
     p, depth, side = model.parameters[0], s.w * s.w, s.side
     if depth > 0.0:
-        _, _, stored, _, _ = model.law.one(p.stiffness, p.factor, s.per_v0, turned_at(s), s.w, s.speed)
+        _, _, stored, _, _ = model.law.at_point(p.stiffness, p.factor, s.per_v0, turned_at(s), s.w, s.speed)
         s.lost += stored
         work.ledger[0].contact += stored
-    _keep_impact(work, s, -s.speed, s.deepest * s.deepest)
+    _keep_impact(work, s, -s.speed, s.deepest_w * s.deepest_w)
     s.y[X1] -= p.share * side * depth
     s.y[V1] -= p.share * side * s.speed
     d = s.d + side * depth
@@ -276,7 +276,7 @@ def _apply_tabulated(model, f, work, t_end, account):  # type: ignore[no-untyped
     _keep_state(work)
     if account:
         work.states[1] = s
-        follow(model, f, work.states[1], step, work.ledger[0])
+        account_contact(model, f, work.states[1], step, work.ledger[0])
         expand(p, f, s, step)
     apply_outcome(p, table, s, step)
     work.ledger[0].contact += s.lost
@@ -284,7 +284,7 @@ def _apply_tabulated(model, f, work, t_end, account):  # type: ignore[no-untyped
 
 
 @kernel
-def follow(model, f, s, step, ledger):  # type: ignore[no-untyped-def]
+def account_contact(model, f, s, step, ledger):  # type: ignore[no-untyped-def]
     """Follow s to the end of its contact, step by step, for the account only; a step that fails ends it."""
     drop_dense_output(step)
     for _ in range(_STEPS):
@@ -381,48 +381,48 @@ def _move_base(p, f, s, ledger, account):  # type: ignore[no-untyped-def]
 
 
 @entry(MODEL, SEGMENT, int, int, WORKSPACE, bool, returns=(int, int))
-def run(model, segments, first_tick, index, work, account):  # type: ignore[no-untyped-def]
+def run(model, segments, first_tick, segment, work, account):  # type: ignore[no-untyped-def]
     """Advance the state through `segments[index:]`; return (how it ended, the segment it is in).
 
-    `first_tick` is the number of the tick of `segments[0]`, counted since the reset, whatever `index` is.
+    `first_tick` is the number of the tick of `segments[0]`, counted since the reset, whatever `segment` is.
 
     Work, and losses outside the contacts, are accounted for only if `account`: it costs as much as flying.
     """
     s = work.states[0]
     work.flight[0].omega = -1.0
-    while index < segments.shape[0]:
-        row = segments[index]
-        f, t_end, fresh = forcing(row), row.duration, True
-        if work.filled[0].segments == index:  # not noted before a call ran out of room
-            work.first_state[index] = work.filled[0].states
-            work.filled[0].segments += 1
+    while segment < segments.shape[0]:
+        row = segments[segment]
+        f, t_end, fresh = drive_segment(row), row.duration, True
+        if work.counts[0].segments == segment:  # not noted before a call ran out of room
+            work.first_state[segment] = work.counts[0].states
+            work.counts[0].segments += 1
             if row.begin == 0.0:
-                work.first_segment[work.filled[0].ticks] = index
-                work.filled[0].ticks += 1
-            if model.parameters[0].drive == PRESCRIBED:
+                work.first_segment[work.counts[0].ticks] = segment
+                work.counts[0].ticks += 1
+            if model.parameters[0].drive_kind == PRESCRIBED:
                 _move_base(model.parameters[0], f, s, work.ledger[0], account)
         for _ in range(_EVENTS_PER_SEGMENT):
-            filled = work.filled[0]
-            if filled.states + ROWS_PER_PHASE > work.history.shape[0] or filled.impacts + 2 > work.impacts.shape[0]:
-                return NEED_ROOM, index
+            counts = work.counts[0]
+            if counts.states + ROWS_PER_PHASE > work.history.shape[0] or counts.impacts + 2 > work.impacts.shape[0]:
+                return NEED_ROOM, segment
             if s.phase == CONTACT:
                 ended = _contact_phase(model, f, work, t_end, account)
                 if ended == FAILED:
-                    return UNSOLVED, index
+                    return UNSOLVED, segment
             else:
                 _prepare_flight(model, f, work, t_end, fresh)
                 fresh = False
                 ended = _flight_phase(model, f, work, t_end, account)
-            _change_phase(model, f, work, first_tick + work.filled[0].ticks - 1, ended)
+            _change_phase(model, f, work, first_tick + work.counts[0].ticks - 1, ended)
             if s.t >= t_end:
                 break
         else:
-            return STUCK, index
-        if model.parameters[0].drive == PRESCRIBED:  # not integrated, but the energy depends on it
+            return STUCK, segment
+        if model.parameters[0].drive_kind == PRESCRIBED:  # not integrated, but the energy depends on it
             s.y[XB], s.y[VB] = drive(f, t_end)
         s.t = 0.0
-        index += 1
-    filled = work.filled[0]
-    work.history[filled.states] = s  # where the next motion begins; no row of this one
-    work.first_state[index], work.first_segment[filled.ticks] = filled.states, index
-    return DONE, index
+        segment += 1
+    counts = work.counts[0]
+    work.history[counts.states] = s  # where the next motion begins; no row of this one
+    work.first_state[segment], work.first_segment[counts.ticks] = counts.states, segment
+    return DONE, segment

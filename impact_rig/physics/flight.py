@@ -70,7 +70,7 @@ SEGMENT = np.dtype(
 """Drive segments, in order. One begins a tick of its own, or goes on in the tick of the one before, `begin` > 0."""
 
 
-class Forcing(NamedTuple):
+class DriveSegment(NamedTuple):
     """One segment of the drive."""
 
     omega: float
@@ -81,17 +81,17 @@ class Forcing(NamedTuple):
 
 
 @kernel
-def forcing(row):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def drive_segment(row):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Return a segment of the drive that is a record of SEGMENT."""
-    return Forcing(row.omega, row.phase, row.amplitude, row.growth, row.begin)
+    return DriveSegment(row.omega, row.phase, row.amplitude, row.growth, row.begin)
 
 
 @kernel
 def drive(f, t):  # type: ignore[no-untyped-def]
     """Return u and u' at t."""
-    level = f.amplitude + f.growth * t
+    amplitude = f.amplitude + f.growth * t
     sine, cosine = sincos(f.omega * t + f.phase)
-    return level * sine, f.growth * sine + level * f.omega * cosine
+    return amplitude * sine, f.growth * sine + amplitude * f.omega * cosine
 
 
 @kernel
@@ -163,8 +163,10 @@ def particular(system, f, flight):  # type: ignore[no-untyped-def]
 @kernel
 def safe_time(distance, speed, acceleration, jerk, longest):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Return a time, at most `longest` [s], in which a point cannot cover `distance`: see the head of this file."""
-    bend = 0.5 * (acceleration + jerk * longest / 3.0)  # the factor of t²
-    if speed * longest + bend * longest * longest <= distance and (speed <= 0.0 or speed + 2.0 * bend * longest >= 0.0):
+    half_acceleration = 0.5 * (acceleration + jerk * longest / 3.0)  # the factor of t²
+    if speed * longest + half_acceleration * longest * longest <= distance and (
+        speed <= 0.0 or speed + 2.0 * half_acceleration * longest >= 0.0
+    ):
         return longest  # most often: it ends nearer, and was never further out than there or where it began
     horizon = longest
     if jerk > 0.0:
@@ -174,14 +176,14 @@ def safe_time(distance, speed, acceleration, jerk, longest):  # type: ignore[no-
         )
     safe = 0.0
     for _ in range(_ROUNDS):
-        bend = 0.5 * (acceleration + jerk * horizon / 3.0)
-        discriminant = speed * speed + 4.0 * bend * distance
+        half_acceleration = 0.5 * (acceleration + jerk * horizon / 3.0)
+        discriminant = speed * speed + 4.0 * half_acceleration * distance
         crossing = math.inf
         if speed > 0.0:
             if discriminant >= 0.0:
                 crossing = 2.0 * distance / (speed + math.sqrt(discriminant))
-        elif bend > 0.0:
-            crossing = (math.sqrt(discriminant) - speed) / (2.0 * bend)
+        elif half_acceleration > 0.0:
+            crossing = (math.sqrt(discriminant) - speed) / (2.0 * half_acceleration)
         if crossing >= horizon:
             if horizon >= longest:
                 return longest
@@ -225,7 +227,7 @@ def prepare_segment(system, f, flight, t_end):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def decayed(rate, since):  # type: ignore[no-untyped-def]
+def mode_decay(rate, since):  # type: ignore[no-untyped-def]
     """Return the modulus and the value of exp(λ since): what has become of a mode's amplitude."""
     envelope = exp(rate.real * since)
     sine, cosine = sincos(rate.imag * since)
@@ -258,22 +260,22 @@ def evaluate(system, f, flight, t, order):  # type: ignore[no-untyped-def]
     since, wave = t - flight.t_b, flight.wave
     rotor = phasor(f.omega * t)
     forced = (flight.forced[order] + flight.forced_growing[order] * t) * rotor
-    value = forced.imag
+    derivative_0 = forced.imag
     forced = (flight.forced[order + 1] + flight.forced_growing[order + 1] * t) * rotor
-    first = forced.imag
+    derivative_1 = forced.imag
     forced = (flight.forced[order + 2] + flight.forced_growing[order + 2] * t) * rotor
-    second = forced.imag
+    derivative_2 = forced.imag
     bound = flight.forced_size[order + 3]
     if order == 0:
-        value += system.static[X1] * flight.friction_force
+        derivative_0 += system.static[X1] * flight.friction_force
     for n in range(system.modes):
-        envelope, decay = decayed(system.rate[n], since)
-        value += wave[order, n].real * decay.real - wave[order, n].imag * decay.imag
-        first += wave[order + 1, n].real * decay.real - wave[order + 1, n].imag * decay.imag
-        second += wave[order + 2, n].real * decay.real - wave[order + 2, n].imag * decay.imag
+        envelope, decay = mode_decay(system.rate[n], since)
+        derivative_0 += wave[order, n].real * decay.real - wave[order, n].imag * decay.imag
+        derivative_1 += wave[order + 1, n].real * decay.real - wave[order + 1, n].imag * decay.imag
+        derivative_2 += wave[order + 2, n].real * decay.real - wave[order + 2, n].imag * decay.imag
         bound += flight.wave_size[order + 3, n] * envelope
     x_1 = flight.x_1
-    x_1[order], x_1[order + 1], x_1[order + 2], flight.bound = value, first, second, bound
+    x_1[order], x_1[order + 1], x_1[order + 2], flight.bound = derivative_0, derivative_1, derivative_2, bound
 
 
 @kernel
@@ -293,7 +295,7 @@ def structure_at(system, f, flight, t):  # type: ignore[no-untyped-def]
         forced = (flight.steady[i] + flight.growing[i] * t) * rotor
         flight.y[i] = forced.imag + system.static[i] * flight.friction_force
     for n in range(system.modes):
-        _, decay = decayed(system.rate[n], t - flight.t_b)
+        _, decay = mode_decay(system.rate[n], t - flight.t_b)
         modal = flight.modal[n] * decay
         for i in range(system.states):
             right = system.right[n, i]
@@ -326,25 +328,27 @@ def fly(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def]
     x_2, v_2 = x_1[0] + s.d, x_1[1] + s.d_rate  # where the flight begins
     ended, t = PAUSED, s.t
     while p.sphere_present:
-        since, rest = t - flight.t_b, t_end - t
+        since, time_left = t - flight.t_b, t_end - t
         d = x_2 + since * (v_2 + 0.5 * since * braking) - x_1[0]
-        d_rate, d_rate_2, jerk = v_2 + since * braking - x_1[1], braking - x_1[2], flight.bound
+        d_rate, d_acceleration, jerk = v_2 + since * braking - x_1[1], braking - x_1[2], flight.bound
         side = 1.0 if d_rate >= 0.0 else -1.0  # the wall that the sphere moves to; the other one is seldom nearer
-        to_wall = safe_time(wall_distance(p, s, side, d), side * d_rate, side * d_rate_2, jerk, rest)
-        to_other = safe_time(wall_distance(p, s, -side, d), -side * d_rate, -side * d_rate_2, jerk, to_wall)
+        to_wall = safe_time(wall_distance(p, s, side, d), side * d_rate, side * d_acceleration, jerk, time_left)
+        to_other = safe_time(wall_distance(p, s, -side, d), -side * d_rate, -side * d_acceleration, jerk, to_wall)
         if to_other < to_wall:
             to_wall, side = to_other, -side
         to_stop, to_surface = math.inf, math.inf
         if s.dent > 0.0:
             inside, out = max(0.0, s.dent_side * d - p.half_gap), -s.dent_side
-            to_surface = safe_time(inside, out * d_rate, out * d_rate_2, jerk, rest)
+            to_surface = safe_time(inside, out * d_rate, out * d_acceleration, jerk, time_left)
             if negligible(to_surface, t):
                 s.dent = 0.0  # the sphere is out of it: from here on the surface is whole again
                 continue
         if s.slide != 0.0:
             evaluate(system, f, flight, t, 1)
-            to_stop = safe_time(max(0.0, s.slide * d_rate), -s.slide * d_rate_2, s.slide * x_1[3], flight.bound, rest)
-        if min(to_wall, to_stop, to_surface) >= rest:
+            to_stop = safe_time(
+                max(0.0, s.slide * d_rate), -s.slide * d_acceleration, s.slide * x_1[3], flight.bound, time_left
+            )
+        if min(to_wall, to_stop, to_surface) >= time_left:
             break
         if to_stop < to_wall and negligible(to_stop, t):
             ended = STOPPED
@@ -377,15 +381,15 @@ def fly_attached(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def
     t, ended, x_1 = s.t, PAUSED, flight.x_1
     while True:
         evaluate(system, f, flight, t, 2)
-        rest = t_end - t
+        time_left = t_end - t
         # the structure may pull away to the right (the sphere lags: -1) or to the left (+1), but not through a wall
         to_lag, to_lead = math.inf, math.inf
         if s.side >= 0.0:
-            to_lag = safe_time(max(0.0, p.friction_acceleration - x_1[2]), x_1[3], x_1[4], flight.bound, rest)
+            to_lag = safe_time(max(0.0, p.friction_acceleration - x_1[2]), x_1[3], x_1[4], flight.bound, time_left)
         if s.side <= 0.0:
-            to_lead = safe_time(max(0.0, p.friction_acceleration + x_1[2]), -x_1[3], -x_1[4], flight.bound, rest)
+            to_lead = safe_time(max(0.0, p.friction_acceleration + x_1[2]), -x_1[3], -x_1[4], flight.bound, time_left)
         advance = min(to_lag, to_lead)
-        if advance >= rest:
+        if advance >= time_left:
             t = t_end
             break
         if negligible(advance, t):

@@ -24,7 +24,7 @@ from __future__ import annotations
 import numpy as np
 
 from impact_rig.kernels import REALS_2D, entry, kernel
-from impact_rig.physics.flight import decayed, forcing, phasor, resolve
+from impact_rig.physics.flight import drive_segment, mode_decay, phasor, resolve
 from impact_rig.physics.model import MODEL
 from impact_rig.physics.sampling import TRAJECTORY, begin_flight_at
 from impact_rig.physics.state import ATTACHED, CONTACT, FLIGHT, PRESCRIBED, SPHERE_LOOSE, V1, X1, XB
@@ -61,17 +61,17 @@ def _straight(omega, tau, x_2, v_2, x_end, v_end):  # type: ignore[no-untyped-de
 def _one_body(system, flight, omega, t, z, t_end, z_end):  # type: ignore[no-untyped-def]
     """Return the integral of x_1'' exp(−jωt) over the flight from t to t_end; z and z_end are exp(−jωt) there."""
     jw = complex(0.0, omega)
-    value, growth = flight.steady[X1], flight.growing[X1]
+    steady, growing = flight.steady[X1], flight.growing[X1]
     for _ in range(2):
-        value, growth = jw * value + growth, jw * growth
-    tau, twice = t_end - t, -2.0 * jw
-    total = tau * (value + 0.5 * (t_end + t) * growth)
-    value, growth = value.conjugate(), growth.conjugate()
-    end = (value + growth * t_end - growth / twice) * (z_end * z_end)
-    total = (total - (end - (value + growth * t - growth / twice) * (z * z)) / twice) * -0.5j
+        steady, growing = jw * steady + growing, jw * growing
+    tau, minus_2jw = t_end - t, -2.0 * jw
+    total = tau * (steady + 0.5 * (t_end + t) * growing)
+    steady, growing = steady.conjugate(), growing.conjugate()
+    end = (steady + growing * t_end - growing / minus_2jw) * (z_end * z_end)
+    total = (total - (end - (steady + growing * t - growing / minus_2jw) * (z * z)) / minus_2jw) * -0.5j
     for n in range(system.modes):
         rate = system.rate[n]
-        _, decay = decayed(rate, tau)
+        _, decay = mode_decay(rate, tau)
         wave = 0.5 * (rate * rate) * system.right[n, X1] * flight.modal[n]
         total += wave * (decay * z_end - z) / (rate - jw)
         total += wave.conjugate() * (decay.conjugate() * z_end - z) / (rate.conjugate() - jw)
@@ -108,8 +108,8 @@ def follow_cycles(model, trajectory, flights, out):  # type: ignore[no-untyped-d
     p, system, flight = model.parameters[0], model.systems[SPHERE_LOOSE], flights[0]
     flight.omega = -1.0
     for i in range(out.shape[0]):
-        segment = trajectory.segments[i]
-        f, duration = forcing(segment), segment.duration
+        row = trajectory.segments[i]
+        f, duration = drive_segment(row), row.duration
         force = 0.0j
         if p.sphere_present:
             rows = trajectory.first_state[i], trajectory.first_state[i + 1]
@@ -131,7 +131,7 @@ def follow_cycles(model, trajectory, flights, out):  # type: ignore[no-untyped-d
                 load[V1] -= sign * p.share * s.side * s.speed
         resolve(system, f.omega, load, flight.answer)
         flight.omega = -1.0  # it holds no answer to the drive any more
-        base = drive if p.drive == PRESCRIBED else flight.answer[XB]
+        base = drive if p.drive_kind == PRESCRIBED else flight.answer[XB]
         amplitude = complex(0.0, 2.0 / duration)
         base, superior = amplitude * base, amplitude * flight.answer[X1]
         out[i, 0], out[i, 1], out[i, 2], out[i, 3] = base.real, base.imag, superior.real, superior.imag

@@ -69,13 +69,13 @@ def build(config: Setup, rtol: float = CONTACT_RTOL, kind: str | None = None) ->
     force = law.force(ContactPair(hertz_stiffness_n_m32(config.sphere, config.barriers), m_eff))
     systems, fastest = _systems(c, kind, mass)
     p = SimpleNamespace()  # a record takes as long for one field as this for all
-    p.drive, p.sphere_present = DRIVES.index(kind), config.sphere.present
+    p.drive_kind, p.sphere_present = DRIVES.index(kind), config.sphere.present
     p.m_1, p.c_1, p.k_1, p.m_base, p.c_f, p.k_f = c.m_1, c.c_1, c.k_1, c.m_base, c.c_f, c.k_f
     p.force_factor, p.resistance, p.per_inductance = c.force_factor, c.resistance, 1.0 / c.inductance
     p.m, p.m_eff, p.per_m_eff, p.per_m_1 = mass, m_eff, 1.0 / m_eff, 1.0 / c.m_1
     p.per_m_pair, p.share = 1.0 / (c.m_1 + mass), mass / (c.m_1 + mass)
-    p.per_m_base = 0.0 if p.drive == PRESCRIBED else 1.0 / c.m_base  # nothing moves a prescribed base
-    p.columns_by_depth, p.columns_by_speed = p.share * c.k_1 / c.m_1, p.share * c.c_1 / c.m_1
+    p.per_m_base = 0.0 if p.drive_kind == PRESCRIBED else 1.0 / c.m_base  # nothing moves a prescribed base
+    p.slowing_by_depth, p.slowing_by_speed = p.share * c.k_1 / c.m_1, p.share * c.c_1 / c.m_1
     p.half_gap = config.barriers.gap_m / 2.0
     p.friction_acceleration = config.sphere.guide_friction * STANDARD_GRAVITY
     _set_force(p, force, m_eff)

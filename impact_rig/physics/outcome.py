@@ -39,7 +39,7 @@ SEPARATION, DURATION, LOST, PEAK, DEPTH, SUM, MOMENT = range(7)
 """Outcomes, in units made of m_eff, v0 and t_0: separation speed, duration, energy lost, peak force, largest
 indentation, ∫ Δ dθ and ∫ (θ_end − θ) Δ dθ."""
 OUTCOMES = 7
-TWICE, BY_2, BY_STIFFNESS, BY_DAMPING = range(4)
+BY_ETA_1_SQUARED, BY_ETA_2, BY_STIFFNESS, BY_DAMPING = range(4)
 """Further derivatives, of the first outcomes only: ½ ∂²/∂η_1², ∂/∂η_2, ∂/∂α, ∂/∂γ."""
 DECISIVE = 3  # so many outcomes have these
 COLUMNS = 2 * OUTCOMES + 4 * DECISIVE
@@ -80,14 +80,14 @@ def perturbed_contact(parameters, law, eta_0, perturbations, states, steps, out)
     """
     p, s, step = parameters[0], states[0], steps[0]
     eta_1, eta_2, gamma = perturbations[0], perturbations[1], perturbations[3]
-    p.columns_by_depth, p.columns_by_speed = perturbations[2], gamma
-    s.w, s.speed, s.deepest, s.per_v0, s.peak_force, s.t = 0.0, 1.0, 0.0, 1.0, 0.0, 0.0
+    p.slowing_by_depth, p.slowing_by_speed = perturbations[2], gamma
+    s.w, s.speed, s.deepest_w, s.per_v0, s.peak_force, s.t = 0.0, 1.0, 0.0, 1.0, 0.0, 0.0
     s.next_h = 0.1
     drop_dense_output(step)
     out[:] = 0.0
     damped, lossy = 0.0, 0.0
     step.acceleration[:] = 0.0
-    step.rest = step.validity = math.inf
+    step.time_left = step.valid_for = math.inf
     step.terms = 3
     for _ in range(_MOST_STEPS):
         t = s.t
@@ -108,7 +108,7 @@ def perturbed_contact(parameters, law, eta_0, perturbations, states, steps, out)
         conclude(p, s, step, ended, 0.0)
         step.dense_since = 0.0  # a prediction from where the last step began is what the bits of the tables go by
         if ended == SEPARATED:
-            out[SEPARATION], out[DURATION], out[DEPTH] = -s.speed, s.t, s.deepest * s.deepest
+            out[SEPARATION], out[DURATION], out[DEPTH] = -s.speed, s.t, s.deepest_w * s.deepest_w
             out[PEAK] = s.peak_force
             if lossy == 0.0:
                 return True
@@ -145,8 +145,8 @@ class Contacts:
         left_up, up = self.under(eta_0, perturbations)
         perturbations[which] = -perturbation
         left_down, down = self.under(eta_0, perturbations)
-        twice = 0.5 * (up + down - 2.0 * plain) / (perturbation * perturbation)
-        return left and left_up and left_down, (up - down) / (2.0 * perturbation), twice
+        half_second = 0.5 * (up + down - 2.0 * plain) / (perturbation * perturbation)
+        return left and left_up and left_down, (up - down) / (2.0 * perturbation), half_second
 
     def rebound(self, eta_0: float) -> float:
         """Return twice the energy with which the sphere leaves under η_0, 0 where it does not leave by itself."""
@@ -202,7 +202,7 @@ def _series(contacts: Contacts, limits: tuple[float, float]) -> NDArray[np.float
         return None
     start = 2 * OUTCOMES
     complete = fill(_COEFFICIENTS_1, slice(OUTCOMES, start + DECISIVE), by(0, OUTCOMES))
-    for which in (BY_2, BY_STIFFNESS, BY_DAMPING):
+    for which in (BY_ETA_2, BY_STIFFNESS, BY_DAMPING):
         columns = slice(start + which * DECISIVE, start + (which + 1) * DECISIVE)
         complete &= fill(_COEFFICIENTS_2, columns, by(which, DECISIVE))
     return series if complete else None
@@ -225,10 +225,10 @@ def _chebyshev(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @kernel
-def look_up(p, table, s, step, rest):  # type: ignore[no-untyped-def]
+def look_up(p, table, s, step, time_left):  # type: ignore[no-untyped-def]
     """Fill `table.outcome` for the contact that begins at s, `step` expanded about it.
 
-    Returns whether it is tabulated, and over within `rest` seconds and while the polynomials of `step` hold.
+    Returns whether it is tabulated, and over within `time_left` seconds and while the polynomials of `step` hold.
     """
     speed = s.speed
     if speed < p.speed_floor:  # a floored approach speed is a scale of its own
@@ -238,7 +238,7 @@ def look_up(p, table, s, step, rest):  # type: ignore[no-untyped-def]
     scale = t_0 * t_0 / speed
     eta_1, eta_2 = step.acceleration[1] * scale, step.acceleration[2] * scale * t_0
     eta_3 = step.acceleration[3] * scale * t_0 * t_0
-    alpha, gamma = p.columns_by_depth * t_0 * t_0, p.columns_by_speed * t_0
+    alpha, gamma = p.slowing_by_depth * t_0 * t_0, p.slowing_by_speed * t_0
     if not table.low <= eta_0 <= table.high or max(abs(eta_2), alpha, gamma) > MOST_2:
         return False
     if abs(eta_1) > MOST_1 or abs(eta_3) > MOST_3:
@@ -254,15 +254,15 @@ def look_up(p, table, s, step, rest):  # type: ignore[no-untyped-def]
             value[j] += series[n, j] * chebyshev
     for q in range(OUTCOMES):
         table.outcome[q] = value[q] + eta_1 * value[OUTCOMES + q]
-    further = value[2 * OUTCOMES :]
+    further_derivatives = value[2 * OUTCOMES :]
     for q in range(DECISIVE):
         table.outcome[q] += (
-            eta_1 * eta_1 * further[TWICE * DECISIVE + q]
-            + eta_2 * further[BY_2 * DECISIVE + q]
-            + alpha * further[BY_STIFFNESS * DECISIVE + q]
-            + gamma * further[BY_DAMPING * DECISIVE + q]
+            eta_1 * eta_1 * further_derivatives[BY_ETA_1_SQUARED * DECISIVE + q]
+            + eta_2 * further_derivatives[BY_ETA_2 * DECISIVE + q]
+            + alpha * further_derivatives[BY_STIFFNESS * DECISIVE + q]
+            + gamma * further_derivatives[BY_DAMPING * DECISIVE + q]
         )
-    return table.outcome[DURATION] * t_0 < min(rest, step.validity)
+    return table.outcome[DURATION] * t_0 < min(time_left, step.valid_for)
 
 
 @kernel
@@ -272,20 +272,22 @@ def apply_outcome(p, table, s, step):  # type: ignore[no-untyped-def]
     t_0 = contact_time(p, speed)
     delta_0 = speed * t_0
     duration, separation = found[DURATION] * t_0, found[SEPARATION] * speed
-    impulse = p.k_1 * found[SUM] * delta_0 * t_0  # ∫ F_z dt [N s]
-    moment = p.k_1 * found[MOMENT] * delta_0 * t_0 * t_0 + p.c_1 * found[SUM] * delta_0 * t_0  # ∫∫ F_z dt dt [N s²]
-    sphere = s.y[V1] + s.side * (1.0 - p.share) * speed
+    columns_impulse = p.k_1 * found[SUM] * delta_0 * t_0  # ∫ F_z dt [N s]
+    columns_moment = (
+        p.k_1 * found[MOMENT] * delta_0 * t_0 * t_0 + p.c_1 * found[SUM] * delta_0 * t_0
+    )  # ∫∫ F_z dt dt [N s²]
+    v_2_before = s.y[V1] + s.side * (1.0 - p.share) * speed
     pair_at(step, duration, s.y)
     # the correction z to first order: `look_up` has seen to it that the next one is nothing
-    of_z = s.side * p.share
-    s.y[V1] += of_z * impulse * p.per_m_pair
-    s.y[X1] += of_z * moment * p.per_m_pair
-    s.y[VB] -= of_z * impulse * p.per_m_base
-    s.y[XB] -= of_z * moment * p.per_m_base
-    s.impulse = -s.side * p.m * (s.y[V1] - s.side * (1.0 - p.share) * separation - sphere)
+    signed_share = s.side * p.share
+    s.y[V1] += signed_share * columns_impulse * p.per_m_pair
+    s.y[X1] += signed_share * columns_moment * p.per_m_pair
+    s.y[VB] -= signed_share * columns_impulse * p.per_m_base
+    s.y[XB] -= signed_share * columns_moment * p.per_m_base
+    s.impulse = -s.side * p.m * (s.y[V1] - s.side * (1.0 - p.share) * separation - v_2_before)
     s.elapsed = duration
     s.peak_force = found[PEAK] * p.m_eff * speed / t_0
     s.lost = found[LOST] * p.m_eff * speed * speed
-    s.deepest = math.sqrt(found[DEPTH] * delta_0)
+    s.deepest_w = math.sqrt(found[DEPTH] * delta_0)
     s.w, s.speed = 0.0, -separation
     s.t += duration

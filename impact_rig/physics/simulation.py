@@ -41,10 +41,10 @@ from impact_rig.physics.state import (
     COIL,
     CONTACT,
     CONTACT_STEP,
+    COUNTS,
     FREE,
     IMPACT,
     LEDGER,
-    LOG,
     PRESCRIBED,
     SPHERE_LOOSE,
     STATE,
@@ -190,7 +190,7 @@ chattering sphere makes some ten rows a segment."""
 
 _WHOLE = 1e-9  # by so much the phase of a whole cycle may miss one turn [rad]
 _STATES, _IMPACTS = 1 << 15, 1 << 11  # room for so many: pages that are not touched take no memory
-_NOTHING_FILLED, _NO_IMPACTS = np.zeros((), LOG), np.empty(0, IMPACT)
+_NOTHING_FILLED, _NO_IMPACTS = np.zeros((), COUNTS), np.empty(0, IMPACT)
 _GROWTH = 4  # of the log, when a call needs more room
 _PLACES = {"left": -1.0, "centre": 0.0, "right": 1.0}
 
@@ -348,11 +348,11 @@ class Simulation:
         segments = for_kernels(segments)
         rows = len(segments) + 1
         work = Workspace(*self._work[:-2], np.empty(rows, np.int64), np.empty(rows, np.int64))
-        work.filled[0] = _NOTHING_FILLED
+        work.counts[0] = _NOTHING_FILLED
         index = 0
         while True:
             ended, index = run(self._model, segments, self.tick, index, work, self._account)
-            ((states, impacts, _, ticks),) = work.filled.tolist()
+            ((states, impacts, _, ticks),) = work.counts.tolist()
             if ended in (STUCK, UNSOLVED):
                 what = "no progress" if ended == STUCK else "a step of a contact cannot be solved"
                 raise SimulationError(
@@ -395,7 +395,7 @@ class Simulation:
         p, s, y = self._model.parameters[0], self._state, self._structure()
         stretch = y[X1] - y[XB]
         total = 0.5 * p.m_1 * y[V1] * y[V1] + 0.5 * p.k_1 * stretch * stretch
-        if p.drive != PRESCRIBED:
+        if p.drive_kind != PRESCRIBED:
             total += 0.5 * p.m_base * y[VB] * y[VB] + 0.5 * p.k_f * y[XB] * y[XB]
             total += 0.5 * y[COIL] * y[COIL] / p.per_inductance
         if p.sphere_present:
@@ -403,7 +403,7 @@ class Simulation:
             speed = y[V1] + (s.side * s.speed if pressed else s.d_rate)
             total += 0.5 * p.m * speed * speed
             if pressed:
-                total += self._model.law.one(p.stiffness, p.factor, s.per_v0, turned_at(s), s.w, s.speed)[2]
+                total += self._model.law.at_point(p.stiffness, p.factor, s.per_v0, turned_at(s), s.w, s.speed)[2]
         return float(total)
 
     @property

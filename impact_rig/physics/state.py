@@ -51,7 +51,7 @@ STATE = np.dtype(
         ("side", "f8"),  # wall that is touched or presses: −1 left, 1 right, 0 none
         ("w", "f8"),  # in a contact √δ, the square root of the indentation [m^0.5]
         ("speed", "f8"),  # in a contact δ', the rate of the indentation [m/s], positive while it grows
-        ("deepest", "f8"),  # in a contact the largest w so far [m^0.5]
+        ("deepest_w", "f8"),  # in a contact the largest w so far [m^0.5]
         ("per_v0", "f8"),  # in a contact 1 over its approach speed, which is floored [s/m]
         ("tabulated", "i8"),  # 1: from here to the next state the motion is one contact looked up in the table
         ("h", "f8"),  # length in χ of the contact's step that starts here [s/m^0.5], 0 where none does
@@ -98,7 +98,7 @@ IMPACT = np.dtype(
 
 The columns of `blocks.IMPACTS`, with the instant as tick and offset."""
 
-LOG = np.dtype(
+COUNTS = np.dtype(
     [
         ("states", "i8"),  # rows of the history that are filled
         ("impacts", "i8"),  # rows of the impacts that are filled
@@ -155,16 +155,16 @@ CONTACT_STEP = np.dtype(
         ("dense", "f8", (STAGES + 1,)),  # coefficients of the dense output δ'(x), x = 0 … 1 [m/s]
         ("dense_length", "f8"),  # length in χ of the step it belongs to [s/m^0.5], 0 where none is known
         ("dense_since", "f8"),  # how far in χ from that step's start the next one starts [s/m^0.5]
-        ("fastest_time", "f8"),  # time in which the fastest motion of structure or drive goes one radian [s]
-        ("radian", "f8"),  # time in which the contact's own vibration goes one radian [s]
+        ("fastest_time_scale", "f8"),  # time in which the fastest motion of structure or drive goes one radian [s]
+        ("contact_time_scale", "f8"),  # time in which the contact's own vibration goes one radian [s]
         ("turned_at", "f8"),  # w from which the law unloads, 0 while it loads: see `contact.law` [m^0.5]
         ("start_speed_slope", "f8"),  # dδ'/dχ at the step's start [m^1.5/s²]
         ("start_force", "f8"),  # F at the step's start [N]
         ("tolerance", "f8"),  # how wrong the step's speeds may be [m/s]
         ("goal", "f8"),  # how near to the solution of the step's equations Newton's method must bring them [m/s]
         ("terms", "i8"),  # how many Taylor terms suffice for the step
-        ("validity", "f8"),  # time from the step's start for which they hold [s]
-        ("rest", "f8"),  # time from the step's start to the end of the drive segment [s]
+        ("valid_for", "f8"),  # time from the step's start for which they hold [s]
+        ("time_left", "f8"),  # time from the step's start to the end of the drive segment [s]
         ("y", "f8", (STRUCTURE,)),  # scratch: a state of the pair, or of the structure [as y]
     ],
     align=True,
@@ -184,7 +184,7 @@ SPHERE_LOOSE, SPHERE_ATTACHED = range(2)
 
 PARAMETERS = np.dtype(
     [
-        ("drive", "i8"),  # PRESCRIBED, CURRENT or VOLTAGE
+        ("drive_kind", "i8"),  # PRESCRIBED, CURRENT or VOLTAGE
         ("sphere_present", "i8"),  # 0 where there is no sphere
         ("m_1", "f8"),  # mass of the superior base [kg]
         ("c_1", "f8"),  # damping of the columns [N s/m]
@@ -202,8 +202,8 @@ PARAMETERS = np.dtype(
         ("per_m_pair", "f8"),  # 1/(m_1 + m) [1/kg]
         ("per_m_base", "f8"),  # 1/m_base [1/kg]
         ("share", "f8"),  # σ = m / (m_1 + m), the structure's part in a relative motion [-]
-        ("columns_by_depth", "f8"),  # σ k_1 / m_1, what the columns take off δ'' per δ [1/s²]
-        ("columns_by_speed", "f8"),  # σ c_1 / m_1, what they take off it per δ' [1/s]
+        ("slowing_by_depth", "f8"),  # σ k_1 / m_1, what the columns take off δ'' per δ [1/s²]
+        ("slowing_by_speed", "f8"),  # σ c_1 / m_1, what they take off it per δ' [1/s]
         ("half_gap", "f8"),  # g/2 [m]
         ("friction_acceleration", "f8"),  # μ g_0 of the guide [m/s²]
         ("stiffness", "f8"),  # the contact law's first number, K of F ~ K δ^b [N/m^b]

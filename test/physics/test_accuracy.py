@@ -100,7 +100,7 @@ def contact_by_equal_steps(model: Model, speed: float, length: float, steps: int
         begin_step(p, model.law, s, k)
         solve(p, model.law, s, k, length / steps, ROUNDS)
         s.w, s.speed = k.w[LAST], k.speed[LAST]
-        s.deepest = max(s.deepest, s.w)
+        s.deepest_w = max(s.deepest_w, s.w)
     return np.array([s.w, s.speed])
 
 

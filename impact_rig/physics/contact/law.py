@@ -119,7 +119,7 @@ class ContactLaw:
         raise NotImplementedError
 
 
-ONE = Function(6 * (float,), 5 * (float,))
+AT_POINT = Function(6 * (float,), 5 * (float,))
 AT_STAGES = Function((Record(PARAMETERS), float, Record(CONTACT_STEP)), None)
 
 
@@ -127,23 +127,23 @@ class CompiledForce(NamedTuple):
     """A law's force as function pointers.
 
     Attributes:
-        one: the law's function itself.
+        at_point: the law's function itself.
         at_stages: called with (parameters, per_v0, step), fills the step's force, lossy, force_by_w, force_by_speed.
     """
 
-    one: Any
+    at_point: Any
     at_stages: Any
 
 
-FORCE = Fields(CompiledForce, (ONE, AT_STAGES))
+FORCE = Fields(CompiledForce, (AT_POINT, AT_STAGES))
 
 
-def at_stages_of(one: Any) -> Any:
+def at_stages_of(at_point: Any) -> Any:
     """Return the function that asks a force at the stages of a step."""
 
     def at_stages(p, per_v0, step):  # type: ignore[no-untyped-def]  # compiled: types are declared
         for i in range(STAGES):
-            elastic, lossy, _, by_w, by_speed = one(
+            elastic, lossy, _, by_w, by_speed = at_point(
                 p.stiffness, p.factor, per_v0, step.turned_at, step.w[i], step.speed[i]
             )
             step.force[i], step.lossy[i] = elastic + lossy, lossy
@@ -154,12 +154,12 @@ def at_stages_of(one: Any) -> Any:
 
 def declare(function: ForceFunction) -> None:
     """Let the library hold a law's force."""
-    kernels.exported[f"{name_of(function)}.one"] = Exported(function, ONE)
+    kernels.exported[f"{name_of(function)}.at_point"] = Exported(function, AT_POINT)
     kernels.exported[f"{name_of(function)}.at_stages"] = Exported(function, AT_STAGES, at_stages_of)
 
 
 def name_of(function: ForceFunction) -> str:
-    """Return the name under which the library holds a force, less `.one` or `.at_stages`."""
+    """Return the name under which the library holds a force, less `.at_point` or `.at_stages`."""
     return f"force.{function.__module__}.{function.__qualname__}"
 
 
@@ -169,33 +169,33 @@ def compiled_force(function: ForceFunction) -> CompiledForce:
     if kernels.MODE == "plain":
         return CompiledForce(function, at_stages_of(function))
     name = name_of(function)
-    if kernels.address(f"{name}.one"):
+    if kernels.address(f"{name}.at_point"):
         return CompiledForce(
-            Pointer(kernels.address(f"{name}.one"), function),
+            Pointer(kernels.address(f"{name}.at_point"), function),
             Pointer(kernels.address(f"{name}.at_stages"), at_stages_of(function)),
         )
     if importlib.util.find_spec("numba"):
         from impact_rig.kernels import jit  # noqa: PLC0415  # Numba is imported where it compiles
 
         inner = at_stages_of(jit.compiled(function))
-        found = jit.pointer(function, ONE), jit.pointer(inner, AT_STAGES)
+        found = jit.pointer(function, AT_POINT), jit.pointer(inner, AT_STAGES)
         return CompiledForce(*(one if kernels.MODE == "jit" else Pointer(one.address, one) for one in found))
     logging.getLogger(__name__).warning(
         "the contact force %s runs as plain Python, some hundred times slower: pip install impact-rig[jit]", name
     )
-    return CompiledForce(_callback_one(function), _callback_at_stages(function))
+    return CompiledForce(_callback_at_point(function), _callback_at_stages(function))
 
 
-def _callback_one(function: ForceFunction) -> Pointer:
+def _callback_at_point(function: ForceFunction) -> Pointer:
     """Return a callback with the convention of compiled code: what does not fit registers is written where told."""
     results = 5 * ctypes.c_double
 
-    def one(out: Any, *numbers: float) -> int:
+    def at_point(out: Any, *numbers: float) -> int:
         out.contents[:] = 5 * [math.nan]  # where the function raises: the contact then fails instead of going on
         out.contents[:] = function(*numbers)
         return ctypes.addressof(out.contents)
 
-    return _pointer(ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.POINTER(results), *6 * (ctypes.c_double,))(one))
+    return _pointer(ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.POINTER(results), *6 * (ctypes.c_double,))(at_point))
 
 
 def _callback_at_stages(function: ForceFunction) -> Pointer:
