@@ -16,7 +16,7 @@ A step ends where its error allows, and earlier at the first of these events:
     PAUSED     t = t_end      the drive segment is over
     RELEASED   F = 0, δ > 0   a law that lets go would pull: the surface stays behind until the sphere is out of there
     TURNED     δ' = 0         a law with a memory changes branch, at the largest indentation
-    RELOADED   w = deepest_w    it presses further than before, and changes branch again
+    RELOADED   w = deepest_w  it presses further than before, and changes branch again
 
 A step that overshoots an event is taken again, its length found by Newton's method, until it ends there.
 """
