@@ -186,14 +186,20 @@ def _summary(plan: Plan, rows: list[Row]) -> dict[str, object]:
 
         counts = Counter(motion(plan, row) for row in rows)
         return {"shares": {name: count / len(rows) for name, count in sorted(counts.items())}}
-    if plan.kind in (plans.SECTION, plans.BIFURCATION):
+    if plan.kind == plans.BIFURCATION:
+        failed = sum(row[plans.COLUMNS[plan.kind].index("regime")] == FAILED for row in rows)
+        return {"failed_rows": failed} if failed else {}
+    if plan.kind == plans.SECTION:
         return {}
     return {"found": _named(plan, _told(plan, rows), plans.COLUMNS[plan.kind])}
 
 
 def _show(console: Console, plan: Plan, rows: list[Row]) -> None:
-    for name, share in _summary(plan, rows).get("shares", {}).items():  # type: ignore[attr-defined]  # a mapping
+    summary = _summary(plan, rows)
+    for name, share in summary.get("shares", {}).items():  # type: ignore[attr-defined]  # a mapping
         console.print(f"{100.0 * share:.2f} % lead to: {name}")
+    if "failed_rows" in summary:
+        console.print(f"{summary['failed_rows']} of {len(rows)} rows could not be resolved")
     if plan.kind not in SHOWN:
         return
     table = TextTable(right=[name.replace("_", " ") for name in SHOWN[plan.kind]])

@@ -380,6 +380,78 @@ def test_a_section_of_a_motion_that_cannot_be_resolved_is_empty(tmp_path, monkey
     assert len(calls) == 1
 
 
+TAKEN_ALONG = 1
+"""Cycles that are asked for at once after a motion that repeats in each cycle has settled."""
+
+
+@pytest.fixture
+def stuck(monkeypatch):
+    """Let the rig's first advance of so many cycles be one that cannot be resolved."""
+
+    def fail_once(cycles: int) -> None:
+        real, left = MapRig.advance, [cycles]
+
+        def advance(self: MapRig, frequency_hz: float, amplitude: float, count: int) -> object:
+            if count in left:
+                left.remove(count)
+                raise SimulationError("stuck")
+            return real(self, frequency_hz, amplitude, count)
+
+        monkeypatch.setattr(MapRig, "advance", advance)
+
+    return fail_once
+
+
+def test_a_value_that_cannot_be_resolved_after_it_has_settled_is_marked_and_the_others_go_on(stuck, tmp_path, capsys):
+    """Once the whole diagram ended with the error."""
+    stuck(TAKEN_ALONG)
+    path = tmp_path / "study.yaml"
+    path.write_text("bifurcation: {over: gap_m, values: [0.011, 0.0115, 0.012], direction: up}")
+    assert main(["dynamics", "bifurcation", str(path), "--output", str(tmp_path / "out"), "--no-figures"]) == 0
+    rows = list(csv.DictReader((tmp_path / "out" / "bifurcation.csv").read_text().splitlines()))
+    assert [(row["value"], row["regime"]) for row in rows] == [
+        ("0.011", "failed"), ("0.0115", "periodic"), ("0.012", "periodic"),
+    ]  # fmt: skip
+    assert json.loads((tmp_path / "out" / "bifurcation.json").read_text())["failed_rows"] == 1
+    assert "1 of 3 rows could not be resolved" in capsys.readouterr().out
+
+
+def test_a_start_that_cannot_be_resolved_is_marked_and_the_others_go_on(tmp_path, monkeypatch):
+    """Once the whole basin ended with the error."""
+    path = tmp_path / "study.yaml"
+    path.write_text("basin: {sphere_position_m: [-0.002, 0.001, 0.002], sphere_speed_m_s: 0.5}")
+    found = plan.load(path, "basin")
+    real, starts = MapRig.advance, []
+    monkeypatch.setattr(
+        MapRig, "reset", lambda self, sphere, reset=MapRig.reset: (starts.append(sphere), reset(self, sphere))
+    )
+
+    def advance(self: MapRig, *asked: float) -> object:
+        if starts[-1][0] == 0.001:
+            raise SimulationError("stuck")
+        return real(self, *asked)
+
+    monkeypatch.setattr(MapRig, "advance", advance)
+    (task,) = found.tasks
+    regimes = {row[0]: row[3] for row in task.read(plan.run(task))}
+    assert regimes == {-0.002: "periodic", 0.001: "failed", 0.002: "periodic"}
+
+
+def test_a_start_that_shows_no_attractor_leaves_the_others(stuck, tmp_path):
+    """Once a basin could not even be planned."""
+    stuck(TAKEN_ALONG)
+    rows = study(tmp_path, "basin", "basin: {sphere_position_m: [-0.002, 0.002], sphere_speed_m_s: 0.5}")
+    assert [(row["attractor"], row["regime"]) for row in rows] == [(0.0, "periodic")] * 2
+
+
+@pytest.mark.parametrize(("kind", "told"), [("section", []), ("orbit", []), ("exponent", ["failed"])])
+def test_a_motion_that_cannot_be_resolved_after_it_has_settled_leaves_the_other_tasks(kind, told, stuck, tmp_path):
+    """Once the whole study ended with the error."""
+    stuck(TAKEN_ALONG)
+    text = {"section": "{cycles: 1}", "orbit": "{starts: left}", "exponent": "{starts: left, cycles: 10, windows: 4}"}
+    assert [row["regime"] for row in study(tmp_path, kind, f"{kind}: {text[kind]}")] == told
+
+
 def test_marching_keeps_the_branch_until_it_changes_and_gives_its_dt(over_gap):
     torus = event(over_gap, "torus")
     last = marched(PLACE, "gap_m", np.arange(0.0300, 0.0311, 0.00001))

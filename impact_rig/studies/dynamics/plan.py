@@ -18,7 +18,7 @@ from impact_rig.campaign.paper import CURRENT_A, FREQUENCY_HZ
 from impact_rig.campaign.plan import STARTS
 from impact_rig.campaign.tasks import Keyed, Row, Store, load_plan
 from impact_rig.config.tree import Value
-from impact_rig.errors import ConfigError
+from impact_rig.errors import ConfigError, SimulationError
 from impact_rig.maps.measure import CHUNK, FAILED, MapRig, Reading, Settings
 from impact_rig.maps.plan import BOTH, CURRENT, DOWN, FREQUENCY, GAP, POSITION, RESET, SPEED, UP, Line, refuse_owned
 from impact_rig.rig.config import RigConfig, differences, from_flat, to_flat
@@ -298,8 +298,11 @@ def _begun(place: Place, start: Start, settings: Settings) -> MapRig:
 
 
 def _points(rig: MapRig, place: Place, cycles: int, turn: float) -> list[list[float]]:
-    """Return one point a cycle, see `POINT`."""
-    motion = rig.advance(place.frequency_hz, place.amplitude, cycles)
+    """Return one point a cycle, see `POINT`; none of a motion that cannot be resolved."""
+    try:
+        motion = rig.advance(place.frequency_hz, place.amplitude, cycles)
+    except SimulationError:
+        return []
     number = np.arange(motion.first_tick, motion.last_tick + 1)
     offset = np.full(cycles, turn / place.frequency_hz)
     points: list[list[float]] = motion.quantities(("x_1", "v_1", "x_2", "v_2"), number, offset).T.tolist()
@@ -326,13 +329,13 @@ def _bifurcation(
         else:
             rig.carry(place.config)
         reading = rig.measure(place.frequency_hz, place.amplitude)
-        if reading.regime == FAILED:
+        count = int(reading.period) if math.isfinite(reading.period) else cycles
+        points = [] if reading.regime == FAILED else _points(rig, place, count, turn)
+        if not points:
             rows.append((value, FAILED, *[math.nan] * 7))
             rig = None
-            continue
-        count = int(reading.period) if math.isfinite(reading.period) else cycles
         head = (value, reading.regime, reading.dt, reading.impacts_per_cycle, reading.period)
-        rows += [(*head, *point) for point in _points(rig, place, count, turn)]
+        rows += [(*head, *point) for point in points]
     return rows
 
 
@@ -369,14 +372,18 @@ def _continue(task: Task, over: str, low: float, high: float, value: float, star
 
 
 def _found(task: Task, over: str, value: float, start: Start, unit: float) -> tuple[Stroboscope, orbits.Orbit] | None:
-    """Return the orbit that a motion settles to; None if it settles to none."""
+    """Return the orbit that a motion settles to; None if it settles to none, or cannot be resolved."""
     place = at(task.place, over, value)
     strobe = Stroboscope(task.place, over, unit)
     rig = _begun(place, start, task.settings)
     reading = rig.measure(place.frequency_hz, place.amplitude)
     if not math.isfinite(reading.period):
         return None
-    one = orbits.orbit(strobe, strobe.seen(rig, value / unit, reading), value / unit)
+    try:
+        z = strobe.seen(rig, value / unit, reading)
+    except SimulationError:
+        return None
+    one = orbits.orbit(strobe, z, value / unit)
     return None if one is None else (strobe, one)
 
 
@@ -398,10 +405,13 @@ def _exponent(task: Task, over: str, value: float, start: Start, cycles: int, wi
     place = at(task.place, over, value)
     rig = _begun(place, start, task.settings)
     reading = rig.measure(place.frequency_hz, place.amplitude)
-    if reading.regime == FAILED:
-        return [(value, FAILED, math.nan, math.nan, math.nan)]
     strobe = Stroboscope(place, FREQUENCY, 1.0)
-    z = strobe.seen(rig, place.frequency_hz, reading)
+    try:
+        z = None if reading.regime == FAILED else strobe.seen(rig, place.frequency_hz, reading)
+    except SimulationError:
+        z = None
+    if z is None:
+        return [(value, FAILED, math.nan, math.nan, math.nan)]
     strobe.cycles = 1
     found = exponent.largest(lambda z, n: strobe(z, place.frequency_hz, n), z, cycles, windows)
     rate = place.frequency_hz
@@ -422,17 +432,25 @@ def _attractors(
         reading = rig.measure(place.frequency_hz, place.amplitude)
         if not math.isfinite(reading.period) or not reading.impacts_per_cycle:
             continue
-        states = []
-        for _ in range(int(reading.period)):
-            state = rig.simulation.state()
-            if state is None:
-                break
-            states.append(state)
-            rig.advance(place.frequency_hz, place.amplitude, 1)
-        else:
-            if all(_distance(states[0], one, size(place, states[0])) > _SAME for one in found):
-                found.append((reading.dt, reading.impacts_per_cycle, reading.period, *np.concatenate(states).tolist()))
+        states = _states(rig, place, int(reading.period))
+        if states and all(_distance(states[0], one, size(place, states[0])) > _SAME for one in found):
+            found.append((reading.dt, reading.impacts_per_cycle, reading.period, *np.concatenate(states).tolist()))
     return sorted(found)
+
+
+def _states(rig: MapRig, place: Place, cycles: int) -> list[np.ndarray]:
+    """Return the state at the beginning of each cycle; none of a motion that cannot be told at one of them."""
+    states = []
+    for _ in range(cycles):
+        state = rig.simulation.state()
+        if state is None:
+            return []
+        states.append(state)
+        try:
+            rig.advance(place.frequency_hz, place.amplitude, 1)
+        except SimulationError:
+            return []
+    return states
 
 
 def _distance(state: np.ndarray, attractor: Sequence[str | float], scale: np.ndarray) -> float:
@@ -446,24 +464,14 @@ def _basin(
 ) -> list[Row]:
     place = task.place
     rig = MapRig(place.config, task.settings)
-    sizes = [size(place, np.array(one[3:10], float)) for one in attractors]
     rows: list[Row] = []
     for position in positions:
         rig.reset((position, speed))
-        label, near, cycles = -1, math.inf, 0
-        while label < 0 and cycles < _MOST_CYCLES:
-            motion = rig.advance(place.frequency_hz, place.amplitude, CHUNK)
-            cycles += CHUNK
-            state = rig.simulation.state()
-            if not len(motion.impacts):
-                break  # at rest, or drifting: the measurement tells
-            if state is None or not attractors:
-                continue
-            away = [_distance(state, one, size) for one, size in zip(attractors, sizes, strict=True)]
-            nearest = int(np.argmin(away))
-            if away[nearest] < _NEAR and away[nearest] <= near:
-                label = nearest
-            near = away[nearest] if away[nearest] < _NEAR else math.inf
+        try:
+            label, cycles = _led_to(rig, place, attractors)
+        except SimulationError:
+            rows.append((position, speed, -1.0, FAILED, math.nan, math.nan, math.nan))
+            continue
         if label >= 0:
             dt, impacts = (float(value) for value in attractors[label][:2])
             rows.append((position, speed, float(label), "periodic", dt, impacts, float(cycles)))
@@ -473,6 +481,30 @@ def _basin(
             (position, speed, -1.0, reading.regime, reading.dt, reading.impacts_per_cycle, cycles + reading.cycles)
         )
     return rows
+
+
+def _led_to(rig: MapRig, place: Place, attractors: Sequence[Sequence[str | float]]) -> tuple[int, int]:
+    """Return which attractor the motion comes ever nearer to, −1 where it is seen near none, and the cycles of that.
+
+    Raises:
+        SimulationError: the motion cannot be resolved.
+    """
+    sizes = [size(place, np.array(one[3:10], float)) for one in attractors]
+    near, cycles = math.inf, 0
+    while cycles < _MOST_CYCLES:
+        motion = rig.advance(place.frequency_hz, place.amplitude, CHUNK)
+        cycles += CHUNK
+        state = rig.simulation.state()
+        if not len(motion.impacts):
+            break  # at rest, or drifting: the measurement tells
+        if state is None or not attractors:
+            continue
+        away = [_distance(state, one, size) for one, size in zip(attractors, sizes, strict=True)]
+        nearest = int(np.argmin(away))
+        if away[nearest] < _NEAR and away[nearest] <= near:
+            return nearest, cycles
+        near = away[nearest] if away[nearest] < _NEAR else math.inf
+    return -1, cycles
 
 
 _RUNNERS: Mapping[str, Callable[..., list[Row]]] = {
