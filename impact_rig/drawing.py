@@ -10,12 +10,12 @@ told apart by people with any colour vision, darkened where white needs it.
 from __future__ import annotations
 
 import contextlib
-import functools
+import csv
 import io
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import attrs
 from numpy.typing import NDArray
@@ -59,8 +59,6 @@ DARK: Mapping[str, str] = {
     "quiet": "#2a3038",
 }
 
-P = ParamSpec("P")
-R = TypeVar("R")
 WIDTH_INCH = 4.4
 """About as wide as a phone: shown there at its own size, its 9 pt stay legible; wide pages show several abreast."""
 WIDE_INCH = 7.2  # a drawing that has a page, or a file, to itself
@@ -90,7 +88,7 @@ STYLE: dict[str, object] = {
 
 @contextlib.contextmanager
 def style() -> Iterator[None]:
-    """Apply the one style to everything that is drawn within."""
+    """Apply the one style to everything that is drawn within, also as a decorator."""
     from cycler import cycler  # noqa: PLC0415  # a second of import: only when something is drawn
     from matplotlib import rc_context  # noqa: PLC0415  # as above
 
@@ -100,27 +98,23 @@ def style() -> Iterator[None]:
         yield
 
 
-def styled(draw: Callable[P, R]) -> Callable[P, R]:
-    """Let a function draw in the one style."""
-
-    @functools.wraps(draw)
-    def within(*args: P.args, **kwargs: P.kwargs) -> R:
-        with style():
-            return draw(*args, **kwargs)
-
-    return within
-
-
 def new_axes(
-    height_inch: float = 3.0, ratios: Sequence[float] = (1.0,), width_inch: float = WIDTH_INCH
+    height_inch: float = 3.0, ratios: Sequence[float] = (1.0,), width_inch: float = WIDTH_INCH, *, share: bool = True
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure, free of pyplot's global state, and its axes above one another; to be called within `style`."""
+    """Return a figure, free of pyplot's global state, and its axes above one another; to be called within `style`.
+
+    Args:
+        height_inch: of the figure.
+        ratios: of the heights of the axes.
+        width_inch: of the figure.
+        share: whether the axes have one scale across.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415  # as above
     from matplotlib.figure import Figure as MatplotlibFigure  # noqa: PLC0415  # as above
 
     figure = MatplotlibFigure(figsize=(width_inch, height_inch), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(len(ratios), 1, sharex=True, squeeze=False, height_ratios=ratios)[:, 0]
+    axes = figure.subplots(len(ratios), 1, sharex=share, squeeze=False, height_ratios=ratios)[:, 0]
     return figure, list(axes)
 
 
@@ -181,12 +175,15 @@ class Drawn:
     def csv(self) -> str:
         """Return the numbers as CSV, a row a value; empty if there are none."""
         names = list(dict.fromkeys(name for line in self.lines for name in line.columns))
-        rows = [",".join(["case", *names])] if self.lines else []
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        if self.lines:
+            writer.writerow(["case", *names])
         for line in self.lines:
             for i in range(len(next(iter(line.columns.values())))):
                 cells = [f"{float(line.columns[name][i]):.{DIGITS}g}" if name in line.columns else "" for name in names]
-                rows.append(",".join([_quoted(line.label), *cells]))
-        return "".join(f"{row}\n" for row in rows)
+                writer.writerow([line.label, *cells])
+        return text.getvalue()
 
     def save(self, folder: Path) -> None:
         """Write the files: SVG, PNG and, where there are numbers, CSV."""
@@ -195,10 +192,6 @@ class Drawn:
             file.write(self.png)
         if self.lines:
             files.write_text(folder / f"{self.name}.csv", self.csv())
-
-
-def _quoted(text: str) -> str:
-    return '"' + text.replace('"', '""') + '"' if any(mark in text for mark in ',"\n') else text
 
 
 def variables(dark: bool) -> str:

@@ -15,7 +15,7 @@ from scipy import signal
 from impact_rig.analysis.calibration import Real
 from impact_rig.analysis.frf import Frf
 from impact_rig.analysis.sine import SineFit
-from impact_rig.drawing import MUTED, PAPER_RED, WIDE_INCH, new_axes, styled
+from impact_rig.drawing import MUTED, PAPER_RED, WIDE_INCH, new_axes, style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,7 +27,7 @@ MARK_ABOVE = 1.04  # height of the marks of impacts over an axis, 1 being its up
 SMOOTHED_SAMPLES = 11
 
 
-@styled
+@style()
 def transmissibility_curves(curves: Mapping[str, NDArray[np.void]]) -> Figure:
     """Draw DT over frequency with ±2u, the phase beneath, of rows by label; those without numbers are left out."""
     from matplotlib.ticker import LogFormatter  # noqa: PLC0415  # heavy: only when something is drawn
@@ -55,7 +55,7 @@ TRACES = (("base", 1e3, "$x_b$ (mm)"), ("laser", 1e3, "$x_1$ (mm)"), ("accelerom
 """What is drawn of scans, as far as it was measured: channel, factor, label."""
 
 
-@styled
+@style()
 def time_traces(rows: NDArray[np.void], impact_times: Real | None = None, remark: str = "") -> Figure:
     """Draw base, superior base and acceleration over time; impacts are marked above the axes, where no pulse is hidden.
 
@@ -86,7 +86,7 @@ def time_traces(rows: NDArray[np.void], impact_times: Real | None = None, remark
     return figure
 
 
-@styled
+@style()
 def phase_plane(displacement: Real, rate_hz: float, smooth_s: float = 0.0, name: str = "$x_1$") -> Figure:
     """Draw velocity over displacement; the velocity is the derivative of a cubic fitted to the samples around.
 
@@ -102,7 +102,7 @@ def phase_plane(displacement: Real, rate_hz: float, smooth_s: float = 0.0, name:
     return figure
 
 
-@styled
+@style()
 def spectrum(y: Real, rate_hz: float, unit: str, drive_hz: float | None = None, upto_hz: float | None = None) -> Figure:
     """Draw the amplitude spectrum: a sine of amplitude A stands A high (flat-top window).
 
@@ -122,14 +122,14 @@ def spectrum(y: Real, rate_hz: float, unit: str, drive_hz: float | None = None, 
     return figure
 
 
-@styled
+@style()
 def frequency_response(found: Frf, from_hz: float, upto_hz: float) -> Figure:
     """Draw |H1|, |H2| and |Hv|, the phase of H1, and the coherence."""
     shown = (found.frequency_hz >= from_hz) & (found.frequency_hz <= upto_hz)
     frequency = found.frequency_hz[shown]
     figure, (upper, middle, lower) = _axes(3)
-    for estimate, label, style in ((found.h1, "$H_1$", "-"), (found.h2, "$H_2$", "--"), (found.hv, "$H_v$", ":")):
-        upper.semilogy(frequency, np.abs(estimate[shown]), style, linewidth=0.9, label=label)
+    for estimate, label, line in ((found.h1, "$H_1$", "-"), (found.h2, "$H_2$", "--"), (found.hv, "$H_v$", ":")):
+        upper.semilogy(frequency, np.abs(estimate[shown]), line, linewidth=0.9, label=label)
     upper.set_ylabel("$|X_1|/|X_b|$")
     upper.legend()
     middle.plot(frequency, np.degrees(np.angle(found.h1[shown])), linewidth=0.9)
@@ -141,7 +141,7 @@ def frequency_response(found: Frf, from_hz: float, upto_hz: float) -> Figure:
     return figure
 
 
-@styled
+@style()
 def sine_fits(rows: NDArray[np.void], fits: Mapping[str, SineFit], units: Mapping[str, str], rate_hz: float) -> Figure:
     """Draw the samples of every channel and the sine that was fitted to them, the residual's rms beside it.
 
@@ -158,7 +158,7 @@ def sine_fits(rows: NDArray[np.void], fits: Mapping[str, SineFit], units: Mappin
     return figure
 
 
-@styled
+@style()
 def restitution_by_drop(each: Real, mean: float, u_mean: float) -> Figure:
     """Draw the restitution of every drop, and their mean with ±2u.
 

@@ -36,7 +36,7 @@ from impact_rig.drawing import (
     Line,
     legend_below,
     new_axes,
-    styled,
+    style,
 )
 from impact_rig.report.content import COVERAGE
 from impact_rig.report.studies import Stretch, predicted
@@ -159,7 +159,7 @@ def _predicted_line(gap: float, part: Stretch) -> Line:
 # --- The reductions beside the paper's
 
 
-@styled
+@style()
 def draw_reductions(reductions: Reductions, path: Path) -> Path:
     """Draw transmissibility and its reduction by gap beside the paper's five numbers; return `path`."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415  # a second of import, only for figures
@@ -350,8 +350,8 @@ def peaks(curves: Curves) -> Iterator[Drawn]:
             continue
         points = [p for f, p in sorted(curves.by_gap[gap].items()) if abs(f - FREQUENCY_HZ) < 0.0999]
         lines.append(measured_line(gap, points))
-        style = "--" if gap == NO_SPHERE else "-"
-        axis.plot([p.frequency_hz for p in points], [p.dt for p in points], style, color=colour(gap), label=case(gap))
+        dash = "--" if gap == NO_SPHERE else "-"
+        axis.plot([p.frequency_hz for p in points], [p.dt for p in points], dash, color=colour(gap), label=case(gap))
         axis.axvline(peak, color=colour(gap), linewidth=0.7, linestyle=":")
     if not lines:
         return
@@ -408,11 +408,11 @@ def amplitudes(curves: Curves) -> Iterator[Drawn]:
     for gap in cases:
         points = curve(curves, gap)
         frequency = [p.frequency_hz for p in points]
-        style = "--" if gap == NO_SPHERE else "-"
+        dash = "--" if gap == NO_SPHERE else "-"
         columns = {"superior_base_mm": [p.laser_m * 1e3 for p in points], "base_um": [p.base_m * 1e6 for p in points]}
         lines.append(Line(case(gap), {"frequency_hz": frequency, **columns}))
         for axis, y, label in zip((upper, lower), columns.values(), (case(gap), None), strict=True):
-            axis.plot(frequency, y, style, marker="o", color=colour(gap), label=label)
+            axis.plot(frequency, y, dash, marker="o", color=colour(gap), label=label)
     upper.set(ylabel="superior base (mm)", title=f"Amplitudes at {paper.CURRENT_A * 1e3:g} mA")
     lower.set(ylabel="inferior base (µm)", xlabel="frequency (Hz)", yscale="log")
     lower.set_yticks([50, 100, 200, 500], ["50", "100", "200", "500"])

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from impact_rig.analysis.frf import Frf
@@ -34,7 +33,6 @@ from impact_rig.studies.excitation.shock import Shocked
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Real = NDArray[np.float64]
 MOST_POINTS = 4000  # of a line that is drawn
 SHOWN_S = 1.0  # of a played history, around its largest sample
 
@@ -51,7 +49,8 @@ class Told:
 
 def tell(found: object, unit: str = "") -> Told:
     """Return what is said of the result of a test; `unit` is that of its response."""
-    return _TELLERS[type(found)](found, unit)
+    told = _TELLERS[type(found)](found, unit)
+    return attrs.evolve(told, draw=style()(told.draw))
 
 
 def document(title: str, about: Sequence[tuple[str, str]], told: Told, early: str, *, drawn: bool = True) -> str:
@@ -71,12 +70,11 @@ def _panes(axes: Sequence[Axes], *labels: str, x: str) -> None:
 
 def _learning(errors: Sequence[float], label: str, what: str) -> Drawn:
     """Draw the error of each loop or trial."""
-    with style():
-        figure, (axis,) = new_axes(2.4)
-        number = np.arange(1, len(errors) + 1)
-        axis.plot(number, errors, "o-", color=MEASURED)
-        axis.set(xlabel=what, ylabel=label, ylim=(0.0, None), xticks=number)
-        return Drawn("learning", figure, f"Error by {what}.", [Line(what, {what: list(number), label: errors})])
+    figure, (axis,) = new_axes(2.4)
+    number = np.arange(1, len(errors) + 1)
+    axis.plot(number, errors, "o-", color=MEASURED)
+    axis.set(xlabel=what, ylabel=label, ylim=(0.0, None), xticks=number)
+    return Drawn("learning", figure, f"Error by {what}.", [Line(what, {what: list(number), label: errors})])
 
 
 # --- random
@@ -109,26 +107,25 @@ def _random(found: Reached, unit: str) -> Told:
 
 def _draw_random(found: Reached, unit: str) -> list[Drawn]:
     f = found.frequency_hz
-    with style():
-        figure, axes = new_axes(5.6, (2.0, 1.0, 1.0))
-        axes[0].loglog(f, found.reached, color=MEASURED, label="reached", linewidth=0.8)
-        axes[0].loglog(f, found.asked, color=INK, label="asked")
-        shown = found.distortion > 1e-3 * found.asked
-        axes[0].loglog(f[shown], found.distortion[shown], ".", color=SERIES[2], markersize=2, label="not linear")
-        axes[0].set_ylim(1e-3 * found.asked.min(), 10.0 * max(found.asked.max(), found.reached.max()))
-        for bound in (-3.0, -1.0, 1.0, 3.0):
-            axes[1].axhline(bound, color=MUTED, linewidth=0.6)
-        axes[1].plot(f, found.error_db, color=MEASURED, linewidth=0.8)
-        axes[1].set_ylim(-6.0, 6.0)
-        axes[2].plot(f, found.coherence, color=MEASURED, linewidth=0.8)
-        axes[2].set_ylim(0.0, 1.05)
-        _panes(axes, f"density (({unit})²/Hz)", "error (dB)", "coherence", x="frequency (Hz)")
-        columns = {
-            "frequency (Hz)": f, "asked": found.asked, "reached": found.reached, "error (dB)": found.error_db,
-            "coherence": found.coherence, "not linear": found.distortion, "noise": found.noise,
-        }  # fmt: skip
-        one = Drawn("random", figure, "Density asked and reached, its error, and coherence with the drive.",
-                    [Line("random", columns)])  # fmt: skip
+    figure, axes = new_axes(5.6, (2.0, 1.0, 1.0))
+    axes[0].loglog(f, found.reached, color=MEASURED, label="reached", linewidth=0.8)
+    axes[0].loglog(f, found.asked, color=INK, label="asked")
+    shown = found.distortion > 1e-3 * found.asked
+    axes[0].loglog(f[shown], found.distortion[shown], ".", color=SERIES[2], markersize=2, label="not linear")
+    axes[0].set_ylim(1e-3 * found.asked.min(), 10.0 * max(found.asked.max(), found.reached.max()))
+    for bound in (-3.0, -1.0, 1.0, 3.0):
+        axes[1].axhline(bound, color=MUTED, linewidth=0.6)
+    axes[1].plot(f, found.error_db, color=MEASURED, linewidth=0.8)
+    axes[1].set_ylim(-6.0, 6.0)
+    axes[2].plot(f, found.coherence, color=MEASURED, linewidth=0.8)
+    axes[2].set_ylim(0.0, 1.05)
+    _panes(axes, f"density (({unit})²/Hz)", "error (dB)", "coherence", x="frequency (Hz)")
+    columns = {
+        "frequency (Hz)": f, "asked": found.asked, "reached": found.reached, "error (dB)": found.error_db,
+        "coherence": found.coherence, "not linear": found.distortion, "noise": found.noise,
+    }  # fmt: skip
+    one = Drawn("random", figure, "Density asked and reached, its error, and coherence with the drive.",
+                [Line("random", columns)])  # fmt: skip
     return [one, _learning(found.loops, "rms error (dB)", "loop")]
 
 
@@ -160,16 +157,15 @@ def _replicated(found: Replicated, unit: str) -> Told:
 def _history(found: Replicated, unit: str) -> Drawn:
     asked, reached, linear = found.asked, found.reached, found.linear
     t, part = np.arange(len(asked)) / found.rate_hz, slice(None, None, -(-len(asked) // MOST_POINTS))
-    with style():
-        figure, axes = new_axes(4.2, (2.0, 1.0))
-        axes[0].plot(t[part], reached[part], color=MEASURED, label="reached")
-        axes[0].plot(t[part], asked[part], "--", color=INK, label="asked", linewidth=0.8)
-        axes[1].plot(t[part], (reached - asked)[part], color=MEASURED, label="error", linewidth=0.8)
-        axes[1].plot(t[part], (reached - linear)[part], color=SERIES[2], label="not linear", linewidth=0.8)
-        _panes(axes, f"response ({unit})", f"({unit})", x="time (s)")
-        columns = {"time (s)": t[part], "asked": asked[part], "reached": reached[part], "linear": linear[part]}
-        caption = "The history asked and reached; below, what is left."
-        return Drawn("history", figure, caption, [Line("history", columns)])
+    figure, axes = new_axes(4.2, (2.0, 1.0))
+    axes[0].plot(t[part], reached[part], color=MEASURED, label="reached")
+    axes[0].plot(t[part], asked[part], "--", color=INK, label="asked", linewidth=0.8)
+    axes[1].plot(t[part], (reached - asked)[part], color=MEASURED, label="error", linewidth=0.8)
+    axes[1].plot(t[part], (reached - linear)[part], color=SERIES[2], label="not linear", linewidth=0.8)
+    _panes(axes, f"response ({unit})", f"({unit})", x="time (s)")
+    columns = {"time (s)": t[part], "asked": asked[part], "reached": reached[part], "linear": linear[part]}
+    caption = "The history asked and reached; below, what is left."
+    return Drawn("history", figure, caption, [Line("history", columns)])
 
 
 def _shocked(found: Shocked, unit: str) -> Told:
@@ -191,22 +187,18 @@ def _shocked(found: Shocked, unit: str) -> Told:
 def _draw_shock(found: Shocked) -> Drawn:
     f = found.frequency_hz
     t = np.arange(len(found.asked)) / found.followed.rate_hz
-    with style():
-        figure, axes = new_axes(5.0, (1.0, 1.0))
-        figure.delaxes(axes[1])  # its axis is not of time
-        lower = figure.add_subplot(2, 1, 2)
-        axes[0].plot(t, found.reached, color=MEASURED, label="reached")
-        axes[0].plot(t, found.asked, "--", color=INK, label="asked", linewidth=0.8)
-        axes[0].set(ylabel="acceleration (m/s²)", xlabel="time (s)")
-        axes[0].tick_params(labelbottom=True)
-        lower.loglog(f, found.srs_reached, color=MEASURED, label="reached")
-        lower.loglog(f, found.srs_asked, "--", color=INK, label="asked")
-        lower.loglog(f, found.srs_ideal, ":", color=PREDICTED, label="half sine alone")
-        lower.set(ylabel="shock response (m/s²)", xlabel="natural frequency (Hz)")
-        legend_below(lower, 3)
-        columns = {"natural frequency (Hz)": f, "asked": found.srs_asked, "reached": found.srs_reached}
-        caption = "The pulse, and its shock response spectrum (Q = 10; of the half sine alone without damping)."
-        return Drawn("shock", figure, caption, [Line("shock", columns)])
+    figure, (upper, lower) = new_axes(5.0, (1.0, 1.0), share=False)
+    upper.plot(t, found.reached, color=MEASURED, label="reached")
+    upper.plot(t, found.asked, "--", color=INK, label="asked", linewidth=0.8)
+    upper.set(ylabel="acceleration (m/s²)", xlabel="time (s)")
+    lower.loglog(f, found.srs_reached, color=MEASURED, label="reached")
+    lower.loglog(f, found.srs_asked, "--", color=INK, label="asked")
+    lower.loglog(f, found.srs_ideal, ":", color=PREDICTED, label="half sine alone")
+    lower.set(ylabel="shock response (m/s²)", xlabel="natural frequency (Hz)")
+    legend_below(lower, 3)
+    columns = {"natural frequency (Hz)": f, "asked": found.srs_asked, "reached": found.srs_reached}
+    caption = "The pulse, and its shock response spectrum (Q = 10; of the half sine alone without damping)."
+    return Drawn("shock", figure, caption, [Line("shock", columns)])
 
 
 # --- played, frequency response
@@ -236,15 +228,14 @@ def _draw_played(found: Played) -> Drawn:
     part = slice(max(0, middle - half), middle + half)
     rows, asked = found.rows[part], found.asked[part]
     t = (np.arange(len(asked)) + part.start) / found.rate_hz
-    with style():
-        figure, axes = new_axes(5.0, (1.0, 1.0, 1.0))
-        axes[0].plot(t, rows["current"], color=MEASURED, label="measured")
-        axes[0].plot(t, asked, "--", color=INK, label="asked", linewidth=0.8)
-        axes[1].plot(t, 1e3 * rows["base"], color=SERIES[1])
-        axes[2].plot(t, 1e3 * rows["laser"], color=SERIES[2])
-        _panes(axes, "current (A)", "base (mm)", "superior (mm)", x="time (s)")
-        columns = {"time (s)": t, "asked": asked, **{name: rows[name] for name in ("current", "base", "laser")}}
-        return Drawn("played", figure, "Around the largest sample.", [Line("played", columns)])
+    figure, axes = new_axes(5.0, (1.0, 1.0, 1.0))
+    axes[0].plot(t, rows["current"], color=MEASURED, label="measured")
+    axes[0].plot(t, asked, "--", color=INK, label="asked", linewidth=0.8)
+    axes[1].plot(t, 1e3 * rows["base"], color=SERIES[1])
+    axes[2].plot(t, 1e3 * rows["laser"], color=SERIES[2])
+    _panes(axes, "current (A)", "base (mm)", "superior (mm)", x="time (s)")
+    columns = {"time (s)": t, "asked": asked, **{name: rows[name] for name in ("current", "base", "laser")}}
+    return Drawn("played", figure, "Around the largest sample.", [Line("played", columns)])
 
 
 def _frf(found: Frf, unit: str) -> Told:
@@ -280,16 +271,15 @@ def _frf(found: Frf, unit: str) -> Told:
 def _draw_frf(found: Frf, unit: str) -> Drawn:
     lines = found.excited
     f, h, u = found.frequency_hz[lines], np.abs(found.h1[lines]), found.u_relative[lines]
-    with style():
-        figure, axes = new_axes(5.2, (2.0, 1.0, 1.0))
-        axes[0].fill_between(f, h * np.maximum(1.0 - 2.0 * u, 1e-3), h * (1.0 + 2.0 * u), color=GRID, label="± 2u")
-        axes[0].semilogy(f, h, color=MEASURED, label="H1", linewidth=0.8)
-        axes[1].plot(f, np.degrees(np.angle(found.h1[lines])), ".", color=MEASURED, markersize=2)
-        axes[2].plot(f, found.coherence[lines], color=MEASURED, linewidth=0.8)
-        axes[2].set_ylim(0.0, 1.05)
-        _panes(axes, f"|H| ({unit})", "phase (°)", "coherence", x="frequency (Hz)")
-        columns = {"frequency (Hz)": f, "|H|": h, "u relative": u, "coherence": found.coherence[lines]}
-        return Drawn("frf", figure, "Frequency response, its uncertainty, and coherence.", [Line("frf", columns)])
+    figure, axes = new_axes(5.2, (2.0, 1.0, 1.0))
+    axes[0].fill_between(f, h * np.maximum(1.0 - 2.0 * u, 1e-3), h * (1.0 + 2.0 * u), color=GRID, label="± 2u")
+    axes[0].semilogy(f, h, color=MEASURED, label="H1", linewidth=0.8)
+    axes[1].plot(f, np.degrees(np.angle(found.h1[lines])), ".", color=MEASURED, markersize=2)
+    axes[2].plot(f, found.coherence[lines], color=MEASURED, linewidth=0.8)
+    axes[2].set_ylim(0.0, 1.05)
+    _panes(axes, f"|H| ({unit})", "phase (°)", "coherence", x="frequency (Hz)")
+    columns = {"frequency (Hz)": f, "|H|": h, "u relative": u, "coherence": found.coherence[lines]}
+    return Drawn("frf", figure, "Frequency response, its uncertainty, and coherence.", [Line("frf", columns)])
 
 
 _TELLERS: Mapping[type, Callable[[Any, str], Told]] = {

@@ -31,7 +31,7 @@ from impact_rig.blocks import Table
 from impact_rig.campaign.axes import NO_SPHERE, gap_values
 from impact_rig.campaign.plan import RESET
 from impact_rig.campaign.results import Curves, Point
-from impact_rig.drawing import MEASURED, MUTED, PREDICTED, WIDE_INCH, Drawn, Line, style
+from impact_rig.drawing import MEASURED, MUTED, PREDICTED, WIDE_INCH, Drawn, Line, new_axes, style
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.physics import Simulation
 from impact_rig.recording import CONFIGURATION, Run
@@ -367,12 +367,7 @@ TRACED_CYCLES = 6
 @style()
 def drawn(found: Comparison, name: str) -> Drawn:
     """Draw a comparison of the run of this name."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415  # heavy: only when something is drawn
-    from matplotlib.figure import Figure  # noqa: PLC0415  # as above
-
-    figure = Figure(figsize=(WIDE_INCH, 7.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    apart, traces, lines = figure.subplots(3, 1)
+    figure, (apart, traces, lines) = new_axes(7.5, (1.0, 1.0, 1.0), WIDE_INCH, share=False)
     rate, drive = found.excerpt.rate_hz, found.excerpt.drive_hz
     numbers: list[Line] = []
     apart.axhspan(-2.0, 2.0, color=MUTED, alpha=0.15, linewidth=0.0)
