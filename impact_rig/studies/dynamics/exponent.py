@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impact_rig.studies.dynamics.orbits import Real
+from impact_rig.analysis.calibration import Real
 
 APART = 1e-7  # distance of the two states at the beginning of a return, in dimensionless coordinates
 _OUT_OF_SIGHT = 64  # returns in a row after which a motion is never seen whole

@@ -28,7 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-Real = NDArray[np.float64]
+from impact_rig.analysis.calibration import Real
+
 Map = Callable[[Real, float], Real]
 
 STEP = 1e-6  # of the differences: cut off like its square, rounding and the contacts' tolerance like its reciprocal
@@ -69,6 +70,10 @@ class Orbit:
         if self.stable:
             return LASTING
         return TORUS if abs(largest.imag) > NEUTRAL else FOLD if largest.real > 0.0 else FLIP
+
+    def towards(self, direction: Real) -> Orbit:
+        """Return it with its tangent, of two, the one along a direction (z, p), shape (n + 1,)."""
+        return self if float(self.tangent @ direction) >= 0.0 else attrs.evolve(self, tangent=-self.tangent)
 
 
 @attrs.frozen(eq=False)
@@ -132,14 +137,11 @@ def followed(
     """
     orbits: list[Orbit] = []
     changes: list[Change] = []
-    here, length, first = start, longest / 4.0, start.z
-    if way * here.tangent[-1] < 0.0:
-        here = attrs.evolve(here, tangent=-here.tangent)
+    here, length, first = start.towards(np.append(np.zeros(len(start.z)), way)), longest / 4.0, start.z
     while len(orbits) < points:
         guess = np.append(here.z, here.p) + length * here.tangent
         new = _corrected(f, guess[:-1], float(guess[-1]), here.tangent)
-        if new is not None and float(new.tangent @ here.tangent) < 0.0:
-            new = attrs.evolve(new, tangent=-new.tangent)
+        new = new and new.towards(here.tangent)
         if new is None or float(new.tangent @ here.tangent) < _TURN:
             length *= 0.5
             if length < _GIVEN_UP:
@@ -150,8 +152,7 @@ def followed(
             share = (edge - here.p) / (new.p - here.p)
             last = orbit(f, here.z + share * (new.z - here.z), edge)
             if last is not None:
-                if float(last.tangent @ here.tangent) < 0.0:
-                    last = attrs.evolve(last, tangent=-last.tangent)
+                last = last.towards(here.tangent)
                 changes += [attrs.evolve(one, note=noted(one.orbit)) for one in _changes(f, here, last)]
                 orbits.append(attrs.evolve(last, note=noted(last)))
             return Arc(tuple(orbits), tuple(changes), "edge")
@@ -165,8 +166,7 @@ def followed(
             told = _told(f, np.append(secant[1], new.p))
             if told is None:
                 return Arc(tuple(orbits), tuple(changes), "lost")
-            along = np.append(secant[1] - secant[0], new.p - here.p)
-            new = told if float(told.tangent @ along) > 0.0 else attrs.evolve(told, tangent=-told.tangent)
+            new = told.towards(np.append(secant[1] - secant[0], new.p - here.p))
         here, length = new, min(longest, _GROWTH * length)
     return Arc(tuple(orbits), tuple(changes), "length")
 
@@ -273,7 +273,7 @@ def _zero(f: Map, here: Orbit, new: Orbit, test: Callable[[Orbit, Real], float])
         if one is None:
             raise ArithmeticError
         found = one
-        return test(found, found.tangent if float(found.tangent @ whole) > 0.0 else -found.tangent)
+        return test(found, found.towards(whole).tangent)
 
     try:
         brentq(value, 0.0, 1.0, xtol=_LOCATED)

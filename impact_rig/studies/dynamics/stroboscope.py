@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig.analysis.calibration import Real
 from impact_rig.errors import ConfigError, SimulationError
 from impact_rig.maps.measure import MapRig, Reading
 from impact_rig.maps.plan import CURRENT, FREQUENCY, GAP
@@ -25,7 +26,6 @@ from impact_rig.physics import SEGMENT, Motion, Simulation
 from impact_rig.physics.linear import constants
 from impact_rig.physics.model import Model, build
 from impact_rig.rig.config import RigConfig, from_flat
-from impact_rig.studies.dynamics.orbits import Real
 
 COORDINATES = {"prescribed": (0, 1, 5, 6), "current": (0, 1, 2, 3, 5, 6), "voltage": (0, 1, 2, 3, 4, 5, 6)}
 """Places of the coordinates in `Simulation.state`, by kind of drive."""

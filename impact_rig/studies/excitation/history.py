@@ -17,11 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from impact_rig.analysis.calibration import Complex, Real
 from impact_rig.operate.hardware import Exchange, Hardware
 from impact_rig.studies.excitation.response import PSEUDO, Excitation, Response
 
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 WORSE = 1.2  # a trial this much worse than the best ends the learning: lines on which H was estimated badly only grow
 
 FRAMES = 3  # of the identification; one more goes ahead

@@ -13,14 +13,13 @@ from collections.abc import Iterator
 
 import attrs
 import numpy as np
-from numpy.typing import NDArray
 from scipy import signal, stats
 
+from impact_rig.analysis.calibration import Real
 from impact_rig.errors import CommandError
 from impact_rig.operate.hardware import Exchange, Hardware
 from impact_rig.studies.excitation.response import Response
 
-Real = NDArray[np.float64]
 MOST_STEP_DB = 6.0  # by which a line of the drive changes in one loop, at most
 LEAST_DRIVE_DB = -60.0  # of a line below the strongest, at the least: a line that answers to nothing is not driven away
 

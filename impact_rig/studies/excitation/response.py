@@ -17,14 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from impact_rig.analysis.calibration import Calibration
+from impact_rig.analysis.calibration import Calibration, Real
 from impact_rig.analysis.frf import Frf, frf
 from impact_rig.analysis.scans import CHANNELS
 from impact_rig.errors import ConfigError
 from impact_rig.operate.hardware import Exchange, Hardware
 from impact_rig.system import budget
 
-Real = NDArray[np.float64]
 BURST, PSEUDO, CHIRP = KINDS = ("burst_random", "pseudo_random", "chirp")
 
 

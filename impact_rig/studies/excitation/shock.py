@@ -18,13 +18,11 @@ from collections.abc import Iterator
 
 import attrs
 import numpy as np
-from numpy.typing import NDArray
 from scipy import signal
 
+from impact_rig.analysis.calibration import Real
 from impact_rig.operate.hardware import Hardware
 from impact_rig.studies.excitation.history import Replicated, ReplicatePlan, replicate
-
-Real = NDArray[np.float64]
 
 
 @attrs.frozen(kw_only=True)
