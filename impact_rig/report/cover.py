@@ -100,7 +100,7 @@ def _key_figures(done: Finished, content: Content) -> list[tuple[str, str]]:
 
 def apparatus(done: Finished, content: Content) -> Iterator[str]:
     """Yield the drawn set-up, its constants, and the instruments with their calibration."""
-    yield content.figures(iter([set_up()]))
+    yield content.figures([set_up()])
     yield heading("Constants of the rig")
     yield content.table("constants", ["symbol", "value", "unit", "meaning"], _constants(done), [1])
     yield heading("Instruments and their calibration")
@@ -186,7 +186,7 @@ SYMBOL = 9.5  # type size of symbols
 
 
 def set_up() -> Drawn:
-    """Draw the rig as the paper describes it; to be called within `drawing.style.style`."""
+    """Draw the rig as the paper describes it; to be called within `drawing.style`."""
     figure, (axis,) = new_axes(WIDTH_INCH * HEIGHT / WIDTH)
     axis.set(xlim=(0.0, WIDTH), ylim=(0.0, HEIGHT), aspect="equal")
     axis.axis("off")

@@ -8,7 +8,6 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import attrs
 import numpy as np
@@ -23,7 +22,7 @@ from impact_rig.maps.measure import CHUNK, FAILED, MapRig, Reading, Settings
 from impact_rig.maps.plan import BOTH, CURRENT, DOWN, FREQUENCY, GAP, POSITION, RESET, SPEED, UP, Line, refuse_owned
 from impact_rig.rig.config import RigConfig, differences, from_flat, to_flat
 from impact_rig.studies.dynamics import exponent, orbits
-from impact_rig.studies.dynamics.stroboscope import Energy, Place, Properties, Stroboscope, at, size
+from impact_rig.studies.dynamics.stroboscope import Energy, Note, Place, Properties, Stroboscope, at, size
 
 SECTION, BIFURCATION, BASIN, ORBIT, CONTINUE, EXPONENT = KINDS = (
     "section", "bifurcation", "basin", "orbit", "continue", "exponent",
@@ -52,14 +51,6 @@ _SAME = 1e-4  # of the size: orbits as near are one
 _MOST_CYCLES = 1200  # of a motion in a basin before it is measured at length
 
 Start = str | tuple[float, float]
-
-
-class Note(NamedTuple):
-    """What an orbit does, after how many cycles it repeats, and the section of its coordinates [turns]."""
-
-    properties: Properties
-    cycles: int
-    turn: float
 
 
 @attrs.frozen(kw_only=True)
@@ -344,7 +335,7 @@ def _orbit(task: Task, start: Start) -> list[Row]:
     if found is None:
         return []
     strobe, one = found
-    return [_row(one, _noted(strobe)(one), 1.0, one.kind)]
+    return [_row(one, strobe.note(one), 1.0, one.kind)]
 
 
 def _continue(task: Task, over: str, low: float, high: float, value: float, start: Start, points: int) -> list[Row]:
@@ -353,13 +344,13 @@ def _continue(task: Task, over: str, low: float, high: float, value: float, star
     if found is None:
         return []
     strobe, first = found
-    noted, turn = _noted(strobe), strobe.turn
-    here = _row(first, noted(first), unit, "start")
+    turn = strobe.turn
+    here = _row(first, strobe.note(first), unit, "start")
     rows: list[Row] = []
     for way in (-1.0, 1.0):
         strobe.turn = turn
         arc = orbits.followed(
-            strobe, first, way, (low / unit, high / unit), points=points, noted=noted, moved=strobe.moved
+            strobe, first, way, (low / unit, high / unit), points=points, noted=strobe.note, moved=strobe.moved
         )
         half = [_row(one, one.note, unit, "orbit") for one in arc.orbits]
         half += [_row(one.orbit, one.note, unit, one.kind) for one in arc.changes]
@@ -385,10 +376,6 @@ def _found(task: Task, over: str, value: float, start: Start, unit: float) -> tu
         return None
     one = orbits.orbit(strobe, z, value / unit)
     return None if one is None else (strobe, one)
-
-
-def _noted(strobe: Stroboscope) -> Callable[[orbits.Orbit], Note]:
-    return lambda one: Note(strobe.properties(one.z, one.p), strobe.cycles, strobe.turn)
 
 
 def _row(one: orbits.Orbit, note: object, unit: float, event: str) -> Row:

@@ -26,6 +26,7 @@ from impact_rig.physics import SEGMENT, Motion, Simulation
 from impact_rig.physics.linear import constants
 from impact_rig.physics.model import Model, build
 from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.studies.dynamics.orbits import Orbit
 
 COORDINATES = {"prescribed": (0, 1, 5, 6), "current": (0, 1, 2, 3, 5, 6), "voltage": (0, 1, 2, 3, 4, 5, 6)}
 """Places of the coordinates in `Simulation.state`, by kind of drive."""
@@ -69,6 +70,14 @@ class Properties(NamedTuple):
     energy: Energy  # per cycle
 
 
+class Note(NamedTuple):
+    """What an orbit does, after how many cycles it repeats, and the section of its coordinates [turns]."""
+
+    properties: Properties
+    cycles: int
+    turn: float
+
+
 class Stroboscope:
     """The map of a rig along one parameter, in dimensionless coordinates.
 
@@ -93,10 +102,6 @@ class Stroboscope:
         self._simulation = Simulation(place.config, model=self._model)
         self._found = functools.lru_cache(maxsize=8)(self._find)
 
-    def place(self, p: float) -> Place:
-        """Return the rig and its drive at a value of the dimensionless parameter."""
-        return self._found(p)[0]
-
     def _find(self, p: float) -> tuple[Place, Model]:
         """Return the place and its model; a change of the drive alone changes no model."""
         place = at(self._place, self._over, p * self._unit)
@@ -113,11 +118,12 @@ class Stroboscope:
 
     def seen(self, rig: MapRig, p: float, reading: Reading) -> Real:
         """Return the coordinates of a settled motion, and choose scale and section for it; it has gone on then."""
-        _, frequency, amplitude = self.place(p)
+        place, _ = self._found(p)
+        frequency, amplitude = place.frequency_hz, place.amplitude
         self.cycles = int(reading.period) if math.isfinite(reading.period) else 1
         self._quiet = not reading.impacts_per_cycle
         if self._quiet:  # without impacts it does not matter where the sphere is, and without friction not how fast
-            sphere = self.place(p).config.sphere
+            sphere = place.config.sphere
             left_out = SPHERE[:1] if sphere.present and sphere.guide_friction > 0.0 else SPHERE
             self._free = [i for i in self._free if i not in left_out]
         motion = rig.advance(frequency, amplitude, self.cycles)
@@ -130,7 +136,7 @@ class Stroboscope:
             raise SimulationError("the sphere is never free of the walls: there is no section")
         d, rate = state[list(SPHERE)]
         self._aside = d if rate else 0.0  # one that is held may lie at a wall, where its neighbours would strike
-        self.scale = size(self.place(p), state)[self._free]
+        self.scale = size(place, state)[self._free]
         return state[self._free] / self.scale
 
     def moved(self, points: Sequence[tuple[Real, float]]) -> list[Real] | None:
@@ -145,6 +151,10 @@ class Stroboscope:
             self.turn = old
             found.append(self._moved(z, p, turn))
         return found
+
+    def note(self, one: Orbit) -> Note:
+        """Return what an orbit does that stands in the coordinates of now."""
+        return Note(self.properties(one.z, one.p), self.cycles, self.turn)
 
     def properties(self, z: Real, p: float) -> Properties:
         """Return what the orbit through z does."""

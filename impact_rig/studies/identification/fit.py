@@ -113,10 +113,6 @@ class Information:
         """Return whether the data determine a parameter by itself."""
         return bool(self.u_relative[self.names.index(name)] <= DETERMINED)
 
-    def unknown(self) -> list[Combination]:
-        """Return the combinations that the data do not determine."""
-        return [combination for combination in self.combinations if not combination.determined]
-
 
 def information(names: Sequence[str], jacobian: Real, nuisances: Real | None = None) -> Information:
     """Return what a whitened Jacobian says.
