@@ -321,13 +321,14 @@ def measured_line(gap_m: float, points: Sequence[Point]) -> Line:
 
 def figure_8(curves: Curves) -> Iterator[Drawn]:
     """Draw each gap beside the curve without sphere."""
+    without = curve(curves, NO_SPHERE)
     for letter, gap in zip(FIGURE_8, REDUCTION_PERCENT, strict=True):
         points = curve(curves, gap)
         if not points:
             continue
         figure, (axis,) = new_axes(2.9)
-        if curve(curves, NO_SPHERE):
-            _errorbar(axis, curve(curves, NO_SPHERE), colour(NO_SPHERE), "--", label="no sphere")
+        if without:
+            _errorbar(axis, without, colour(NO_SPHERE), "--", label="no sphere")
         _errorbar(axis, points, colour(gap), "-", label=f"gap {gap * 1e3:g} mm")
         wanted = papers_dt(curves, gap)
         if wanted is not None:
@@ -335,7 +336,7 @@ def figure_8(curves: Curves) -> Iterator[Drawn]:
             axis.plot(FREQUENCY_HZ, wanted, "D", color=PAPER_RED, markerfacecolor="none", markersize=6.0, label=label)
         axis.set(xlabel="frequency (Hz)", ylabel="transmissibility", title=f"Gap {gap * 1e3:g} mm", ylim=(0.0, None))
         axis.legend(loc="upper left")
-        lines = [measured_line(one, curve(curves, one)) for one in (NO_SPHERE, gap) if curve(curves, one)]
+        lines = [measured_line(at, one) for at, one in ((NO_SPHERE, without), (gap, points)) if one]
         yield Drawn(f"fig8{letter}_gap_{gap * 1e3:g}mm", figure, f"Gap {gap * 1e3:g} mm (Fig. 8{letter}).", lines)
 
 
@@ -400,13 +401,12 @@ def damper_by_frequency(curves: Curves, calibration: Calibration) -> Iterator[Dr
 
 def amplitudes(curves: Curves) -> Iterator[Drawn]:
     """Draw the amplitudes of both bases over frequency: the damper works by raising the inferior one."""
-    cases = [gap for gap in (NO_SPHERE, *REDUCTION_PERCENT) if curve(curves, gap)]
+    cases = {gap: points for gap in (NO_SPHERE, *REDUCTION_PERCENT) if (points := curve(curves, gap))}
     if not cases:
         return
     figure, (upper, lower) = new_axes(4.8, (1.0, 1.0))
     lines: list[Line] = []
-    for gap in cases:
-        points = curve(curves, gap)
+    for gap, points in cases.items():
         frequency = [p.frequency_hz for p in points]
         dash = "--" if gap == NO_SPHERE else "-"
         columns = {"superior_base_mm": [p.laser_m * 1e3 for p in points], "base_um": [p.base_m * 1e6 for p in points]}
@@ -428,7 +428,7 @@ def amplitudes(curves: Curves) -> Iterator[Drawn]:
 
 def regime_map(curves: Curves) -> Iterator[Drawn]:
     """Draw, for each gap and frequency, what the response does and how often the sphere strikes."""
-    cases = [gap for gap in REDUCTION_PERCENT if curve(curves, gap)]
+    cases = {gap: points for gap in REDUCTION_PERCENT if (points := curve(curves, gap))}
     if not cases:
         return
     figure, (axis,) = new_axes(0.55 + 0.36 * (len(cases) + 2))
@@ -451,12 +451,8 @@ def regime_map(curves: Curves) -> Iterator[Drawn]:
     legend_below(axis, 4)
     caption = "Regime map: what the response does from cycle to cycle, and impacts per cycle, from the accelerometer."
     lines = [
-        Line(
-            case(gap),
-            {"frequency_hz": [p.frequency_hz for p in one], "impacts_per_cycle": [p.impacts_per_cycle for p in one]},
-        )
-        for gap in cases
-        if (one := curve(curves, gap))
+        Line(case(gap), {name: [getattr(p, name) for p in one] for name in ("frequency_hz", "impacts_per_cycle")})
+        for gap, one in cases.items()
     ]
     yield Drawn("regimes", figure, caption, lines)
 
