@@ -64,13 +64,8 @@ class AckWindow:
         self._published = 0
         self._stamps: list[int] = []  # of the newest blocks; the last one is number self._published
         self._readers: dict[str, _Reader] = {}
-        self._peers: tuple[str, ...] = ()
+        self.peers: tuple[str, ...] = ()  # changed by `set_peers`
         self.set_peers(peers)
-
-    @property
-    def peers(self) -> tuple[str, ...]:
-        """Names of the peers."""
-        return self._peers
 
     @property
     def readers(self) -> tuple[str, ...]:
@@ -84,11 +79,11 @@ class AckWindow:
 
     def set_peers(self, peers: Iterable[str]) -> None:
         """Change the peers; new ones owe nothing of what is already out."""
-        before, self._peers = self._peers, tuple(peers)
-        for name in set(self._peers).difference(before):
+        before, self.peers = self.peers, tuple(peers)
+        for name in set(self.peers).difference(before):
             reader = self._readers.setdefault(name, _Reader(self._published, self._clock()))
             reader.forgiven, reader.heard_ns, reader.waived = self._published, self._clock(), False
-        for name in set(self._readers).difference(self._peers):
+        for name in set(self._readers).difference(self.peers):
             if self._readers[name].acknowledged is None:
                 del self._readers[name]
 
@@ -125,7 +120,7 @@ class AckWindow:
 
     def outstanding(self) -> int:
         """Return how many blocks the slowest peer has not acknowledged."""
-        return max((self._owed(self._readers[name]) for name in self._peers), default=0)
+        return max((self._owed(self._readers[name]) for name in self.peers), default=0)
 
     def behind(self) -> dict[str, int]:
         """Return the blocks each reader has not acknowledged."""
@@ -138,7 +133,7 @@ class AckWindow:
     def silent(self) -> tuple[str, ...]:
         """Return the peers that owe an acknowledgement and said nothing for the timeout."""
         limit = self._clock() - self.timeout_ns
-        owing = (name for name in self._peers if self._owed(self._readers[name]) > 0)
+        owing = (name for name in self.peers if self._owed(self._readers[name]) > 0)
         return tuple(name for name in owing if self._readers[name].heard_ns < limit)
 
     def forgive(self, names: Iterable[str]) -> None:
@@ -156,23 +151,23 @@ class AckWindow:
         Where nobody else is followed, they are waited for after the next window: no rig runs away from all its peers.
         """
         silent = self.silent()
-        for name in silent if set(silent) != set(self._peers) else ():
+        for name in silent if set(silent) != set(self.peers) else ():
             self._readers[name].waived = True
-        self.forgive(self._peers)
+        self.forgive(self.peers)
 
     def waived(self) -> tuple[str, ...]:
         """Return the peers that are not waited for."""
-        return tuple(name for name in self._peers if self._readers[name].waived)
+        return tuple(name for name in self.peers if self._readers[name].waived)
 
     def excuse(self) -> None:
         """Restart every peer's timeout: this process itself was away, so their silence means nothing."""
-        for name in self._peers:
+        for name in self.peers:
             self._readers[name].heard_ns = self._clock()
 
     def forget(self, name: str) -> None:
         """Drop what is known of a reader that has left; a peer still owes what it has not acknowledged."""
         reader = self._readers.pop(name)
-        if name in self._peers:
+        if name in self.peers:
             self._readers[name] = _Reader(self._published - self._owed(reader), reader.heard_ns, waived=reader.waived)
 
     def _owed(self, reader: _Reader) -> int:

@@ -48,7 +48,7 @@ class Pacer:
 
     def __init__(self, clock: Clock, factor: float = 1.0, max_lag_ns: int = MAX_LAG_NS) -> None:
         self._clock = clock
-        self._factor = factor
+        self.factor = factor
         self._max_lag_ns = max_lag_ns
         self._origin_ns = clock()
         self._origin_rig_ns = 0
@@ -56,23 +56,18 @@ class Pacer:
         self.slips = 0  # how often the pacer was re-based because it had fallen behind
         self.slipped_ns = 0  # clock time given up by re-basing [ns]
 
-    @property
-    def factor(self) -> float:
-        """Seconds of rig time per second of clock."""
-        return self._factor
-
     def rebase(self, produced_ns: int, factor: float | None = None) -> None:
         """Make `produced_ns` of rig time due now: at the start, after a pause, when the factor changes."""
         self._origin_ns, self._origin_rig_ns = self._clock(), produced_ns
         if factor is not None:
-            self._factor = factor
+            self.factor = factor
 
     def due_ns(self, produced_ns: int) -> int:
         """Return the rig time that should have been produced by now; re-bases when `produced_ns` is too far behind."""
-        due = self._origin_rig_ns + int((self._clock() - self._origin_ns) * self._factor)
+        due = self._origin_rig_ns + int((self._clock() - self._origin_ns) * self.factor)
         if due - produced_ns > self._max_lag_ns:
             self.slips += 1
-            self.slipped_ns += int((due - produced_ns) / self._factor)
+            self.slipped_ns += int((due - produced_ns) / self.factor)
             self.rebase(produced_ns)
             return produced_ns
         return due
@@ -86,7 +81,7 @@ class Pacer:
         self._late_ms.append((self._clock() - self._deadline_ns(end_ns)) * 1e-6)
 
     def _deadline_ns(self, rig_ns: int) -> float:
-        return self._origin_ns + (rig_ns - self._origin_rig_ns) / self._factor
+        return self._origin_ns + (rig_ns - self._origin_rig_ns) / self.factor
 
     def lateness(self) -> Lateness | None:
         """Return the statistics of the last blocks, or None before the first."""

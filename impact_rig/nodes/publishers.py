@@ -8,7 +8,6 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any  # rclpy publishers
 
 from rclpy.duration import Duration
 from std_msgs.msg import String
@@ -115,8 +114,7 @@ class Publishers:
         depth = max(kept, math.ceil(LEAST_S * per_second), LEAST_BLOCKS)
         fitted = {instrument.name for instrument in config.instruments.fitted()}
         absent = [topic for name, topic in MONITORS.items() if name not in fitted]
-        self._publishers = node.outputs
-        self._publishers |= {
+        node.outputs |= {
             t.name: node.publisher(t, depth if t in topics.BULKY else None)
             for t in PUBLISHED
             if t not in absent and (t is not topics.CLOCK or config.time.publishes_clock)
@@ -127,14 +125,9 @@ class Publishers:
         self._description = ""
         self._monitors: Monitors | None = None
 
-    @property
-    def scan(self) -> Any:
-        """The publisher of daq/scan."""
-        return self._publishers[topics.SCAN.name]
-
     def names(self) -> list[str]:
         """Return the topics that are published now, and that nobody else may publish."""
-        return [name for name in self._publishers if name != topics.ROBOT_DESCRIPTION.name]
+        return [name for name in self._node.outputs if name != topics.ROBOT_DESCRIPTION.name]
 
     def look(self, often: bool) -> None:
         """Look which topics anybody listens to, before blocks are published; unless `often`, once in `LOOK_S`."""
@@ -142,7 +135,9 @@ class Publishers:
         if now - self._looked_at < LOOK_S and not often:
             return
         self._looked_at = now
-        self._listened_to = {name for name, publisher in self._publishers.items() if publisher.get_subscription_count()}
+        self._listened_to = {
+            name for name, publisher in self._node.outputs.items() if publisher.get_subscription_count()
+        }
 
     def block(self, block: Block) -> None:
         """Publish a block: its tables, then the monitors; all are made before the first goes out.
@@ -165,11 +160,11 @@ class Publishers:
     def stream(self, rig: Rig) -> None:
         """Publish which sample is wanted next, where the drive is a stream."""
         if rig.takes_samples:
-            self._publishers[topics.STREAM.name].publish(codec.encode(rig.stream_state()))
+            self._node.send(topics.STREAM, codec.encode(rig.stream_state()))
 
     def clock(self, now_ns: int) -> None:
         """Publish rig time, by a publisher made when first wanted: a clock must be offered by one node alone."""
-        if topics.CLOCK.name not in self._publishers:
+        if topics.CLOCK.name not in self._node.outputs:
             self._node.offer(topics.CLOCK)
         self._node.send(topics.CLOCK, messages.CLOCK.render(now_ns))
 
@@ -178,7 +173,7 @@ class Publishers:
         changed = False
         for topic, tables in ((topics.JOURNAL, rig.take_journal()), (topics.APPLIED, rig.take_applied())):
             for table in tables:
-                self._publishers[topic.name].publish(codec.encode(table))
+                self._node.send(topic, codec.encode(table))
             if tables:
                 self._settle(topic)
                 changed = True
@@ -207,7 +202,7 @@ class Publishers:
     def settle_history(self) -> None:
         """Wait until subscribers that have just come have what was published before."""
         for topic in (topics.INFO, topics.APPLIED, topics.JOURNAL):
-            self._publishers[topic.name].wait_for_all_acked(DELIVERY)
+            self._node.outputs[topic.name].wait_for_all_acked(DELIVERY)
 
     def forget(self) -> None:
         """Publish the calibration again when next asked: a new rig begins."""
@@ -221,4 +216,4 @@ class Publishers:
         other modes that is many blocks, and results would depend on it.
         """
         if self._node.settings.time.mode != "realtime":
-            self._publishers[topic.name].wait_for_all_acked(DELIVERY)
+            self._node.outputs[topic.name].wait_for_all_acked(DELIVERY)

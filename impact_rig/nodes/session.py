@@ -266,7 +266,7 @@ class Session:
         timing = self.node.settings.time
         self.publishers.forget()
         self.duplicates = DuplicatePublishers(self.node, self.publishers.names)
-        self.readers = Readers(self.node, self.publishers.scan)
+        self.readers = Readers(self.node, self.node.outputs[topics.SCAN.name])
         self.readers.expect(timing.peers)
         if self.is_realtime and timing.peers:
             names = ", ".join(self.readers.missing())
