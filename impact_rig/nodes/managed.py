@@ -54,10 +54,6 @@ class Refusals:
         self.counts[reason] += 1
         self.last[reason] = message
 
-    def total(self) -> int:
-        """Return the number of all refusals."""
-        return sum(self.counts.values())
-
 
 def guarded(callback: Callable[..., Any], report: Report) -> Callable[..., Any]:
     """Return `callback` with its exceptions reported instead of raised, and its arguments as `with_info` has them."""

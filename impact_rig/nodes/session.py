@@ -335,12 +335,16 @@ class Session:
         Raises:
             CommandError: there is none, and why.
         """
-        if self.rig is not None:
-            return self.rig
+        if self.rig is None:
+            raise CommandError(self.why_not())
+        return self.rig
+
+    def why_not(self) -> str:
+        """Return why there is no rig."""
         obstacle = self.obstacle()
         if obstacle is not None:
-            raise CommandError(f"the rig has not begun, {obstacle.reason}")
-        raise CommandError(f"the rig is {self.node.state}, activate it first")
+            return f"the rig has not begun, {obstacle.reason}"
+        return f"the rig is {self.node.state}, activate it first"
 
     # Work
 
@@ -554,10 +558,7 @@ class Session:
 
     def _on_command(self, name: str, key: str, message: Float64, info: Mapping[str, Any]) -> None:
         if self.rig is None:
-            try:
-                self.running()
-            except CommandError as error:
-                self.node.refuse("inactive", f"{name}: {error}")
+            self.node.refuse("inactive", f"{name}: {self.why_not()}")
             return
         was_driven = self.rig.amplitude != 0.0
         try:
@@ -572,10 +573,9 @@ class Session:
             self.node.report_change()
 
     def _on_waveform(self, table: Table) -> None:
-        try:
-            rig = self.running()
-        except CommandError as error:
-            self.node.refuse("inactive", f"{topics.WAVEFORM.name}: {error}")
+        rig = self.rig
+        if rig is None:
+            self.node.refuse("inactive", f"{topics.WAVEFORM.name}: {self.why_not()}")
             return
         try:
             rig.feed(rig.sample_at(table.stamp_ns), table.rows["value"])

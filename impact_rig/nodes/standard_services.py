@@ -75,13 +75,6 @@ class StandardServices:
         """Return what answers once a pause or a step is over."""
         return lambda success, message: tell(*((self._messages.Result.RESULT_OK, "") if success else (failed, message)))
 
-    def _tell_why_not(self, tell: Tell, code: int) -> None:
-        """Tell why there is no rig."""
-        try:
-            self._session.running()
-        except CommandError as error:
-            tell(code, str(error))
-
     def _state(self) -> int:
         states, rig = self._messages.SimulationState, self._session.rig
         if self._node.quitting or self._node.state == "finalized":
@@ -114,7 +107,7 @@ class StandardServices:
             self._node.quitting = True
             tell(codes.RESULT_OK, "")
         elif rig is None:
-            self._tell_why_not(tell, response.STATE_TRANSITION_ERROR)
+            tell(response.STATE_TRANSITION_ERROR, self._session.why_not())
         elif wanted == states.STATE_PLAYING and self._session.is_stepped:
             tell(response.STATE_TRANSITION_ERROR, "time.mode is stepped: the rig moves by steps only")
         elif wanted == states.STATE_PLAYING:
@@ -143,9 +136,8 @@ class StandardServices:
 
     def _step_simulation(self, request: Any, _response: Any, tell: Tell) -> None:
         failed = self._messages.Result.RESULT_OPERATION_FAILED
-        if self._session.rig is None:
-            self._tell_why_not(tell, failed)
-        elif self._state() != self._messages.SimulationState.STATE_PAUSED:
+        self._session.running()
+        if self._state() != self._messages.SimulationState.STATE_PAUSED:
             tell(failed, "a step needs the state PAUSED")
         else:
             self._session.step(request.steps, self._done(tell, failed))

@@ -210,12 +210,12 @@ def test_a_service_is_taken_or_refused_with_a_message_as_the_page_says(
     situated, situation: Situation, row: services.Input
 ) -> None:
     client, node = situated
-    before = node.refusals.total()
+    before = node.refusals.counts.total()
     kind, request = (SetBool, SetBool.Request(data=True)) if row.name == "~/pause" else (Trigger, Trigger.Request())
     answer = client.call(kind, f"rig/{row.name[2:]}", request)
     assert answer.success == (situation in row.taken), answer.message
     assert answer.message
-    assert node.refusals.total() - before == (not answer.success), "each refusal is counted"
+    assert node.refusals.counts.total() - before == (not answer.success), "each refusal is counted"
     if not answer.success:
         assert node.refusals.last[row.name[2:]] == answer.message
 
@@ -224,15 +224,15 @@ def test_a_service_is_taken_or_refused_with_a_message_as_the_page_says(
 @pytest.mark.parametrize("row", services.COMMANDS, ids=lambda row: row.name)
 def test_a_command_is_taken_or_refused_as_the_page_says(situated, situation: Situation, row: services.Input) -> None:
     client, node = situated
-    before, applied = node.refusals.total(), len(client.applied)
+    before, applied = node.refusals.counts.total(), len(client.applied)
     client.publish(by_name(row.name), Float64(data=10.0))
 
     def taken() -> bool:
         return any(table.rows[row.name[7:]][0] == 10.0 for table in client.applied.tables(applied))
 
-    client.wait_until(lambda: node.refusals.total() > before or taken(), "an answer")
+    client.wait_until(lambda: node.refusals.counts.total() > before or taken(), "an answer")
     assert taken() == (situation in row.taken)
-    assert node.refusals.total() - before == (situation not in row.taken)
+    assert node.refusals.counts.total() - before == (situation not in row.taken)
 
 
 @pytest.mark.parametrize("situation", Situation)

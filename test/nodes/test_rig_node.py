@@ -27,7 +27,7 @@ def test_a_rig_with_a_bad_value_refuses_to_configure_and_says_why(client: Client
     assert "barriers.gap_m must be >= 1e-06 and <= 1, got 6" in client.status("rig").message
     assert client.state("rig") == "unconfigured"
     assert not client.change_state("rig", "configure")
-    assert node.refusals.total() == 0
+    assert node.refusals.counts.total() == 0
 
 
 def test_reset_begins_a_new_journal_and_stamps_go_on(client: Client) -> None:

@@ -34,7 +34,7 @@ def test_hostile_commands_are_refused_counted_and_change_nothing(client: Client)
         client.publish(topics.FREQUENCY, Float64(data=value))
     for value in (math.nan, -0.001, 30.0):
         client.publish(topics.CURRENT, Float64(data=value))
-    client.wait_until(lambda: node.refusals.total() == len(bad) + 3, "all refusals")
+    client.wait_until(lambda: node.refusals.counts.total() == len(bad) + 3, "all refusals")
     assert node.refusals.counts == {"shaker/frequency": len(bad), "shaker/current": 3}
     assert "200.1" in node.refusals.last["shaker/frequency"]
     told = ("refused.shaker/frequency", str(len(bad)))

@@ -142,7 +142,7 @@ def test_a_paused_rig_is_stepped_block_by_block_and_stays_paused(client: Client,
         client.wait_until(lambda: len(scans) > before + 20, "it goes on")
     assert scans.lost() == 0
     assert same_as_resimulated(scans, journal) == len(scans)
-    assert node.refusals.total() == 0
+    assert node.refusals.counts.total() == 0
 
 
 def test_a_pause_holds_the_rest_of_a_step(client: Client) -> None:
