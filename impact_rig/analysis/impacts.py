@@ -13,6 +13,7 @@ where the pulse passes ONSET of its peak, less the sensor's lag: within 10 µs o
 
 from __future__ import annotations
 
+import bisect
 import math
 
 import attrs
@@ -92,16 +93,16 @@ class ImpactDetector:
         corner = min(settings.corner_hz, rate / 10.0)
         ring_time = max(settings.ring_time_s, RING_SCANS / rate)
         self._filter = _high_pass(corner, rate)
-        self._noise = max(float(calibration.noise[ACCELEROMETER]), 1e-9)
         decay, forget = math.exp(-1.0 / (ring_time * rate)), 1.0 / (RMS_TIME_S * rate)
         self._limits = np.array([
             settings.threshold_m_s2, settings.noise_factor, settings.ring_factor, decay, forget,
-            (float(calibration.lag[ACCELEROMETER]) - float(calibration.skew[ACCELEROMETER])) * rate,
         ])  # fmt: skip
         look_ahead = max(LOOK_AHEAD_SCANS, math.ceil(LOOK_AHEAD_S * rate))
-        self.behind = 2 * look_ahead + math.ceil(max(self._limits[5], 0.0))
-        """Scans after which an impact is known: its onset may lie before the crossing, and the sensor lags."""
         self._times = np.array([look_ahead, round(BLANK_S * rate), round(QUIET_RING_TIMES * ring_time * rate)])
+        self.behind = 0
+        """Scans after which an impact is known: its onset may lie before the crossing, and the sensor lags."""
+        self._sensors: list[tuple[float, float, float]] = []  # scan from which it holds, lag [scans], noise [m/s²]
+        self.recalibrate(-math.inf, calibration)
         self._history = np.zeros(HISTORY_MASK + 1)
         self._state = np.zeros(7)
         self._place = np.zeros(6, dtype=np.int64)
@@ -110,12 +111,35 @@ class ImpactDetector:
 
     def restart(self, scan: int) -> None:
         """Forget the past; the next sample is that of scan `scan`: at the start and after a gap in the stream."""
-        self._state[:] = (0.0, 0.0, self._noise**2, 0.0, 0.0, 0.0, 0.0)
+        noise = self._sensors[self._sensor_at(scan)][2]
+        self._state[:] = (0.0, 0.0, noise**2, 0.0, 0.0, 0.0, 0.0)
         self._place[:] = (scan, 0, 0, 1, 0, 0)
         self._history[:] = 0.0
 
+    def recalibrate(self, scan: float, calibration: Calibration) -> None:
+        """Take lag and noise of the accelerometer from a calibration of the same rate that acts from a scan on."""
+        noise = max(float(calibration.noise[ACCELEROMETER]), 1e-9)
+        lag = (float(calibration.lag[ACCELEROMETER]) - float(calibration.skew[ACCELEROMETER])) * self._rate
+        self._sensors.append((scan, lag, noise))
+        self._sensors.sort(key=lambda sensor: sensor[0])
+        self.behind = max(self.behind, int(2 * self._times[0]) + math.ceil(max(lag, 0.0)))
+
+    def _sensor_at(self, scan: float) -> int:
+        return bisect.bisect_right(self._sensors, scan, key=lambda sensor: sensor[0]) - 1
+
     def feed(self, acceleration: Real) -> NDArray[np.void]:
         """Return the impacts (`IMPACT`) in the next samples [m/s²], shape (n,): each LOOK_AHEAD_S after it happened."""
+        return self.timed(self.find(acceleration))
+
+    def timed(self, onsets: NDArray[np.void]) -> NDArray[np.void]:
+        """Return what `find` returned with the instants of touch, before the sensor's lag, for those of the onsets."""
+        impacts = onsets.copy()
+        for impact in impacts:
+            impact["scan"] -= self._sensors[self._sensor_at(impact["scan"])][1]
+        return impacts
+
+    def find(self, acceleration: Real) -> NDArray[np.void]:
+        """Return what `feed` does, with the scan at which the sensor shows the impact instead of that of the touch."""
         if self._rate < MIN_RATE_HZ:
             return NO_IMPACTS
         found: list[Real] = []
@@ -146,7 +170,7 @@ def _detect(
     swing that the ringing is measured by.
     """
     in_0, in_1, in_2, out_1, out_2 = coefficients
-    floor, noise_factor, ring_factor, decay, forget, delay = limits
+    floor, noise_factor, ring_factor, decay, forget = limits
     keep = 1.0 - forget
     most_quiet, most_ringing = keep + forget * RMS_CLIP, keep + forget * RMS_CLIP_RINGING
     look_ahead, blank_time, quiet_time = times
@@ -183,7 +207,7 @@ def _detect(
                 while k > peak_at - look_ahead and sign * history[(k - 1) & HISTORY_MASK] > level:
                     k -= 1
                 after, before = sign * history[k & HISTORY_MASK], sign * history[(k - 1) & HISTORY_MASK]
-                out[count, 0] = k - (after - level) / (after - before) - delay
+                out[count, 0] = k - (after - level) / (after - before)
                 out[count, 1], out[count, 2] = peak, sign
                 count += 1
                 ring = ring_factor * swing * decay ** (scan - peak_at)

@@ -112,7 +112,7 @@ class Tracker:
         self._gap_m = math.nan
         self._accumulator: Accumulator | None = None
         self._window = 0
-        self._impacts_ahead: list[NDArray[np.void]] = []
+        self._impacts_ahead: list[NDArray[np.void]] = []  # as `ImpactDetector.find` returns them
         self._struck = math.nan  # scan of the last impact before what was reported last
         self._placed = 0  # scan from which the label holds
         self._rows: list[Table] = []
@@ -147,6 +147,8 @@ class Tracker:
         # months after scan 0 the seconds since then are no longer exact to the nanosecond
         if same_rate and scan_index(start_ns, calibration.rate_hz, newest.start_ns) == 0:
             self._schedule(info.stamp_ns, calibration)
+            if not self._resets:
+                self._prepare_detector(info.stamp_ns, calibration)
         else:
             self._resets.append(_Reset(start_ns, calibration))
 
@@ -201,7 +203,7 @@ class Tracker:
         buffer = self._buffer
         buffer.append(rows, self._added)
         self.counters.scans += len(rows)
-        found = self._detector.feed(buffer.samples[0, buffer.column(index) : buffer.column(buffer.end)])
+        found = self._detector.find(buffer.samples[0, buffer.column(index) : buffer.column(buffer.end)])
         if len(found):
             impacts = self._impacts(found)
         until = buffer.end - self._hold
@@ -264,6 +266,14 @@ class Tracker:
         self._detector = ImpactDetector(reset.calibration, self._impact_settings)
         wanted = math.ceil(self._settings.hold_s * reset.calibration.rate_hz)
         self._hold = max(MIN_HOLD_SCANS, self._detector.behind, wanted)
+        for time_ns, _, _, event in self._events:
+            if isinstance(event, Calibration):
+                self._prepare_detector(time_ns, event)
+
+    def _prepare_detector(self, time_ns: int, calibration: Calibration) -> None:
+        """Time impacts by a calibration from its instant on: the detector reaches that before `_apply` does."""
+        self._detector.recalibrate(first_scan_at(time_ns, calibration.rate_hz, self._start_ns), calibration)
+        self._hold = max(self._hold, self._detector.behind)
 
     def _begin_again(self, reset: _Reset) -> None:
         """Measure what came before a reset, and start anew with the scans after it that are held back already."""
@@ -287,7 +297,7 @@ class Tracker:
         self._struck, self._placed = math.nan, first
         self._detector.restart(first)
         self._impacts_ahead.clear()
-        found = self._detector.feed(buffer.samples[0, buffer.column(first) : buffer.column(buffer.end)])
+        found = self._detector.find(buffer.samples[0, buffer.column(first) : buffer.column(buffer.end)])
         if len(found):
             self._impacts_ahead.append(found)  # reported already
         self._begin(first, changed=True)
@@ -341,7 +351,7 @@ class Tracker:
                     return
                 self._interrupt(Status.LABEL_CHANGED)
                 self._gap_m = gap_m
-                self._pass_impacts(index)  # of the window that is broken off: they were of another gap
+                self._take_impacts(index)  # of the window that is broken off: they were of another gap
                 self._struck, self._placed = math.nan, index
             case Calibration():
                 self._interrupt(Status.CALIBRATION_CHANGED)
@@ -422,36 +432,34 @@ class Tracker:
         assert self._calibration is not None
         while until - self._origin >= self._calibration.rate_hz:
             self._origin += self._calibration.rate_hz
-            self._pass_impacts(self._origin)
+            self._take_impacts(self._origin)
             frequency = self._command.frequency_hz if self._command else math.nan
             self._emit(Measurement(status=Status.NO_FREQUENCY, frequency_hz=frequency), self._origin - 1)
-        self._pass_impacts(until)
+        self._take_impacts(until)
 
-    def _pass_impacts(self, before: int) -> None:
-        """Keep of the impacts before a scan when the last one was; those after it are of scans that are held back."""
-        impacts = joined([NO_IMPACTS, *self._impacts_ahead])
+    def _take_impacts(self, before: int) -> NDArray[np.void]:
+        """Return the impacts before a scan, and keep when the last was; those after it are of scans held back."""
+        onsets = joined([NO_IMPACTS, *self._impacts_ahead])
+        impacts = self._detector.timed(onsets)
         later = int(np.searchsorted(impacts["scan"], before))
-        self._impacts_ahead = [impacts[later:]] if later < len(impacts) else []
+        self._impacts_ahead = [onsets[later:]] if later < len(onsets) else []
         if later:
             self._struck = float(impacts["scan"][later - 1])
+        return impacts[:later]
 
     def _counted(self, window: Cycles, accumulator: Accumulator) -> Cycles:
         """Return the window with its impacts counted per cycle; impacts after it are kept."""
         assert self._calibration is not None
         if not counts_impacts(self._calibration):
             return window
-        impacts = joined([NO_IMPACTS, *self._impacts_ahead])
-        later = int(np.searchsorted(impacts["scan"], window.first[-1] + window.samples[-1]))
-        self._impacts_ahead = [impacts[later:]] if later < len(impacts) else []
-        if later:
-            self._struck = float(impacts["scan"][later - 1])
-        return counted(window, impacts[:later], accumulator.origin, accumulator.period)
+        impacts = self._take_impacts(int(window.first[-1] + window.samples[-1]))
+        return counted(window, impacts, accumulator.origin, accumulator.period)
 
     def _impacts(self, found: NDArray[np.void]) -> list[Table]:
         assert self._calibration is not None
         self.counters.impacts += len(found)
         self._impacts_ahead.append(found)
-        return impact_tables(found, self._calibration.rate_hz, self._start_ns)
+        return impact_tables(self._detector.timed(found), self._calibration.rate_hz, self._start_ns)
 
     def _interrupt(self, status: Status) -> None:
         """Say that a measurement under way ends here without a result."""
@@ -461,7 +469,7 @@ class Tracker:
                 self._refuse(status)
 
     def _refuse(self, status: Status) -> None:
-        self._pass_impacts(self._measured)
+        self._take_impacts(self._measured)
         frequency = self._command.frequency_hz if self._command else math.nan
         self._emit(Measurement(status=status, frequency_hz=frequency), self._measured - 1)
 

@@ -114,6 +114,22 @@ def test_noisier_sensors_raise_the_threshold_by_themselves():
     assert len(ImpactDetector(Calibration.from_info(info)).feed(noisy)) == 0
 
 
+def test_a_sensor_exchanged_in_mid_run_is_timed_and_judged_by_its_own_calibration():
+    """Lag and noise of the first accelerometer once stayed in force after a calibration."""
+    acceleration = background(1.0, FAST)
+    add_impacts(acceleration, FAST, [0.3, 0.8], [0.3, 0.3], [1, 1])
+    known, exchanged = detector(), detector()
+    info = info_rows(FAST)
+    info["lag"][0] += 100e-6
+    info["noise"][0] = 100.0
+    exchanged.recalibrate(FAST // 2, Calibration.from_info(info))
+    earlier = exchanged.feed(acceleration)["scan"] - known.feed(acceleration)["scan"]
+    assert earlier == pytest.approx([0.0, -5.0])
+    exchanged.restart(FAST)
+    exchanged.feed(np.zeros(10))
+    assert exchanged._state[2] == 100.0**2
+
+
 def test_results_do_not_depend_on_the_cut():
     times, speeds, signs = drawn_impacts(100, 2.0, seed=5)
     acceleration = background(2.0, FAST)

@@ -64,6 +64,35 @@ def test_a_label_and_a_command_of_one_instant_may_come_in_either_order():
     assert reasons == {"label_changed"}
 
 
+@pytest.mark.parametrize("late_ns", [0, 40_000_000])
+def test_impacts_are_timed_by_the_calibration_of_their_scans(late_ns):
+    """The detector once kept the lag of the accelerometer that the record began with."""
+    lag_s, changed_ns = 3e-3, round(2.003 * NS_PER_S)
+    rows, times = record(seconds=9.0), (np.arange(160) + 0.3) / 18.2
+    add_impacts(rows["accelerometer"], RATE, times, np.full(160, 0.4), np.resize([1, -1], 160))
+    info = info_rows(RATE, since_start=changed_ns / NS_PER_S)
+    info["lag"][0] += lag_s
+
+    def of(size, calibration):
+        made, found = tracker(gap_m=0.006), []
+        for table in blocks(rows, RATE, size):
+            if calibration is not None and table.stamp_ns >= changed_ns + late_ns - size * NS_PER_S // RATE:
+                made.configure(Table(changed_ns, calibration))
+            found.append(made.feed(table))
+        measured = [one for part in found for one in part.measurements]
+        struck = [
+            one.stamp_ns / NS_PER_S + float(row["time"]) for part in found for one in part.impacts for row in one.rows
+        ]
+        return measured, np.array(struck)
+
+    plain, changed, longer = of(20, None), of(20, info), of(100, info)
+    moved = plain[1] - changed[1]
+    assert moved[plain[1] < 2.0] == pytest.approx(0.0)
+    assert moved[plain[1] > 2.1] == pytest.approx(lag_s, abs=1e-6)
+    assert [one.rows.tobytes() for one in changed[0]] == [one.rows.tobytes() for one in longer[0]]
+    assert "ok" in words(changed[0])
+
+
 def test_a_command_later_than_that_is_counted():
     made = run_scenario(20, late_ns=200_000_000)[2]
     assert made.counters.late_events == 1
