@@ -97,6 +97,7 @@ class Tracker:
         self._info: tuple[int, bytes] | None = None
         self._resets: list[_Reset] = []
         self._start_ns = 0
+        self._rate = 0  # scans per second of the calibration
         self._hold = 0
         self._buffer = ScanBuffer()
         self._added = 0  # index of the next scan to add to the accumulator
@@ -238,8 +239,7 @@ class Tracker:
 
         Scans whose times are no such runs (another rate than `daq/info` says, or no numbers) count as lost.
         """
-        assert self._calibration is not None
-        rate = self._calibration.rate_hz
+        rate = self._rate
         if not ((np.abs(numbers) <= LONGEST_S * rate).all() and (np.diff(numbers) > 0).all()):
             self.counters.lost_scans += len(numbers)
             return NOTHING
@@ -263,6 +263,7 @@ class Tracker:
 
     def _use(self, reset: _Reset) -> None:
         self._start_ns, self._calibration = reset.start_ns, reset.calibration
+        self._rate = reset.calibration.rate_hz
         self._detector = ImpactDetector(reset.calibration, self._impact_settings)
         wanted = math.ceil(self._settings.hold_s * reset.calibration.rate_hz)
         self._hold = max(MIN_HOLD_SCANS, self._detector.behind, wanted)
@@ -277,9 +278,8 @@ class Tracker:
 
     def _begin_again(self, reset: _Reset) -> None:
         """Measure what came before a reset, and start anew with the scans after it that are held back already."""
-        assert self._calibration is not None
         buffer, end = self._buffer, self._buffer.end
-        cut = scan_index(reset.start_ns, self._calibration.rate_hz, self._start_ns)
+        cut = scan_index(reset.start_ns, self._rate, self._start_ns)
         if cut > end or not self._started:
             cut = end
         first = max(cut, self._measured)  # of the scans after the reset that are not measured yet
@@ -326,8 +326,7 @@ class Tracker:
 
     def _advance(self, until: int) -> None:
         """Measure the scans before `until`, events at their scans."""
-        assert self._calibration is not None
-        rate = self._calibration.rate_hz
+        rate = self._rate
         while self._events:
             at = first_scan_at(self._events[0][0], rate, self._start_ns)
             if at > until:
@@ -355,14 +354,13 @@ class Tracker:
                 self._struck, self._placed = math.nan, index
             case Calibration():
                 self._interrupt(Status.CALIBRATION_CHANGED)
-                self._calibration = event
+                self._calibration, self._rate = event, event.rate_hz
         self._begin(index, changed=True)
 
     def _enter(self, word: Analysis, reason: str, scan: int) -> None:
         """Be in a state from a scan on; one that goes on keeps its beginning; settling begins with every change."""
-        assert self._calibration is not None
         if (word, reason) != (self._state.word, self._state.reason) or (word, reason) == (Analysis.SETTLING, ""):
-            self._state = State(word, reason, stamp_ns(scan, self._calibration.rate_hz, self._start_ns))
+            self._state = State(word, reason, stamp_ns(scan, self._rate, self._start_ns))
 
     def _begin(self, index: int, *, changed: bool) -> None:
         """Count cycles and windows anew from scan `index`."""
@@ -407,11 +405,10 @@ class Tracker:
 
     def _add(self, accumulator: Accumulator) -> None:
         """Accumulate what has been measured; it is due again when that completes a window, or after ADD_S."""
-        assert self._calibration is not None
         buffer = self._buffer
         accumulator.add(buffer.samples, buffer.status, buffer.column(self._added), buffer.column(self._measured))
         self._added = self._measured
-        soon = self._added + math.ceil(ADD_S * self._calibration.rate_hz)
+        soon = self._added + math.ceil(ADD_S * self._rate)
         self._due = min(soon, accumulator.end(self._window))
 
     def _quiet(self, scan: int) -> Quiet:
@@ -429,9 +426,8 @@ class Tracker:
         return Quiet(since, self._settings.wait_limit_s if unknown else self._gap_m / self._settings.slowest_speed)
 
     def _report_no_frequency(self, until: int) -> None:
-        assert self._calibration is not None
-        while until - self._origin >= self._calibration.rate_hz:
-            self._origin += self._calibration.rate_hz
+        while until - self._origin >= self._rate:
+            self._origin += self._rate
             self._take_impacts(self._origin)
             frequency = self._command.frequency_hz if self._command else math.nan
             self._emit(Measurement(status=Status.NO_FREQUENCY, frequency_hz=frequency), self._origin - 1)
@@ -456,10 +452,9 @@ class Tracker:
         return counted(window, impacts, accumulator.origin, accumulator.period)
 
     def _impacts(self, found: NDArray[np.void]) -> list[Table]:
-        assert self._calibration is not None
         self.counters.impacts += len(found)
         self._impacts_ahead.append(found)
-        return impact_tables(self._detector.timed(found), self._calibration.rate_hz, self._start_ns)
+        return impact_tables(self._detector.timed(found), self._rate, self._start_ns)
 
     def _interrupt(self, status: Status) -> None:
         """Say that a measurement under way ends here without a result."""
@@ -474,7 +469,6 @@ class Tracker:
         self._emit(Measurement(status=status, frequency_hz=frequency), self._measured - 1)
 
     def _emit(self, found: Measurement, last_scan: int) -> None:
-        assert self._calibration is not None
         if found.status in MEASURED:
             self.counters.measurements += 1
         else:
@@ -485,7 +479,6 @@ class Tracker:
             else:
                 waiting = found.status is Status.NOT_SETTLED
                 self._enter(Analysis.SETTLING if waiting else Analysis.UNABLE, found.status, last_scan)
-        rate = self._calibration.rate_hz
-        waited, age = (last_scan + 1 - self._changed) / rate, (last_scan + 1 - self._struck) / rate
-        stamp = stamp_ns(last_scan, rate, self._start_ns)
+        waited, age = (last_scan + 1 - self._changed) / self._rate, (last_scan + 1 - self._struck) / self._rate
+        stamp = stamp_ns(last_scan, self._rate, self._start_ns)
         self._rows.append(measurement_table(attrs.evolve(found, impact_age_s=age), stamp, self._gap_m, waited))
