@@ -65,12 +65,9 @@ def unsound(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> Ve
             return Verdict(Status.NOT_FINITE, CHANNELS[channel])
         if flags & ((1 | RANGE_BIT) << channel):
             return Verdict(Status.OVER_RANGE, CHANNELS[channel])
-    constant = _constant(cycles)[[LASER, BASE]].tolist()
-    if all(constant):
-        return Verdict(Status.SILENCE)
-    for channel, is_constant in zip((LASER, BASE), constant, strict=True):
-        if is_constant:
-            return Verdict(Status.CONSTANT, CHANNELS[channel])
+    still = _still(_constant(cycles)[[LASER, BASE]].tolist(), Status.CONSTANT)
+    if still is not None:
+        return still
     rough = _rough(cycles, calibration, frequency_hz)
     for channel in (LASER, BASE):
         why = rough[channel]
@@ -85,12 +82,14 @@ def silent(amplitudes: tuple[float, float], floors: tuple[float, float]) -> Verd
     A channel that falls silent while it is measured is found earlier: `settling`.
     """
     still = [amplitude <= SIGNAL_FACTOR * floor for amplitude, floor in zip(amplitudes, floors, strict=True)]
+    return _still(still, Status.NO_SIGNAL)
+
+
+def _still(still: list[bool], alone: Status) -> Verdict | None:
+    """Return silence where laser and base, in this order, are both still, and `alone` where one of them is."""
     if all(still):
         return Verdict(Status.SILENCE)
-    for channel, is_still in zip((LASER, BASE), still, strict=True):
-        if is_still:
-            return Verdict(Status.NO_SIGNAL, CHANNELS[channel])
-    return None
+    return Verdict(alone, CHANNELS[(LASER, BASE)[still.index(True)]]) if any(still) else None
 
 
 def _constant(cycles: Cycles) -> NDArray[np.bool_]:
