@@ -41,6 +41,7 @@ RMS_CLIP, RMS_CLIP_RINGING = 9.0, 2.0
 chatters must not deafen the detector, a vibration that has become stronger must."""
 QUIET_RING_TIMES = 8.0
 """It is quiet when this many ring times have passed since the last impact."""
+MOST_CALIBRATIONS = 64  # that are kept: impacts are told within a second of their scan
 RING_SCANS = 8
 """Below 20 kS/s the pulse itself falls between the scans and the high-pass rings longer than the sensor."""
 FORERUNNER = 4.0
@@ -121,11 +122,11 @@ class ImpactDetector:
         noise = max(float(calibration.noise[ACCELEROMETER]), 1e-9)
         lag = (float(calibration.lag[ACCELEROMETER]) - float(calibration.skew[ACCELEROMETER])) * self._rate
         self._sensors.append((scan, lag, noise))
-        self._sensors.sort(key=lambda sensor: sensor[0])
+        self._sensors = sorted(self._sensors, key=lambda sensor: sensor[0])[-MOST_CALIBRATIONS:]
         self.behind = max(self.behind, int(2 * self._times[0]) + math.ceil(max(lag, 0.0)))
 
     def _sensor_at(self, scan: float) -> int:
-        return bisect.bisect_right(self._sensors, scan, key=lambda sensor: sensor[0]) - 1
+        return max(0, bisect.bisect_right(self._sensors, scan, key=lambda sensor: sensor[0]) - 1)
 
     def feed(self, acceleration: Real) -> NDArray[np.void]:
         """Return the impacts (`IMPACT`) in the next samples [m/s²], shape (n,): each LOOK_AHEAD_S after it happened."""
