@@ -537,8 +537,9 @@ class Session:
     # Other inputs
 
     def reset(self, rig: Rig) -> None:
-        """Begin again from scan 0."""
+        """Begin again from scan 0; steps that wait are refused."""
         rig.reset()
+        self._end_steps("the rig was reset")
         self._starved_at = None  # samples are wanted anew
         self.publishers.changes(rig)
         self.counts.faults.clear()  # planned ones begin anew, and say so

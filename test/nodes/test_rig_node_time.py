@@ -169,6 +169,24 @@ def test_a_pause_holds_the_rest_of_a_step(client: Client) -> None:
     assert len(scans) == 100
 
 
+def test_a_reset_ends_a_step_that_waits(client: Client) -> None:
+    """A bug once: what was left of the step was taken by the rig that had begun anew."""
+    host_rig(client, time__peers=["client"])
+    scans = client.collect("daq/scan")
+    client.wait_active("rig")
+    client.set_parameters("rig", {"step.blocks": 100, "time.ack_window": 2})
+    step = client.node.create_client(Trigger, "rig/step")
+    client.wait_until(step.service_is_ready, "the service")
+    answer = step.call_async(Trigger.Request())
+    client.wait_until(lambda: len(scans) == 2, "the window")
+    client.trigger("rig/reset")
+    client.wait_until(answer.done, "the answer to the step")
+    assert (answer.result().success, answer.result().message) == (False, "the rig was reset")
+    client.acknowledge_for("client", scans.tables()[-1].stamp_ns)
+    client.spin_for(0.2)
+    assert len(scans) == 2
+
+
 def test_step_refuses_in_the_wrong_mode_and_answers_when_deactivated(client: Client) -> None:
     host_rig(client, "realtime")
     client.wait_active("rig")
