@@ -295,7 +295,8 @@ class Rig:
         self._truth.take(motion, tick_s)
         self._chain.acquire(motion, self._ticks, ticks, tick_s)
         self._ticks += ticks
-        trip = self._note_stream() or trip
+        underrun = self._note_stream()
+        trip = trip or underrun  # of both in one tick, what the interlock has seen
         if trip is not None:
             self._trip(trip)
         elif self._ticks == self._timeout_tick():

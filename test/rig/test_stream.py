@@ -144,6 +144,23 @@ def test_what_an_underrun_does_can_be_chosen():
     tripping.feed(6_000, [0.1])
 
 
+def test_an_underrun_hides_no_trip_of_the_interlock_in_the_same_tick():
+    """A bug once: the row said underrun, and of the over-travel nothing was told."""
+    limits = {"drive__on_underrun": "trip", "shaker__travel_limit_m": 1e-3}
+    whole, cut = stream_rig(**limits), stream_rig(**limits)
+    whole.feed(0, 10.0 * WAVE[:RATE_HZ])
+    whole.advance(NS_PER_S)
+    (over,) = [row for row in read(whole.take_journal()) if row.kind is Kind.TRIP]
+    assert over.key == "over_travel"
+    last = over.sample - 20  # in the tick of the trip
+    cut.feed(0, 10.0 * WAVE[:last])
+    cut.advance(NS_PER_S)
+    journal = read(cut.take_journal())
+    assert [(row.key, row.value, row.text) for row in journal if row.key == "end"] == [("end", last, b"underrun")]
+    (trip,) = [row for row in journal if row.kind is Kind.TRIP]
+    assert (trip.key, trip.sample) == (over.key, over.sample)
+
+
 @pytest.mark.parametrize(
     ("first", "values", "says"),
     [
