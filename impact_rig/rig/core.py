@@ -486,10 +486,11 @@ class Rig:
         self._latch(EMERGENCY)
 
     def clear_trip(self) -> None:
-        """Release the latch; the amplitude stays zero until the next command."""
+        """Release the latch, if there is one; the amplitude stays zero until the next command."""
         self._journal_row(Kind.CLEAR_TRIP)
-        self._latched = None
-        self._interlock.reset()
+        if self._latched is not None:
+            self._latched = None
+            self._interlock.reset()
 
     def inject(self, fault: Fault) -> int:
         """Start an instrument fault on demand and return its id.

@@ -130,6 +130,22 @@ def test_the_largest_current_that_is_accepted_does_not_trip() -> None:
     assert rig.latched is None
 
 
+def test_clearing_what_is_not_latched_forgets_no_current() -> None:
+    """A bug once: `~/clear_trip` on a free rig began the average anew, so whoever called it often was never stopped."""
+    trips = []
+    for clears in (False, True):
+        rig = Rig(paper_rig(drive__frequency_hz=5.0, shaker__travel_limit_m=1.0))
+        rig.accept(current_a=2.0)
+        rig.configure({"shaker.current_limit_a_rms": 0.5})
+        for _ in range(200):
+            rig.advance(rig.frontier_ns + TICK)
+            if clears and rig.latched is None:
+                rig.clear_trip()
+        trips.append([(row.sample, row.key, row.value) for row in read(rig.take_journal()) if row.kind is Kind.TRIP])
+    assert [key for _, key, _ in trips[0]] == ["over_current"]
+    assert trips[1] == trips[0]
+
+
 def test_the_current_is_averaged_over_a_tick_without_its_beginning() -> None:
     assert mean_square(np.array([9.0, 1.0, 2.0, 3.0])) == pytest.approx(14.0 / 3.0)
 
