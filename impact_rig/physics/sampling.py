@@ -49,9 +49,9 @@ from impact_rig.physics.flight import (
     begin_flight,
     bound_omega,
     choose_system,
-    decayed,
+    mode_decay,
     drive,
-    forcing,
+    drive_segment,
     guide_friction,
     particular,
     phasor,
@@ -224,9 +224,9 @@ def _place_and_order(p, quantity):  # type: ignore[no-untyped-def]  # compiled: 
     if quantity in (OF_X_1, OF_V_1, OF_A_1):
         return X1 if quantity == OF_X_1 else V1, 1 if quantity == OF_A_1 else 0, False
     if quantity == OF_CURRENT:
-        return COIL, 0, p.drive != VOLTAGE
+        return COIL, 0, p.drive_kind != VOLTAGE
     order = 2 if quantity == OF_A_B else 1 if quantity == OF_V_B else 0
-    if p.drive == PRESCRIBED:
+    if p.drive_kind == PRESCRIBED:
         return XB, order, True
     return XB if order == 0 else VB, max(0, order - 1), False
 
@@ -274,7 +274,7 @@ def _expand_flight(p, system, f, flight, quantity, poly, since, workspace):  # t
     _add_series(poly, workspace, terms, (steady + growing * t) * rotor, growing * rotor, jw, order, 1.0)
     for n in range(system.modes):
         rate = system.rate[n]
-        _, decay = decayed(rate, since)
+        _, decay = mode_decay(rate, since)
         terms = _fill_powers(workspace, rate, 1.0)
         _add_series(poly, workspace, terms, system.right[n, place] * flight.modal[n] * decay, 0.0j, rate, order, 1.0)
     if order == 0:
@@ -285,7 +285,7 @@ def _expand_flight(p, system, f, flight, quantity, poly, since, workspace):  # t
 def _is_of_structure(p, quantity):  # type: ignore[no-untyped-def]
     """Return whether a quantity is a motion of the structure or its drive: then it has a polynomial in flight."""
     of_sphere = quantity in (OF_X_2, OF_V_2, OF_A_2, OF_FORCE_LEFT, OF_FORCE_RIGHT)
-    return not (of_sphere or (quantity == OF_CURRENT and p.drive == PRESCRIBED))
+    return not (of_sphere or (quantity == OF_CURRENT and p.drive_kind == PRESCRIBED))
 
 
 @kernel
@@ -302,7 +302,7 @@ def _structure_quantity(s, quantity):  # type: ignore[no-untyped-def]
 @kernel
 def _quantity_in_flight(p, s, quantity, poly, tau, since):  # type: ignore[no-untyped-def]
     """Return a quantity in the flight from s, by its polynomial, or where it has none by the sphere's parabola."""
-    if quantity == OF_CURRENT and p.drive == PRESCRIBED:
+    if quantity == OF_CURRENT and p.drive_kind == PRESCRIBED:
         return 0.0
     if s.phase == ATTACHED:
         value = polynomial(poly, tau, PIECE_TERMS)
@@ -407,7 +407,7 @@ def _quantities_in_contact(model, f, s, step, point, solved_there, out):  # type
     if solved_there and since > 0.0:
         add_correction(p, side, step, LAST, step.y)
     depth = w * w
-    elastic, lossy, _, _, _ = model.law.one(p.stiffness, p.factor, s.per_v0, step.turned_at, w, speed)
+    elastic, lossy, _, _, _ = model.law.at_point(p.stiffness, p.factor, s.per_v0, step.turned_at, w, speed)
     force = max(0.0, elastic + lossy) if p.lets_go else elastic + lossy
     u, _ = drive(f, t)
     d = s.d + side * depth
@@ -420,11 +420,11 @@ def _quantities_in_contact(model, f, s, step, point, solved_there, out):  # type
     out[OF_X_B], out[OF_V_B] = x_b, v_b
     out[OF_FORCE_LEFT] = force if side < 0.0 else 0.0
     out[OF_FORCE_RIGHT] = force if side > 0.0 else 0.0
-    if p.drive == PRESCRIBED:
+    if p.drive_kind == PRESCRIBED:
         _, cosine = sincos(f.omega * t + f.phase)
         out[OF_A_B], out[OF_CURRENT] = 2.0 * f.growth * f.omega * cosine - f.omega * f.omega * u, 0.0
         return
-    out[OF_CURRENT] = step.y[COIL] if p.drive == VOLTAGE else u
+    out[OF_CURRENT] = step.y[COIL] if p.drive_kind == VOLTAGE else u
     base_force = p.force_factor * out[OF_CURRENT] - p.c_f * v_b - p.k_f * x_b - columns_force
     out[OF_A_B] = base_force * p.per_m_base
 
@@ -534,7 +534,7 @@ def _sample(model, trajectory, query, workspace):  # type: ignore[no-untyped-def
         if not 0 <= tick < trajectory.first_segment.shape[0] - 1:
             return False
         segment, row, end_row = _rows_at(trajectory, tick, query.offset[i])
-        f = forcing(trajectory.segments[segment])
+        f = drive_segment(trajectory.segments[segment])
         # since the start of the tick, as `offset`
         ends_in_tick = segment + 1 < trajectory.first_segment[tick + 1]
         segment_end = trajectory.segments[segment + 1].begin if ends_in_tick else np.inf
@@ -576,7 +576,7 @@ def _fit_flight(p, system, f, flight, spans, i, workspace):  # type: ignore[no-u
         _add_series(poly[q], workspace, terms, value, growth, jw, order, half)
     for n in range(system.modes):
         rate = system.rate[n]
-        _, decay = decayed(rate, since_middle)
+        _, decay = mode_decay(rate, since_middle)
         modal = flight.modal[n] * decay
         terms = _fill_powers(workspace, rate, half)
         for q in range(wanted.shape[0]):
@@ -607,10 +607,10 @@ def _fit_contact(model, f, history, row, spans, i, workspace):  # type: ignore[n
 def _depth_acceleration(model, step, per_v0, since, depth, speed):  # type: ignore[no-untyped-def]
     """Return δ'' in a tabulated contact, whose `step` is expanded about the touch."""
     p = model.parameters[0]
-    elastic, lossy, _, _, _ = model.law.one(p.stiffness, p.factor, per_v0, 0.0, math.sqrt(max(0.0, depth)), speed)
+    elastic, lossy, _, _, _ = model.law.at_point(p.stiffness, p.factor, per_v0, 0.0, math.sqrt(max(0.0, depth)), speed)
     force = max(0.0, elastic + lossy) if p.lets_go else elastic + lossy
     relative_acceleration = step.acceleration[0] + since * (step.acceleration[1] + since * step.acceleration[2])
-    return relative_acceleration - (p.columns_by_depth * depth + p.columns_by_speed * speed) - force * p.per_m_eff
+    return relative_acceleration - (p.slowing_by_depth * depth + p.slowing_by_speed * speed) - force * p.per_m_eff
 
 
 @kernel
@@ -689,7 +689,7 @@ def fit(model, trajectory, spans, workspace):  # type: ignore[no-untyped-def]
             return False
         middle = 0.5 * (spans.start[i] + spans.end[i])
         segment, row, end_row = _rows_at(trajectory, tick, middle)
-        f = forcing(trajectory.segments[segment])
+        f = drive_segment(trajectory.segments[segment])
         ends_inside = (
             spans.end[i] - f.begin
             <= (history[row + 1].t if row + 1 < end_row else trajectory.segments[segment].duration) + _SAME_INSTANT_S
