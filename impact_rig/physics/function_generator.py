@@ -5,158 +5,32 @@
 One segment per tick of the command grid; a stream, see `stream`, cuts ticks at its samples as well. No phase depends on
 how many segments are asked for at once: that of a sine is computed from the number of ticks since the last change, so
 it does not drift; a chirp changes in every tick.
-
-Random drive is band-passed noise of unit rms: a digital Butterworth band-pass of 8th order, refined with many digits
-and rounded once, behind our own generator.
-
-prototype     s_k = e^{jπ(2k + 5)/8}, k = 0 … 3, of the low-pass with corner 1
-band-pass     s² − s_k B s + ω_0² = 0, B = ω_2 − ω_1, ω_0² = ω_1 ω_2, ω_i = tan(π f_i · tick)
-digital       p = (1 + s) / (1 − s): g B(z), B = Π (1 − z⁻²) / (1 + a_1 z⁻¹ + a_2 z⁻²), four sections
-unit rms      g⁻² = Σ b_n² of B(z) = Σ b_n z⁻ⁿ, which is a sum over its partial fractions
 """
 
 from __future__ import annotations
 
 import copy
-import functools
 import math
-from decimal import Decimal
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.elementary import PI, TWO_PI
-from impact_rig.arithmetic.precise import ONE, TWO, ZERO, Complex, pi, precise, product, square_root, unit
 from impact_rig.arithmetic.random import Random
 from impact_rig.config import Drive, Shaker
 from impact_rig.errors import CommandError
-from impact_rig.kernels import REALS, Fields, entry, kernel, records, room
+from impact_rig.kernels import REALS, Fields, entry, kernel, room
+from impact_rig.physics.band_noise import BandNoise, band_pass
 from impact_rig.physics.flight import SEGMENT
 from impact_rig.physics.stream import Stream
 from impact_rig.simtime import COMMAND_GRID_S
-
-SECTIONS = 4
-_SECTION = np.dtype(
-    [
-        ("a_1", "f8"),  # coefficient of z⁻¹ below the line [-]
-        ("a_2", "f8"),  # coefficient of z⁻² there [-]
-    ]
-)
-_MEMORY = np.dtype(
-    [
-        ("first", "f8"),  # what is added to the next number [-]
-        ("second", "f8"),  # what is added to the one after it [-]
-    ]
-)
-
-
-class BandPass(NamedTuple):
-    """A filter: `gain` of its input, then its sections, records of a_1 and a_2, the least resonant first."""
-
-    gain: float
-    sections: NDArray[np.void]
-
-
-@functools.cache
-@precise
-def band_pass(low_hz: float, high_hz: float, tick_s: float) -> BandPass:
-    """Return the filter that makes white noise of unit rms, a number per tick, band-passed noise of unit rms.
-
-    Raises:
-        ValueError: the band is empty or does not lie below half of the rate of ticks.
-    """
-    if not 0.0 < low_hz < high_hz < 0.5 / tick_s:
-        raise ValueError(f"the band must lie within 0 to {0.5 / tick_s:g} Hz, got {low_hz!r} to {high_hz!r} Hz")
-    turns = [unit(pi() * Decimal(f) * Decimal(tick_s)) for f in (low_hz, high_hz)]
-    low, high = (turn.imag / turn.real for turn in turns)
-    poles = sorted(
-        (pole for k in range(2) for pole in _digital_poles(unit(pi() * (2 * k + 5) / 8), high - low, low * high)),
-        key=lambda pole: pole.square(),
-    )
-    rows = [(float(-TWO * pole.real), float(pole.square())) for pole in poles]
-    sections = records(SECTIONS, _SECTION)
-    sections[:] = rows
-    return BandPass(float(ONE / _power([*poles, *(pole.conjugate() for pole in poles)]).sqrt()), sections)
-
-
-def _digital_poles(prototype: Complex, width: Decimal, centre_square: Decimal) -> list[Complex]:
-    """Return two poles in the z plane, one of each conjugate pair that a prototype pole and its conjugate make."""
-    half = prototype * Complex(width / 2)
-    root = square_root(half * half - Complex(centre_square))
-    return [(Complex(ONE) + s) / (Complex(ONE) - s) for s in (half + root, half - root)]
-
-
-def _power(poles: list[Complex]) -> Decimal:
-    """Return Σ b_n² of Π (1 − z⁻²)⁴ / Π (1 − p_k z⁻¹): of c + Σ r_k / (1 − p_k z⁻¹) with b_0 = 1."""
-    residues = [_residue(k, poles) for k in range(len(poles))]
-    later = ZERO
-    for first, r in zip(poles, residues, strict=True):
-        for second, q in zip(poles, residues, strict=True):
-            both = first * second
-            later += (r * q * both / (Complex(ONE) - both)).real
-    return ONE + later
-
-
-def _residue(k: int, poles: list[Complex]) -> Complex:
-    per_pole = Complex(ONE) / poles[k]
-    zeros = Complex(ONE) - per_pole * per_pole
-    others = (Complex(ONE) - other * per_pole for j, other in enumerate(poles) if j != k)
-    return product([zeros] * SECTIONS) / product(others)
-
-
-class BandNoise:
-    """A stream of band-passed noise: which numbers it gives does not depend on how they are asked for.
-
-    Args:
-        band: how it is filtered.
-        random: where white noise comes from.
-    """
-
-    _CHUNK = 256  # numbers made at once: the filter's arrays stay small
-
-    def __init__(self, band: BandPass, random: Random) -> None:
-        self._filter, self._random = band, random
-        self._memory = records(SECTIONS, _MEMORY)
-        self._made: NDArray[np.float64] = np.empty(0)
-        self._first = 0
-
-    def copy(self) -> BandNoise:
-        """Return a stream that goes on from here on its own."""
-        twin = BandNoise(self._filter, self._random.copy())
-        twin._memory, twin._made, twin._first = self._memory.copy(), self._made, self._first
-        return twin
-
-    def numbers(self, first: int, count: int) -> NDArray[np.float64]:
-        """Return the numbers first … first + count − 1; the next call must not begin earlier, nor behind their end."""
-        parts = [self._made[first - self._first :]]
-        ready = len(parts[0])
-        while ready < count:
-            parts.append(self._random.normal(self._CHUNK) * self._filter.gain)
-            filter_in_place(self._filter.sections, self._memory, parts[-1])
-            ready += self._CHUNK
-        self._first, self._made = first, np.concatenate(parts)
-        return self._made[:count]
-
-
-@entry(_SECTION, _MEMORY, REALS)
-def filter_in_place(sections, memory, samples):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Filter samples in place, in transposed direct form II, records of both coefficients and of what they remember."""
-    for i in range(samples.shape[0]):
-        value = samples[i]
-        for k in range(sections.shape[0]):
-            section, past = sections[k], memory[k]
-            out = value + past.first
-            past.first = past.second - section.a_1 * out
-            past.second = -value - section.a_2 * out
-            value = out
-        samples[i] = value
 
 
 class Ramp(NamedTuple):
     """Of the amplitude, linear: first tick, amplitude there, target, and ticks until that."""
 
-    first: int
+    first_tick: int
     start: float
     target: float
     ticks: int
@@ -166,34 +40,34 @@ RAMP = Fields(Ramp, (int, float, float, int))
 
 
 @kernel
-def level_at(ramp, tick):  # type: ignore[no-untyped-def]
+def amplitude_at(ramp, tick):  # type: ignore[no-untyped-def]
     """Return the amplitude at a tick."""
-    part = (tick - ramp.first) / ramp.ticks if tick < ramp.first + ramp.ticks else 1.0
-    return ramp.start + (ramp.target - ramp.start) * part
+    progress = (tick - ramp.first_tick) / ramp.ticks if tick < ramp.first_tick + ramp.ticks else 1.0
+    return ramp.start + (ramp.target - ramp.start) * progress
 
 
 @entry(SEGMENT, REALS, float)
-def fill_levels(rows, level, tick_s):  # type: ignore[no-untyped-def]
+def fill_lines(segments, amplitudes, tick_s):  # type: ignore[no-untyped-def]
     """Fill in n segments of a tick [s] each, straight lines between n + 1 amplitudes at their ends."""
-    for i in range(rows.shape[0]):
-        row = rows[i]
-        row.duration, row.omega, row.phase, row.begin = tick_s, 0.0, PI / 2.0, 0.0
-        row.amplitude, row.growth = level[i], (level[i + 1] - level[i]) / tick_s
+    for i in range(segments.shape[0]):
+        segment = segments[i]
+        segment.duration, segment.omega, segment.phase, segment.begin = tick_s, 0.0, PI / 2.0, 0.0
+        segment.amplitude, segment.growth = amplitudes[i], (amplitudes[i + 1] - amplitudes[i]) / tick_s
 
 
 @entry(SEGMENT, int, RAMP, float, float, int, float)
-def fill_sine(rows, tick, ramp, tick_s, frequency_hz, since, phase):  # type: ignore[no-untyped-def]
-    """Fill in segments of one tick [s] each from `tick` on, `since` ticks after the phase [rad] was `phase`."""
-    level, per_tick = level_at(ramp, tick), frequency_hz * tick_s
-    for i in range(rows.shape[0]):
-        row, after = rows[i], level_at(ramp, tick + i + 1)
-        row.duration, row.amplitude, row.growth = tick_s, level, (after - level) / tick_s
-        level = after
-        turns = per_tick * (since + i)
+def fill_sine(segments, tick, ramp, tick_s, frequency_hz, ticks_since, phase):  # type: ignore[no-untyped-def]
+    """Fill in segments of one tick [s] each from `tick` on, `ticks_since` ticks after the phase [rad] was `phase`."""
+    amplitude, turns_per_tick = amplitude_at(ramp, tick), frequency_hz * tick_s
+    for i in range(segments.shape[0]):
+        segment, next_amplitude = segments[i], amplitude_at(ramp, tick + i + 1)
+        segment.duration, segment.amplitude, segment.growth = tick_s, amplitude, (next_amplitude - amplitude) / tick_s
+        amplitude = next_amplitude
+        turns = turns_per_tick * (ticks_since + i)
         angle = phase + TWO_PI * (turns - int(turns))
         while angle >= TWO_PI:
             angle -= TWO_PI
-        row.omega, row.phase, row.begin = TWO_PI * frequency_hz, angle, 0.0
+        segment.omega, segment.phase, segment.begin = TWO_PI * frequency_hz, angle, 0.0
 
 
 class FunctionGenerator:
@@ -215,8 +89,8 @@ class FunctionGenerator:
         self.tick = 0
         self.frequency_hz = drive.frequency_hz
         self._anchor_tick, self._anchor_phase = 0, 0.0
-        begin = drive.amplitude if self._ramp_ticks == 0 else 0.0
-        self._ramp = Ramp(0, begin, drive.amplitude, self._ramp_ticks)
+        amplitude = drive.amplitude if self._ramp_ticks == 0 else 0.0
+        self._ramp = Ramp(0, amplitude, drive.amplitude, self._ramp_ticks)
         self.stream = Stream(drive, shaker) if drive.waveform == "stream" else None
         if self.stream is not None:
             self._ramp = Ramp(0, 0.0, 0.0, 0)
@@ -238,7 +112,7 @@ class FunctionGenerator:
     @property
     def amplitude(self) -> float:
         """Amplitude at the next tick."""
-        return float(level_at(self._ramp, self.tick))
+        return float(amplitude_at(self._ramp, self.tick))
 
     @property
     def target_amplitude(self) -> float:
@@ -293,24 +167,24 @@ class FunctionGenerator:
         if self.stream is not None:
             self.tick += count
             return self.stream.segments(self.tick - count, count, self._tick_s)
-        rows: NDArray[np.void] = room(count, SEGMENT)
+        segments: NDArray[np.void] = room(count, SEGMENT)
         if self._noise is not None:
-            levels = [level_at(self._ramp, tick) for tick in range(self.tick, self.tick + count + 1)]
-            fill_levels(rows, self._noise.numbers(self.tick, count + 1) * levels, self._tick_s)
+            amplitudes = [amplitude_at(self._ramp, tick) for tick in range(self.tick, self.tick + count + 1)]
+            fill_lines(segments, self._noise.numbers(self.tick, count + 1) * amplitudes, self._tick_s)
         else:
-            since = self.tick - self._anchor_tick
-            fill_sine(rows, self.tick, self._ramp, self._tick_s, self.frequency_hz, since, self._anchor_phase)
+            ticks_since = self.tick - self._anchor_tick
+            fill_sine(segments, self.tick, self._ramp, self._tick_s, self.frequency_hz, ticks_since, self._anchor_phase)
         if self._drive.waveform == "chirp":
-            self._fill_chirp(rows)
+            self._fill_chirp(segments)
         self.tick += count
-        return rows
+        return segments
 
-    def _fill_chirp(self, rows: NDArray[np.void]) -> None:
+    def _fill_chirp(self, segments: NDArray[np.void]) -> None:
         drive = self._drive
-        per_sweep = max(1, round(drive.chirp_s / COMMAND_GRID_S))  # by the scan clock, whatever its error
-        for i in range(len(rows)):
-            place = ((self.tick + i) % per_sweep) / per_sweep
-            frequency = drive.frequency_hz + place * (drive.chirp_end_hz - drive.frequency_hz)
-            rows[i]["omega"], rows[i]["phase"] = TWO_PI * frequency, self._anchor_phase
+        ticks_per_sweep = max(1, round(drive.chirp_s / COMMAND_GRID_S))  # by the scan clock, whatever its error
+        for i in range(len(segments)):
+            progress = ((self.tick + i) % ticks_per_sweep) / ticks_per_sweep
+            frequency = drive.frequency_hz + progress * (drive.chirp_end_hz - drive.frequency_hz)
+            segments[i]["omega"], segments[i]["phase"] = TWO_PI * frequency, self._anchor_phase
             self._anchor_phase = math.fmod(self._anchor_phase + TWO_PI * frequency * self._tick_s, TWO_PI)
-        self._anchor_tick = self.tick + len(rows)
+        self._anchor_tick = self.tick + len(segments)

@@ -49,10 +49,10 @@ from impact_rig.physics.flight import (
     begin_flight,
     bound_omega,
     choose_system,
-    mode_decay,
     drive,
     drive_segment,
     guide_friction,
+    mode_decay,
     particular,
     phasor,
 )

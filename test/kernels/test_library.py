@@ -22,7 +22,7 @@ from impact_rig.arithmetic.random import Random, fill_normal
 from impact_rig.instruments import pieces
 from impact_rig.kernels import build
 from impact_rig.physics import SEGMENT, FunctionGenerator, Simulation, event_loop
-from impact_rig.physics.function_generator import fill_levels
+from impact_rig.physics.function_generator import fill_lines
 from impact_rig.physics.state import STATE, X1
 from impact_rig.rig.config import RigConfig
 
@@ -127,7 +127,7 @@ def test_a_library_of_other_sources_is_not_loaded_and_says_so(
         (lambda: fill_normal(np.zeros(4, np.uint64)), "got 1 arguments"),
         (lambda: fill_normal(np.zeros(4, np.uint64), np.zeros(3), 1), "got 3 arguments"),
         (lambda: fill_normal(np.zeros(4, np.uint64), [0.0]), "no attribute 'dtype'"),
-        (lambda: fill_levels(np.zeros(1, SEGMENT), np.zeros(2), "fast"), "must be real number"),
+        (lambda: fill_lines(np.zeros(1, SEGMENT), np.zeros(2), "fast"), "must be real number"),
         (lambda: pieces._cut(np.zeros(0, np.int64), np.zeros(0), 0, (1.0, 2.0), ()), "expected a tuple of 3"),
         (lambda: event_loop.run((np.zeros(1, STATE),) * 4, 1, 1, 1, 1, 1), "array 0 must hold"),
     ],
@@ -141,7 +141,7 @@ def test_what_was_not_built_is_refused(call: object, words: str) -> None:
 @needs_library
 def test_an_array_that_is_not_in_c_order_is_refused() -> None:
     with pytest.raises(ValueError, match="not C-contiguous"):
-        fill_levels(np.zeros(2, SEGMENT), np.zeros(6)[::2], 1.0)
+        fill_lines(np.zeros(2, SEGMENT), np.zeros(6)[::2], 1.0)
 
 
 def test_kernels_are_declared_with_types_that_fit_their_functions() -> None:

@@ -94,7 +94,7 @@ def _by_collocation(model: Model, steps: int) -> Real:
         begin_step(p, model.law, s, k)
         solve(p, model.law, s, k, step, ROUNDS)
         s.w, s.speed = k.w[LAST], k.speed[LAST]
-        s.deepest = max(s.deepest, s.w)
+        s.deepest_w = max(s.deepest_w, s.w)
     return np.array([s.w, s.speed])
 
 
