@@ -24,7 +24,6 @@ from impact_rig.recording.records import DamageError
 from impact_rig.simtime import NS_PER_S
 
 RECORD_NAME = "impact_rig/losses"  # metadata record with what was received and lost, written when a file is finished
-MAX_HOLES = 64  # places per topic at which a message may still come late
 MAX_STREAMS = 64  # streams kept per topic: of publishers that come and go for days only the last ones can still speak
 
 Publishers = Callable[[str], Mapping[str, str]]
@@ -55,19 +54,6 @@ class _Topic:
     known: dict[str, str] = attrs.field(factory=dict)  # publishers seen in the graph so far
     unnumbered: int = 0
     forgotten: Stream | None = None  # sum of the streams that were dropped
-    holes: deque[tuple[Stream, range]] = attrs.field(factory=lambda: deque(maxlen=MAX_HOLES))  # numbers thought lost
-
-    def take_late(self, sequence: int) -> Stream | None:
-        """Count a message that was thought lost and return its stream; None: it is none."""
-        for stream, missing in self.holes:
-            if sequence in missing:
-                self.holes.remove((stream, missing))
-                parts = range(missing.start, sequence), range(sequence + 1, missing.stop)
-                self.holes.extend((stream, part) for part in parts if part)
-                stream.lost -= 1
-                stream.received += 1
-                return stream
-        return None
 
 
 class Account:
@@ -115,21 +101,16 @@ class Account:
         present = dict(self._publishers(topic)) if self._publishers is not None else {}
         new = [name for identifier, name in present.items() if identifier not in known.known]
         known.known |= present
-        if known.begun >= max(len(known.known), 1):
-            if late := known.take_late(sequence):
-                return late.publisher
-            earlier = [stream for stream in known.streams if stream.newest < sequence]
-            if earlier:
-                stream = max(earlier, key=lambda one: one.newest)
-                known.holes.append((stream, range(stream.newest + 1, sequence)))
-                stream.take(sequence)
-                return stream.publisher
+        earlier = [stream for stream in known.streams if stream.newest < sequence]
+        if earlier and known.begun >= max(len(known.known), 1):
+            stream = max(earlier, key=lambda one: one.newest)
+            stream.take(sequence)
+            return stream.publisher
         stream = Stream(new[0] if len(new) == 1 else "", sequence, sequence)
         known.streams.append(stream)
         known.begun += 1
         if len(known.streams) > MAX_STREAMS:
             gone, before = known.streams.pop(0), known.forgotten or Stream("", 0, 0, 0)
-            known.holes = deque((hole for hole in known.holes if hole[0] is not gone), MAX_HOLES)
             known.forgotten = Stream("", 0, 0, before.received + gone.received, before.lost + gone.lost)
         return stream.publisher
 

@@ -44,17 +44,6 @@ def test_every_message_missing_between_two_of_one_publisher_is_counted(kept):
     assert (stream.received, stream.lost) == (len(kept), missing)
 
 
-@given(order=st.permutations(range(2, 9)))
-def test_a_message_that_comes_out_of_order_is_not_lost(order):
-    """It once counted as lost, and as the first of another publisher."""
-    account = Account(lambda _: {"a": "/rig/rig"})
-    for sequence in (1, 10, *order):
-        assert account.take(TOPIC, sequence) == "/rig/rig"
-    assert account.lost() == {TOPIC: 1}  # 9
-    (stream,) = read_record(account.to_record())[TOPIC]
-    assert (stream.first, stream.newest, stream.received, stream.lost) == (1, 10, 9, 1)
-
-
 def test_a_publisher_that_begins_anew_is_no_loss():
     """A node that was started again counts from 1, with another identifier in the graph."""
     present = {"first": "/rig/rig"}
