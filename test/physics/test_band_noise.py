@@ -40,7 +40,7 @@ def test_the_kernel_filters_like_scipy():
     band = band_pass(5.0, 20.0, 1.0 / RATE_HZ)
     white = Random(1).normal(1000)
     expected = signal.sosfilt(sos(5.0, 20.0), white)
-    memory = np.zeros(4, [("first", "f8"), ("second", "f8")])
+    memory = np.zeros(4, [("delayed_1", "f8"), ("delayed_2", "f8")])
     filter_in_place(band.sections, memory, white)
     np.testing.assert_allclose(white, expected, rtol=0.0, atol=1e-12 * np.abs(expected).max())
 
