@@ -83,14 +83,14 @@ class Buffers(NamedTuple):
         clipped: whether each was at an end of a range, likewise.
         white: scratch for random numbers, shape (STRETCH,).
         series: scratch of `response`, shape (3, SERIES).
-        since: scratch, shape (2,): see `response.through_piece`.
+        first_and_spacing: scratch, shape (2,): see `response.through_piece`.
     """
 
     values: NDArray[np.float64]
     clipped: NDArray[np.bool_]
     white: NDArray[np.float64]
     series: NDArray[np.float64]
-    since: NDArray[np.float64]
+    first_and_spacing: NDArray[np.float64]
 
 
 BUFFERS = Fields(Buffers, (REALS_2D, TWO_D_FLAGS, REALS, REALS_2D, REALS))
@@ -120,9 +120,9 @@ def _conversions(clock, due, tick_s, end):  # type: ignore[no-untyped-def]  # co
 @kernel
 def _respond(channel, modes, clock, pieces, coefficients, kicks, values, buffers):  # type: ignore[no-untyped-def]
     """Run one channel's dynamics over the pieces; its newest conversions go into `values`."""
-    tick_s, since = pieces.tick_s, buffers.since
-    since[1] = tick_s * (clock.period / clock.tick)
-    set_period(modes, since[1])
+    tick_s, first_and_spacing = pieces.tick_s, buffers.first_and_spacing
+    first_and_spacing[1] = tick_s * (clock.period / clock.tick)
+    set_period(modes, first_and_spacing[1])
     if channel.awake == 0:
         channel.awake = 1
         if channel.settled != 0:
@@ -138,9 +138,9 @@ def _respond(channel, modes, clock, pieces, coefficients, kicks, values, buffers
                     modes[k].psi_re += kicks[i]
             start = pieces.start[i]
             count = _conversions(clock, channel.due, tick_s, pieces.end[i])
-            since[0] = max(0.0, tick_s * (channel.due / clock.tick) - start)
+            first_and_spacing[0] = max(0.0, tick_s * (channel.due / clock.tick) - start)
             out = values[channel.filled : channel.filled + count]
-            through_piece(modes, coefficients[i], pieces.end[i] - start, since, buffers.series, out)
+            through_piece(modes, coefficients[i], pieces.end[i] - start, first_and_spacing, buffers.series, out)
             channel.due += count * clock.period
             channel.filled += count
         channel.due -= clock.tick
@@ -162,11 +162,11 @@ def respond(modes, channels, clock, pieces, coefficients, kicks, buffers):  # ty
     """
     for j in range(channels.shape[0]):
         channel = channels[j]
-        own = modes[channel.first_mode : channel.first_mode + channel.modes]
-        _respond(channel, own, clock, pieces, coefficients[j], kicks[j], buffers.values[j], buffers)
-        for low in range(channel.finished, channel.filled, STRETCH):
-            high = min(low + STRETCH, channel.filled)
-            to_volts(channel, buffers.values[j, low:high], buffers.clipped[j, low:high], buffers.white[: high - low])
+        own_modes = modes[channel.first_mode : channel.first_mode + channel.modes]
+        _respond(channel, own_modes, clock, pieces, coefficients[j], kicks[j], buffers.values[j], buffers)
+        for begin in range(channel.finished, channel.filled, STRETCH):
+            end = min(begin + STRETCH, channel.filled)
+            to_volts(channel, buffers.values[j, begin:end], buffers.clipped[j, begin:end], buffers.white[: end - begin])
 
 
 @entry(CHANNEL, BUFFERS)
@@ -174,16 +174,16 @@ def digitise(channels, buffers):  # type: ignore[no-untyped-def]
     """Turn the newest volts of all channels into readings."""
     for j in range(channels.shape[0]):
         channel = channels[j]
-        for low in range(channel.finished, channel.filled, STRETCH):
-            high = min(low + STRETCH, channel.filled)
-            to_units(channel, buffers.values[j, low:high], buffers.clipped[j, low:high], buffers.white[: high - low])
+        for begin in range(channel.finished, channel.filled, STRETCH):
+            end = min(begin + STRETCH, channel.filled)
+            to_units(channel, buffers.values[j, begin:end], buffers.clipped[j, begin:end], buffers.white[: end - begin])
         if channel.filled > channel.finished:
             channel.last = buffers.values[j, channel.filled - 1]
         channel.finished = channel.filled
 
 
 @entry(CHANNEL, CLOCK, int, float, INTEGERS, REALS, returns=int)
-def instants(channels, clock, ticks, tick_s, at_tick, offset):  # type: ignore[no-untyped-def]
+def instants(channels, clock, ticks, tick_s, tick_of, offset):  # type: ignore[no-untyped-def]
     """Fill in when the next conversions of all channels come, which are without skew: tick, and offset into it [s].
 
     Returns how many there are; they count as converted. A channel whose skew has just been taken away may lag a scan
@@ -195,17 +195,17 @@ def instants(channels, clock, ticks, tick_s, at_tick, offset):  # type: ignore[n
     count, due = 0, earliest
     for tick in range(ticks):
         while due < clock.tick:
-            at_tick[count] = tick
+            tick_of[count] = tick
             offset[count] = max(0.0, tick_s * (due / clock.tick))
             count += 1
             due += clock.period
         due -= clock.tick
     for j in range(channels.shape[0]):
         channel = channels[j]
-        own = count - (channel.due - earliest) // clock.period
+        made = count - (channel.due - earliest) // clock.period
         channel.due = due
-        channel.converted += own
-        channel.filled += own
+        channel.converted += made
+        channel.filled += made
     return count
 
 

@@ -96,52 +96,54 @@ def cut(
     room = ticks * (math.ceil(limits.tick_s / limits.longest_s) + 1) + 2 * len(tick)
     first = np.empty(ticks + 1, np.int64)
     start, end = np.empty(room), np.empty(room)
-    of = np.empty(room, np.int64)
-    pieces = Pieces(first, start, end, of, limits.tick_s)
+    piece_tick = np.empty(room, np.int64)
+    pieces = Pieces(first, start, end, piece_tick, limits.tick_s)
     n = _cut(tick, offset, motion_tick, limits, pieces)
-    return Pieces(first, start[:n], end[:n], of[:n], limits.tick_s)
+    return Pieces(first, start[:n], end[:n], piece_tick[:n], limits.tick_s)
 
 
 @entry(INTEGERS, REALS, int, LIMITS, PIECES, returns=int)
 def _cut(tick, offset, motion_tick, limits, pieces):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Fill `pieces`, which has room; return how many there are."""
     tick_s, longest_s = limits.tick_s, limits.longest_s
-    first, start, end, of = pieces.first, pieces.start, pieces.end, pieces.tick
+    first, start, end, piece_tick = pieces.first, pieces.start, pieces.end, pieces.tick
     ticks = first.shape[0] - 1
-    n, b = 0, 0
-    for k in range(ticks):
-        first[k] = n
-        while b < tick.shape[0] and tick[b] < motion_tick + k:
-            b += 1
-        behind = b
-        while behind < tick.shape[0] and tick[behind] == motion_tick + k:
-            behind += 1
-        since = 0.0
-        while since < tick_s:
-            b, until = _next_break(offset, b, behind, since, limits)
-            parts = max(1, math.ceil((until - since) / longest_s))
+    count, next_break = 0, 0
+    for tick_index in range(ticks):
+        first[tick_index] = count
+        while next_break < tick.shape[0] and tick[next_break] < motion_tick + tick_index:
+            next_break += 1
+        breaks_end = next_break
+        while breaks_end < tick.shape[0] and tick[breaks_end] == motion_tick + tick_index:
+            breaks_end += 1
+        piece_start = 0.0
+        while piece_start < tick_s:
+            next_break, piece_end = _next_break(offset, next_break, breaks_end, piece_start, limits)
+            parts = max(1, math.ceil((piece_end - piece_start) / longest_s))
             for i in range(parts):
-                start[n] = since + (until - since) * (i / parts)
-                end[n] = until if i == parts - 1 else since + (until - since) * ((i + 1) / parts)
-                of[n] = motion_tick + k
-                n += 1
-            since = until
-    first[ticks] = n
-    return n
+                start[count] = piece_start + (piece_end - piece_start) * (i / parts)
+                end[count] = (
+                    piece_end if i == parts - 1 else piece_start + (piece_end - piece_start) * ((i + 1) / parts)
+                )
+                piece_tick[count] = motion_tick + tick_index
+                count += 1
+            piece_start = piece_end
+    first[ticks] = count
+    return count
 
 
 @kernel
-def _next_break(offset, b, behind, since, limits):  # type: ignore[no-untyped-def]
-    """Return the first breakpoint not yet reached, and where the pieces from `since` to it, or those joined, end."""
+def _next_break(offset, next_break, breaks_end, from_s, limits):  # type: ignore[no-untyped-def]
+    """Return the first breakpoint not yet reached, and where the pieces from `from_s` to it, or those joined, end."""
     tick_s, joined_s = limits.tick_s, limits.joined_s
-    while b < behind and offset[b] <= since:
-        b += 1
-    ahead, until = b, tick_s
-    while ahead < behind and offset[ahead] < tick_s:
-        if ahead > b and offset[ahead] - since > joined_s:
+    while next_break < breaks_end and offset[next_break] <= from_s:
+        next_break += 1
+    ahead, until_s = next_break, tick_s
+    while ahead < breaks_end and offset[ahead] < tick_s:
+        if ahead > next_break and offset[ahead] - from_s > joined_s:
             break
-        until = offset[ahead]
+        until_s = offset[ahead]
         ahead += 1
-    if ahead > b and tick_s - since <= joined_s:
-        until = tick_s
-    return ahead, until
+    if ahead > next_break and tick_s - from_s <= joined_s:
+        until_s = tick_s
+    return ahead, until_s

@@ -37,7 +37,7 @@ SENSOR_MODE = np.dtype(
         ("psi_im", "f8"),  # imaginary part of it [unit s]
         ("decay_re", "f8"),  # real part of exp(λ scan period) [-]
         ("decay_im", "f8"),  # imaginary part of it [-]
-        ("rings", "i8"),  # how many conversions later nothing is left of it
+        ("rings_for", "i8"),  # how many conversions later nothing is left of it
         ("free_re", "f8"),  # real part of the residue times what it rings with at a piece's first conversion [unit]
         ("free_im", "f8"),  # imaginary part of it [unit]
     ]
@@ -67,7 +67,7 @@ def set_period(modes, period_s):  # type: ignore[no-untyped-def]
     for k in range(modes.shape[0]):
         mode = modes[k]
         mode.decay_re, mode.decay_im = decayed(mode.pole_re, mode.pole_im, period_s)
-        mode.rings = math.ceil(min(1e9, _SILENT / (-mode.pole_re * period_s)))
+        mode.rings_for = math.ceil(min(1e9, _SILENT / (-mode.pole_re * period_s)))
 
 
 @kernel
@@ -101,15 +101,18 @@ def put_out(modes):  # type: ignore[no-untyped-def]
 @kernel
 def _particular(mode, seen, half, psi):  # type: ignore[no-untyped-def]
     """Fill psi, shape (2, SERIES), with the particular answer to S; return its values at x = −1 and 1, re and im."""
-    rate_re, rate_im = mode.pole_re * half, mode.pole_im * half
+    pole_half_re, pole_half_im = mode.pole_re * half, mode.pole_im * half
     re, im = 0.0, 0.0
     even_re, even_im, odd_re, odd_im = 0.0, 0.0, 0.0, 0.0
-    if abs(rate_re) + abs(rate_im) >= 1.0:
-        per_square = 1.0 / (rate_re * rate_re + rate_im * rate_im)
-        per_re, per_im = rate_re * per_square, -rate_im * per_square
+    if abs(pole_half_re) + abs(pole_half_im) >= 1.0:
+        per_square = 1.0 / (pole_half_re * pole_half_re + pole_half_im * pole_half_im)
+        reciprocal_re, reciprocal_im = pole_half_re * per_square, -pole_half_im * per_square
         for k in range(NODES - 1, -1, -1):
-            over_re, over_im = (k + 1) * re - half * seen[k], (k + 1) * im
-            re, im = over_re * per_re - over_im * per_im, over_re * per_im + over_im * per_re
+            numerator_re, numerator_im = (k + 1) * re - half * seen[k], (k + 1) * im
+            re, im = (
+                numerator_re * reciprocal_re - numerator_im * reciprocal_im,
+                numerator_re * reciprocal_im + numerator_im * reciprocal_re,
+            )
             psi[0, k], psi[1, k] = re, im
             if k % 2 == 0:
                 even_re, even_im = even_re + re, even_im + im
@@ -124,26 +127,29 @@ def _particular(mode, seen, half, psi):  # type: ignore[no-untyped-def]
                 even_re, even_im = even_re + re, even_im + im
             else:
                 odd_re, odd_im = odd_re + re, odd_im + im
-            scaled = half * seen[k] if k < NODES else 0.0
-            per = 1.0 / (k + 1)
-            re, im = ((rate_re * re - rate_im * im) + scaled) * per, (rate_re * im + rate_im * re) * per
+            half_seen = half * seen[k] if k < NODES else 0.0
+            per_order = 1.0 / (k + 1)
+            re, im = (
+                ((pole_half_re * re - pole_half_im * im) + half_seen) * per_order,
+                (pole_half_re * im + pole_half_im * re) * per_order,
+            )
     return even_re - odd_re, even_im - odd_im, even_re + odd_re, even_im + odd_im
 
 
 @kernel
-def through_piece(modes, seen, length, since, work, out):  # type: ignore[no-untyped-def]
+def through_piece(modes, seen, length, first_and_spacing, scratch, out):  # type: ignore[no-untyped-def]
     """Carry the modes through a piece; fill `out` with what they put out at the conversions in it.
 
     Args:
         modes: of one channel.
         seen: polynomial S of the input, shape (NODES,).
         length: of the piece [s].
-        since: time from its start to its first conversion, and from one conversion to the next [s].
-        work: scratch, shape (3, SERIES).
+        first_and_spacing: time from its start to its first conversion, and from one conversion to the next [s].
+        scratch: shape (3, SERIES).
         out: one place for each conversion.
     """
     half, count = 0.5 * length, out.shape[0]
-    psi, total = work[:2], work[2]
+    psi, total = scratch[:2], scratch[2]
     total[:] = 0.0
     for n in range(modes.shape[0]):
         mode = modes[n]
@@ -153,14 +159,14 @@ def through_piece(modes, seen, length, since, work, out):  # type: ignore[no-unt
             residue_re, residue_im = mode.residue_re, mode.residue_im
             for k in range(SERIES):
                 total[k] += residue_re * psi[0, k] - residue_im * psi[1, k]
-            decay_re, decay_im = decayed(mode.pole_re, mode.pole_im, since[0])
+            decay_re, decay_im = decayed(mode.pole_re, mode.pole_im, first_and_spacing[0])
             re, im = decay_re * free_re - decay_im * free_im, decay_re * free_im + decay_im * free_re
             mode.free_re, mode.free_im = residue_re * re - residue_im * im, residue_re * im + residue_im * re
         decay_re, decay_im = decayed(mode.pole_re, mode.pole_im, length)
         mode.psi_re = (decay_re * free_re - decay_im * free_im) + last_re
         mode.psi_im = (decay_re * free_im + decay_im * free_re) + last_im
     if count:
-        largest = _fill_polynomial(total, (since[0] - half) / half, since[1] / half, out)
+        largest = _fill_polynomial(total, (first_and_spacing[0] - half) / half, first_and_spacing[1] / half, out)
         for n in range(modes.shape[0]):
             _add_ringing(modes[n], largest, out)
 
@@ -195,7 +201,7 @@ def _add_ringing(mode, largest, out):  # type: ignore[no-untyped-def]
     re, im, decay_re, decay_im = mode.free_re, mode.free_im, mode.decay_re, mode.decay_im
     if abs(re) + abs(im) <= _LOST * largest:
         return
-    count = min(out.shape[0], mode.rings)
+    count = min(out.shape[0], mode.rings_for)
     if mode.pole_im == 0.0:
         for i in range(count):
             out[i] += re

@@ -17,11 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.elementary import PI, TWO_PI
-from impact_rig.arithmetic.random import Random
+from impact_rig.arithmetic.random import BandNoise, Random, band_pass
 from impact_rig.config import Drive, Shaker
 from impact_rig.errors import CommandError
 from impact_rig.kernels import REALS, Fields, entry, kernel, room
-from impact_rig.physics.band_noise import BandNoise, band_pass
 from impact_rig.physics.flight import SEGMENT
 from impact_rig.physics.stream import Stream
 from impact_rig.simtime import COMMAND_GRID_S

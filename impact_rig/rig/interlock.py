@@ -83,10 +83,10 @@ class Interlock:
             mean_square_of_lines(for_kernels(motion.segments), motion.first_segment, tick_s, found)
         gain = _gain(tick_s)
         limit, limit_rms = shaker.travel_limit_m, shaker.current_limit_a_rms
-        for tick, (worst, square) in enumerate(found.tolist()):
-            self._mean_square += gain * (square - self._mean_square)
-            if worst > limit:
-                return Trip(tick, OVER_TRAVEL, worst, limit)
+        for tick, (travel, current_square) in enumerate(found.tolist()):
+            self._mean_square += gain * (current_square - self._mean_square)
+            if travel > limit:
+                return Trip(tick, OVER_TRAVEL, travel, limit)
             if math.sqrt(self._mean_square) > OVER_CURRENT_MARGIN * limit_rms:
                 return Trip(tick, OVER_CURRENT, math.sqrt(self._mean_square), limit_rms)
         return None
@@ -110,9 +110,9 @@ def travel_and_current(model, trajectory, work, looks, spacing_s, found):  # typ
         looks.tick[i], looks.offset[i] = trajectory.first_tick + i // looks_per_tick, (i % looks_per_tick) * spacing_s
     sample(model, trajectory, work, looks)
     for tick in range(found.shape[0]):
-        part = looks.out[:, tick * looks_per_tick : (tick + 1) * looks_per_tick]
-        found[tick, 0] = largest(part[0], part[1], spacing_s)
-        found[tick, 1] = mean_square(part[2])
+        tick_looks = looks.out[:, tick * looks_per_tick : (tick + 1) * looks_per_tick]
+        found[tick, 0] = largest_travel(tick_looks[0], tick_looks[1], spacing_s)
+        found[tick, 1] = mean_square(tick_looks[2])
 
 
 @kernel
@@ -131,32 +131,32 @@ def mean_square_of_lines(segments, first_segment, tick_s, found):  # type: ignor
         total = 0.0
         for i in range(first_segment[tick], first_segment[tick + 1]):
             row = segments[i]
-            low, high = row.amplitude, row.amplitude + row.growth * row.duration
-            total += row.duration * (low * low + low * high + high * high) * (1.0 / 3.0)
+            start, end = row.amplitude, row.amplitude + row.growth * row.duration
+            total += row.duration * (start * start + start * end + end * end) * (1.0 / 3.0)
         found[tick, 1] = total / tick_s
 
 
 @kernel
-def largest(position, velocity, spacing_s):  # type: ignore[no-untyped-def]
+def largest_travel(position, velocity, spacing_s):  # type: ignore[no-untyped-def]
     """Return the largest |position|, between the samples as well.
 
     position [m] and its rate, velocity [m/s], have shape (n,), samples `spacing_s` [s] apart: so short that the
     velocity changes its sign at most once in it. Between two samples the position is the cubic through both ends,
-    low + x (low_rate + x (square + cube x)), x = 0 … 1.
+    start + x (start_rate + x (quadratic + cubic x)), x = 0 … 1.
     """
     found = abs(position[0])
     for i in range(position.shape[0] - 1):
-        low, high = position[i], position[i + 1]
-        low_rate, high_rate = spacing_s * velocity[i], spacing_s * velocity[i + 1]
-        found = max(found, abs(high))
-        if low_rate * high_rate < 0.0:  # it turns in between
-            square = 3.0 * (high - low) - 2.0 * low_rate - high_rate
-            cube = low_rate + high_rate - 2.0 * (high - low)
+        start, end = position[i], position[i + 1]
+        start_rate, end_rate = spacing_s * velocity[i], spacing_s * velocity[i + 1]
+        found = max(found, abs(end))
+        if start_rate * end_rate < 0.0:  # it turns in between
+            quadratic = 3.0 * (end - start) - 2.0 * start_rate - end_rate
+            cubic = start_rate + end_rate - 2.0 * (end - start)
             # rounding may make a double root negative
-            root = math.sqrt(max(0.0, square * square - 3.0 * cube * low_rate))
-            divisor = square + math.copysign(root, high_rate)
-            x = min(1.0, max(0.0, -low_rate / divisor)) if divisor != 0.0 else 0.0
-            found = max(found, abs(low + x * (low_rate + x * (square + x * cube))))
+            root = math.sqrt(max(0.0, quadratic * quadratic - 3.0 * cubic * start_rate))
+            divisor = quadratic + math.copysign(root, end_rate)
+            x = min(1.0, max(0.0, -start_rate / divisor)) if divisor != 0.0 else 0.0
+            found = max(found, abs(start + x * (start_rate + x * (quadratic + x * cubic))))
     return found
 
 

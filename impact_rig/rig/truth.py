@@ -51,12 +51,12 @@ def state_rows(model, trajectory, work, query, scans, tick_s, rows):  # type: ig
 
     rows has the shape (n, 1 + q); `query` has room for n instants.
     """
-    per_rest = tick_s / scans.rate_hz
+    seconds_per_rest = tick_s / scans.rate_hz
     for i in range(rows.shape[0]):
         scan = scans.first + i * scans.step
         rows[i, 0] = scan
         query.tick[i] = scan * TICKS_PER_S // scans.rate_hz
-        query.offset[i] = (scan * TICKS_PER_S % scans.rate_hz) * per_rest
+        query.offset[i] = (scan * TICKS_PER_S % scans.rate_hz) * seconds_per_rest
     sample(model, trajectory, work, query)
     for i in range(rows.shape[0]):
         for j in range(query.wanted.shape[0]):
@@ -64,18 +64,18 @@ def state_rows(model, trajectory, work, query, scans, tick_s, rows):  # type: ig
 
 
 @entry(IMPACT, float, IMPACTS, REALS)
-def impact_rows(found, stretch, rows, ends):  # type: ignore[no-untyped-def]
+def impact_rows(found, clock_per_motion, rows, ends):  # type: ignore[no-untyped-def]
     """Fill in the columns of the impacts, and when each ended, since scan 0 [s].
 
-    A second of motion is `stretch` seconds of the scan clock; durations stay in those of motion.
+    A second of motion is `clock_per_motion` seconds of the scan clock; durations stay in those of motion.
     """
     for i in range(found.shape[0]):
-        one, row = found[i], rows[i]
-        row.time = one.tick * COMMAND_GRID_S + one.offset * stretch
-        ends[i] = row.time + one.duration * stretch
-        row.wall, row.approach_speed, row.separation_speed = one.wall, one.approach_speed, one.separation_speed
-        row.peak_force, row.peak_indentation = one.peak_force, one.peak_indentation
-        row.impulse, row.duration, row.energy_lost = one.impulse, one.duration, one.energy_lost
+        impact, row = found[i], rows[i]
+        row.time = impact.tick * COMMAND_GRID_S + impact.offset * clock_per_motion
+        ends[i] = row.time + impact.duration * clock_per_motion
+        row.wall, row.approach_speed, row.separation_speed = impact.wall, impact.approach_speed, impact.separation_speed
+        row.peak_force, row.peak_indentation = impact.peak_force, impact.peak_indentation
+        row.impulse, row.duration, row.energy_lost = impact.impulse, impact.duration, impact.energy_lost
 
 
 class Truth:
@@ -100,7 +100,7 @@ class Truth:
         self.every_scan = every_scan
 
     @property
-    def _step(self) -> int:
+    def _kept_every(self) -> int:
         return 1 if self.every_scan else self.monitor_step
 
     def take(self, motion: Motion, tick_s: float) -> None:
@@ -109,7 +109,7 @@ class Truth:
         self._take_impacts(motion, tick_s)
 
     def _take_states(self, motion: Motion, tick_s: float) -> None:
-        step = self._step
+        step = self._kept_every
         first, end = (-(-tick * self._rate_hz // TICKS_PER_S) for tick in (motion.first_tick, motion.last_tick + 1))
         first = -(-first // step) * step
         if first >= end:

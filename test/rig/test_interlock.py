@@ -14,7 +14,7 @@ from kits.rig import TICK, paper_rig
 
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.rig import Rig
-from impact_rig.rig.interlock import LOOKS_PER_TICK, largest, mean_square
+from impact_rig.rig.interlock import LOOKS_PER_TICK, largest_travel, mean_square
 from impact_rig.rig.journal import Kind, read
 
 LOOK_S = 1e-2 / LOOKS_PER_TICK
@@ -157,7 +157,7 @@ def test_an_extreme_between_two_looks_is_found(frequency_hz: float, phase: float
     instants, fine = np.arange(LOOKS_PER_TICK + 1) * LOOK_S, np.linspace(0.0, LOOKS_PER_TICK * LOOK_S, 100_001)
     position = offset + np.sin(omega * instants + phase)
     velocity = omega * np.cos(omega * instants + phase)
-    found = largest(position, velocity, LOOK_S)
+    found = largest_travel(position, velocity, LOOK_S)
     true = np.abs(offset + np.sin(omega * fine + phase)).max()
     assert found == pytest.approx(true, abs=(omega * LOOK_S) ** 4 / 384 + 1e-9)
 
@@ -165,4 +165,4 @@ def test_an_extreme_between_two_looks_is_found(frequency_hz: float, phase: float
 def test_a_saddle_at_a_look_is_no_root_of_a_negative_number() -> None:
     """As plain Python it once raised; compiled, the root was NaN and the ends decided."""
     rate = 0.9693949389499377
-    assert largest(np.array([0.0, rate / 3.0]), np.array([rate, -1e-22]), 1.0) == pytest.approx(rate / 3.0)
+    assert largest_travel(np.array([0.0, rate / 3.0]), np.array([rate, -1e-22]), 1.0) == pytest.approx(rate / 3.0)

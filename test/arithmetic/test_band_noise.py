@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from impact_rig.arithmetic.random import Random
-from impact_rig.physics.band_noise import BandNoise, band_pass, filter_in_place
+from impact_rig.arithmetic.random import BandNoise, Random, band_pass, filter_in_place
 
 BANDS = [(5.0, 20.0), (5.0, 5.2), (0.5, 44.0), (30.0, 31.0)]
 RATE_HZ = 100.0
