@@ -13,7 +13,7 @@ from fuzz.mutation import mutated
 from fuzz.target import Target
 from impact_rig.codec import encode_joint_state
 from impact_rig.lab.protocol import LONGEST_TEXT, REQUESTS, parse
-from impact_rig.lab.record import Motion
+from impact_rig.lab.record import MotionBuffer
 
 GOOD = [
     json.dumps(request).encode()
@@ -60,7 +60,7 @@ def requests(raw: bytes) -> None:
 
 def joint_states(raw: bytes) -> None:
     """What is taken has three bodies."""
-    motion = Motion()
+    motion = MotionBuffer()
     motion.add_state(raw, 0)
     assert motion.states.since(0).shape == (1, 7)
 

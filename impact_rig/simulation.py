@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.drawings import COVERAGE, time_traces
-from impact_rig.analysis.tracker import State, Tracker
+from impact_rig.analysis.tracker import Tracker, TrackerState
 from impact_rig.blocks import IMPACTS, TRANSMISSIBILITY, Table, joined
 from impact_rig.errors import ConfigError
 from impact_rig.rig import Rig
@@ -46,7 +46,7 @@ class Record:
 
     config: RigConfig
     scans: NDArray[np.void]
-    state: State
+    state: TrackerState
     measurements: NDArray[np.void]
     impact_times: NDArray[np.float64]
     truth: NDArray[np.void]

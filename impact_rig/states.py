@@ -35,7 +35,7 @@ class Word(enum.StrEnum):
         return member
 
 
-class Rig(Word):
+class RigWord(Word):
     """What the rig does; the gravest first."""
 
     INACTIVE = "inactive", "unconfigured, inactive or finalised: the reason begins with the lifecycle state"
@@ -52,7 +52,7 @@ class Rig(Word):
     DRIVING = "driving", "running, an amplitude is commanded"
 
 
-class Analysis(Word):
+class AnalysisWord(Word):
     """What the analysis node does; the gravest first."""
 
     INACTIVE = "inactive", "unconfigured, inactive or finalised: the reason begins with the lifecycle state"
@@ -64,7 +64,7 @@ class Analysis(Word):
     MEASURING = "measuring", "the newest row of `transmissibility/table` holds for the present drive"
 
 
-class Recorder(Word):
+class RecorderWord(Word):
     """What the recorder does; the gravest first."""
 
     INACTIVE = "inactive", "unconfigured, inactive or finalised: the reason begins with the lifecycle state"
@@ -76,7 +76,7 @@ class Recorder(Word):
     IDLE = "idle", "no recording"
 
 
-class SteppedSine(Word):
+class SteppedSineWord(Word):
     """What the stepped-sine node does; the gravest first."""
 
     INACTIVE = "inactive", "unconfigured, inactive or finalised: the reason begins with the lifecycle state"
@@ -87,11 +87,11 @@ class SteppedSine(Word):
     IDLE = "idle", "no sweep was asked for"
 
 
-BY_NODE: dict[str, type[Rig | Analysis | Recorder | SteppedSine]] = {
-    "rig": Rig,
-    "analysis": Analysis,
-    "recorder": Recorder,
-    "stepped_sine": SteppedSine,
+BY_NODE: dict[str, type[RigWord | AnalysisWord | RecorderWord | SteppedSineWord]] = {
+    "rig": RigWord,
+    "analysis": AnalysisWord,
+    "recorder": RecorderWord,
+    "stepped_sine": SteppedSineWord,
 }
 """The words of each node, by its name."""
 

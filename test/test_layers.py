@@ -4,9 +4,11 @@
 
 from __future__ import annotations
 
+import ast
 import pkgutil
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -70,3 +72,11 @@ def test_there_is_one_version():
     assert in_package_xml == impact_rig.__version__
     assert f"\nversion: {in_package_xml}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     assert f"\n{in_package_xml} (" in (ROOT / "CHANGELOG.rst").read_text(encoding="utf-8")
+
+
+def test_one_word_names_one_class():
+    """`Motion`, `State` or `Plan` once named four classes each: a reader could not tell which one a sentence meant."""
+    trees = (ast.parse(path.read_text(encoding="utf-8")) for path in (ROOT / "impact_rig").rglob("*.py"))
+    names = Counter(node.name for tree in trees for node in tree.body if isinstance(node, ast.ClassDef))
+    assert len(names) > 200
+    assert [name for name, count in names.items() if count > 1] == []

@@ -16,7 +16,7 @@ from impact_rig.physics.prediction import transmissibility
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simulation import DRAWN_S, simulate
-from impact_rig.states import Analysis
+from impact_rig.states import AnalysisWord
 
 DRIVEN = {"drive.frequency_hz": 9.1, "drive.amplitude": 0.52}
 
@@ -52,7 +52,7 @@ def test_scans_are_the_rigs_and_impacts_found_are_the_true_ones():
 def test_the_analysis_hears_of_a_drive_that_was_stopped(parameters):
     """It once heard of the initial drive alone, and went on at a current that was none any more."""
     record = simulate(3.0, {**parameters, "sphere.present": False})
-    assert (record.state.word, record.state.reason) == (Analysis.AT_REST, "")
+    assert (record.state.word, record.state.reason) == (AnalysisWord.AT_REST, "")
 
 
 def test_scans_that_a_fault_withholds_are_missing_for_the_analysis_too():

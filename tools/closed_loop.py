@@ -26,7 +26,7 @@ from impact_rig.campaign.job import execute
 from impact_rig.campaign.pool import in_parallel
 from impact_rig.drawing import SERIES, legend_below, new_axes, style
 from impact_rig.operate.phase_lock import Ladder, LockPlan, PhaseLock, Rung, climb, follow, lock_on
-from impact_rig.operate.stepped_sine import Hold, HoldPlan, State
+from impact_rig.operate.stepped_sine import Hold, HoldPlan, SweepState
 from impact_rig.physics import prediction
 from impact_rig.physics.prediction import Manifold, transmissibility
 from impact_rig.rig.config import RigConfig, from_flat
@@ -115,7 +115,12 @@ def locking(_draw: bool) -> list[Finding]:
         late = lock.rows[-20:]
         f, phase = float(np.mean(late["frequency"])), math.degrees(float(np.mean(late["phase"])))
         first = (lock.locked_ns or 0) / NS_PER_S
-        kept = lock.state is State.FINISHED and abs(phase + 90.0) <= 0.5 and abs(f - true_hz) <= 0.003 and first <= 60.0
+        kept = (
+            lock.state is SweepState.FINISHED
+            and abs(phase + 90.0) <= 0.5
+            and abs(f - true_hz) <= 0.003
+            and first <= 60.0
+        )
         words = f"from {start:.2f} Hz: locked after {first:.1f} s, {f - true_hz:+.5f} Hz, phase {phase:.3f}°"
         found.append((words, kept))
     rig = ProcessLoop(from_flat(RigConfig(), {"barriers.gap_m": 6e-3}))
@@ -132,7 +137,7 @@ def locking(_draw: bool) -> list[Finding]:
     mean = np.convolve(np.degrees(rows["phase"]), [0.5, 0.5], "valid") + 90.0
     away = seconds[1:][np.abs(mean) > 2.0]
     last = float(away[-1]) if len(away) else 0.0
-    kept = before and lock.state is State.RUNNING and last < 20.0
+    kept = before and lock.state is SweepState.RUNNING and last < 20.0
     words = f"gap 6 to 10 mm while locked: held within 2° from {last:.1f} s on, {lock.frequency_hz:.4f} Hz"
     return [*found, (words, kept)]
 

@@ -42,7 +42,7 @@ from impact_rig.client import Client, Collector, Processes, isolated_domain
 from impact_rig.client.client import Received
 from impact_rig.instruments.chain import Chain
 from impact_rig.instruments.fault import Fault
-from impact_rig.lab.record import Record
+from impact_rig.lab.record import RigView
 from impact_rig.lab.state import Seen, judge
 from impact_rig.nodes.messages import nanoseconds
 from impact_rig.physics import FunctionGenerator, Motion, Simulation
@@ -304,7 +304,7 @@ def _sensor_fault(kind: str, channel: str, size: float, gap_m: float, seed: int)
     tracker.on_applied(Table(0, command))
     tracker.label(gap_m, 0)
     chain.acquire(motion, 0, len(motion.segments))
-    page = Record()
+    page = RigView()
     page.faults.add(told(kind, channel, value, round(FAULT_S * NS_PER_S), 1))
     page.faults.add(told(kind, channel, value, round(FAULT_S * NS_PER_S + samples * NS_PER_S / RATE_HZ), 0))
     worst, off, words, claims = math.nan, 0.0, Counter[str](), 0

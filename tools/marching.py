@@ -22,7 +22,7 @@ from impact_rig.analysis.cycles import PHASE_BINS
 from impact_rig.analysis.spread import classify
 from impact_rig.campaign.pool import in_parallel
 from impact_rig.maps.measure import WEAK, MapRig, Settings
-from impact_rig.maps.plan import Line, load_map
+from impact_rig.maps.plan import MapLine, load_map
 from impact_rig.rig.config import RigConfig, from_flat
 
 CYCLES, JUDGED, PER_CYCLE = 1200, 200, 64
@@ -49,7 +49,7 @@ def marched(rig: MapRig, frequency_hz: float, amplitude: float) -> tuple[str, fl
     return found.regime.value, found.period, float(abs(x_1[-n:].mean() / x_b[-n:].mean()))
 
 
-def compared(line: Line) -> list[tuple[str, str, float]]:
+def compared(line: MapLine) -> list[tuple[str, str, float]]:
     """Return what the map says of each place, what the long motion does, and the relative difference of DT."""
     rows, base = [], from_flat(RigConfig(), line.changes)
     for value in line.values:

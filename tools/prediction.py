@@ -28,7 +28,7 @@ from impact_rig.maps.plan import GAP
 from impact_rig.physics import prediction
 from impact_rig.rig.config import RigConfig
 from impact_rig.studies.dynamics import figures
-from impact_rig.studies.dynamics.plan import CONTINUE, Plan, Task, run
+from impact_rig.studies.dynamics.plan import CONTINUE, Plan, StudyTask, run
 
 FREQUENCIES_HZ = (8.8, 9.1, 9.4)
 GAPS_MM = (6, 8, 10, 11, 12, *range(14, 41, 2), 27, 29, 31)
@@ -165,7 +165,7 @@ def continued() -> list[tuple[NDArray[np.generic], ...]]:
     """Return gap [mm], DT, phase [°], and whether stable, along motions that strike otherwise than twice a cycle."""
     what = {"over": GAP, "low": FROM_MM * 1e-3, "high": TO_MM * 1e-3, "start": "left", "points": 200}
     tasks = [
-        Task(
+        StudyTask(
             kind=CONTINUE, name="", changes={}, settings=Settings(), frequency_hz=frequency, current_a=CURRENT_A,
             what={**what, "value": gap * 1e-3},
         )

@@ -49,22 +49,22 @@ almost equal forces leave."""
 
 
 @attrs.frozen
-class Verdict:
+class Rejection:
     """What is wrong, and with which channel, if with one in particular."""
 
     status: Status
     channel: str = ""
 
 
-def unsound(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> Verdict | None:
+def unsound(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> Rejection | None:
     """Return why cycles must not be averaged, or None."""
     flags = int(np.bitwise_or.reduce(cycles.flags))
     finite = np.logical_and.reduce(np.isfinite(cycles.mean)).tolist()
     for channel in DISPLACEMENTS:
         if not finite[channel]:
-            return Verdict(Status.NOT_FINITE, CHANNELS[channel])
+            return Rejection(Status.NOT_FINITE, CHANNELS[channel])
         if flags & ((1 | RANGE_BIT) << channel):
-            return Verdict(Status.OVER_RANGE, CHANNELS[channel])
+            return Rejection(Status.OVER_RANGE, CHANNELS[channel])
     still = _still(_constant(cycles)[[LASER, BASE]].tolist(), Status.CONSTANT)
     if still is not None:
         return still
@@ -72,11 +72,11 @@ def unsound(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> Ve
     for channel in (LASER, BASE):
         why = rough[channel]
         if why:
-            return Verdict(why, CHANNELS[channel])
+            return Rejection(why, CHANNELS[channel])
     return None
 
 
-def silent(amplitudes: tuple[float, float], floors: tuple[float, float]) -> Verdict | None:
+def silent(amplitudes: tuple[float, float], floors: tuple[float, float]) -> Rejection | None:
     """Return whether laser and base, in this order, show no vibration: neither (silence), or one of them alone.
 
     A channel that falls silent while it is measured is found earlier: `settling`.
@@ -85,11 +85,11 @@ def silent(amplitudes: tuple[float, float], floors: tuple[float, float]) -> Verd
     return _still(still, Status.NO_SIGNAL)
 
 
-def _still(still: list[bool], alone: Status) -> Verdict | None:
+def _still(still: list[bool], alone: Status) -> Rejection | None:
     """Return silence where laser and base, in this order, are both still, and `alone` where one of them is."""
     if all(still):
-        return Verdict(Status.SILENCE)
-    return Verdict(alone, CHANNELS[(LASER, BASE)[still.index(True)]]) if any(still) else None
+        return Rejection(Status.SILENCE)
+    return Rejection(alone, CHANNELS[(LASER, BASE)[still.index(True)]]) if any(still) else None
 
 
 def _constant(cycles: Cycles) -> NDArray[np.bool_]:
@@ -176,7 +176,7 @@ def amplitudes(
     return Amplitudes(size, u, frequency_hz, max(ACCELERATION_LIMIT, sensitivities))
 
 
-def misplaced(found: Amplitudes, u_relative: float, phase_rad: float, u_phase_rad: float) -> Verdict | None:
+def misplaced(found: Amplitudes, u_relative: float, phase_rad: float, u_phase_rad: float) -> Rejection | None:
     """Tell whether laser and base have changed places, or one of them is wired the wrong way round.
 
     Of a DT uncertain by more than `CERTAIN` nothing is told. The phase is that of X_1 / X_b, ± π far above resonance.
@@ -189,14 +189,14 @@ def misplaced(found: Amplitudes, u_relative: float, phase_rad: float, u_phase_ra
         fits_base = 1.0 / SWAP_MATCH < displacement / found.size[BASE] < SWAP_MATCH
         fits_laser = bool(1.0 / SWAP_MISMATCH < displacement / found.size[LASER] < SWAP_MISMATCH)
         if fits_base and not fits_laser:
-            return Verdict(Status.SWAPPED_CHANNELS)
+            return Rejection(Status.SWAPPED_CHANNELS)
     doubt = LEAD_LIMIT_RAD + 3.0 * u_phase_rad
     if doubt < phase_rad < math.pi - doubt:
-        return Verdict(Status.INVERTED_CHANNEL if fits_laser else Status.SWAPPED_CHANNELS)
+        return Rejection(Status.INVERTED_CHANNEL if fits_laser else Status.SWAPPED_CHANNELS)
     return None
 
 
-def contradiction(found: Amplitudes, before: Amplitudes | None = None) -> Verdict | None:
+def contradiction(found: Amplitudes, before: Amplitudes | None = None) -> Rejection | None:
     """Return whether the accelerometer contradicts the laser, or is dead: then impacts cannot be believed, or DT.
 
     A dead accelerometer leaves the displacements sound; of one that moves, but not as the laser says, it is not known
@@ -204,10 +204,10 @@ def contradiction(found: Amplitudes, before: Amplitudes | None = None) -> Verdic
     """
     u, expected = found.u, found.size[LASER]
     if not math.isfinite(found.size[ACCELEROMETER]):
-        return Verdict(Status.ACCELEROMETER_UNSOUND, CHANNELS[ACCELEROMETER])
+        return Rejection(Status.ACCELEROMETER_UNSOUND, CHANNELS[ACCELEROMETER])
     if found.size[ACCELEROMETER] <= SIGNAL_FACTOR * u[ACCELEROMETER]:
         dead = expected > REFERENCE_FACTOR * u[ACCELEROMETER]  # the motion is one that it would show
-        return Verdict(Status.ACCELEROMETER_UNSOUND, CHANNELS[ACCELEROMETER]) if dead else None
+        return Rejection(Status.ACCELEROMETER_UNSOUND, CHANNELS[ACCELEROMETER]) if dead else None
     low = expected / math.hypot(1.0, ACCELEROMETER_HIGH_PASS_HZ / found.frequency_hz)
     allowed = found.calibrated * expected + 3.0 * math.hypot(u[ACCELEROMETER], u[LASER])
     if low - allowed <= found.size[ACCELEROMETER] <= expected + allowed:
@@ -218,8 +218,8 @@ def contradiction(found: Amplitudes, before: Amplitudes | None = None) -> Verdic
             math.hypot(found.relative[LASER], before.relative[LASER]),
         )
         if abs(laser) <= ALONE + NOISES * noise:
-            return Verdict(Status.ACCELEROMETER_UNSOUND, CHANNELS[ACCELEROMETER])
-    return Verdict(Status.IMPLAUSIBLE, CHANNELS[LASER])
+            return Rejection(Status.ACCELEROMETER_UNSOUND, CHANNELS[ACCELEROMETER])
+    return Rejection(Status.IMPLAUSIBLE, CHANNELS[LASER])
 
 
 def current_unsound(
@@ -246,15 +246,15 @@ def _changes(before: Amplitudes, now: Amplitudes) -> tuple[Real, Real]:
         return np.log(now.size / before.size), NOISES * np.hypot(before.relative, now.relative)
 
 
-def changed_alone(before: Amplitudes, now: Amplitudes) -> Verdict | None:
+def changed_alone(before: Amplitudes, now: Amplitudes) -> Rejection | None:
     """Return which channel has changed by itself since an earlier row of the same setting, or None."""
     change, noise = _changes(before, now)
     size = np.nan_to_num(np.abs(change), posinf=math.inf)
     least = np.maximum(ALONE, noise)
     apart = abs(change[LASER] - change[ACCELEROMETER])
     if apart > ALONE + math.hypot(noise[LASER], noise[ACCELEROMETER]) and size[LASER] > size[ACCELEROMETER]:
-        return Verdict(Status.IMPLAUSIBLE, CHANNELS[LASER])
+        return Rejection(Status.IMPLAUSIBLE, CHANNELS[LASER])
     still = size[LASER] + (size[CURRENT] if math.isfinite(noise[CURRENT]) else 0.0)
     if size[BASE] > least[BASE] + FOLLOWS * still:
-        return Verdict(Status.IMPLAUSIBLE, CHANNELS[BASE])
+        return Rejection(Status.IMPLAUSIBLE, CHANNELS[BASE])
     return None

@@ -31,7 +31,7 @@ import numpy as np
 
 from impact_rig.analysis.calibration import Calibration, Complex
 from impact_rig.analysis.cycles import Cycles, concatenate
-from impact_rig.analysis.health import REFERENCE_FACTOR, SIGNAL_FACTOR, Amplitudes, Verdict, changed_alone, unsound
+from impact_rig.analysis.health import REFERENCE_FACTOR, SIGNAL_FACTOR, Amplitudes, Rejection, changed_alone, unsound
 from impact_rig.analysis.scans import BASE, CHANNELS, LASER
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.spread import variance_of_mean
@@ -219,7 +219,7 @@ class Judge:
             self._reference = found.amplitudes
         return found
 
-    def _lost_signal(self, window: Cycles) -> Verdict | None:
+    def _lost_signal(self, window: Cycles) -> Rejection | None:
         """Return whether a channel that had a signal in the windows before shows none in the newest.
 
         What is so small that only many windows show it, is left to them.
@@ -232,10 +232,10 @@ class Judge:
             floor = SIGNAL_FACTOR * math.sqrt(2.0 * float(self._noise_per_scan[channel]) / scans)
             has = abs(complex(window.phasors[:, channel, 0].mean()))
             if has <= floor and abs(complex(before.phasors[:, channel, 0].mean())) > REFERENCE_FACTOR * floor:
-                return Verdict(Status.NO_SIGNAL, CHANNELS[channel])
+                return Rejection(Status.NO_SIGNAL, CHANNELS[channel])
         return None
 
-    def _break(self, why: Verdict) -> Measurement | None:
+    def _break(self, why: Rejection) -> Measurement | None:
         status = why.status
         self._windows.clear()
         self._ratios.clear()

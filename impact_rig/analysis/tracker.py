@@ -29,7 +29,7 @@ from impact_rig.analysis.transmissibility import Measurement, counts_impacts, me
 from impact_rig.blocks import APPLIED, DAQ_INFO, LONGEST_S, Table, joined
 from impact_rig.errors import ConfigError
 from impact_rig.simtime import NS_PER_S, stamp_ns
-from impact_rig.states import MEASURED, SETTLED, Analysis, Status
+from impact_rig.states import MEASURED, SETTLED, AnalysisWord, Status
 
 
 @attrs.define
@@ -48,10 +48,10 @@ class Counters:
 
 
 @attrs.frozen
-class State:
+class TrackerState:
     """What a measurement does now, decided from scans and commands alone: the same live and from a recorded run."""
 
-    word: str  # of `states.Analysis`
+    word: str  # of `states.AnalysisWord`
     reason: str = ""  # a status of `transmissibility/table`; empty where the word says it all
     since_ns: int | None = None  # rig time at which it began; None before the first scan
 
@@ -117,7 +117,7 @@ class Tracker:
         self._struck = math.nan  # scan of the last impact before what was reported last
         self._placed = 0  # scan from which the label holds
         self._rows: list[Table] = []
-        self._state = State(Analysis.NO_SCANS)
+        self._state = TrackerState(AnalysisWord.NO_SCANS)
 
     def configure(self, info: Table) -> None:
         """Take `daq/info`: a calibration, which acts from its stamp on, and where scan 0 is.
@@ -223,7 +223,7 @@ class Tracker:
         return self._judge.progress if self._accumulator is not None else None
 
     @property
-    def state(self) -> State:
+    def state(self) -> TrackerState:
         """What the measurement does now, and since when."""
         return self._state
 
@@ -322,7 +322,7 @@ class Tracker:
         self._impacts_ahead.clear()
         self._begin(index, changed=True)
         if lost:
-            self._enter(Analysis.LOST_SCANS, Status.LOST_BLOCKS, index)
+            self._enter(AnalysisWord.LOST_SCANS, Status.LOST_BLOCKS, index)
 
     def _advance(self, until: int) -> None:
         """Measure the scans before `until`, events at their scans."""
@@ -357,10 +357,10 @@ class Tracker:
                 self._calibration, self._rate = event, event.rate_hz
         self._begin(index, changed=True)
 
-    def _enter(self, word: Analysis, reason: str, scan: int) -> None:
+    def _enter(self, word: AnalysisWord, reason: str, scan: int) -> None:
         """Be in a state from a scan on; one that goes on keeps its beginning; settling begins with every change."""
-        if (word, reason) != (self._state.word, self._state.reason) or (word, reason) == (Analysis.SETTLING, ""):
-            self._state = State(word, reason, stamp_ns(scan, self._rate, self._start_ns))
+        if (word, reason) != (self._state.word, self._state.reason) or (word, reason) == (AnalysisWord.SETTLING, ""):
+            self._state = TrackerState(word, reason, stamp_ns(scan, self._rate, self._start_ns))
 
     def _begin(self, index: int, *, changed: bool) -> None:
         """Count cycles and windows anew from scan `index`."""
@@ -370,7 +370,7 @@ class Tracker:
             self._changed = index
         self._origin = self._added = self._due = index
         at_rest = self._command is None or self._command.current == 0.0
-        self._enter(Analysis.AT_REST if at_rest else Analysis.SETTLING, "", index)
+        self._enter(AnalysisWord.AT_REST if at_rest else AnalysisWord.SETTLING, "", index)
         harmonics = usable_harmonics(rate, frequency, self._settings.harmonics)
         if not harmonics:
             self._accumulator = None
@@ -400,8 +400,8 @@ class Tracker:
             found = self._judge.add(window, self._quiet(last))
             if found:
                 self._emit(found, last)
-            elif self._judge.late and self._state.word == Analysis.MEASURING:
-                self._enter(Analysis.SETTLING, "", last)
+            elif self._judge.late and self._state.word == AnalysisWord.MEASURING:
+                self._enter(AnalysisWord.SETTLING, "", last)
 
     def _add(self, accumulator: Accumulator) -> None:
         """Accumulate what has been measured; it is due again when that completes a window, or after ADD_S."""
@@ -473,12 +473,12 @@ class Tracker:
             self.counters.measurements += 1
         else:
             self.counters.refusals += 1
-        if self._state.word != Analysis.AT_REST:
+        if self._state.word != AnalysisWord.AT_REST:
             if found.status in SETTLED:
-                self._enter(Analysis.MEASURING, "", last_scan)
+                self._enter(AnalysisWord.MEASURING, "", last_scan)
             else:
                 waiting = found.status is Status.NOT_SETTLED
-                self._enter(Analysis.SETTLING if waiting else Analysis.UNABLE, found.status, last_scan)
+                self._enter(AnalysisWord.SETTLING if waiting else AnalysisWord.UNABLE, found.status, last_scan)
         waited, age = (last_scan + 1 - self._changed) / self._rate, (last_scan + 1 - self._struck) / self._rate
         stamp = stamp_ns(last_scan, self._rate, self._start_ns)
         self._rows.append(measurement_table(attrs.evolve(found, impact_age_s=age), stamp, self._gap_m, waited))

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from impact_rig.analysis import health
 from impact_rig.analysis.calibration import Calibration, Complex, Real
 from impact_rig.analysis.cycles import RANGE_BIT, Accumulator, Cycles, distinct_phases, usable_harmonics
-from impact_rig.analysis.health import REFERENCE_FACTOR, Amplitudes, Verdict
+from impact_rig.analysis.health import REFERENCE_FACTOR, Amplitudes, Rejection
 from impact_rig.analysis.impacts import MIN_RATE_HZ, ImpactDetector, counted
 from impact_rig.analysis.scans import ACCELEROMETER, BASE, CHANNELS, CURRENT, LASER, samples_of, status_of
 from impact_rig.analysis.settings import TrackerSettings
@@ -115,13 +115,13 @@ def measure(
     there is no number.
     """
 
-    def refuse(why: Verdict, largest: str = "") -> Measurement:
+    def refuse(why: Rejection, largest: str = "") -> Measurement:
         return Measurement(
             status=why.status, channel=why.channel, frequency_hz=frequency_hz, cycles=len(cycles), largest=largest
         )
 
     if len(cycles) < MIN_CYCLES:
-        return refuse(Verdict(Status.TOO_FEW_CYCLES))
+        return refuse(Rejection(Status.TOO_FEW_CYCLES))
     flags = int(np.bitwise_or.reduce(cycles.flags))
     broken = health.unsound(cycles, calibration, frequency_hz)
     if broken:
@@ -169,7 +169,7 @@ def measure(
     most = max(parts, key=lambda part: part.amplitude)
     if u_amplitude > (settings.worst_relative_uncertainty if worst is None else worst):
         small = 2.0 * steps > u_amplitude**2
-        return refuse(Verdict(Status.BELOW_RESOLUTION if small else Status.TOO_UNCERTAIN, most.channel), most.what)
+        return refuse(Rejection(Status.BELOW_RESOLUTION if small else Status.TOO_UNCERTAIN, most.channel), most.what)
     phase = float(np.angle(ratio))
     wrong = health.misplaced(sizes, u_amplitude, phase, u_phase) or contradicted
     if wrong and wrong.status not in MEASURED:

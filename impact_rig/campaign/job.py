@@ -31,7 +31,7 @@ from impact_rig.config.tree import Value
 from impact_rig.errors import GoneError, ImpactRigError
 from impact_rig.instruments.section import channels_of
 from impact_rig.operate.operator import Applied, News, Note, PatientApparatus, operate, silent
-from impact_rig.operate.stepped_sine import Direction, Plan, Setpoint, State, SteppedSine
+from impact_rig.operate.stepped_sine import Direction, Setpoint, SteppedSine, SweepPlan, SweepState
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.journal import not_default
@@ -77,13 +77,13 @@ class Job:
         """
         return TrackerSettings(**dict(self.analysis))  # type: ignore[arg-type]  # its validators check
 
-    def plan(self) -> Plan:
+    def plan(self) -> SweepPlan:
         """Return what to command.
 
         Raises:
             ConfigError: a value is wrong.
         """
-        return Plan(
+        return SweepPlan(
             frequencies_hz=self.frequencies_hz,  # type: ignore[arg-type]  # mypy cannot solve the generic converter
             current_a=self.current_a,
             direction=self.direction,
@@ -163,7 +163,7 @@ def run_job(job: Job, prepare: Callable[[Job], JobApparatus], note: Note = silen
         apparatus = prepare(job)
         operate(sweep, apparatus, note)
         failure = sweep.reason
-        if job.traces and sweep.state is State.FINISHED:
+        if job.traces and sweep.state is SweepState.FINISHED:
             trace = dict(apparatus.trace())
     except GoneError:
         raise

@@ -74,7 +74,7 @@ Runner = Callable[[Sequence[T]], Generator[tuple[T, Sequence[Row]], None, None]]
 
 
 @attrs.frozen
-class Store(Generic[T]):
+class TaskStore(Generic[T]):
     """The directory of a study."""
 
     directory: Path

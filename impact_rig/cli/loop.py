@@ -24,10 +24,10 @@ from impact_rig.cli.excite import add_kinds, add_rig, rig_of
 from impact_rig.cli.terminal import Console, TextTable, add_json, subcommand, tell_json
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.operate.phase_lock import Ladder, LockPlan, LoopApparatus, Reference, Rung, climb, lock_on, mean
-from impact_rig.operate.stepped_sine import Direction, Hold, HoldPlan, State
+from impact_rig.operate.stepped_sine import Direction, Hold, HoldPlan, SweepState
 from impact_rig.rig.config import RigConfig, differences
 from impact_rig.simtime import NS_PER_S
-from impact_rig.studies.closed_loop import Held, ProcessLoop, hold
+from impact_rig.studies.closed_loop import HeldSweep, ProcessLoop, hold
 from impact_rig.system import files
 
 SHOWN = 12  # looks of a lock that are printed; all of them are in the CSV
@@ -121,7 +121,7 @@ def _hold(arguments: argparse.Namespace, config: RigConfig, gap: float, console:
     return 1 if found.failure or missing or not np.all(found.rows["held"] == 1.0) else 0
 
 
-def _held(way: str, job: Job, plan: HoldPlan) -> Held:
+def _held(way: str, job: Job, plan: HoldPlan) -> HeldSweep:
     if way == "process":
         return hold(job, plan)
     from impact_rig.client.apparatus import stepped_hold  # noqa: PLC0415  # needs rclpy
@@ -148,9 +148,9 @@ def _lock(arguments: argparse.Namespace, config: RigConfig, _gap: float, console
     console.print(table)
     _write(arguments.output, lock.rows)
     if arguments.json:
-        early = "" if lock.state is State.FINISHED else lock.reason
+        early = "" if lock.state is SweepState.FINISHED else lock.reason
         tell_json({"rows": lock.rows, "locked_ns": lock.locked_ns, "ended_early": early})
-    if lock.state is not State.FINISHED:
+    if lock.state is not SweepState.FINISHED:
         console.print(f"ended early: {lock.reason}")
         return 1
     assert lock.locked_ns is not None

@@ -12,7 +12,7 @@ from impact_rig.cli.terminal import Console, TextTable, add_json, subcommand, te
 from impact_rig.errors import ConfigError
 
 if TYPE_CHECKING:
-    from impact_rig.runs.measurement import Mapping, Measurement
+    from impact_rig.runs.measurement import ImportedFile, Mapping
 
 
 def add_import(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -135,7 +135,7 @@ def _number(text: str) -> float | str:
         return text
 
 
-def _content(found: Measurement) -> dict[str, object]:
+def _content(found: ImportedFile) -> dict[str, object]:
     return {
         "file": str(found.source.path), "format": found.source.kind, "rate_hz": found.rate_hz,
         "scans": len(found.rows), "channels": {name: one.column for name, one in found.mapping.channels.items()},
@@ -144,7 +144,7 @@ def _content(found: Measurement) -> dict[str, object]:
     }  # fmt: skip
 
 
-def _print(console: Console, found: Measurement) -> None:
+def _print(console: Console, found: ImportedFile) -> None:
     """Print what the signals of a file are taken for."""
     used = {one.column: name for name, one in found.mapping.channels.items()}
     title = f"{found.source.path}: {found.source.kind}"

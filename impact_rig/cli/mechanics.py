@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from impact_rig.campaign.tasks import Row, Runner, Store
+from impact_rig.campaign.tasks import Row, Runner, TaskStore
 from impact_rig.cli import tasks
 from impact_rig.cli.terminal import Console, TextTable, subcommand, tell_results
 from impact_rig.errors import ConfigError
@@ -81,7 +81,7 @@ def _map(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _add_exponents(done: run.FinishedMap, console: Console, runner: Runner[plans.Task]) -> int:
+def _add_exponents(done: run.FinishedMap, console: Console, runner: Runner[plans.StudyTask]) -> int:
     """Add exponent and standard uncertainty beside the regimes; return of how many places."""
     axes, wanted = done.plan.axes, []
     for line in done.plan.lines():
@@ -94,7 +94,7 @@ def _add_exponents(done: run.FinishedMap, console: Console, runner: Runner[plans
     names = plans.COLUMNS[plans.EXPONENT][-2:]
     for values in done.values.values():
         values |= {name: np.full(values["dt"].shape, np.nan) for name in names}
-    store: Store[plans.Task] = Store(done.directory, "map", "exponents", ("maps", "studies"))
+    store: TaskStore[plans.StudyTask] = TaskStore(done.directory, "map", "exponents", ("maps", "studies"))
     store.prepare(done.plan.text, done.plan.base)
     tasks.measure([task for task, _, _ in wanted], store, runner, console, lambda _: 1)
     for task, values, place in wanted:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from impact_rig.campaign.pool import in_parallel, on_cluster
-from impact_rig.campaign.tasks import Portable, Runner, Store, Task
+from impact_rig.campaign.tasks import Portable, Runner, Task, TaskStore
 from impact_rig.campaign.tasks import measure as measure_tasks
 from impact_rig.cli.terminal import Console, Counted, add_json
 from impact_rig.errors import ConfigError
@@ -68,7 +68,7 @@ def runner(
 
 
 def measure(
-    tasks: Sequence[T], store: Store[T], runner: Runner[T], console: Console, places: Callable[[T], int]
+    tasks: Sequence[T], store: TaskStore[T], runner: Runner[T], console: Console, places: Callable[[T], int]
 ) -> tuple[int, float]:
     """Measure what is missing, with progress by `places`; return how many places that were, and its duration [s]."""
     began = time.monotonic()

@@ -34,11 +34,11 @@ from impact_rig.operate.hardware import Hardware, Wanted
 from impact_rig.operate.operator import Applied, News
 from impact_rig.operate.phase_lock import Look, PhasorMeter
 from impact_rig.operate.stepped_sine import HoldPlan, Setpoint, SteppedSine
-from impact_rig.rig import Kind
+from impact_rig.rig import InputKind
 from impact_rig.rig.config import RigConfig, differences, to_flat
 from impact_rig.rig.interlock import OVER_TRAVEL, Trip
 from impact_rig.simtime import NS_PER_S, stamp_ns
-from impact_rig.studies.closed_loop import Held, hold, with_short_blocks
+from impact_rig.studies.closed_loop import HeldSweep, hold, with_short_blocks
 
 FIXED = ("time.", "step.", "daq.rate_hz", "daq.block_scans", "output.autostart")
 """Parameters that are read-only, or that say how the rig is driven here."""
@@ -49,7 +49,7 @@ Watch = Callable[[Job, SteppedSine | None], None]
 
 CONTROLLER = "controller"  # of the client's node: in `freewheel` and `stepped` it is among `time.peers`
 REALTIME_LEAD_S = 0.2
-_STOPS = tuple(kind.value.encode() for kind in (Kind.TRIP, Kind.STOP))
+_STOPS = tuple(kind.value.encode() for kind in (InputKind.TRIP, InputKind.STOP))
 
 
 def stepped_runner(directory: Path, *, record: bool = False) -> Runner:
@@ -141,7 +141,7 @@ def _run_all(
 
 def _first_trip(journal: Collector) -> np.void | None:
     """Return the first row of `rig/journal` that says that the rig has tripped."""
-    return next((row for row in journal.rows() if row["kind"] == Kind.TRIP.value.encode()), None)
+    return next((row for row in journal.rows() if row["kind"] == InputKind.TRIP.value.encode()), None)
 
 
 class RosApparatus(JobApparatus):
@@ -433,7 +433,7 @@ class SteppedLoop:
         return None if trip is None else f"the rig tripped: {trip['key'].decode()}"
 
 
-def stepped_hold(directory: Path, job: Job, plan: HoldPlan) -> Held:
+def stepped_hold(directory: Path, job: Job, plan: HoldPlan) -> HeldSweep:
     """Walk through a job's points with an amplitude held, behind topics; the processes log into `directory`.
 
     Raises:

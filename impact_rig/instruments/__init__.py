@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from impact_rig.instruments.chain import Chain
     from impact_rig.instruments.checks import ChannelCheck, check_known_input, check_polarity
     from impact_rig.instruments.fault import Fault
-    from impact_rig.instruments.pieces import Motion
+    from impact_rig.instruments.pieces import PiecewiseMotion
 
 __getattr__ = lazily(  # compiled code is loaded where it is used, not where a configuration is read
     __name__,
@@ -19,7 +19,7 @@ __getattr__ = lazily(  # compiled code is loaded where it is used, not where a c
     check_known_input="checks",
     check_polarity="checks",
     Fault="fault",
-    Motion="pieces",
+    PiecewiseMotion="pieces",
 )
 
-__all__ = ["Chain", "ChannelCheck", "Fault", "Motion", "check_known_input", "check_polarity"]
+__all__ = ["Chain", "ChannelCheck", "Fault", "PiecewiseMotion", "check_known_input", "check_polarity"]

@@ -31,10 +31,10 @@ from impact_rig.instruments.channel import (
 )
 from impact_rig.instruments.conversion import CHANNEL, set_converter, set_output, take_rows
 from impact_rig.instruments.fault import Fault, FaultBoard
-from impact_rig.instruments.pieces import PIECES_PER_PERIOD, Limits, Motion, Pieces, cut
+from impact_rig.instruments.pieces import PIECES_PER_PERIOD, Limits, Pieces, PiecewiseMotion, cut
 from impact_rig.instruments.response import SENSOR_MODE, records_of
-from impact_rig.instruments.section import Setup, row_type_of
-from impact_rig.instruments.sensor import Modes, Sensor
+from impact_rig.instruments.section import InstrumentSetup, row_type_of
+from impact_rig.instruments.sensor import Sensor, SensorModes
 from impact_rig.kernels import records
 from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S
 
@@ -51,7 +51,7 @@ _ERRORS, _NOISE, _CONVERTER_NOISE, _BOARD = range(4)
 _LEFT_OVER = 4  # readings that wait for the other channels: at most one, and one more after a change of the skews
 
 
-def sensors(config: Setup) -> list[Sensor]:
+def sensors(config: InstrumentSetup) -> list[Sensor]:
     """Return the sensors of a configuration in scan order, the anti-alias filter of the board behind them."""
     return [instrument.sensor().behind(config.instruments.adc) for instrument in config.instruments.fitted()]
 
@@ -66,12 +66,12 @@ class Chain:
         ConfigError: the converter cannot do it.
     """
 
-    def __init__(self, config: Setup) -> None:
+    def __init__(self, config: InstrumentSetup) -> None:
         self._config = config
         self.reset()
 
     @property
-    def config(self) -> Setup:
+    def config(self) -> InstrumentSetup:
         """The configuration in force."""
         return self._config
 
@@ -109,7 +109,7 @@ class Chain:
         self._most = self._clock.scans_per_tick() + 1
         self._buffers = new_buffers(len(places), _TICKS_AT_ONCE * self._most + _LEFT_OVER)
         self._words = self._buffers.values.view(np.uint64)
-        self._chains: list[Modes] = []
+        self._chains: list[SensorModes] = []
         self._modes: NDArray[np.void] = records(0, SENSOR_MODE)
         self._longest_s = _LONGEST_PIECE_S
         if config.drive.waveform == "chirp":  # no command: it may end beyond the highest frequency of one
@@ -128,7 +128,7 @@ class Chain:
         self._next_scan = 0
         self._tick = 0
 
-    def reconfigure(self, config: Setup) -> None:
+    def reconfigure(self, config: InstrumentSetup) -> None:
         """Change the instruments from the next tick on; counters, noise and faults go on.
 
         Raises:
@@ -158,7 +158,7 @@ class Chain:
         self._sensors = sensors(config)
         self._equip(keep=config.instruments.ideal == ideal)
 
-    def acquire(self, motion: Motion, motion_tick: int, count: int, tick_s: float = COMMAND_GRID_S) -> None:
+    def acquire(self, motion: PiecewiseMotion, motion_tick: int, count: int, tick_s: float = COMMAND_GRID_S) -> None:
         """Convert every scan that falls into the next ticks.
 
         Args:
@@ -303,7 +303,9 @@ class Chain:
         """Cut pieces as short as such a drive needs; no longer ones until a reset: a faster one may still be on."""
         self._longest_s = min(self._longest_s, 1.0 / (PIECES_PER_PERIOD * frequency_hz))
 
-    def _acquire(self, motion: Motion, pieces: Pieces, blows: NDArray[np.void], motion_tick: int, clock: Clock) -> None:
+    def _acquire(
+        self, motion: PiecewiseMotion, pieces: Pieces, blows: NDArray[np.void], motion_tick: int, clock: Clock
+    ) -> None:
         coefficients = motion.polynomials(self._quantities, pieces.tick, pieces.start, pieces.end)
         kicks = np.zeros((len(self._names), len(pieces.start) if len(blows) else 0))
         if len(blows):
@@ -325,7 +327,9 @@ class Chain:
         for one in faulty:
             self._repeat(*one)
 
-    def _acquire_directly(self, motion: Motion, motion_tick: int, ticks: int, tick_s: float, clock: Clock) -> None:
+    def _acquire_directly(
+        self, motion: PiecewiseMotion, motion_tick: int, ticks: int, tick_s: float, clock: Clock
+    ) -> None:
         """Read the motion itself: ideal instruments have no skew, all channels are converted at the same instants."""
         tick, offset = np.empty(ticks * self._most, np.int64), np.empty(ticks * self._most)
         count = instants(self._channels, clock, ticks, tick_s, tick, offset)

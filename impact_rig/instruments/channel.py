@@ -21,7 +21,7 @@ from impact_rig.errors import ConfigError
 from impact_rig.instruments.conversion import CHANNEL, STRETCH, TWO_D_FLAGS, to_units, to_volts
 from impact_rig.instruments.pieces import PIECES, Pieces
 from impact_rig.instruments.response import SENSOR_MODE, SERIES, first_value, put_out, set_period, settle, through_piece
-from impact_rig.instruments.section import Setup
+from impact_rig.instruments.section import InstrumentSetup
 from impact_rig.kernels import INTEGERS, REALS, REALS_2D, REALS_3D, Fields, entry, kernel
 from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S
 
@@ -53,7 +53,7 @@ class ScanClock:
         return -(-self.lengths.tick // self.lengths.period)
 
 
-def scan_clock(config: Setup) -> ScanClock:
+def scan_clock(config: InstrumentSetup) -> ScanClock:
     """Return the clock of a configuration.
 
     Raises:

@@ -19,7 +19,7 @@ from impact_rig.arithmetic.interpolation import NODES
 from impact_rig.instruments.chain import Chain, sensors
 from impact_rig.instruments.fault import Fault
 from impact_rig.instruments.instrument import BOARD_KINDS
-from impact_rig.instruments.section import Setup
+from impact_rig.instruments.section import InstrumentSetup
 
 _SETTLE_TICKS = 400  # 4 s: the 1 Hz high-pass forgets its start to e^-25
 _MEASURE_TICKS = 100
@@ -75,7 +75,7 @@ class _Rest:
 
 
 def check_known_input(
-    config: Setup, faults: Iterable[Fault] = (), frequency_hz: float = 10.0, fraction: float = 0.5
+    config: InstrumentSetup, faults: Iterable[Fault] = (), frequency_hz: float = 10.0, fraction: float = 0.5
 ) -> list[ChannelCheck]:
     """Put a sine on every channel of a twin of the rig's instruments and judge what it reads.
 
@@ -112,7 +112,7 @@ def check_known_input(
     ]
 
 
-def check_polarity(config: Setup, faults: Iterable[Fault] = ()) -> dict[str, int]:
+def check_polarity(config: InstrumentSetup, faults: Iterable[Fault] = ()) -> dict[str, int]:
     """Return for every channel 1 if a push to the right reads positive, −1 if negative, 0 if nothing comes through."""
     return {check.channel: check.polarity for check in check_known_input(config, faults)}
 

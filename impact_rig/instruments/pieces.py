@@ -21,7 +21,7 @@ PIECES_PER_PERIOD = 2.0
 """Of the fastest drive."""
 
 
-class Motion(Protocol):
+class PiecewiseMotion(Protocol):
     """What an instrument needs to see of a motion: `impact_rig.physics.Motion` has it, any analytic motion can.
 
     Quantities of the rig are functions of (tick, offset within it); a tick takes 10 ms of the scan clock.

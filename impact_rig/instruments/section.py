@@ -92,7 +92,7 @@ def channels_of(rows: NDArray[np.void]) -> tuple[str, ...]:
 _FRAME = frozenset(column.name for column in FRAME.fields)
 
 
-class Setup(Protocol):
+class InstrumentSetup(Protocol):
     """Some sections of a configuration; `impact_rig.rig.config.RigConfig` has them."""
 
     @property

@@ -57,13 +57,13 @@ _DISTINCT = Decimal("1e-5")
 
 
 @attrs.frozen(eq=False)
-class Modes:
+class SensorModes:
     """Partial fractions of a strictly proper H: the output is Σ Re(residue ψ), ψ' = pole ψ + input."""
 
     poles: NDArray[np.complex128]  # complex, shape (k,) [rad/s]; one of each conjugate pair, imaginary part >= 0
     residues: NDArray[np.complex128]  # complex, shape (k,) [1/s]; doubled where a pair is represented
 
-    def same_as(self, other: Modes) -> bool:
+    def same_as(self, other: SensorModes) -> bool:
         """Whether both describe the same chain, bit for bit."""
         return np.array_equal(self.poles, other.poles) and np.array_equal(self.residues, other.residues)
 
@@ -92,14 +92,14 @@ class Transfer:
         """Return the group delay at low frequency [s]: −Σ Re(1/p) of a low-pass without zeros."""
         return float(sum((-pole.real / pole.square() for pole in self.poles), ZERO))
 
-    def modes(self) -> Modes:
+    def modes(self) -> SensorModes:
         """Return the partial fractions of H."""
         return _modes(self)
 
 
 @functools.lru_cache(maxsize=64)  # a change that leaves a sensor's dynamics alone recomputes none of them
 @precise
-def _modes(chain: Transfer) -> Modes:
+def _modes(chain: Transfer) -> SensorModes:
     upper = _distinct(chain.poles)
     poles = [*upper, *(pole.conjugate() for pole in upper if pole.imag)]
     residues = []
@@ -108,7 +108,7 @@ def _modes(chain: Transfer) -> Modes:
         below = product(pole - other for j, other in enumerate(poles) if j != k)
         weight = TWO if pole.imag else ONE  # the conjugate's part is the conjugate of this one
         residues.append(Complex(weight * chain.gain) * above / below)
-    return Modes(np.array([complex(p) for p in upper]), np.array([complex(r) for r in residues]))
+    return SensorModes(np.array([complex(p) for p in upper]), np.array([complex(r) for r in residues]))
 
 
 def _distinct(poles: tuple[Complex, ...]) -> list[Complex]:

@@ -60,7 +60,7 @@ class Fields(NamedTuple):
     types: tuple[Any, ...]
 
 
-class Record(NamedTuple):
+class RecordType(NamedTuple):
     """The type of one record, handed over by its address: for functions that only kernels call.
 
     Attributes:

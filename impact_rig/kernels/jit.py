@@ -15,7 +15,7 @@ from numba import cfunc, from_dtype, njit
 from numba.core import config
 from numba.core import types as _types
 
-from impact_rig.kernels import OPTIONS, PACKAGE, Array, Fields, Function, Record, digest
+from impact_rig.kernels import OPTIONS, PACKAGE, Array, Fields, Function, RecordType, digest
 
 types: Any = _types  # typed in parts
 
@@ -26,7 +26,7 @@ def numba_type(kind: Any) -> Any:
         return types.NamedTuple(tuple(map(numba_type, kind.types)), kind.of)
     if isinstance(kind, Function):
         return types.FunctionType(signature(kind))
-    if isinstance(kind, Record):
+    if isinstance(kind, RecordType):
         return from_dtype(kind.dtype)
     if isinstance(kind, Array):
         return types.Array(from_dtype(kind.dtype), kind.dimensions, "C")

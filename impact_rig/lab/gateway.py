@@ -32,7 +32,7 @@ from impact_rig.client.client import Client, ros_parameters
 from impact_rig.errors import ImpactRigError, in_words
 from impact_rig.instruments.instrument import FAULT_KINDS
 from impact_rig.lab.protocol import Request
-from impact_rig.lab.record import Record
+from impact_rig.lab.record import RigView
 from impact_rig.lab.state import DEAD_S, Answer, Seen
 from impact_rig.nodes import messages
 from impact_rig.nodes.session import EXPIRES_S
@@ -114,7 +114,7 @@ class _Running:
 class Gateway:
     """Hears one rig and does what pages ask for, in the event loop that creates it; without `own` it only looks."""
 
-    def __init__(self, client: Client, record: Record, own: Own | None) -> None:
+    def __init__(self, client: Client, record: RigView, own: Own | None) -> None:
         self.client, self.record, self._own = client, record, own
         self._heard_at: dict[str, tuple[Any, float]] = {}
         self._running: set[_Running] = set()
@@ -431,7 +431,11 @@ class Gateway:
         if not recorder.lives:
             raise Refused(f"there is no recorder to keep it{f', {recorder.gone}' if recorder.gone else ''}")
         self._publish(topics.NOTES, value)
-        records = recorder.state not in (states.Recorder.INACTIVE, states.Recorder.FAILED, states.Recorder.IDLE)
+        records = recorder.state not in (
+            states.RecorderWord.INACTIVE,
+            states.RecorderWord.FAILED,
+            states.RecorderWord.IDLE,
+        )
         return "noted" if records else "noted on the page; nothing is being recorded"
 
     async def do_record(self, value: bool) -> str:  # as the request has it

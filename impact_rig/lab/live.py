@@ -21,7 +21,7 @@ from impact_rig import states
 from impact_rig.errors import ImpactRigError
 from impact_rig.instruments.section import CHANNELS
 from impact_rig.lab import state
-from impact_rig.lab.record import LAST_NS, Record
+from impact_rig.lab.record import LAST_NS, RigView
 from impact_rig.lab.state import KNOBS, STANDING, Pace, Seen, Source, figure
 from impact_rig.lab.theory import be_gentle, closed_form
 from impact_rig.topics import SCAN
@@ -50,7 +50,7 @@ class LiveSource(Source):
     """
 
     def __init__(self, domain_id: int, namespace: str | None, own: Own | None = None) -> None:
-        super().__init__("live", Record())
+        super().__init__("live", RigView())
         self.directory: Path | None = None  # where the recorder has written last
         self._domain_id, self._namespace, self._own = domain_id, namespace, own
         self._client: Client
@@ -89,7 +89,7 @@ class LiveSource(Source):
         from impact_rig.lab.gateway import Gateway  # noqa: PLC0415
 
         while not self.end.is_set():
-            before, self.record = self.record, Record()
+            before, self.record = self.record, RigView()
             self.record.epoch = before.epoch + 1
             self._client = Client(self._domain_id, (self._namespace or "").strip("/"), name="lab", commands=False)
             self._gateway = Gateway(self._client, self.record, self._own) if self._namespace is not None else None

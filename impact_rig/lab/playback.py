@@ -26,7 +26,7 @@ from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.errors import ImpactRigError, RecordingError
 from impact_rig.lab.protocol import Request
-from impact_rig.lab.record import MOST_ROWS, Record, came_before, guard, plain, scan_rate, start_ns
+from impact_rig.lab.record import MOST_ROWS, RigView, came_before, guard, plain, scan_rate, start_ns
 from impact_rig.lab.scope import LONGEST_S, Scope
 from impact_rig.lab.state import KNOBS, Answer, Source
 from impact_rig.lab.theory import closed_form
@@ -97,7 +97,7 @@ class RunPlayer:
             self.begin_ns, self.end_ns = codec.header_stamp_ns(first.data), self._run.end_ns
             self.start_ns = min(self.start_ns, self.begin_ns)
             self._stack = stack.pop_all()
-        self.record = Record(most=None)
+        self.record = RigView(most=None)
         self.record.scope, self.record.start_ns = Scope(self.rate_hz), self.start_ns
         self.read_s = 0.0  # how far the marks are read [s since scan 0]
         self.whole = False

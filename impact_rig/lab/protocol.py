@@ -45,7 +45,7 @@ class RequestError(ImpactRigError, ValueError):
     """A request that makes no sense; the message says why."""
 
 
-class Kind(enum.IntEnum):
+class FrameKind(enum.IntEnum):
     """Kinds of frames."""
 
     STATE = 1
@@ -213,19 +213,19 @@ _ROWS = struct.Struct("<II")
 _SPECTRUM = struct.Struct("<dII")
 
 
-def json_frame(kind: Kind, number: int, content: Mapping[str, Any]) -> bytes:
+def json_frame(kind: FrameKind, number: int, content: Mapping[str, Any]) -> bytes:
     """Return a frame STATE or REPLY."""
     return _HEAD.pack(kind, number & 0xFFFFFFFF) + json.dumps(plain(content), separators=(",", ":")).encode()
 
 
-def trace_frame(kind: Kind, number: int, trace: Trace, now_s: float) -> bytes:
+def trace_frame(kind: FrameKind, number: int, trace: Trace, now_s: float) -> bytes:
     """Return a frame TRACE, or TRACE_B of a second run."""
     head = _TRACE.pack(trace.begin_s, trace.column_s, trace.trigger_s, now_s, *trace.low.shape)
     parts = (trace.low.tobytes(), trace.high.tobytes(), trace.status.tobytes())
     return b"".join((_HEAD.pack(kind, number & 0xFFFFFFFF), head, *parts))
 
 
-def rows_frame(kind: Kind, number: int, rows: NDArray[np.float64]) -> bytes:
+def rows_frame(kind: FrameKind, number: int, rows: NDArray[np.float64]) -> bytes:
     """Return a frame MOTION, IMPACTS or DETECTED."""
     return _HEAD.pack(kind, number & 0xFFFFFFFF) + _ROWS.pack(*rows.shape) + rows.astype("<f8").tobytes()
 
@@ -233,4 +233,4 @@ def rows_frame(kind: Kind, number: int, rows: NDArray[np.float64]) -> bytes:
 def spectrum_frame(number: int, resolution_hz: float, amplitudes: NDArray[np.float32], channel: int) -> bytes:
     """Return a frame SPECTRUM."""
     head = _SPECTRUM.pack(resolution_hz, len(amplitudes), channel)
-    return _HEAD.pack(Kind.SPECTRUM, number & 0xFFFFFFFF) + head + amplitudes.astype("<f4").tobytes()
+    return _HEAD.pack(FrameKind.SPECTRUM, number & 0xFFFFFFFF) + head + amplitudes.astype("<f4").tobytes()

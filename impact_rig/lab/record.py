@@ -24,7 +24,7 @@ from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, ImpactRigError, RecordingError
 from impact_rig.lab.scope import Scope
 from impact_rig.rig.config import parameters_in
-from impact_rig.rig.journal import PLANNED, SEPARATOR, Change, JournalView, Kind, short_key
+from impact_rig.rig.journal import PLANNED, SEPARATOR, InputKind, JournalInput, JournalView, short_key
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 from impact_rig.states import MEASURED, Status
 
@@ -38,7 +38,11 @@ ABOUT = {
     Status.CURRENT_UNSOUND.value: "current",
 }  # fmt: skip
 """Statuses of sound rows that name a channel themselves: the column `channel` tells what contributes most to u."""
-NO_CHANGE = (Kind.FAULT, Kind.CLEAR_FAULT, Kind.STREAM)  # a measurement holds on; `truth/faults` tells of faults
+NO_CHANGE = (
+    InputKind.FAULT,
+    InputKind.CLEAR_FAULT,
+    InputKind.STREAM,
+)  # a measurement holds on; `truth/faults` tells of faults
 LAST_NS = 2**63
 SAME_M = 1e-9  # gaps nearer to each other are one
 HIGHEST_RATE_HZ = 1e7
@@ -75,7 +79,7 @@ class Rows:
         return self._rows[np.arange(first, self.count) % len(self._rows)]
 
 
-class Motion:
+class MotionBuffer:
     """The last seconds of true motion.
 
     Attributes:
@@ -110,7 +114,7 @@ class Motion:
             ring.add((begin + row["time"], *(row[name] for name in names)))
 
 
-class Journal:
+class RigHistory:
     """The journal, faults and remarks, as lines for people; and what the rig is by the journal, at any instant.
 
     Args:
@@ -119,7 +123,7 @@ class Journal:
 
     def __init__(self, most: int | None = MOST_APPLIED) -> None:
         self._view = JournalView()
-        self._changes: deque[Change] = deque(maxlen=most)
+        self._changes: deque[JournalInput] = deque(maxlen=most)
         self._lines: deque[list[Any]] = deque(maxlen=None if most is None else MOST_ENTRIES)
         self._part: tuple[int, list[list[Any]]] | None = None
 
@@ -131,12 +135,12 @@ class Journal:
         """
         for change in self._view.take(table):
             self._changes.append(change)
-            if change.kind is Kind.PARAMETER:
+            if change.kind is InputKind.PARAMETER:
                 for name, value in change.configuration.items():
                     words = SEPARATOR.join(value) if isinstance(value, tuple) else value
                     shown = words if isinstance(words, str) else f"{words:.6g}"
                     self._add(change.stamp_ns, "parameter", short_key(name), shown)
-            elif change.kind is not Kind.INITIAL:
+            elif change.kind is not InputKind.INITIAL:
                 words = "" if change.text else _value(change.kind, change.key, change.value)
                 self._add(change.stamp_ns, change.kind.value, change.key, change.text or words)
 
@@ -166,7 +170,7 @@ class Journal:
             self._part = start_ns, [[round((stamp - start_ns) / NS_PER_S, 3), *words] for stamp, *words in found]
         return self._part[1]
 
-    def at(self, instant_ns: int) -> tuple[JournalView, Change | None]:
+    def at(self, instant_ns: int) -> tuple[JournalView, JournalInput | None]:
         """Return what the rig was at an instant, and what had changed it last."""
         view, newest = JournalView(), None
         for change in list(self._changes):
@@ -177,12 +181,12 @@ class Journal:
         return view, newest
 
 
-def _value(kind: Kind, key: str, value: float) -> str:
-    if kind in (Kind.COMMAND, Kind.TRIP):
+def _value(kind: InputKind, key: str, value: float) -> str:
+    if kind in (InputKind.COMMAND, InputKind.TRIP):
         return f"{value:.6g} {UNITS.get(key, '')}".strip()
-    if kind is Kind.CLEAR_FAULT:
+    if kind is InputKind.CLEAR_FAULT:
         return f"{value:.6g}"
-    return f"{value * 1e3:.4g} mm" if kind is Kind.PLUCK else ""
+    return f"{value * 1e3:.4g} mm" if kind is InputKind.PLUCK else ""
 
 
 class Faults:
@@ -296,7 +300,7 @@ def _measurement(row: NDArray[np.void]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-class Record:
+class RigView:
     """One rig: every message of it comes through `take`, from the graph or from a file.
 
     Args:
@@ -306,8 +310,8 @@ class Record:
     def __init__(self, most: int | None = MOST_APPLIED) -> None:
         self.scope: Scope | None = None
         """The newest scans; None before the calibration has said how many there are a second."""
-        self.motion = Motion()
-        self.journal = Journal(most)
+        self.motion = MotionBuffer()
+        self.journal = RigHistory(most)
         self.faults = Faults(None if most is None else MOST_ENTRIES)
         self.curve = Curve(None if most is None else MOST_ROWS)
         self.epoch = 0  # counts resets and jumps: what was drawn before belongs to another record
@@ -416,7 +420,7 @@ class Record:
 
     def forget_motion(self) -> None:
         """Begin the pictures of the motion anew."""
-        self.motion = Motion()
+        self.motion = MotionBuffer()
         self.epoch += 1
 
     def stream_part(self) -> dict[str, float] | None:

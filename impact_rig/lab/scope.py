@@ -44,7 +44,7 @@ class Trace:
     trigger_s: float  # the instant the window is aligned to; NaN where there is none
 
 
-class Level:
+class ScopeLevel:
     """A ring of pairs, each over some scans; over one scan, it is the ring of the scans themselves."""
 
     def __init__(self, fine: int, size: int) -> None:
@@ -73,7 +73,7 @@ class Level:
             self.low[:, place] = self.high[:, place] = np.nan
             self.status[place] = 0
 
-    def gather(self, below: Level, end: int) -> None:
+    def gather(self, below: ScopeLevel, end: int) -> None:
         """Make the pairs that are whole now, of those of the level below."""
         ratio, whole = self.fine // below.fine, end // self.fine
         for place in self.places(max(self.end, whole - self.size), whole):
@@ -93,7 +93,7 @@ class Scope:
         coarse = FINER * finer
         blocks = max(1, min(math.ceil(HELD_S * rate_hz), MOST_SCANS) // coarse)
         self._size = blocks * coarse
-        self._levels = [Level(fine, self._size // fine) for fine in sorted({1, finer, coarse})]
+        self._levels = [ScopeLevel(fine, self._size // fine) for fine in sorted({1, finer, coarse})]
         self._scans = self._levels[0]
         self._commanded: NDArray[np.float32] | None = None  # for scans that are to come; None: nothing ever was
         self.begin = self.end = 0  # numbers of the first scan held, and of the one after the last
@@ -201,7 +201,7 @@ class Scope:
         """Return the newest scans, of the shape of a `Trace`'s minima."""
         return self._read(self.end - round(span_s * self.rate_hz), self.end)
 
-    def _trace(self, level: Level, begin: int, count: int, step: int, crossing: float) -> Trace:
+    def _trace(self, level: ScopeLevel, begin: int, count: int, step: int, crossing: float) -> Trace:
         """Make columns of `step` pairs of a level each; a coarse one begins up to a pair earlier than asked."""
         columns = count // step
         low, high = np.full((2, len(level.low), columns * step), np.nan, np.float32)

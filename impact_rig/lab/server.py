@@ -3,7 +3,7 @@
 """The web server: the page and its one WebSocket, for whoever has the token, on the loopback unless told otherwise.
 
 Nothing is fetched from elsewhere, and the page may fetch nothing from elsewhere: the content security policy says so.
-Each open page is a `Session`, which draws what it asked for, one picture at a time: a page that does not draw costs
+Each open page is a `PageSession`, which draws what it asked for, one picture at a time: a page that does not draw costs
 nothing. A page may ask for recorded runs (`?run=NAME`); it gets a player of its own.
 """
 
@@ -31,7 +31,7 @@ from impact_rig.errors import ImpactRigError
 from impact_rig.instruments.section import CHANNELS
 from impact_rig.lab import protocol
 from impact_rig.lab.playback import PlaybackSource
-from impact_rig.lab.protocol import Kind, Request, RequestError
+from impact_rig.lab.protocol import FrameKind, Request, RequestError
 from impact_rig.lab.scope import Scope, Trace, spectrum
 from impact_rig.lab.state import Source
 from impact_rig.lab.theory import be_gentle
@@ -110,7 +110,7 @@ def kept_token() -> str:
     return token
 
 
-class Session:
+class PageSession:
     """Serves one WebSocket."""
 
     def __init__(self, socket: web.WebSocketResponse, source: Source, refused: Counter[str]) -> None:
@@ -122,7 +122,7 @@ class Session:
         self._sent_at = self._state_at = self._spectrum_at = 0.0
         self._version = 0
         self._epoch = -1
-        self._seen = {Kind.MOTION: 0, Kind.IMPACTS: 0, Kind.DETECTED: 0}
+        self._seen = {FrameKind.MOTION: 0, FrameKind.IMPACTS: 0, FrameKind.DETECTED: 0}
         self._drawn_end = -1.0
         self._replies: deque[bytes] = deque()
         self._answered = asyncio.Event()
@@ -167,7 +167,7 @@ class Session:
             self._source.ask(request, lambda ok, text: self._reply(request.id, ok, text))
 
     def _reply(self, number: int, ok: bool, text: str) -> None:
-        frame = protocol.json_frame(Kind.REPLY, number, {"id": number, "ok": ok, "text": text})
+        frame = protocol.json_frame(FrameKind.REPLY, number, {"id": number, "ok": ok, "text": text})
         with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
             self._loop.call_soon_threadsafe(self._queue, frame)
 
@@ -204,7 +204,7 @@ class Session:
         version, parts = self._source.snapshot.since(self._version)
         if parts:
             self._version = version
-            await self._socket.send_bytes(protocol.json_frame(Kind.STATE, 0, parts))
+            await self._socket.send_bytes(protocol.json_frame(FrameKind.STATE, 0, parts))
 
     def _picture(self, now: float) -> list[bytes]:
         """Return the frames of one picture; the trace comes last, and is the one that is acknowledged."""
@@ -222,9 +222,9 @@ class Session:
             self._drawn_end = scope.end_s
             frames = []
             for kind, rows in (
-                (Kind.MOTION, motion.states),
-                (Kind.IMPACTS, motion.impacts),
-                (Kind.DETECTED, motion.detected),
+                (FrameKind.MOTION, motion.states),
+                (FrameKind.IMPACTS, motion.impacts),
+                (FrameKind.DETECTED, motion.detected),
             ):
                 if rows.count > self._seen[kind]:
                     frames.append(protocol.rows_frame(kind, self._epoch, rows.since(self._seen[kind])))
@@ -237,9 +237,9 @@ class Session:
                 frames.append(protocol.spectrum_frame(self._epoch, *found, number))
             other = self._trace(source.other) if source.other is not None else None
             if other is not None:
-                frames.append(protocol.trace_frame(Kind.TRACE_B, self._epoch, other, source.now_s))
+                frames.append(protocol.trace_frame(FrameKind.TRACE_B, self._epoch, other, source.now_s))
             self._frame += 1
-            frames.append(protocol.trace_frame(Kind.TRACE, self._frame, trace, source.now_s))
+            frames.append(protocol.trace_frame(FrameKind.TRACE, self._frame, trace, source.now_s))
         return frames
 
     def _trace(self, scope: Scope) -> Trace | None:
@@ -512,7 +512,7 @@ class Server:
             await page.prepare(request)  # raises where no WebSocket is asked for, or the page has gone
             self._sockets[page] = source
             self._watched(source)
-            await Session(page, source, self.refused).run()
+            await PageSession(page, source, self.refused).run()
         finally:
             self._sockets.pop(page, None)
             self._watched(source)

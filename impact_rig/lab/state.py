@@ -24,7 +24,7 @@ from impact_rig import states
 from impact_rig.instruments.instrument import BOARD_KINDS, FAULT_KINDS
 from impact_rig.instruments.section import CHANNELS
 from impact_rig.lab.protocol import Request
-from impact_rig.lab.record import Record, guard, plain
+from impact_rig.lab.record import RigView, guard, plain
 from impact_rig.lab.scope import Scope
 from impact_rig.lab.theory import Theory, contradiction
 from impact_rig.physics.contact import LAWS
@@ -38,7 +38,7 @@ FOLLOWED = 4.5
 """Speed up to which the motion is drawn: beyond it nobody can follow, and publishing it costs the rig a tenth."""
 T = TypeVar("T")
 STALE_S = 3.0  # rig time that has not moved for so long stands still
-STANDING = (states.Rig.INACTIVE, states.Rig.NO_PEER, states.Rig.SILENT_PEER, states.Rig.PAUSED)
+STANDING = (states.RigWord.INACTIVE, states.RigWord.NO_PEER, states.RigWord.SILENT_PEER, states.RigWord.PAUSED)
 """States in which rig time stands still, or has not begun."""
 GAP_S = 10.0  # two readings further apart say nothing about the speed between them
 KNOBS = (
@@ -92,21 +92,21 @@ class Seen:
 
 
 SENTENCES = {
-    states.Rig.INACTIVE: "Not running: {reason}.",
-    states.Rig.RIVAL: "Two rigs in one namespace: {reason}.",
-    states.Rig.NO_PEER: "Rig time stands still: {reason}.",
-    states.Rig.SILENT_PEER: "Rig time stands still: {reason}.",
-    states.Rig.TRIPPED: "The shaker is latched by {reason}; its current is zero.",
-    states.Rig.PAUSED: "Rig time stands still.",
-    states.Rig.PLUCKED: "Base locked, structure swings freely; reset unlocks it.",
-    states.Rig.AT_REST: "The shaker is at rest: press R for 9.1 Hz, 0.52 A.",
+    states.RigWord.INACTIVE: "Not running: {reason}.",
+    states.RigWord.RIVAL: "Two rigs in one namespace: {reason}.",
+    states.RigWord.NO_PEER: "Rig time stands still: {reason}.",
+    states.RigWord.SILENT_PEER: "Rig time stands still: {reason}.",
+    states.RigWord.TRIPPED: "The shaker is latched by {reason}; its current is zero.",
+    states.RigWord.PAUSED: "Rig time stands still.",
+    states.RigWord.PLUCKED: "Base locked, structure swings freely; reset unlocks it.",
+    states.RigWord.AT_REST: "The shaker is at rest: press R for 9.1 Hz, 0.52 A.",
 }
 MEASURING = {
-    states.Analysis.INACTIVE: "the analysis is not active",
-    states.Analysis.NO_SCANS: "the analysis gets no scans",
-    states.Analysis.LOST_SCANS: "the analysis has lost scans and begins anew",
-    states.Analysis.UNABLE: "DT cannot be measured now: {reason}",
-    states.Analysis.AT_REST: "the analysis has not seen the drive yet",
+    states.AnalysisWord.INACTIVE: "the analysis is not active",
+    states.AnalysisWord.NO_SCANS: "the analysis gets no scans",
+    states.AnalysisWord.LOST_SCANS: "the analysis has lost scans and begins anew",
+    states.AnalysisWord.UNABLE: "DT cannot be measured now: {reason}",
+    states.AnalysisWord.AT_REST: "the analysis has not seen the drive yet",
 }
 
 
@@ -124,16 +124,16 @@ def judge(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> tuple[str, s
         return "dead", f"Nothing was heard of the rig for {rig.age_s:.0f} s."
     if not rig.state:
         return "unknown", "The rig does not say its state: is it of another version?"
-    if rig.state != states.Rig.DRIVING:
-        sentence = SENTENCES[states.Rig(rig.state)].format(reason=plain(rig.reason) or "it does not say why")
+    if rig.state != states.RigWord.DRIVING:
+        sentence = SENTENCES[states.RigWord(rig.state)].format(reason=plain(rig.reason) or "it does not say why")
         return plain(rig.state), sentence
     if not analysis.lives:
         why = f"the analysis is gone ({analysis.gone})" if analysis.gone else "there is no analysis"
         return "driving", f"Nobody measures: {why}."
-    if analysis.state == states.Analysis.SETTLING:
+    if analysis.state == states.AnalysisWord.SETTLING:
         return "settling", "Waiting until the transient has died."
-    if analysis.state != states.Analysis.MEASURING:
-        why = MEASURING.get(states.Analysis(analysis.state), "") if analysis.state else "the analysis says no state"
+    if analysis.state != states.AnalysisWord.MEASURING:
+        why = MEASURING.get(states.AnalysisWord(analysis.state), "") if analysis.state else "the analysis says no state"
         why = why.format(reason=plain(analysis.reason) or "it does not say why")
         return "driving", f"{why[:1].upper()}{why[1:]}."
     if doubts:
@@ -200,11 +200,11 @@ def present(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> dict[str, 
 
     It holds where `judge` says `measured` of the same arguments, and while such a rig is paused.
     """
-    moves = rig.lives and rig.state in (states.Rig.DRIVING, states.Rig.PAUSED)
+    moves = rig.lives and rig.state in (states.RigWord.DRIVING, states.RigWord.PAUSED)
     known = analysis.state if analysis.lives and moves else ""
     figures = analysis.figures if known else {}
     return {
-        "state": known, "holds": known == states.Analysis.MEASURING and not doubts,
+        "state": known, "holds": known == states.AnalysisWord.MEASURING and not doubts,
         "reason": plain(analysis.reason) if known else "", "done": figure(figures.get("settling_windows")),
         "of": figure(figures.get("settling_windows_needed")), "rest": figure(figures.get("settling_remnant")),
     }  # fmt: skip
@@ -245,7 +245,7 @@ class Source(abc.ABC):
         mode: `live` or `playback`.
     """
 
-    def __init__(self, mode: str, record: Record) -> None:
+    def __init__(self, mode: str, record: RigView) -> None:
         self.record = record
         self.snapshot = Snapshot()
         self.failures: dict[str, list[Any]] = {}  # parts of the work that failed: how often, and the last reason

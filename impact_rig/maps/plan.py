@@ -42,7 +42,7 @@ LIMIT_S = 3600.0  # estimated time above which a map is refused
 
 
 @attrs.frozen(kw_only=True)
-class Line(Keyed):
+class MapLine(Keyed):
     """Places measured one after the other, the unit that is measured, stored and never repeated."""
 
     changes: Mapping[str, Value]  # configuration values that differ from the default rig, by dotted name
@@ -92,7 +92,7 @@ def _reading(row: Row) -> Reading:
     return Reading(str(regime), *map(float, numbers))
 
 
-def measure_line(line: Line) -> list[Reading]:
+def measure_line(line: MapLine) -> list[Reading]:
     """Return the readings of a line, in the order of the visit."""
     base = from_flat(RigConfig(), line.changes)
     rig: MapRig | None = None
@@ -151,9 +151,9 @@ class MapPlan:
         """Return the rig's values that differ from the default."""
         return differences(self.base)
 
-    def search_line(self, over: str, values: tuple[float, ...], held: Mapping[str, float] | None = None) -> Line:
+    def search_line(self, over: str, values: tuple[float, ...], held: Mapping[str, float] | None = None) -> MapLine:
         """Return the line of values of one parameter from a reset rig, which a search measures, others held."""
-        return Line(
+        return MapLine(
             changes=self.changes(),
             settings=self.settings,
             held=held or {},
@@ -164,12 +164,12 @@ class MapPlan:
             current_a=self.current_a,
         )
 
-    def lines(self) -> list[Line]:
+    def lines(self) -> list[MapLine]:
         """Return all lines in order."""
         others = {name: values for name, values in self.axes.items() if name != self.sweep}
         values, changes = self.axes[self.sweep], self.changes()
         return [
-            Line(
+            MapLine(
                 changes={**changes, "sphere.start": layer} if layer in STARTS else changes,
                 settings=self.settings,
                 held=dict(zip(others, held, strict=True)),

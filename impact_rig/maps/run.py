@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""A map's directory: what `campaign.tasks.Store` keeps in it, and its results.
+"""A map's directory: what `campaign.tasks.TaskStore` keeps in it, and its results.
 
 | file | content |
 |---|---|
@@ -20,9 +20,9 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.campaign.tasks import Store
+from impact_rig.campaign.tasks import TaskStore
 from impact_rig.maps.measure import Reading
-from impact_rig.maps.plan import DOWN, Line, MapPlan, load_map
+from impact_rig.maps.plan import DOWN, MapLine, MapPlan, load_map
 from impact_rig.system import files
 
 CSV_FILE, JSON_FILE = "map.csv", "map.json"
@@ -39,9 +39,9 @@ class FinishedMap:
     where not measured."""
 
 
-def store(directory: Path) -> Store[Line]:
+def store(directory: Path) -> TaskStore[MapLine]:
     """Return what keeps a map's lines in a directory."""
-    return Store(directory, "map", "lines", ("maps",))
+    return TaskStore(directory, "map", "lines", ("maps",))
 
 
 def finished(plan: MapPlan, directory: Path) -> FinishedMap:

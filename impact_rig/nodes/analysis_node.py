@@ -21,7 +21,7 @@ from impact_rig.config.fields import quantity, switch
 from impact_rig.config.tree import Tree
 from impact_rig.errors import CodecError, ConfigError, ImpactRigError
 from impact_rig.nodes.acknowledgements import Acknowledgements
-from impact_rig.nodes.managed import Level, ManagedNode, State
+from impact_rig.nodes.managed import Level, ManagedNode, NodeState
 from impact_rig.nodes.messages import TOPICS
 from impact_rig.nodes.plots import Plots
 from impact_rig.simtime import NS_PER_S
@@ -54,7 +54,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
     """Feeds `Tracker` and publishes what it finds; acknowledges every block."""
 
     COMPONENT = "measurement"
-    STATES = states.Analysis
+    STATES = states.AnalysisWord
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("analysis", Tree(AnalysisSettings), **kwargs)
@@ -113,16 +113,16 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         last_s = float(self._newest.rows["time"][-1]) if len(self._newest.rows) else 0.0
         return self._newest.stamp_ns + round(last_s * NS_PER_S)
 
-    def doing(self) -> State:
+    def doing(self) -> NodeState:
         """Return what the tracker does, unless it gets nothing to do."""
-        words = states.Analysis
+        words = states.AnalysisWord
         if self._tracker is None or self._newest is None:
-            return State(words.NO_SCANS, "none came yet")
+            return NodeState(words.NO_SCANS, "none came yet")
         silent_s = time.monotonic() - self._heard_at
         if silent_s > SILENCE_S:
-            return State(words.NO_SCANS, f"none for {SILENCE_S:g} s")
+            return NodeState(words.NO_SCANS, f"none for {SILENCE_S:g} s")
         found = self._tracker.state
-        return State(words(found.word), found.reason, found.since_ns)
+        return NodeState(words(found.word), found.reason, found.since_ns)
 
     def health(self) -> tuple[Level, str]:
         """Return whether scans come, all of them."""

@@ -140,7 +140,7 @@ class Level(enum.IntEnum):
 
 
 @attrs.frozen
-class State:
+class NodeState:
     """What a node does, in one word of `impact_rig.states`."""
 
     word: enum.StrEnum  # the gravest that is true
@@ -179,7 +179,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
     """
 
     COMPONENT: ClassVar[str] = "state"  # what of the node its diagnostics are about
-    STATES: ClassVar[type[states.Rig | states.Analysis | states.Recorder | states.SteppedSine]]
+    STATES: ClassVar[type[states.RigWord | states.AnalysisWord | states.RecorderWord | states.SteppedSineWord]]
     """The words for what the node does."""
     MAKES_TIME: ClassVar[bool] = False  # whether its clock is what others follow, so that it can follow nobody's
 
@@ -228,7 +228,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def settings_changed(self, settings: S, changes: dict[str, Any]) -> None:
         """Take validated new settings; an exception refuses the set."""
 
-    def doing(self) -> State:
+    def doing(self) -> NodeState:
         """Return what the node does, from data alone; asked only while it is active, and often."""
         raise NotImplementedError
 
@@ -560,13 +560,13 @@ class ManagedNode(LifecycleNode, Generic[S]):
         if self.present().word != self._word and not self.is_told_to_end():
             self.report_now()
 
-    def present(self) -> State:
+    def present(self) -> NodeState:
         """Return what the node does, whatever lifecycle state it is in."""
         if self.active:
             return self.doing()
         at, message = self._last_error
         fresh = time.monotonic() - at < ERROR_MEMORY_S
-        return State(self.STATES("inactive"), f"{self.state}: {message}" if fresh else self.state)
+        return NodeState(self.STATES("inactive"), f"{self.state}: {message}" if fresh else self.state)
 
     def report_now(self) -> None:
         """Publish the present status."""

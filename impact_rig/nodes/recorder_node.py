@@ -28,7 +28,7 @@ from impact_rig.config.fields import choice, integer, quantity, switch, text
 from impact_rig.config.tree import Tree, parameters_in
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.nodes.acknowledgements import Acknowledgements
-from impact_rig.nodes.managed import Done, Level, ManagedNode, State, guarded
+from impact_rig.nodes.managed import Done, Level, ManagedNode, NodeState, guarded
 from impact_rig.nodes.messages import TOPICS
 from impact_rig.recording import (
     CONFIGURATION,
@@ -76,7 +76,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     """
 
     COMPONENT = "recording"
-    STATES = states.Recorder
+    STATES = states.RecorderWord
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("recorder", Tree(RecorderSettings), **kwargs)
@@ -133,24 +133,24 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         """Return the stamp of the newest block."""
         return self._newest_ns
 
-    def doing(self) -> State:
+    def doing(self) -> NodeState:
         """Return whether it records, and what of that goes wrong."""
-        words, lost = states.Recorder, self._account.lost()
+        words, lost = states.RecorderWord, self._account.lost()
         if self._failure:
-            return State(words.FAILED, self._failure)
+            return NodeState(words.FAILED, self._failure)
         if self._writer is not None and self._mixed():
-            return State(words.RIVAL, self._mixed())
+            return NodeState(words.RIVAL, self._mixed())
         if self._writer is not None and (lost or self._refused):
             missing = [f"{count} of {self._added[name]} lost" for name, count in lost.items()]
             missing += [f"{count} of {name} refused" for name, count in self._refused.items()]
-            return State(words.LOSING, ", ".join(missing))
+            return NodeState(words.LOSING, ", ".join(missing))
         if self._waiting:
-            return State(words.WAITING, "for the rig's configuration")
+            return NodeState(words.WAITING, "for the rig's configuration")
         if self._awaited:
-            return State(words.WAITING, f"for {', '.join(sorted(self._awaited))}")
+            return NodeState(words.WAITING, f"for {', '.join(sorted(self._awaited))}")
         if self._writer is not None:
-            return State(words.RECORDING)
-        return State(words.IDLE, "the last recording lacks messages" if lost else "")
+            return NodeState(words.RECORDING)
+        return NodeState(words.IDLE, "the last recording lacks messages" if lost else "")
 
     def health(self) -> tuple[Level, str]:
         """Return whether it records, and what of that goes wrong."""

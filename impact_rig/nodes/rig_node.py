@@ -9,7 +9,7 @@ import time
 from typing import Any  # rclpy messages
 
 from impact_rig import states
-from impact_rig.nodes.managed import Level, ManagedNode, State
+from impact_rig.nodes.managed import Level, ManagedNode, NodeState
 from impact_rig.nodes.process import DISCOVERY_S
 from impact_rig.nodes.rig_state import RigState
 from impact_rig.nodes.session import Session
@@ -29,7 +29,7 @@ class RigNode(ManagedNode[RigConfig]):
     """
 
     COMPONENT = "simulation"
-    STATES = states.Rig
+    STATES = states.RigWord
     MAKES_TIME = True
 
     def __init__(self, discovery_s: float = 0.0, **kwargs: Any) -> None:
@@ -68,7 +68,7 @@ class RigNode(ManagedNode[RigConfig]):
             return self._session.rig.next_block_ns
         return time.time_ns() if self._session.is_realtime else None
 
-    def doing(self) -> State:
+    def doing(self) -> NodeState:
         """Return what the rig does."""
         return self._state.word()
 

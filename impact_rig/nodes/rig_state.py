@@ -14,9 +14,9 @@ from collections.abc import Callable, Iterator
 import attrs
 
 from impact_rig import states, topics
-from impact_rig.nodes.managed import Level, State, worst
+from impact_rig.nodes.managed import Level, NodeState, worst
 from impact_rig.nodes.session import Session
-from impact_rig.physics.stream import State as StreamState
+from impact_rig.physics.stream import StreamState
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig
 from impact_rig.simtime import NS_PER_S
@@ -34,7 +34,7 @@ class Trouble:
 
     level: Level
     message: str
-    state: State | None = None
+    state: NodeState | None = None
 
 
 class RigState:
@@ -49,26 +49,26 @@ class RigState:
         self._silent: tuple[str, ...] = ()
         self._gone: set[str] = set()
 
-    def word(self) -> State:
+    def word(self) -> NodeState:
         """Return what the rig does: what keeps it from beginning or from going on, what holds the shaker, its drive."""
         session = self._session
         obstacle = session.obstacle()
         if obstacle is not None:
             return obstacle
         if session.rig is None:  # between two callbacks only
-            return State(states.Rig.INACTIVE, self._node.state)
+            return NodeState(states.RigWord.INACTIVE, self._node.state)
         found = next((one.state for one in self._troubles(session.rig) if one.state is not None), None)
         if found is not None:
             return found
         missing = () if session.readers.all_matched() else session.readers.missing()
         without = f"without peer {', '.join(missing)}" if missing else ""
-        return State(states.Rig.DRIVING if session.rig.is_driven else states.Rig.AT_REST, without)
+        return NodeState(states.RigWord.DRIVING if session.rig.is_driven else states.RigWord.AT_REST, without)
 
     def health(self) -> tuple[Level, str]:
         """Return what is wrong with the rig, or why it has not begun."""
         obstacle, rig = self._session.obstacle(), self._session.rig
         if obstacle is not None:
-            return Level.ERROR if obstacle.word is states.Rig.RIVAL else Level.WARN, obstacle.reason
+            return Level.ERROR if obstacle.word is states.RigWord.RIVAL else Level.WARN, obstacle.reason
         if rig is None:
             return Level.WARN, self._node.state
         running = (Level.OK, f"running, {self._node.settings.time.mode}")
@@ -131,29 +131,29 @@ class RigState:
 
     def _troubles(self, rig: Rig) -> Iterator[Trouble]:
         """Yield what is to be told of a rig that has begun; of those with a state the gravest comes first."""
-        session, words, readers = self._session, states.Rig, self._session.readers
+        session, words, readers = self._session, states.RigWord, self._session.readers
         timing, daq, realtime = self._node.settings.time, self._node.settings.daq, session.is_realtime
         others = session.duplicates.sentence()
         missing = "" if readers.all_matched() else ", ".join(readers.missing())
         silent = "" if realtime else ", ".join(session.window.silent())
         if others:
-            yield Trouble(Level.ERROR, others, State(words.RIVAL, others))
+            yield Trouble(Level.ERROR, others, NodeState(words.RIVAL, others))
         if missing and not realtime:
             waiting = f"waiting for peer {missing}"
             level = Level.ERROR if readers.overdue(timing.peer_timeout_s) else Level.WARN
-            yield Trouble(level, waiting, State(words.NO_PEER, waiting))
+            yield Trouble(level, waiting, NodeState(words.NO_PEER, waiting))
         quiet = [f"peer {silent} silent for {timing.peer_timeout_s:g} s"] if silent else []
         if session.is_starving:
             quiet.append(f"{session.controllers()} sends no samples on {topics.WAVEFORM.name}")
         for why in quiet:
             go_on = f"paused: {why} (~/pause false goes on without)"
-            yield Trouble(Level.ERROR, go_on, State(words.SILENT_PEER, why))
+            yield Trouble(Level.ERROR, go_on, NodeState(words.SILENT_PEER, why))
         if rig.latched is not None:
-            yield Trouble(Level.ERROR, f"shaker latched by {rig.latched}", State(words.TRIPPED, rig.latched))
+            yield Trouble(Level.ERROR, f"shaker latched by {rig.latched}", NodeState(words.TRIPPED, rig.latched))
         if session.paused:
-            yield Trouble(Level.WARN, "paused", State(words.PAUSED, "~/pause"))
+            yield Trouble(Level.WARN, "paused", NodeState(words.PAUSED, "~/pause"))
         if session.is_stepped and session.is_idle:
-            yield Trouble(Level.OK, "", State(words.PAUSED, "no step is asked for"))
+            yield Trouble(Level.OK, "", NodeState(words.PAUSED, "no step is asked for"))
         without = missing if realtime else ", ".join(session.window.waived())
         if without:
             yield Trouble(Level.WARN, f"running without peer {without}")
@@ -174,7 +174,7 @@ class RigState:
             moved = f"the system clock was moved by {self._clock_step_s():+.3f} s, stamps were not"
             yield Trouble(Level.WARN, moved)
         if rig.plucked:
-            yield Trouble(Level.OK, "base locked after a pluck", State(words.PLUCKED))
+            yield Trouble(Level.OK, "base locked after a pluck", NodeState(words.PLUCKED))
         if session.counts.faults:
             yield Trouble(Level.OK, f"faults active: {', '.join(session.counts.faults.values())}")
 

@@ -31,7 +31,7 @@ from impact_rig.blocks import Table, joined
 from impact_rig.errors import CodecError, CommandError, describe
 from impact_rig.instruments.section import channels_of
 from impact_rig.nodes.acknowledgements import AckWindow, Readers
-from impact_rig.nodes.managed import Done, ManagedNode, State
+from impact_rig.nodes.managed import Done, ManagedNode, NodeState
 from impact_rig.nodes.pacing import Pacer, WorkTimer
 from impact_rig.nodes.publishers import Publishers
 from impact_rig.rig import Block, Rig
@@ -279,7 +279,7 @@ class Session:
         else:
             self.publishers.announce(self.node.settings)
 
-    def obstacle(self) -> State | None:
+    def obstacle(self) -> NodeState | None:
         """Return what a rig waits for that has not begun.
 
         A rig that finds others at its topics waits until they are gone: two rigs in one place would drive each other's
@@ -289,14 +289,16 @@ class Session:
             return None
         others = self.duplicates.sentence()
         if others:
-            return State(states.Rig.RIVAL, f"waiting to be alone: {others}")
+            return NodeState(states.RigWord.RIVAL, f"waiting to be alone: {others}")
         if not self.lock.take():
-            return State(states.Rig.RIVAL, "waiting to be alone: another rig of this machine is in this namespace")
+            return NodeState(
+                states.RigWord.RIVAL, "waiting to be alone: another rig of this machine is in this namespace"
+            )
         patience_s = self.node.settings.time.start_wait_s
         if not self.is_realtime or self.readers.all_matched() or self.readers.overdue(patience_s):
             return None  # the other modes wait block by block
         names = ", ".join(self.readers.missing())
-        return State(states.Rig.NO_PEER, f"waiting for peer {names}, at most {patience_s:g} s")
+        return NodeState(states.RigWord.NO_PEER, f"waiting for peer {names}, at most {patience_s:g} s")
 
     def _begin(self) -> None:
         """Start a new rig: scan 0 is now in realtime, at 0 otherwise."""

@@ -17,12 +17,20 @@ from impact_rig.config.fields import Origin, choice, integer, quantities, quanti
 from impact_rig.config.tree import Tree
 from impact_rig.errors import CodecError, ConfigError, ImpactRigError
 from impact_rig.nodes.acknowledgements import Acknowledgements
-from impact_rig.nodes.managed import Done, Level, ManagedNode, State
+from impact_rig.nodes.managed import Done, Level, ManagedNode, NodeState
 from impact_rig.nodes.messages import MONITORS
 from impact_rig.operate.operator import Applied, News, Operator, Walk
 from impact_rig.operate.phase_lock import LockedSine, LockPlan, Reference
-from impact_rig.operate.stepped_sine import ControlledSine, Direction, Hold, HoldPlan, Plan, Setpoint, SteppedSine
-from impact_rig.operate.stepped_sine import State as Progress
+from impact_rig.operate.stepped_sine import (
+    ControlledSine,
+    Direction,
+    Hold,
+    HoldPlan,
+    Setpoint,
+    SteppedSine,
+    SweepPlan,
+    SweepState,
+)
 
 WATCH_S = 0.1  # how often the node looks for the rig, while a sweep waits to begin
 STOPPING = {b"trip": "tripped", b"stop": "was stopped", b"timeout": "missed commands", b"reset": "was reset"}
@@ -32,7 +40,7 @@ COMMAND, PHASE = "command", "phase"  # what stays constant besides the amplitude
 
 @attrs.frozen(kw_only=True)
 class SteppedSineSettings:
-    """Parameters of the stepped-sine node: those of `Plan`, and when to begin."""
+    """Parameters of the stepped-sine node: those of `SweepPlan`, and when to begin."""
 
     frequencies_hz: tuple[float, ...] = quantities(
         (7.5, 8.0, 8.5, 8.9, 9.0, 9.1, 9.2, 9.5, 10.0, 10.5), "Hz", "The points.", Origin.PAPER, above=0, at_most=1000
@@ -87,9 +95,9 @@ class SteppedSineSettings:
         if self.hold == PHASE:
             self.lock_plan()  # refuses a beginning out of its range
 
-    def plan(self) -> Plan:
+    def plan(self) -> SweepPlan:
         """Return the sweep."""
-        return Plan(**{attribute.name: getattr(self, attribute.name) for attribute in attrs.fields(Plan)})
+        return SweepPlan(**{attribute.name: getattr(self, attribute.name) for attribute in attrs.fields(SweepPlan)})
 
     def lock_plan(self) -> LockPlan:
         """Return the search, from the first point on, and what follows it."""
@@ -111,7 +119,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     """
 
     COMPONENT = "sweep"
-    STATES = states.SteppedSine
+    STATES = states.SteppedSineWord
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("stepped_sine", Tree(SteppedSineSettings), **kwargs)
@@ -177,17 +185,17 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         """Return the newest instant heard of."""
         return self._now_ns
 
-    def doing(self) -> State:
+    def doing(self) -> NodeState:
         """Return how the last sweep is."""
-        words = states.SteppedSine
+        words = states.SteppedSineWord
         if self._pending:
-            return State(words.WAITING, self._missing() or "about to begin")
+            return NodeState(words.WAITING, self._missing() or "about to begin")
         if self._operator is None:
-            return State(words.IDLE)
+            return NodeState(words.IDLE)
         sweep = self._operator.sweep
-        if sweep.state is Progress.ABORTED:
-            return State(words.ABORTED, sweep.reason)
-        return State(words.RUNNING if self._operator.busy else words.DONE)
+        if sweep.state is SweepState.ABORTED:
+            return NodeState(words.ABORTED, sweep.reason)
+        return NodeState(words.RUNNING if self._operator.busy else words.DONE)
 
     def health(self) -> tuple[Level, str]:
         """Return how far the sweep is."""
@@ -198,7 +206,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         if self._operator is None:
             return Level.OK, "idle"
         sweep = self._operator.sweep
-        if sweep.state is Progress.ABORTED:
+        if sweep.state is SweepState.ABORTED:
             return Level.ERROR, f"aborted: {sweep.reason}"
         return Level.OK, sweep.describe()
 
@@ -281,7 +289,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         assert self._operator is not None
         self.send(topics.CURRENT, Float64(data=0.0))
         sweep = self._operator.sweep
-        if sweep.state is Progress.ABORTED:
+        if sweep.state is SweepState.ABORTED:
             self.get_logger().error(f"sweep aborted: {sweep.reason}")
         else:
             self.get_logger().info(f"sweep finished: {sweep.measured} measurements")

@@ -104,7 +104,7 @@ class Hardware:
 
     def __init__(self, wire: Wire, abort: Mapping[str, float] = MappingProxyType({})) -> None:
         self.wire, self._abort = wire, abort
-        self.output, self.acquisition = Output(self), Acquisition(self)
+        self.output, self.acquisition = AnalogOutput(self), Acquisition(self)
 
     def turn(self, deadline: float, what: str) -> None:
         """Let time pass until scans come.
@@ -147,7 +147,7 @@ class Hardware:
         return self.acquisition.read(len(values) + rest)
 
 
-class Output:
+class AnalogOutput:
     """The half that plays: set up by the rig's configuration, started, written to block by block, stopped.
 
     Attributes:

@@ -17,7 +17,7 @@ import numpy as np
 
 from impact_rig.blocks import Table
 from impact_rig.operate.phase_lock import LockedSine
-from impact_rig.operate.stepped_sine import Setpoint, State, SteppedSine
+from impact_rig.operate.stepped_sine import Setpoint, SteppedSine, SweepState
 from impact_rig.simtime import NS_PER_S
 
 Note = Callable[[SteppedSine], None]  # told of the sweep at its begin and whenever its curve has grown
@@ -102,7 +102,7 @@ class Operator(Generic[W]):
     @property
     def busy(self) -> bool:
         """Whether a sweep is under way."""
-        return self.sweep.state is State.RUNNING
+        return self.sweep.state is SweepState.RUNNING
 
     def begin(self) -> None:
         """Set the first point."""

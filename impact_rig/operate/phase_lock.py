@@ -35,7 +35,7 @@ from impact_rig.analysis.scans import BASE, CHANNELS, CURRENT, LASER
 from impact_rig.analysis.spread import student_factor, variance_of_mean
 from impact_rig.blocks import PHASE_LOCK, Table
 from impact_rig.errors import ConfigError
-from impact_rig.operate.stepped_sine import SAME, Setpoint, State, positive
+from impact_rig.operate.stepped_sine import SAME, Setpoint, SweepState, positive
 from impact_rig.simtime import NS_PER_S
 
 MIN_CYCLES = 2
@@ -167,7 +167,7 @@ class PhaseLock:
 
     def __init__(self, plan: LockPlan) -> None:
         self._plan = plan
-        self.state, self.stage, self.reason = State.IDLE, Stage.SEEKING, ""
+        self.state, self.stage, self.reason = SweepState.IDLE, Stage.SEEKING, ""
         self.frequency_hz, self.current_a = plan.start_hz, plan.current_a
         self.locked_ns: int | None = None
         self.u_gain = 0.0
@@ -197,12 +197,12 @@ class PhaseLock:
     @property
     def locked(self) -> bool:
         """Whether the phase is held now."""
-        return self.state is State.RUNNING and self.stage is Stage.LOCKED
+        return self.state is SweepState.RUNNING and self.stage is Stage.LOCKED
 
     def start(self, now_ns: int) -> Setpoint:
         """Begin."""
         self._began_ns = self._held_ns = now_ns
-        self.state = State.RUNNING
+        self.state = SweepState.RUNNING
         return self._setpoint()
 
     def set_current(self, current_a: float, now_ns: int) -> Setpoint:
@@ -220,7 +220,7 @@ class PhaseLock:
 
     def on_look(self, look: Look) -> Setpoint:
         """Take what the rig does; return what to set next, the same as before where nothing is to change."""
-        if self.state is not State.RUNNING:
+        if self.state is not SweepState.RUNNING:
             return self._setpoint()
         if not look.sound:
             return self.abort("base or current do not move")
@@ -239,12 +239,12 @@ class PhaseLock:
 
     def abort(self, reason: str) -> Setpoint:
         """End: the rig tripped, or the operator wants it."""
-        if self.state is State.RUNNING:
-            self.state, self.reason = State.ABORTED, reason
+        if self.state is SweepState.RUNNING:
+            self.state, self.reason = SweepState.ABORTED, reason
         return self._setpoint()
 
     def _setpoint(self) -> Setpoint:
-        return Setpoint(self.frequency_hz, self.current_a if self.state is State.RUNNING else 0.0)
+        return Setpoint(self.frequency_hz, self.current_a if self.state is SweepState.RUNNING else 0.0)
 
     def _seek(self, turned: complex) -> None:
         detuned = _detuning(turned)  # > 0: the resonance is above
@@ -312,7 +312,7 @@ class PhaseLock:
         elif waited > plan.lose_limit_s:
             self.abort(f"the phase was not held for {plan.lose_limit_s:g} s")
         elif now_ns - self.locked_ns >= plan.dwell_s * NS_PER_S and self.stage is Stage.LOCKED:
-            self.state = State.FINISHED
+            self.state = SweepState.FINISHED
 
 
 def _turn_from_quarter(turned: complex) -> float:
@@ -347,7 +347,7 @@ class LockedSine:
         self.measured = 0  # looks so far
 
     @property
-    def state(self) -> State:
+    def state(self) -> SweepState:
         """Where the lock stands."""
         return self._lock.state
 
@@ -369,7 +369,9 @@ class LockedSine:
     def describe(self) -> str:
         """Say what it does, for people."""
         at = f"{self._lock.frequency_hz:.6g} Hz"
-        return f"{self._lock.stage} at {at}" if self.state is State.RUNNING else f"finished, the resonance is at {at}"
+        return (
+            f"{self._lock.stage} at {at}" if self.state is SweepState.RUNNING else f"finished, the resonance is at {at}"
+        )
 
     def figures(self) -> dict[str, float]:
         """Return how far it is, for programs."""
@@ -383,7 +385,7 @@ class LockedSine:
 
     def on_applied(self, frequency_hz: float, current_a: float, now_ns: int) -> Setpoint | None:
         """Take an accepted change of the drive; one that is not ours ends the lock."""
-        if self.state is not State.RUNNING:
+        if self.state is not SweepState.RUNNING:
             return None
         wanted = self._wanted
         if math.isclose(frequency_hz, wanted.frequency_hz, rel_tol=SAME) and math.isclose(
@@ -404,7 +406,7 @@ class LockedSine:
     def on_scans(self, table: Table) -> Setpoint | None:
         """Take a block of `daq/scan`; return what to set next once a stretch is whole."""
         rows, step_ns = table.rows, NS_PER_S / self._rate_hz
-        if self.state is not State.RUNNING or self._since_ns is None or not len(rows):
+        if self.state is not SweepState.RUNNING or self._since_ns is None or not len(rows):
             return None
         if self._scans and abs(table.stamp_ns - self._end_ns) > step_ns / 2.0:
             self._scans.clear()  # scans are missing: the stretch begins anew
@@ -419,13 +421,13 @@ class LockedSine:
         self._scans.clear()
         setpoint = self._lock.on_look(look)
         self.measured += 1
-        if self.state is State.RUNNING and setpoint == self._wanted:
+        if self.state is SweepState.RUNNING and setpoint == self._wanted:
             return None
         return self._ask(setpoint, self._end_ns)
 
     def on_time(self, now_ns: int) -> Setpoint | None:
         """Take the rig time; ends the lock when a command is not accepted, or no scans come."""
-        if self.state is not State.RUNNING or (now_ns - self._heard_ns) / NS_PER_S <= self._limit_s:
+        if self.state is not SweepState.RUNNING or (now_ns - self._heard_ns) / NS_PER_S <= self._limit_s:
             return None
         if self._since_ns is None:
             return self.abort(f"{self._wanted.frequency_hz:g} Hz was not accepted within {self._limit_s:g} s")
@@ -433,7 +435,7 @@ class LockedSine:
 
     def abort(self, reason: str) -> Setpoint | None:
         """End a lock under way: the rig tripped, or the operator wants it."""
-        return self._lock.abort(reason) if self.state is State.RUNNING else None
+        return self._lock.abort(reason) if self.state is SweepState.RUNNING else None
 
     def _ask(self, setpoint: Setpoint, now_ns: int) -> Setpoint:
         self._wanted, self._since_ns, self._heard_ns = setpoint, None, now_ns
@@ -460,7 +462,7 @@ class LoopApparatus(Protocol):
 
 def follow(lock: PhaseLock, apparatus: LoopApparatus, until: Callable[[PhaseLock], bool]) -> None:
     """Go on with a lock until it ends, or until a condition holds; it must have been started."""
-    while lock.state is State.RUNNING and not until(lock):
+    while lock.state is SweepState.RUNNING and not until(lock):
         now = apparatus.look(lock.look_s)
         setpoint = lock.abort(now) if isinstance(now, str) else lock.on_look(now)
         apparatus.set(setpoint)
@@ -546,7 +548,7 @@ def climb(ladder: Ladder, apparatus: LoopApparatus) -> tuple[list[Rung], str]:
         _pass(lock, apparatus, ladder.wait_s)
         first = len(lock.rows)
         _pass(lock, apparatus, ladder.mean_s)
-        if lock.state is not State.RUNNING:
+        if lock.state is not SweepState.RUNNING:
             return rungs, lock.reason
         rungs.append(_rung(direction, current, lock.rows[first:], lock.u_gain, rungs[-1:], ladder.jump))
     lock.abort("done")

@@ -68,7 +68,7 @@ def _at_least(lowest: int) -> Callable[[object, attrs.Attribute[int], int], None
 
 
 @attrs.frozen(kw_only=True)
-class Plan:
+class SweepPlan:
     """A stepped sweep.
 
     Attributes:
@@ -109,7 +109,7 @@ PASSING = frozenset({Status.COMMAND_CHANGED, Status.LABEL_CHANGED, Status.CALIBR
 """Words that only say that a change came through."""
 
 
-class State(enum.StrEnum):
+class SweepState(enum.StrEnum):
     """Where a sweep stands."""
 
     IDLE = "idle"
@@ -127,7 +127,7 @@ class SteppedSine:
         skipped: frequencies left out [Hz].
     """
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: SweepPlan) -> None:
         self._plan = plan
         self._points = plan.points()
         self._accepted = False
@@ -152,7 +152,7 @@ class SteppedSine:
         """Say what it does, for people."""
         done, count = self.progress
         running = f"point {done + 1} of {count}: {self.frequency_hz:g} Hz"
-        return running if self.state is State.RUNNING else f"finished, {count} points"
+        return running if self.state is SweepState.RUNNING else f"finished, {count} points"
 
     def figures(self) -> dict[str, object]:
         """Return how far it is, for programs."""
@@ -173,12 +173,12 @@ class SteppedSine:
         """Begin, or begin again from the first point."""
         self._reset()
         self._start_ns = now_ns
-        self.state = State.RUNNING
+        self.state = SweepState.RUNNING
         return self._go(now_ns)
 
     def on_applied(self, frequency_hz: float, current_a: float, now_ns: int) -> Setpoint | None:
         """Take an accepted change of the drive; one that is not ours aborts the sweep."""
-        if self.state is not State.RUNNING:
+        if self.state is not SweepState.RUNNING:
             return None
         ours = math.isclose(frequency_hz, self.frequency_hz, rel_tol=SAME)
         full = math.isclose(current_a, self.current_a, rel_tol=SAME)
@@ -192,7 +192,7 @@ class SteppedSine:
 
     def on_measurement(self, row: np.void, now_ns: int) -> Setpoint | None:
         """Take a row of `transmissibility/table`; rows of other frequencies are ignored."""
-        if self.state is not State.RUNNING or not math.isclose(
+        if self.state is not SweepState.RUNNING or not math.isclose(
             float(row["frequency"]), self.frequency_hz, rel_tol=SAME
         ):
             return None
@@ -225,7 +225,7 @@ class SteppedSine:
 
     def on_time(self, now_ns: int) -> Setpoint | None:
         """Take the rig time; aborts when a point takes too long."""
-        if self.state is not State.RUNNING:
+        if self.state is not SweepState.RUNNING:
             return None
         waited = (now_ns - self._since_ns) / NS_PER_S
         if not self._accepted and waited > self._plan.accept_limit_s:
@@ -236,10 +236,10 @@ class SteppedSine:
 
     def abort(self, reason: str) -> Setpoint | None:
         """End a sweep under way: the rig tripped, or the operator wants it."""
-        return self._abort(reason) if self.state is State.RUNNING else None
+        return self._abort(reason) if self.state is SweepState.RUNNING else None
 
     def _reset(self) -> None:
-        self.state = State.IDLE
+        self.state = SweepState.IDLE
         self.reason = ""
         self.skipped: list[float] = []
         self._at = 0
@@ -262,7 +262,7 @@ class SteppedSine:
         before = self.frequency_hz
         self._at += 1
         if self._at == len(self._points):
-            self.state = State.FINISHED
+            self.state = SweepState.FINISHED
             return Setpoint(before, 0.0)
         setpoint = self._go(now_ns)
         # between up and down nothing changes, so nothing is accepted anew
@@ -270,7 +270,7 @@ class SteppedSine:
         return setpoint
 
     def _abort(self, reason: str) -> Setpoint:
-        self.state, self.reason = State.ABORTED, reason
+        self.state, self.reason = SweepState.ABORTED, reason
         return Setpoint(self.frequency_hz, 0.0)
 
 
@@ -312,7 +312,7 @@ class ControlledSine(SteppedSine):
         plan: the points; its current is what the first one begins with.
     """
 
-    def __init__(self, plan: Plan, hold: HoldPlan) -> None:
+    def __init__(self, plan: SweepPlan, hold: HoldPlan) -> None:
         self._hold = hold
         self._current_a = plan.current_a
         super().__init__(plan)

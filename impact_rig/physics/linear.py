@@ -39,7 +39,7 @@ from impact_rig.physics.contact import Contact
 from impact_rig.physics.state import COIL, V1, VB, X1, XB
 
 
-class Setup(Protocol):
+class MechanicsSetup(Protocol):
     """Some sections of a configuration; `impact_rig.rig.config.RigConfig` has them."""
 
     @property
@@ -122,7 +122,7 @@ class Modes(NamedTuple):
     left: NDArray[np.complex128]
 
 
-def constants(config: Setup) -> Constants:
+def constants(config: MechanicsSetup) -> Constants:
     """Return the constants of motion of a configuration: k_1 = m_1 ω_n², c_1 = 2 ζ m_1 ω_n."""
     structure, shaker = config.structure, config.shaker
     omega_n = TWO_PI * structure.natural_frequency_hz

@@ -19,7 +19,7 @@ from impact_rig.physics.contact.law import FORCE, CompiledForce, compiled_force
 from impact_rig.physics.flight import bound_omega
 from impact_rig.physics.linear import (
     Constants,
-    Setup,
+    MechanicsSetup,
     constants,
     effective_mass_kg,
     hertz_stiffness_n_m32,
@@ -56,7 +56,7 @@ class Model(NamedTuple):
 MODEL = Fields(Model, (PARAMETERS, SYSTEM, TABLE, FORCE))
 
 
-def build(config: Setup, rtol: float = CONTACT_RTOL, kind: str | None = None) -> Model:
+def build(config: MechanicsSetup, rtol: float = CONTACT_RTOL, kind: str | None = None) -> Model:
     """Return the model of a configuration, its `drive.kind` replaced by `kind` if there is one.
 
     Raises:

@@ -72,10 +72,10 @@ from numpy.typing import NDArray
 
 from impact_rig.errors import ConfigError
 from impact_rig.physics import contact as contact_laws
-from impact_rig.physics.linear import Constants, Setup, constants, sphere_mass_kg
+from impact_rig.physics.linear import Constants, MechanicsSetup, constants, sphere_mass_kg
 
 
-def transmissibility(config: Setup, frequency_hz: NDArray[np.float64] | float) -> NDArray[np.complex128]:
+def transmissibility(config: MechanicsSetup, frequency_hz: NDArray[np.float64] | float) -> NDArray[np.complex128]:
     """Return X_1 / X_b without the sphere: (1 + 2iζr) / (1 − r² + 2iζr), r = f / f_n; its phase is x_1 over x_b."""
     structure = config.structure
     r = np.asarray(frequency_hz, float) / structure.natural_frequency_hz
@@ -84,7 +84,7 @@ def transmissibility(config: Setup, frequency_hz: NDArray[np.float64] | float) -
     return ratio
 
 
-def base_amplitude(config: Setup, frequency_hz: NDArray[np.float64] | float) -> NDArray[np.complex128]:
+def base_amplitude(config: MechanicsSetup, frequency_hz: NDArray[np.float64] | float) -> NDArray[np.complex128]:
     """Return X_b per ampere of coil current without the sphere [m/A].
 
     X_b = K_f I / [k_f − (m_a + m_b) ω² + iωc_f − m_1 ω² T]: the structure pushes back on the base with m_1 ω² X_1.
@@ -233,14 +233,14 @@ class Branch:
         """Return some of the motions, chosen by a mask or by indices."""
         return Branch(**{field.name: getattr(self, field.name)[which] for field in attrs.fields(Branch)})
 
-    def reduction_percent(self, config: Setup) -> Real:
+    def reduction_percent(self, config: MechanicsSetup) -> Real:
         """Return 100 (1 − DT / DT without the sphere) at each motion's frequency."""
         without: Real = np.abs(transmissibility(config, self.frequency_hz))
         return 100.0 * (1.0 - self.dt / without)
 
 
 @attrs.frozen
-class Held:
+class HeldDrive:
     """What a drive keeps constant: exactly one of the three.
 
     Attributes:
@@ -277,7 +277,7 @@ class _Answer(NamedTuple):
 
 
 @attrs.frozen
-class Rig:
+class LinearRig:
     """The linear rig and its sphere, as a prediction needs them."""
 
     linear: Constants
@@ -285,7 +285,7 @@ class Rig:
     manifold: Manifold
 
     @classmethod
-    def of(cls, config: Setup, *, recoil: bool = True) -> Rig:
+    def of(cls, config: MechanicsSetup, *, recoil: bool = True) -> LinearRig:
         """Return it from a configuration; without recoil of the structure, the textbook's formulas.
 
         Raises:
@@ -306,11 +306,11 @@ class Rig:
         low, high = self.manifold.theta_fold * (1.0 + _NEAR_FOLD), BEYOND * THETA_SYMMETRIC
         return low + (high - low) * np.linspace(0.0, 1.0, POINTS) ** 2
 
-    def gaps(self, theta: Real, frequency_hz: Real, held: Held) -> Real:
+    def gaps(self, theta: Real, frequency_hz: Real, held: HeldDrive) -> Real:
         """Return the gaps that motions with these Θ need; the shapes broadcast."""
         return self._answer(theta, frequency_hz, held).gap_m
 
-    def _answer(self, theta: Real, frequency_hz: Real, held: Held) -> _Answer:
+    def _answer(self, theta: Real, frequency_hz: Real, held: HeldDrive) -> _Answer:
         c = self.linear
         s: Complex = np.asarray(2j * math.pi * frequency_hz, np.complex128)
         force = self.sphere_kg * (2.0 * math.pi * frequency_hz) ** 2 * self.manifold.force(theta)
@@ -328,7 +328,7 @@ class Rig:
         superior = np.abs(base * ratio)
         return _Answer(s, force, ratio, current, base, superior, 2.0 * superior / self.manifold.xi(theta))
 
-    def motions(self, theta: Real, frequency_hz: Real | float, held: Held) -> Branch:
+    def motions(self, theta: Real, frequency_hz: Real | float, held: HeldDrive) -> Branch:
         """Return the motions for values of Θ, each with the gap that it needs."""
         manifold = self.manifold
         frequency = np.broadcast_to(np.asarray(frequency_hz, float), theta.shape).copy()
@@ -348,7 +348,7 @@ class Rig:
             stable=manifold.stable(theta) & slow,
         )
 
-    def _keeps(self, theta: Real, s: Complex, force: Complex, held: Held) -> NDArray[np.bool_]:
+    def _keeps(self, theta: Real, s: Complex, force: Complex, held: HeldDrive) -> NDArray[np.bool_]:
         """Return where the structure keeps its amplitude: the slow flow's trace < 0 and determinant > 0."""
         c = self.linear
         k = c.k_1 + c.c_1 * s
@@ -365,7 +365,7 @@ class Rig:
 
 
 def branch(
-    config: Setup,
+    config: MechanicsSetup,
     frequency_hz: float,
     *,
     current_a: float | None = None,
@@ -386,12 +386,12 @@ def branch(
     Raises:
         ConfigError: the configuration is outside of what the prediction holds for, or not one thing is held.
     """
-    rig = Rig.of(config, recoil=recoil)
-    return rig.motions(rig.thetas(), frequency_hz, Held(current_a, base_m, superior_m))
+    rig = LinearRig.of(config, recoil=recoil)
+    return rig.motions(rig.thetas(), frequency_hz, HeldDrive(current_a, base_m, superior_m))
 
 
 def at(
-    config: Setup,
+    config: MechanicsSetup,
     frequency_hz: float,
     gap_m: float,
     *,
@@ -405,13 +405,13 @@ def at(
     Raises:
         ConfigError: as for `branch`.
     """
-    rig, held = Rig.of(config, recoil=recoil), Held(current_a, base_m, superior_m)
+    rig, held = LinearRig.of(config, recoil=recoil), HeldDrive(current_a, base_m, superior_m)
     (theta,) = _roots(rig, np.array([frequency_hz], float), gap_m, held)
     return rig.motions(theta, frequency_hz, held)
 
 
 def curves(
-    config: Setup,
+    config: MechanicsSetup,
     frequencies_hz: Real,
     gap_m: float,
     *,
@@ -425,7 +425,7 @@ def curves(
     Raises:
         ConfigError: as for `branch`.
     """
-    rig, held = Rig.of(config, recoil=recoil), Held(current_a, base_m, superior_m)
+    rig, held = LinearRig.of(config, recoil=recoil), HeldDrive(current_a, base_m, superior_m)
     frequencies = np.asarray(frequencies_hz, float)
     found = _roots(rig, frequencies, gap_m, held)
     lines: list[Branch] = []
@@ -436,7 +436,7 @@ def curves(
     return lines
 
 
-def backbone(config: Setup, gap_m: float, *, recoil: bool = True) -> Branch:
+def backbone(config: MechanicsSetup, gap_m: float, *, recoil: bool = True) -> Branch:
     """Return the motions at resonance (the superior base a quarter cycle behind the base) with one gap.
 
     From the fold, the smallest amplitude, to ever larger ones.
@@ -444,7 +444,7 @@ def backbone(config: Setup, gap_m: float, *, recoil: bool = True) -> Branch:
     Raises:
         ConfigError: as for `branch`.
     """
-    rig = Rig.of(config, recoil=recoil)
+    rig = LinearRig.of(config, recoil=recoil)
     c, theta = rig.linear, rig.thetas()
     force = rig.manifold.force(theta)
     mass, per_omega = c.m_1 + rig.sphere_kg * force.real, -rig.sphere_kg * force.imag
@@ -452,7 +452,7 @@ def backbone(config: Setup, gap_m: float, *, recoil: bool = True) -> Branch:
     for _ in range(60):  # the damping terms are of the order ζ²: it converges in a few rounds
         omega = c.k_1 / np.sqrt(c.k_1 * mass - c.c_1 * (c.c_1 + per_omega * omega))
     frequency = omega / (2.0 * math.pi)
-    unit = rig.motions(theta, frequency, Held(superior_m=1.0))
+    unit = rig.motions(theta, frequency, HeldDrive(superior_m=1.0))
     size = gap_m / unit.gap_m
     return attrs.evolve(
         unit,
@@ -477,7 +477,7 @@ def best_gap(motions: Branch) -> Branch:
     return motions.take(stable[[int(np.argmin(motions.dt[stable]))]])
 
 
-def _roots(rig: Rig, frequencies_hz: Real, gap_m: float, held: Held) -> list[Real]:
+def _roots(rig: LinearRig, frequencies_hz: Real, gap_m: float, held: HeldDrive) -> list[Real]:
     """Return every Θ whose motion needs just this gap, descending; one array per frequency."""
     grid = rig.thetas()
     rows, columns = [], []

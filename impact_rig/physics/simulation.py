@@ -21,7 +21,7 @@ from impact_rig.physics.contact_step import turned_at
 from impact_rig.physics.event_loop import NEED_ROOM, STUCK, UNSOLVED, Workspace, new_workspace, run
 from impact_rig.physics.flight import SEGMENT
 from impact_rig.physics.fundamental import CYCLE, follow_cycles
-from impact_rig.physics.linear import Setup
+from impact_rig.physics.linear import MechanicsSetup
 from impact_rig.physics.model import CONTACT_RTOL, Model, build
 from impact_rig.physics.sampling import (
     PARTS,
@@ -231,7 +231,7 @@ class Simulation:
     """
 
     def __init__(
-        self, config: Setup, *, rtol: float = CONTACT_RTOL, account: bool = False, model: Model | None = None
+        self, config: MechanicsSetup, *, rtol: float = CONTACT_RTOL, account: bool = False, model: Model | None = None
     ) -> None:
         self._rtol = rtol
         self._account = account
@@ -242,7 +242,7 @@ class Simulation:
         self.reset()
 
     @property
-    def config(self) -> Setup:
+    def config(self) -> MechanicsSetup:
         """The configuration in force."""
         return self._config
 
@@ -264,7 +264,7 @@ class Simulation:
         self._begin(np.zeros(STRUCTURE))
         self.tick = 0
 
-    def configure(self, config: Setup, model: Model | None = None) -> None:
+    def configure(self, config: MechanicsSetup, model: Model | None = None) -> None:
         """Go on with another configuration: the structure keeps its motion, the sphere rests at its start again.
 
         A locked base stays locked.

@@ -48,7 +48,7 @@ UNDERRUN, ENDED, STOPPED = "underrun", "ended", "stopped"
 """Why a stream ends: no sample came in time; its controller said so; the shaker was stopped."""
 
 
-class State(enum.Enum):
+class StreamState(enum.Enum):
     """Where a stream is."""
 
     RESTING = "no sample has come yet"
@@ -125,7 +125,7 @@ class Stream:
         self.capacity = math.ceil(drive.stream_buffer_s * self.rate_hz) + 1
         self.buffer = Buffer(self.capacity)
         self.played = 0
-        self.state = State.RESTING
+        self.state = StreamState.RESTING
         self.missing = 0
         self.events: list[Happened] = []
         self._linear = drive.stream_hold == "first_order"
@@ -139,7 +139,9 @@ class Stream:
 
     def set_ramp(self, ramp_s: float) -> None:
         """Ramp to zero within another time where samples are missing; a ramp under way starts again with it."""
-        if self.state is not State.PLAYING and self._falls and self._since:  # from where it is: the drive must not jump
+        if (
+            self.state is not StreamState.PLAYING and self._falls and self._since
+        ):  # from where it is: the drive must not jump
             self._from, self._since = self._from * (1.0 - self._since / self._ramp), 0
         self._ramp = max(1, math.ceil(ramp_s * self.rate_hz - 1e-9))
 
@@ -168,16 +170,16 @@ class Stream:
         late = min(len(values), max(0, self.played - first))
         if late < len(values) or len(values) == 0:
             self.buffer.put(max(first, self.played), values[late:])
-        if len(values) == 0 and self.state is not State.PLAYING and self.buffer.first_there(self.played) is None:
-            self.state = State.OVER
+        if len(values) == 0 and self.state is not StreamState.PLAYING and self.buffer.first_there(self.played) is None:
+            self.state = StreamState.OVER
         return late
 
     def stop(self) -> None:
         """Play nothing more of what is buffered, and ramp to zero."""
         self.buffer.clear()
         self._why = STOPPED
-        if self.state is not State.PLAYING:
-            self.state = State.OVER
+        if self.state is not StreamState.PLAYING:
+            self.state = StreamState.OVER
         if not self._falls:  # it holds a value for want of others
             self._since, self._falls = 0, True
 
@@ -188,13 +190,13 @@ class Stream:
     def ticks_until_event(self, tick: int) -> int:
         """Return how many ticks from `tick` on end with the first event to come, or the first sum."""
         ahead = SUM_TICKS - tick % SUM_TICKS
-        at = self._first_missing() if self.state is State.PLAYING else self.buffer.first_there(self.played)
+        at = self._first_missing() if self.state is StreamState.PLAYING else self.buffer.first_there(self.played)
         return ahead if at is None else min(ahead, max(1, self._tick_of(at) - tick + 1))
 
     def whole_ticks(self) -> int | None:
         """Return up to which tick samples suffice, or None: no more will come."""
         missing = self._first_missing()
-        over = self.state is State.OVER or self._why == STOPPED
+        over = self.state is StreamState.OVER or self._why == STOPPED
         if missing in self.buffer.ends or (over and missing == self.played):
             return None
         return self._tick_of(missing)
@@ -246,8 +248,8 @@ class Stream:
         return np.concatenate(parts)
 
     def _samples(self, count: int) -> NDArray[np.float64]:
-        if self.state is not State.PLAYING:
-            self.state = State.PLAYING
+        if self.state is not StreamState.PLAYING:
+            self.state = StreamState.PLAYING
             self.events.append(Happened(Event.BEGIN, self.played))
         self._why = UNDERRUN
         values = self.buffer.values(self.played, self.played + count)
@@ -259,13 +261,13 @@ class Stream:
 
     def _without(self, count: int) -> NDArray[np.float64]:
         """Return what stands in place of samples that are missing: zero, a straight ramp to it, or the last one."""
-        if self.state is State.PLAYING:
+        if self.state is StreamState.PLAYING:
             self._sum_up()
             why = ENDED if self._why == UNDERRUN and self.played in self.buffer.ends else self._why
             self.events.append(Happened(Event.END, self.played, why))
-            self.state = State.MISSING if why == UNDERRUN else State.OVER
+            self.state = StreamState.MISSING if why == UNDERRUN else StreamState.OVER
             self._since, self._falls = 0, why != UNDERRUN or not self._holds
-        self.missing += count * (self.state is State.MISSING)
+        self.missing += count * (self.state is StreamState.MISSING)
         steps = np.arange(self._since + 1, self._since + count + 1)
         self._since = min(self._since + count, self._ramp)
         if not self._falls:

@@ -31,7 +31,7 @@ Publishers = Callable[[str], Mapping[str, str]]
 
 
 @attrs.define
-class Stream:
+class PublisherStream:
     """The messages of one publisher on one topic."""
 
     publisher: str  # its name where it is certain, else empty
@@ -49,11 +49,11 @@ class Stream:
 
 @attrs.define
 class _Topic:
-    streams: list[Stream] = attrs.field(factory=list)
+    streams: list[PublisherStream] = attrs.field(factory=list)
     begun: int = 0  # streams, those that were dropped included
     known: dict[str, str] = attrs.field(factory=dict)  # publishers seen in the graph so far
     unnumbered: int = 0
-    forgotten: Stream | None = None  # sum of the streams that were dropped
+    forgotten: PublisherStream | None = None  # sum of the streams that were dropped
 
 
 class Account:
@@ -106,26 +106,26 @@ class Account:
             stream = max(earlier, key=lambda one: one.newest)
             stream.take(sequence)
             return stream.publisher
-        stream = Stream(new[0] if len(new) == 1 else "", sequence, sequence)
+        stream = PublisherStream(new[0] if len(new) == 1 else "", sequence, sequence)
         known.streams.append(stream)
         known.begun += 1
         if len(known.streams) > MAX_STREAMS:
-            gone, before = known.streams.pop(0), known.forgotten or Stream("", 0, 0, 0)
-            known.forgotten = Stream("", 0, 0, before.received + gone.received, before.lost + gone.lost)
+            gone, before = known.streams.pop(0), known.forgotten or PublisherStream("", 0, 0, 0)
+            known.forgotten = PublisherStream("", 0, 0, before.received + gone.received, before.lost + gone.lost)
         return stream.publisher
 
-    def _streams(self, name: str) -> list[Stream]:
+    def _streams(self, name: str) -> list[PublisherStream]:
         known = self._topics[name]
-        plain = [Stream("", 0, 0, known.unnumbered)] if known.unnumbered else []
+        plain = [PublisherStream("", 0, 0, known.unnumbered)] if known.unnumbered else []
         return [*([known.forgotten] if known.forgotten else []), *known.streams, *plain]
 
 
-def lost(streams: Mapping[str, Sequence[Stream]]) -> dict[str, int]:
+def lost(streams: Mapping[str, Sequence[PublisherStream]]) -> dict[str, int]:
     """Return how many messages are missing in streams by topic; only topics that lack any."""
     return {name: count for name, found in streams.items() if (count := sum(stream.lost for stream in found))}
 
 
-def read_record(record: Mapping[str, str]) -> dict[str, list[Stream]]:
+def read_record(record: Mapping[str, str]) -> dict[str, list[PublisherStream]]:
     """Return what `Account.to_record` wrote.
 
     Raises:
@@ -137,8 +137,8 @@ def read_record(record: Mapping[str, str]) -> dict[str, list[Stream]]:
         raise DamageError(f"the metadata record {RECORD_NAME!r} cannot be understood: {error}") from error
 
 
-def _stream(entry: dict[str, object]) -> Stream:
-    stream = Stream(**entry)  # type: ignore[arg-type]  # checked below
+def _stream(entry: dict[str, object]) -> PublisherStream:
+    stream = PublisherStream(**entry)  # type: ignore[arg-type]  # checked below
     if not isinstance(stream.publisher, str) or any(
         type(number) is not int or number < 0 for number in (stream.first, stream.newest, stream.received, stream.lost)
     ):

@@ -38,7 +38,7 @@ SHOWN_S = 1.0  # of a played history, around its largest sample
 
 
 @attrs.frozen(eq=False)
-class Told:
+class ResultSummary:
     """What is said of a result."""
 
     progress: str  # how far it is, in one line
@@ -47,13 +47,15 @@ class Told:
     draw: Callable[[], list[Drawn]]  # makes the drawings
 
 
-def tell(found: object, unit: str = "") -> Told:
+def tell(found: object, unit: str = "") -> ResultSummary:
     """Return what is said of the result of a test; `unit` is that of its response."""
     told = _TELLERS[type(found)](found, unit)
     return attrs.evolve(told, draw=style()(told.draw))
 
 
-def document(title: str, about: Sequence[tuple[str, str]], told: Told, early: str, *, drawn: bool = True) -> str:
+def document(
+    title: str, about: Sequence[tuple[str, str]], told: ResultSummary, early: str, *, drawn: bool = True
+) -> str:
     """Return the page, with its drawings or without."""
     parts = [f"<h1>{page.escape(title)}</h1>", page.cover(about)]
     parts += [page.paragraph(f"Ended early: {early}")] if early else []
@@ -80,7 +82,7 @@ def _learning(errors: Sequence[float], label: str, what: str) -> Drawn:
 # --- random
 
 
-def _random(found: Reached, unit: str) -> Told:
+def _random(found: Reached, unit: str) -> ResultSummary:
     shares = {"distortion": found.share(found.distortion), "noise": found.share(found.noise)}
     figures = {
         "within_1_db": found.within(1.0), "within_3_db": found.within(3.0), "rms_error_db": found.loops,
@@ -99,7 +101,7 @@ def _random(found: Reached, unit: str) -> Told:
             f"(3: Gaussian), drive {found.drive_rms:.3g} A rms, {found.clipped} of its samples clipped."
         ),
     ]
-    return Told(
+    return ResultSummary(
         f"loop {len(found.loops)}: rms error {found.loops[-1]:.2f} dB, drive {found.drive_rms:.3g} A rms",
         figures, sentences, lambda: _draw_random(found, unit),
     )  # fmt: skip
@@ -132,7 +134,7 @@ def _draw_random(found: Reached, unit: str) -> list[Drawn]:
 # --- histories
 
 
-def _replicated(found: Replicated, unit: str) -> Told:
+def _replicated(found: Replicated, unit: str) -> ResultSummary:
     error = found.relative(found.reached - found.asked)
     bent = found.relative(found.reached - found.linear)
     figures = {
@@ -148,7 +150,7 @@ def _replicated(found: Replicated, unit: str) -> Told:
             "distortion, and the sensor's noise."
         ),
     ]
-    return Told(
+    return ResultSummary(
         f"trial {len(found.errors)}: error {100 * found.errors[-1]:.2f} %", figures, sentences,
         lambda: [_history(found, unit), _learning([100 * one for one in found.errors], "error (%)", "trial")],
     )  # fmt: skip
@@ -168,7 +170,7 @@ def _history(found: Replicated, unit: str) -> Drawn:
     return Drawn("history", figure, caption, [Line("history", columns)])
 
 
-def _shocked(found: Shocked, unit: str) -> Told:
+def _shocked(found: Shocked, unit: str) -> ResultSummary:
     told = _replicated(found.followed, unit)
     figures = {
         **told.figures, "peak_error": found.peak_error, "velocity_change_error": found.velocity_error,
@@ -204,7 +206,7 @@ def _draw_shock(found: Shocked) -> Drawn:
 # --- played, frequency response
 
 
-def _played(found: Played, _unit: str) -> Told:
+def _played(found: Played, _unit: str) -> ResultSummary:
     done = len(found.asked) / found.rate_hz
     figures = {
         "seconds": done, "whole_s": found.whole / found.rate_hz, "current_error": found.error,
@@ -220,7 +222,7 @@ def _played(found: Played, _unit: str) -> Told:
             f"{found.kurtosis('laser'):.2f}."
         )
     ]
-    return Told(f"{done:.0f} s played", figures, sentences, lambda: [_draw_played(found)])
+    return ResultSummary(f"{done:.0f} s played", figures, sentences, lambda: [_draw_played(found)])
 
 
 def _draw_played(found: Played) -> Drawn:
@@ -238,7 +240,7 @@ def _draw_played(found: Played) -> Drawn:
     return Drawn("played", figure, "Around the largest sample.", [Line("played", columns)])
 
 
-def _frf(found: Frf, unit: str) -> Told:
+def _frf(found: Frf, unit: str) -> ResultSummary:
     good = found.excited[found.coherence[found.excited] > 0.9]
     u = found.u_relative[good]
     peak = found.excited[np.argmax(np.abs(found.h1[found.excited]))]
@@ -265,7 +267,7 @@ def _frf(found: Frf, unit: str) -> Told:
             "level, and most of what lacks is distortion: other frames have another, so u covers it like noise."
         ),
     ]
-    return Told(f"{found.averages:.0f} frames", figures, sentences, lambda: [_draw_frf(found, unit)])
+    return ResultSummary(f"{found.averages:.0f} frames", figures, sentences, lambda: [_draw_frf(found, unit)])
 
 
 def _draw_frf(found: Frf, unit: str) -> Drawn:
@@ -282,6 +284,6 @@ def _draw_frf(found: Frf, unit: str) -> Drawn:
     return Drawn("frf", figure, "Frequency response, its uncertainty, and coherence.", [Line("frf", columns)])
 
 
-_TELLERS: Mapping[type, Callable[[Any, str], Told]] = {
+_TELLERS: Mapping[type, Callable[[Any, str], ResultSummary]] = {
     Reached: _random, Replicated: _replicated, Shocked: _shocked, Played: _played, Frf: _frf,
 }  # fmt: skip

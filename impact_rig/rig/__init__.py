@@ -8,12 +8,12 @@ from impact_rig.system import lazily
 
 if TYPE_CHECKING:
     from impact_rig.rig.core import Block, Rig
-    from impact_rig.rig.journal import Journal, Kind, takes_effect
+    from impact_rig.rig.journal import InputKind, Journal, takes_effect
     from impact_rig.rig.resimulation import resimulate
 
 __getattr__ = lazily(  # `rig.config` does without compiled code
-    __name__, Block="core", takes_effect="journal", Rig="core", Journal="journal", Kind="journal",
+    __name__, Block="core", takes_effect="journal", Rig="core", Journal="journal", InputKind="journal",
     resimulate="resimulation",
 )  # fmt: skip
 
-__all__ = ["Block", "Journal", "Kind", "Rig", "resimulate", "takes_effect"]
+__all__ = ["Block", "InputKind", "Journal", "Rig", "resimulate", "takes_effect"]

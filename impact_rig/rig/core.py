@@ -27,14 +27,14 @@ from impact_rig.instruments.chain import Chain
 from impact_rig.instruments.fault import Fault
 from impact_rig.physics import FunctionGenerator, Motion, Simulation
 from impact_rig.physics.model import Model, build
-from impact_rig.physics.stream import UNDERRUN, Event, State, Stream
+from impact_rig.physics.stream import UNDERRUN, Event, Stream, StreamState
 from impact_rig.rig.config import RigConfig, differences, from_flat
 from impact_rig.rig.interlock import Interlock, Trip, check_amplitude, check_frequency, check_stream
 from impact_rig.rig.journal import (
     INSTRUMENTS,
     PLANNED,
+    InputKind,
     Journal,
-    Kind,
     PlanInForce,
     Value,
     is_mechanics,
@@ -156,7 +156,7 @@ class Rig:
         self.take_journal = self._journal.take  # returns the new rows of the journal and forgets them
         self._applied: list[Table] = []
         self._latched: str | None = None
-        self._begin(Kind.START, start_ns)
+        self._begin(InputKind.START, start_ns)
 
     # State
 
@@ -204,7 +204,7 @@ class Rig:
     def is_driven(self) -> bool:
         """Whether an amplitude is commanded, or samples of a stream are in force."""
         stream = self._generator.stream
-        return self.amplitude != 0.0 if stream is None else stream.state is State.PLAYING
+        return self.amplitude != 0.0 if stream is None else stream.state is StreamState.PLAYING
 
     @property
     def takes_samples(self) -> bool:
@@ -234,7 +234,7 @@ class Rig:
     def stream_state(self) -> Table:
         """Return `shaker/stream`; its stamp is that of the sample that is wanted next."""
         stream = self.stream
-        buffered, playing = stream.buffered(), float(stream.state is State.PLAYING)
+        buffered, playing = stream.buffered(), float(stream.state is StreamState.PLAYING)
         late, refused = self._late_samples, self._refused_blocks
         row = (0.0, stream.played, buffered, stream.capacity, playing, late, refused, stream.missing, stream.rate_hz)
         return Table(self.start_ns + stream.time_ns(stream.played), np.array([row], STREAM))
@@ -309,7 +309,7 @@ class Rig:
             return None
         happened, stream.events = stream.events, []
         for event, sample, text in happened:
-            self._journal_row(Kind.STREAM, event.value, float(sample), text.encode())
+            self._journal_row(InputKind.STREAM, event.value, float(sample), text.encode())
             if event is Event.END and text == UNDERRUN and self._drive.on_underrun == "trip" and self._latched is None:
                 trip = Trip(0, UNDERRUN, float(sample), 0.0)
         return trip
@@ -357,10 +357,10 @@ class Rig:
             check_amplitude(current_a, self._drive, self.config.shaker)
         if frequency_hz is not None:
             self._generator.set_frequency(frequency_hz)
-            self._journal.add(self.frontier_sample, Kind.COMMAND, "frequency", frequency_hz)
+            self._journal.add(self.frontier_sample, InputKind.COMMAND, "frequency", frequency_hz)
         if current_a is not None:
             self._generator.set_amplitude(current_a)
-            self._journal.add(self.frontier_sample, Kind.COMMAND, "current", current_a)
+            self._journal.add(self.frontier_sample, InputKind.COMMAND, "current", current_a)
         self._last_command_tick, self._timed_out = self._ticks, False
         return self._add_applied()
 
@@ -450,7 +450,7 @@ class Rig:
         self.config = config
         self._truth.configure(config.output.monitor_rate_hz, config.output.truth_scan)
         values = {name: value for name, value in sampled(changed).items() if name != PLANNED}
-        self._journal.add_values(self.frontier_sample, Kind.PARAMETER, values.items())
+        self._journal.add_values(self.frontier_sample, InputKind.PARAMETER, values.items())
         self._planned_faults.put_into_force(replan, self._clear_if_there, self.inject)
         if new_instruments:
             self._info_sample = self.frontier_sample
@@ -465,7 +465,7 @@ class Rig:
         """
         if self._latched is not None:
             raise CommandError(f"cannot reset: latched by {self._latched}, ~/clear_trip first")
-        self._begin(Kind.RESET, self.frontier_ns)
+        self._begin(InputKind.RESET, self.frontier_ns)
 
     def pluck(self, displacement_m: float) -> None:
         """Lock the base, put x_1 at `displacement_m` and let it go: free decay until the next reset.
@@ -477,17 +477,17 @@ class Rig:
             raise CommandError(f"a pluck must be finite, got {displacement_m:g} m")
         self._simulation.pluck(displacement_m)
         self._generator.set_amplitude(0.0)
-        self._journal_row(Kind.PLUCK, value=displacement_m)
+        self._journal_row(InputKind.PLUCK, value=displacement_m)
         self._add_applied()
 
     def stop(self) -> None:
         """Ramp the shaker to zero and latch it until `clear_trip`: the emergency stop."""
-        self._journal_row(Kind.STOP)
+        self._journal_row(InputKind.STOP)
         self._latch(EMERGENCY)
 
     def clear_trip(self) -> None:
         """Release the latch, if there is one; the amplitude stays zero until the next command."""
-        self._journal_row(Kind.CLEAR_TRIP)
+        self._journal_row(InputKind.CLEAR_TRIP)
         if self._latched is not None:
             self._latched = None
             self._interlock.reset()
@@ -500,13 +500,13 @@ class Rig:
         """
         number = self._chain.inject(fault)
         key, value, text = fault.journal()
-        self._journal.add(fault.start_sample, Kind.FAULT, key, value, text.encode())
+        self._journal.add(fault.start_sample, InputKind.FAULT, key, value, text.encode())
         return number
 
     def clear_fault(self, number: int | None = None) -> None:
         """End one instrument fault, or all of them, at the first scan not yet measured."""
         self._chain.clear(number)
-        self._journal_row(Kind.CLEAR_FAULT, value=-1.0 if number is None else float(number))
+        self._journal_row(InputKind.CLEAR_FAULT, value=-1.0 if number is None else float(number))
 
     def take_applied(self) -> list[Table]:
         """Return the new rows of shaker/applied and forget them."""
@@ -520,7 +520,7 @@ class Rig:
         """The drive since the last reset; `config.drive` is that of the next."""
         return self._simulation.config.drive
 
-    def _begin(self, kind: Kind, start_ns: int) -> None:
+    def _begin(self, kind: InputKind, start_ns: int) -> None:
         config = self.config
         parts = generator(config), tried(config), Chain(config)  # what they refuse leaves everything as it is
         self._generator, model, self._chain = parts
@@ -539,7 +539,7 @@ class Rig:
         self._planned_faults = PlanInForce(config.instruments.faults.planned, self.rate_hz)
         self._truth = Truth(self.rate_hz, config.output.monitor_rate_hz, config.output.truth_scan)
         self._journal_row(kind, text=impact_rig.__version__.encode())
-        self._journal.add_values(0, Kind.INITIAL, not_default(config).items())
+        self._journal.add_values(0, InputKind.INITIAL, not_default(config).items())
         self._add_applied()
 
     def _clear_if_there(self, number: int) -> None:
@@ -558,7 +558,7 @@ class Rig:
         return self._interlock.watch(motion, tick_s, self._drive, self.config.shaker)
 
     def _trip(self, trip: Trip) -> None:
-        self._journal_row(Kind.TRIP, trip.reason, trip.measured)
+        self._journal_row(InputKind.TRIP, trip.reason, trip.measured)
         self._latch(trip.message())
 
     def _latch(self, reason: str) -> None:
@@ -584,11 +584,11 @@ class Rig:
 
     def _time_out(self) -> None:
         self._timed_out = True
-        self._journal_row(Kind.TIMEOUT)
+        self._journal_row(InputKind.TIMEOUT)
         self._generator.set_amplitude(0.0)
         self._add_applied()
 
-    def _journal_row(self, kind: Kind, key: str = "", value: float = 0.0, text: bytes = b"") -> None:
+    def _journal_row(self, kind: InputKind, key: str = "", value: float = 0.0, text: bytes = b"") -> None:
         self._journal.add(self.frontier_sample, kind, key, value, text)
 
     def _add_applied(self) -> Table:

@@ -22,7 +22,7 @@ from impact_rig import codec, topics
 from impact_rig.blocks import JOURNAL, TEXT_BYTES, Table
 from impact_rig.errors import CodecError, CommandError, ConfigError
 from impact_rig.instruments.fault import Fault
-from impact_rig.instruments.section import Setup
+from impact_rig.instruments.section import InstrumentSetup
 from impact_rig.rig.config import RigConfig, differences, to_flat
 from impact_rig.simtime import NS_PER_S, stamp_ns
 
@@ -34,12 +34,12 @@ NOT_SAMPLED = ("time.", "step.", "pluck.", "output.")
 SAMPLED = frozenset({"output.command_timeout_s"})  # exceptions from `NOT_SAMPLED`
 
 
-class Kind(enum.Enum):
+class InputKind(enum.Enum):
     """What kind of input a row is, and what its columns say."""
 
     doc: str
 
-    def __new__(cls, value: str, doc: str = "") -> Kind:  # looked up by value alone
+    def __new__(cls, value: str, doc: str = "") -> InputKind:  # looked up by value alone
         """Make a member: its value is the word in the table."""
         member = object.__new__(cls)
         member._value_ = value
@@ -75,23 +75,23 @@ class Kind(enum.Enum):
     )
 
 
-RESULTS = (Kind.TRIP, Kind.TIMEOUT, Kind.STREAM)  # rows a re-simulation produces by itself
+RESULTS = (InputKind.TRIP, InputKind.TIMEOUT, InputKind.STREAM)  # rows a re-simulation produces by itself
 
 
 @attrs.frozen
-class Entry:
+class JournalRow:
     """One row of `blocks.JOURNAL`, with its time as a stamp."""
 
     stamp_ns: int
     sample: int
     sequence: int
-    kind: Kind
+    kind: InputKind
     key: str
     value: float
     text: bytes
 
     @classmethod
-    def of(cls, table: Table, row: np.void) -> Entry:
+    def of(cls, table: Table, row: np.void) -> JournalRow:
         """Return a row of a checked table.
 
         Raises:
@@ -99,14 +99,14 @@ class Entry:
         """
         kind = bytes(row["kind"]).decode()
         try:
-            known = Kind(kind)
+            known = InputKind(kind)
         except ValueError:
             raise ConfigError(f"journal row of unknown kind {kind!r}") from None
         stamp = table.stamp_ns + round(float(row["time"]) * NS_PER_S)
         key, text = bytes(row["key"]).decode(), bytes(row["text"])
         return cls(stamp, int(row["sample"]), int(row["sequence"]), known, key, float(row["value"]), text)
 
-    def same(self, other: Entry) -> bool:
+    def same(self, other: JournalRow) -> bool:
         """Return whether two rows are the same bit for bit."""
         ours, theirs = (attrs.evolve(one, value=0.0) for one in (self, other))
         return ours == theirs and struct.pack("<d", self.value) == struct.pack("<d", other.value)
@@ -119,29 +119,29 @@ class Journal:
         self._rate_hz = rate_hz
         self._start_ns = start_ns
         self._sequence = 0
-        self._pending: list[Entry] = []
+        self._pending: list[JournalRow] = []
 
     def restart(self, start_ns: int) -> None:
         """Begin a new journal; rows of the old one that were not taken yet stay in front."""
         self._start_ns, self._sequence = start_ns, 0
 
-    def add(self, sample: int, kind: Kind, key: str = "", value: float = 0.0, text: bytes = b"") -> None:
+    def add(self, sample: int, kind: InputKind, key: str = "", value: float = 0.0, text: bytes = b"") -> None:
         """Append one row."""
         stamp = stamp_ns(sample, self._rate_hz, self._start_ns)
-        self._pending.append(Entry(stamp, sample, self._sequence, kind, key, value, text))
+        self._pending.append(JournalRow(stamp, sample, self._sequence, kind, key, value, text))
         self._sequence += 1
 
-    def add_values(self, sample: int, kind: Kind, values: Iterable[tuple[str, Value]]) -> None:
+    def add_values(self, sample: int, kind: InputKind, values: Iterable[tuple[str, Value]]) -> None:
         """Append the configuration values of one change; a text needs one row per 32 bytes, `value` counts them."""
         for name, value in values:
             if isinstance(value, (bool, int, float)):
                 self.add(sample, kind, short_key(name), float(value))
-                kind = Kind.MORE if kind is Kind.PARAMETER else kind
+                kind = InputKind.MORE if kind is InputKind.PARAMETER else kind
                 continue
             raw = (SEPARATOR.join(value) if isinstance(value, tuple) else value).encode()
             for part in range(0, max(len(raw), 1), TEXT_BYTES):
                 self.add(sample, kind, short_key(name), part / TEXT_BYTES, raw[part : part + TEXT_BYTES])
-                kind = Kind.MORE if kind is Kind.PARAMETER else kind
+                kind = InputKind.MORE if kind is InputKind.PARAMETER else kind
 
     def take(self) -> list[Table]:
         """Return the new rows, one table per run of equal stamps, and forget them."""
@@ -154,20 +154,20 @@ class Journal:
 
 
 @attrs.frozen(eq=False)
-class Change:
+class JournalInput:
     """One input, whatever number of rows it has."""
 
     stamp_ns: int  # of the first scan it acts on
     sample: int  # index of that scan
     sequence: int  # number of its first row
-    kind: Kind  # what it is; never `more`
+    kind: InputKind  # what it is; never `more`
     key: str  # what it is about
     value: float  # new value of a command, displacement of a pluck [m], number of a fault to clear, what tripped
     text: str  # of a fault; version at `start` and `reset`
     configuration: Mapping[str, Value]  # values by full name; of `parameter` and `initial`, empty otherwise
 
 
-def changes(entries: Sequence[Entry]) -> Iterator[Change]:
+def changes(entries: Sequence[JournalRow]) -> Iterator[JournalInput]:
     """Yield the inputs that rows say: the one interpretation of a journal.
 
     Rows `more` belong to the parameter before them; the rows `initial` of one start are one input.
@@ -180,16 +180,18 @@ def changes(entries: Sequence[Entry]) -> Iterator[Change]:
         group = [entry for _, entry in numbered]
         first = group[0]
         text = first.text.decode(errors="replace")
-        found = values_of(group) if first.kind in (Kind.PARAMETER, Kind.MORE, Kind.INITIAL) else {}
-        kind = Kind.PARAMETER if first.kind is Kind.MORE else first.kind  # its beginning came in another table
-        yield Change(first.stamp_ns, first.sample, first.sequence, kind, first.key, first.value, text, found)
+        found = values_of(group) if first.kind in (InputKind.PARAMETER, InputKind.MORE, InputKind.INITIAL) else {}
+        kind = (
+            InputKind.PARAMETER if first.kind is InputKind.MORE else first.kind
+        )  # its beginning came in another table
+        yield JournalInput(first.stamp_ns, first.sample, first.sequence, kind, first.key, first.value, text, found)
 
 
-def _begins(before: Entry | None, entry: Entry) -> bool:
+def _begins(before: JournalRow | None, entry: JournalRow) -> bool:
     """Return whether a row is the first of an input."""
-    if entry.kind is Kind.INITIAL:
-        return before is None or before.kind is not Kind.INITIAL
-    return entry.kind is not Kind.MORE
+    if entry.kind is InputKind.INITIAL:
+        return before is None or before.kind is not InputKind.INITIAL
+    return entry.kind is not InputKind.MORE
 
 
 class JournalView:
@@ -209,10 +211,10 @@ class JournalView:
         self.start_ns: int | None = None
         self.configuration: dict[str, Value] = dict(_DEFAULTS)
         self.drive: dict[str, float] = {}
-        self.latched: Change | None = None
+        self.latched: JournalInput | None = None
         self.plucked = False
 
-    def take(self, table: Table) -> list[Change]:
+    def take(self, table: Table) -> list[JournalInput]:
         """Take the rows of a table and return the inputs they say, in order.
 
         Raises:
@@ -223,32 +225,32 @@ class JournalView:
             self.follow(change)
         return found
 
-    def follow(self, change: Change) -> None:
+    def follow(self, change: JournalInput) -> None:
         """Take one input."""
-        if change.kind in (Kind.START, Kind.RESET):
+        if change.kind in (InputKind.START, InputKind.RESET):
             self.start_ns, self.latched, self.plucked = change.stamp_ns, None, False
             self.configuration, self.drive = dict(_DEFAULTS), {}
-        elif change.kind in (Kind.TRIP, Kind.STOP):
+        elif change.kind in (InputKind.TRIP, InputKind.STOP):
             self.latched = change
-        elif change.kind is Kind.CLEAR_TRIP:
+        elif change.kind is InputKind.CLEAR_TRIP:
             self.latched = None
-        elif change.kind is Kind.PLUCK:
+        elif change.kind is InputKind.PLUCK:
             self.plucked = True
-        elif change.kind is Kind.COMMAND:
+        elif change.kind is InputKind.COMMAND:
             self.drive[change.key] = change.value
         self.configuration.update(change.configuration)
 
 
-def read(tables: Iterable[Table]) -> list[Entry]:
+def read(tables: Iterable[Table]) -> list[JournalRow]:
     """Return the rows of the last journal in these tables: from its `start` or `reset` on, in order.
 
     Raises:
         ConfigError: there is no beginning, rows are missing, a kind is unknown, or a table is no journal's.
     """
-    entries: list[Entry] = []
+    entries: list[JournalRow] = []
     for table in tables:
         for entry in _entries(table):
-            if entry.kind in (Kind.START, Kind.RESET):
+            if entry.kind in (InputKind.START, InputKind.RESET):
                 entries.clear()
             if entry.sequence != len(entries):
                 raise ConfigError(f"the journal is not whole: row {len(entries)} is missing (found {entry.sequence})")
@@ -258,17 +260,17 @@ def read(tables: Iterable[Table]) -> list[Entry]:
     return entries
 
 
-def _entries(table: Table) -> Iterator[Entry]:
+def _entries(table: Table) -> Iterator[JournalRow]:
     """Yield the rows of a table."""
     try:
         rows = codec.checked(table, topics.JOURNAL).rows
     except CodecError as error:
         raise ConfigError(str(error)) from error
     for row in rows:
-        yield Entry.of(table, row)
+        yield JournalRow.of(table, row)
 
 
-def values_of(entries: Iterable[Entry]) -> dict[str, Value]:
+def values_of(entries: Iterable[JournalRow]) -> dict[str, Value]:
     """Return the configuration values in rows made by `Journal.add_values`.
 
     Raises:
@@ -355,7 +357,7 @@ def takes_effect(name: str) -> str:
     return "next command instant"
 
 
-def until_reset(present: Setup, config: RigConfig) -> RigConfig:
+def until_reset(present: InstrumentSetup, config: RigConfig) -> RigConfig:
     """Return `config` with the seed and the planned faults of `present`: the instruments draw both at a reset."""
     return attrs.evolve(
         config,

@@ -21,7 +21,7 @@ from impact_rig.physics.stream import ENDED, Buffer, Event
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.core import Block, Rig
 from impact_rig.rig.interlock import check_stream
-from impact_rig.rig.journal import RESULTS, Change, Entry, Kind, changes, read
+from impact_rig.rig.journal import RESULTS, InputKind, JournalInput, JournalRow, changes, read
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, TICKS_PER_S
 
 Samples = NDArray[np.float64]
@@ -63,7 +63,7 @@ class RecordedSamples(Buffer):
         waveform: what came, in order; of what came late only that is taken of which nothing came before.
     """
 
-    def __init__(self, rig: Rig, entries: Iterable[Entry], waveform: Sequence[Sent]) -> None:
+    def __init__(self, rig: Rig, entries: Iterable[JournalRow], waveform: Sequence[Sent]) -> None:
         super().__init__(0)
         parts, last = [], 0
         most = rig.stream.capacity + 1 + _number(rig, max((sent.received_ns for sent in waveform), default=0))
@@ -82,9 +82,9 @@ class RecordedSamples(Buffer):
             self._are_there[numbers[taken]] = True
         self._changes = [0]  # samples are in force from each odd one of these to the next
         for entry in entries:
-            if entry.kind is Kind.STREAM and entry.key in (Event.BEGIN, Event.END):
+            if entry.kind is InputKind.STREAM and entry.key in (Event.BEGIN, Event.END):
                 self._changes.append(int(entry.value))
-            if entry.kind is Kind.STREAM and entry.text == ENDED.encode():
+            if entry.kind is InputKind.STREAM and entry.text == ENDED.encode():
                 self.ends.add(int(entry.value))
         self._seconds = NS_PER_S / rig.stream.rate_hz / NS_PER_S
 
@@ -144,7 +144,7 @@ class Resimulation:
     def __init__(self, journal: Iterable[Table], base: RigConfig | None = None, waveform: Sequence[Sent] = ()) -> None:
         entries = read(journal)
         inputs = deque(changes(entries[1:]))
-        initial = inputs.popleft().configuration if inputs and inputs[0].kind is Kind.INITIAL else {}
+        initial = inputs.popleft().configuration if inputs and inputs[0].kind is InputKind.INITIAL else {}
         self.rig = Rig(from_flat(base or RigConfig(), initial), entries[0].stamp_ns)
         self.calibrations: list[Table] = [self.rig.info()]
         self.configurations: list[RigConfig] = [self.rig.config]
@@ -156,7 +156,7 @@ class Resimulation:
     def finish(self, until_ns: int) -> None:
         """Give the rig what its journal says up to an instant, at which it was reset."""
         while self._coming and (
-            self._coming[0].kind is Kind.FAULT  # ordered ahead of the scan its row names
+            self._coming[0].kind is InputKind.FAULT  # ordered ahead of the scan its row names
             or self._instant(self._coming[0]) <= until_ns
         ):
             next(self.blocks)
@@ -165,12 +165,12 @@ class Resimulation:
         rig = self.rig
         while self._coming:
             change = self._coming[0]
-            if change.kind is not Kind.FAULT:  # a fault was ordered ahead of the scan its row names
+            if change.kind is not InputKind.FAULT:  # a fault was ordered ahead of the scan its row names
                 until_ns = self._instant(change)
                 while rig.frontier_ns < until_ns:  # in parts: nobody knows how far away a damaged row is
                     yield from rig.advance(min(until_ns, rig.frontier_ns + NS_PER_S))
             apply(rig, self._coming.popleft())
-            if change.kind is Kind.PARAMETER:
+            if change.kind is InputKind.PARAMETER:
                 self.configurations.append(rig.config)
                 info, before = rig.info(), self.calibrations[-1]
                 if (info.stamp_ns, info.rows.tobytes()) != (before.stamp_ns, before.rows.tobytes()):
@@ -178,28 +178,28 @@ class Resimulation:
         while True:
             yield from rig.advance(rig.block_end_ns(1))
 
-    def _instant(self, change: Change) -> int:
+    def _instant(self, change: JournalInput) -> int:
         """Return the instant of the command grid at which an input took effect: the tick whose first scan it names."""
         return self.rig.start_ns + change.sample * TICKS_PER_S // self.rig.rate_hz * COMMAND_GRID_NS
 
 
-def apply(rig: Rig, change: Change) -> None:
+def apply(rig: Rig, change: JournalInput) -> None:
     """Give the rig, at its frontier, one input as journaled."""
-    if change.kind is Kind.PARAMETER:
+    if change.kind is InputKind.PARAMETER:
         rig.configure(change.configuration)
-    elif change.kind is Kind.COMMAND and change.key == "frequency":
+    elif change.kind is InputKind.COMMAND and change.key == "frequency":
         rig.accept(frequency_hz=change.value)
-    elif change.kind is Kind.COMMAND and change.key == "current":
+    elif change.kind is InputKind.COMMAND and change.key == "current":
         rig.accept(current_a=change.value)
-    elif change.kind is Kind.PLUCK:
+    elif change.kind is InputKind.PLUCK:
         rig.pluck(change.value)
-    elif change.kind is Kind.STOP:
+    elif change.kind is InputKind.STOP:
         rig.stop()
-    elif change.kind is Kind.CLEAR_TRIP:
+    elif change.kind is InputKind.CLEAR_TRIP:
         rig.clear_trip()
-    elif change.kind is Kind.FAULT:
+    elif change.kind is InputKind.FAULT:
         rig.inject(Fault.from_journal(change.key, change.value, change.text, change.sample))
-    elif change.kind is Kind.CLEAR_FAULT:
+    elif change.kind is InputKind.CLEAR_FAULT:
         if not (math.isfinite(change.value) and change.value == int(change.value)):
             raise ConfigError(f"journal row {change.sequence}: no fault has the number {change.value!r}")
         rig.clear_fault(None if change.value < 0 else int(change.value))

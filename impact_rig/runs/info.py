@@ -23,7 +23,7 @@ from impact_rig.recording.losses import Contiguity, check_contiguity, scan_rate_
 from impact_rig.recording.reader import Message, Run, open_run
 from impact_rig.recording.records import DamageError
 from impact_rig.recording.writer import CONTINUES_RECORD_NAME
-from impact_rig.rig.journal import Kind
+from impact_rig.rig.journal import InputKind
 from impact_rig.runs import recovery
 from impact_rig.runs.recovery import Recovered
 from impact_rig.simtime import NS_PER_S
@@ -106,7 +106,7 @@ def info(path: Path | str) -> RunInfo:
         problem = ""
         provenance: Mapping[str, str] = {}
         attachments: Mapping[str, bytes] = {}
-        account: Mapping[str, list[losses.Stream]] = {}
+        account: Mapping[str, list[losses.PublisherStream]] = {}
         recovered: Recovered | None = None
         try:
             provenance = run.provenance
@@ -162,7 +162,7 @@ def _verdict(tally: _Tally, scans: Contiguity | None, missing: list[str], *, acc
     return f"whole: {begin}, {found}, no message lost on any topic"
 
 
-def _judged(rigs: Sequence[_Scans]) -> Contiguity | None:
+def _judged(rigs: Sequence[_RigScans]) -> Contiguity | None:
     """Return whether the blocks of each rig follow each other; None where a rate is not known.
 
     Of several rigs in one recording the blocks come in turn, and follow those of their own rig only.
@@ -207,7 +207,7 @@ def _absent_files(run: Run) -> list[str]:
     return missing
 
 
-def _unaccounted(account: Mapping[str, list[losses.Stream]], tally: _Tally) -> list[str]:
+def _unaccounted(account: Mapping[str, list[losses.PublisherStream]], tally: _Tally) -> list[str]:
     """Return where the files and the account of the recorder contradict each other, message by message."""
     short, twice, untold = [], [], []
     for name, numbers in tally.sequences.items():
@@ -229,7 +229,7 @@ def _unaccounted(account: Mapping[str, list[losses.Stream]], tally: _Tally) -> l
     return [f"{what}: {', '.join(which)}" for what, which in said.items() if which]
 
 
-def _compared(numbers: NDArray[np.uint64], streams: list[losses.Stream]) -> tuple[int, int]:
+def _compared(numbers: NDArray[np.uint64], streams: list[losses.PublisherStream]) -> tuple[int, int]:
     """Return how many messages are there more than once, and how many of those received are not there.
 
     A file does not say who sent a message. So the numbers of a topic are held against all of its publishers together:
@@ -259,7 +259,7 @@ class _Count:
 
 
 @attrs.define
-class _Scans:
+class _RigScans:
     """What one rig says of its scans."""
 
     blocks: list[tuple[int, int]] = attrs.field(factory=list)
@@ -292,7 +292,7 @@ class _Tally:
         self._scan_topics = {name for name in run.topics if matches(name, topics.SCAN.name)}
         self._journals = {name for name in run.topics if matches(name, topics.JOURNAL.name)}
         self._info_topics = {name for name in run.topics if matches(name, topics.INFO.name)}
-        self.rigs: defaultdict[str, _Scans] = defaultdict(_Scans)  # by namespace
+        self.rigs: defaultdict[str, _RigScans] = defaultdict(_RigScans)  # by namespace
         self.sequences = {name: array("Q") for name in run.topics}
         """Numbers of the messages of every topic as their publishers gave them."""
 
@@ -313,10 +313,10 @@ class _Tally:
         elif message.topic in self._journals:
             with contextlib.suppress(CodecError):
                 table = codec.decode(message.data, topics.JOURNAL)
-                if Kind.START.value.encode() in table.rows["kind"]:
+                if InputKind.START.value.encode() in table.rows["kind"]:
                     self._rig(message, topics.JOURNAL).starts.append(table.stamp_ns)
 
-    def _rig(self, message: Message, topic: topics.Topic) -> _Scans:
+    def _rig(self, message: Message, topic: topics.Topic) -> _RigScans:
         """Return the rig whose topic a message is of."""
         return self.rigs[message.topic.removesuffix(topic.name)]
 

@@ -104,7 +104,7 @@ class Mapping:
 
 
 @attrs.frozen(eq=False)
-class Measurement:
+class ImportedFile:
     """A file as a run holds it."""
 
     source: Foreign  # what was read
@@ -341,7 +341,7 @@ def _to_si(name: str, one: Channel) -> float:
 
 def measurement(
     source: Foreign, mapping: Mapping, drive: Foreign | None = None, sheet: Foreign | None = None
-) -> Measurement:
+) -> ImportedFile:
     """Return what a file holds as scans, calibration, drive and labels.
 
     Args:
@@ -416,7 +416,7 @@ def measurement(
         labels += [GapLabel(float(gaps[scan]), int(stamps[scan])).text() for scan in _changes(gaps)]
     elif isinstance(mapping.gap, float):
         labels.append(GapLabel(mapping.gap, start_ns).text())
-    return Measurement(source, mapping, rate, start_ns, index, rows, info, commands, tuple(labels))
+    return ImportedFile(source, mapping, rate, start_ns, index, rows, info, commands, tuple(labels))
 
 
 def _uniform(
@@ -588,7 +588,7 @@ def _frequency_of(found: AnyMapping[str, NDArray[np.float64]], rate: int) -> flo
 WRITTEN = (topics.INFO, topics.APPLIED, topics.NOTES, topics.SCAN, topics.TRANSMISSIBILITY_TABLE, topics.IMPACTS)
 
 
-def write(found: Measurement, directory: Path, clock_ns: int | None = None) -> Path:
+def write(found: ImportedFile, directory: Path, clock_ns: int | None = None) -> Path:
     """Write a measurement as a run, with what the analysis finds in it; return the directory.
 
     Raises:
@@ -631,7 +631,7 @@ def write(found: Measurement, directory: Path, clock_ns: int | None = None) -> P
     return directory
 
 
-def _heads(found: Measurement) -> Iterator[tuple[topics.Topic, Table | bytes]]:
+def _heads(found: ImportedFile) -> Iterator[tuple[topics.Topic, Table | bytes]]:
     """Yield what is known before the first scan."""
     yield topics.INFO, Table(found.start_ns, found.info)
     for instant, frequency, current in found.drive:
@@ -644,7 +644,7 @@ def _heads(found: Measurement) -> Iterator[tuple[topics.Topic, Table | bytes]]:
         yield topics.NOTES, b"\x00\x01\x00\x00" + len(words).to_bytes(4, "little") + words
 
 
-def _blocks(found: Measurement) -> Iterator[Table]:
+def _blocks(found: ImportedFile) -> Iterator[Table]:
     """Yield the scans in blocks, a new one after each loss."""
     length = max(1, min(BLOCK_SCANS, round(BLOCK_S * found.rate_hz)))
     cuts = [0, *(np.flatnonzero(np.diff(found.index) != 1) + 1).tolist(), len(found.index)]

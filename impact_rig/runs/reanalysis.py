@@ -210,7 +210,7 @@ class Compared:
 
 
 @attrs.frozen
-class Comparison:
+class Agreement:
     """What comparing found."""
 
     same: bool | None  # whether all that could be compared agrees; None: nothing could be
@@ -262,7 +262,7 @@ class _Row:
         return bool(self.values["status"] == Status.LOST_BLOCKS.value.encode())
 
 
-def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None = None) -> Comparison:
+def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None = None) -> Agreement:
     """Compare what an offline analysis found with what the live one published.
 
     Args:
@@ -274,18 +274,18 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
         RecordingError: the run is damaged, or a table in it is none of its topic.
     """
     if is_measured(run):
-        return Comparison(None, reason="this run was imported, no analysis saw it live")
+        return Agreement(None, reason="this run was imported, no analysis saw it live")
     settings = _settings_told(run)
     if any(one.in_turn for one in settings):
-        return Comparison(None, reason="two analyses labelled this run at once: whose gap a row has is not known")
+        return Agreement(None, reason="two analyses labelled this run at once: whose gap a row has is not known")
     calibration = next(run.tables(topics.INFO), None) if run.holds(topics.INFO) else None
     if calibration is None or not len(calibration.rows):
-        return Comparison(None, reason=f"no {topics.INFO.name} is in this run")
+        return Agreement(None, reason=f"no {topics.INFO.name} is in this run")
     rate_hz = round(float(calibration.rows["rate"][0]))
     blocks, tables = _recorded(run) if run.holds(_TABLE) else ([], [])
     live = _rows(tables, rate_hz)
     if not live:
-        return Comparison(None, reason="no live results are in this run")
+        return Agreement(None, reason="no live results are in this run")
     ours = _rows(offline, rate_hz)
     gaps = check_contiguity(blocks, rate_hz).gaps
     data_begin, data_end = _scan(blocks[0][0], rate_hz) - 1, _scan(blocks[-1][0], rate_hz) + blocks[-1][1] - 1
@@ -301,7 +301,7 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
     ]
     left_out = len(live) - len(theirs), len(ours) - len(found)
     if not theirs:
-        return Comparison(
+        return Agreement(
             None,
             reason="live analysis and recording saw no change from the same data on: "
             f"live from scan {live_blind[0].end:.0f}, recorded from {data_begin}, "
@@ -317,7 +317,7 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
         span = max(data_begin, int(live_blind[0].end)) + round(LAST_WORDS_S * rate_hz), min([late, live_end, *ends])
         others.append(_impacts(run, impacts, rate_hz, span))
     reason = reason or next((str(one) for one in others if one.difference), "")
-    return Comparison(not reason, identical and not reason, len(theirs), elsewhere, reason, left_out, tuple(others))
+    return Agreement(not reason, identical and not reason, len(theirs), elsewhere, reason, left_out, tuple(others))
 
 
 def _recorded(run: Run) -> tuple[list[tuple[int, int]], list[Table]]:

@@ -29,10 +29,10 @@ from impact_rig.instruments.instrument import Instrument
 from impact_rig.instruments.registry import INSTRUMENTS
 from impact_rig.recording import CONFIGURATION, Message, Run, arithmetic_of
 from impact_rig.recording.description import matches, members
-from impact_rig.rig import Block, Kind
+from impact_rig.rig import Block, InputKind
 from impact_rig.rig.config import RigConfig, from_flat, parse, to_flat
 from impact_rig.rig.description import joints, robot_description
-from impact_rig.rig.journal import PLANNED, Entry, read, sampled
+from impact_rig.rig.journal import PLANNED, JournalRow, read, sampled
 from impact_rig.rig.monitors import HALF_PERIODS, AntiAlias, Smoothed
 from impact_rig.rig.resimulation import Resimulation, Sent
 from impact_rig.rig.truth import monitor_step
@@ -40,7 +40,7 @@ from impact_rig.runs.measurement import is_measured
 from impact_rig.runs.reanalysis import Compared, texts
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, stamp_ns
 
-_BEGINS = (Kind.START.value.encode(), Kind.RESET.value.encode())
+_BEGINS = (InputKind.START.value.encode(), InputKind.RESET.value.encode())
 _NO_JOURNAL = (ConfigError, CommandError, SimulationError)  # what a journal raises that is incomplete, or no rig's
 _LAST_WORDS_NS = NS_PER_S
 """Topics overtake each other: what was published in this last stretch may not have reached the recorder."""
@@ -105,7 +105,9 @@ def _verify_all(run: Run, journals: list[list[Table]], first: int, beside: _Besi
     scans = run.tables(topics.SCAN, recorded_order=True)
     for number, stretch in itertools.groupby(_assigned(scans, journals, first), key=lambda pair: pair[0]):
         begun = journals[number][0]
-        is_reset = begun.rows["kind"][0] != Kind.START.value.encode()  # else nobody knows when the rig before ended
+        is_reset = (
+            begun.rows["kind"][0] != InputKind.START.value.encode()
+        )  # else nobody knows when the rig before ended
         if rest is not None and is_reset and _is_missing(rest, begun.stamp_ns):
             return _missing(rest, compared)
         following = journals[number + 1][0] if number + 1 < len(journals) else None
@@ -159,7 +161,7 @@ def _assigned(scans: Iterable[Table], journals: list[list[Table]], first: int) -
     for table in scans:
         while number + 1 < len(journals):
             following, begun_ns = journals[number + 1][0], journals[number][0].stamp_ns
-            if following.rows["kind"][0] == Kind.RESET.value.encode() or following.stamp_ns > begun_ns:
+            if following.rows["kind"][0] == InputKind.RESET.value.encode() or following.stamp_ns > begun_ns:
                 is_next = table.stamp_ns >= following.stamp_ns  # stamps go on
             else:
                 is_next = before_ns is not None and table.stamp_ns <= before_ns  # the rig was started anew, at 0 again
@@ -191,7 +193,7 @@ def _verify(
             compared += len(table.rows)
             block = next(again.blocks)
         rest = block
-        by_reset = following is not None and following.rows["kind"][0] == Kind.RESET.value.encode()
+        by_reset = following is not None and following.rows["kind"][0] == InputKind.RESET.value.encode()
         reset_ns = following.stamp_ns if following is not None and by_reset else None
         while reset_ns is not None and rest.lost and rest.end_ns <= reset_ns:  # withheld to the end
             beside.take(rest)
@@ -393,8 +395,8 @@ class _Beside:
             self._again = Resimulation(journal, from_flat(RigConfig(), {"output.truth_scan": every_scan}), sent)
         except ConfigError:  # the truth of such long blocks has no place in a message
             self._again = Resimulation(journal, None, sent)
-        self._entries: list[Entry] = entries
-        self._made: list[Entry] = []
+        self._entries: list[JournalRow] = entries
+        self._made: list[JournalRow] = []
         self._calibrations = 0
         self._filters: list[AntiAlias] = []
         self._smoothed: dict[int, list[tuple[int, Smoothed]]] = {}
@@ -502,7 +504,7 @@ class _Beside:
         for table in self._again.calibrations[self._calibrations :]:
             self._info.expect(table.stamp_ns, table)
         self._calibrations = len(self._again.calibrations)
-        self._made += [Entry.of(table, row) for table in rig.take_journal() for row in table.rows]
+        self._made += [JournalRow.of(table, row) for table in rig.take_journal() for row in table.rows]
 
     def _compare_journal(self, whole: bool) -> None:
         """Compare the rows that were recorded with those the re-simulation wrote; the first names version and kind."""
@@ -515,7 +517,7 @@ class _Beside:
                 self._journal_differs(f"row {recorded.sequence} at {_s(recorded.stamp_ns)} s: {_words(recorded, made)}")
                 return
             count += 1
-        reached = [e for e in due if e.kind is not Kind.FAULT]
+        reached = [e for e in due if e.kind is not InputKind.FAULT]
         if reached and reached[-1].sequence >= len(self._made):
             extra = next(e for e in reached if e.sequence >= len(self._made))
             self._journal_differs(
@@ -679,6 +681,6 @@ def _deciding(config: RigConfig) -> dict[str, object]:
     return {name: value for name, value in sampled(to_flat(config)).items() if name != PLANNED}
 
 
-def _words(recorded: Entry, made: Entry) -> str:
+def _words(recorded: JournalRow, made: JournalRow) -> str:
     one, other = (f"{entry.kind.value} {entry.key} {entry.value!r} {entry.text!r}" for entry in (recorded, made))
     return f"logged {one}, re-simulated {other}"

@@ -22,14 +22,14 @@ BLOCKS_PER_S = 20  # blocks of the rig in a loop: rig time passes in steps of 50
 
 
 @attrs.frozen(eq=False)
-class Held:
+class HeldSweep:
     """A controlled sine that ended."""
 
     rows: NDArray[np.void]  # of `blocks.HELD`
     failure: str  # why it did not reach its end; empty otherwise
 
 
-def hold(job: Job, plan: HoldPlan, apparatus: PatientApparatus | None = None) -> Held:
+def hold(job: Job, plan: HoldPlan, apparatus: PatientApparatus | None = None) -> HeldSweep:
     """Walk through a job's points with an amplitude held; its current is what the first point begins with.
 
     Args:
@@ -42,7 +42,7 @@ def hold(job: Job, plan: HoldPlan, apparatus: PatientApparatus | None = None) ->
     """
     apparatus, sweep = apparatus or ProcessApparatus(job), ControlledSine(job.plan(), plan)
     operate(sweep, apparatus)
-    return Held(sweep.held, sweep.reason)
+    return HeldSweep(sweep.held, sweep.reason)
 
 
 def with_short_blocks(config: RigConfig) -> RigConfig:

@@ -62,7 +62,7 @@ SCANS = 20_000_000  # of a run that is compared
 
 
 @attrs.frozen
-class Place:
+class ComparedPoint:
     """One gap and frequency, measured and modelled."""
 
     gap_m: float  # label, NaN if unknown
@@ -93,7 +93,7 @@ class Comparison:
 
     driven_by: str  # `current` or `base`
     config: RigConfig  # of the model
-    places: tuple[Place, ...]  # ascending by gap and frequency
+    places: tuple[ComparedPoint, ...]  # ascending by gap and frequency
     excerpt: Excerpt  # the last settled measurement; of its scans laser, base and current are true ones, lags undone
     model: NDArray[np.void]  # its scans, shape of the excerpt's
     constants: Identified | None
@@ -142,7 +142,7 @@ def compare(
     measured = reanalysis.newest_settled(reanalysis.measurements(iter(found)))
     if not len(measured):
         raise RecordingError(f"{run.path}: nothing settled, so there is nothing to compare")
-    scans = _Scans(run, calibration)
+    scans = _ModelledScans(run, calibration)
 
     def modelled(gain: float) -> NDArray[np.void]:
         for number, stretch in enumerate(scans.stretches, 1):
@@ -155,7 +155,7 @@ def compare(
     more = modelled(gain) if np.any(measured["gap"] != NO_SPHERE) else None
     model = modelled(1.0)
     places = tuple(
-        Place(
+        ComparedPoint(
             float(row["gap"]), float(row["frequency"]), row, _same(row, model),
             None if more is None or row["gap"] == NO_SPHERE else _same(row, more),
         )
@@ -188,7 +188,7 @@ class _Stretch:
     drive_hz: float
 
 
-class _Scans:
+class _ModelledScans:
     """All scans of a run: measured, with lags undone, and the model's in their place."""
 
     def __init__(self, run: Run, calibration: Calibration) -> None:
@@ -270,7 +270,7 @@ def undone(values: Real, calibration: Calibration, channel: int) -> Real:
     return found
 
 
-def _drive(scans: _Scans, stretch: _Stretch, config: RigConfig, kind: str, channel: int, gain: float) -> None:
+def _drive(scans: _ModelledScans, stretch: _Stretch, config: RigConfig, kind: str, channel: int, gain: float) -> None:
     """Fill the model's scans of a stretch, driven by so many times what was measured."""
     from scipy.interpolate import CubicSpline  # noqa: PLC0415  # heavy: only where it is asked for
 

@@ -3,9 +3,9 @@
 """How a program of this package ends when it is told to, by SIGINT, SIGTERM or the end of the process that started it.
 
 The program's first import installs this, before anything heavy is loaded. While nothing is begun (imports), it ends on
-the spot. Afterwards the first signal raises `Told` in the main thread, so that files and processes are closed on the
-way out; more signals change nothing. What must not be interrupted on that way stands in `unhurried`. An exception that
-somebody else's code swallows, as callbacks do, is raised again.
+the spot. Afterwards the first signal raises `SignalReceived` in the main thread, so that files and processes are closed
+on the way out; more signals change nothing. What must not be interrupted on that way stands in `unhurried`. An
+exception that somebody else's code swallows, as callbacks do, is raised again.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-AGAIN_S = 1.0  # when `Told` is raised again, if the program has not ended
+AGAIN_S = 1.0  # when `SignalReceived` is raised again, if the program has not ended
 LAST_S = 5.0  # how long the interpreter may take for its own end
 PATIENCE_S = 15.0  # how long an ending may take before it is cut short
 PARENT_VARIABLE = "IMPACT_RIG_EXIT_WITH"
@@ -29,7 +29,7 @@ PARENT_VARIABLE = "IMPACT_RIG_EXIT_WITH"
 _WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 
 
-class Told(KeyboardInterrupt):
+class SignalReceived(KeyboardInterrupt):
     """The program was told to end."""
 
 
@@ -57,14 +57,14 @@ class Ending:
 
         Args:
             work: what the program does.
-            interrupting: a signal raises `Told`; otherwise the work looks at `told` itself.
+            interrupting: a signal raises `SignalReceived`; otherwise the work looks at `told` itself.
         """
         signal.signal(signal.SIGALRM, self._remind)
         sys.unraisablehook = self._unraisable
         code = 0
         try:
             code = self._do(work, self._interrupt if interrupting else lambda: None)
-        except Told:  # in the very moment when the work was done
+        except SignalReceived:  # in the very moment when the work was done
             self._over()
         if self.told:
             self._say()
@@ -89,7 +89,7 @@ class Ending:
         """Take no notice of signals any more: the work is done, and its exit code is known."""
         ignored = False
         while not ignored:
-            with contextlib.suppress(Told):  # a signal may come in between
+            with contextlib.suppress(SignalReceived):  # a signal may come in between
                 for number in (
                     *SIGNALS,
                     signal.SIGALRM,
@@ -127,7 +127,7 @@ class Ending:
             os.write(2, f"{self.name}: {_WORDS[signal.Signals(self.told)]}{self.reason}\n".encode())
 
     def _unraisable(self, unraisable: sys.UnraisableHookArgs) -> None:
-        if not isinstance(unraisable.exc_value, Told):
+        if not isinstance(unraisable.exc_value, SignalReceived):
             sys.__unraisablehook__(unraisable)
 
 
@@ -151,7 +151,7 @@ def unhurried() -> Iterator[None]:
         _Unhurried.depth -= 1
         if _Unhurried.owed and not _Unhurried.depth:
             _Unhurried.owed = False
-            raise Told
+            raise SignalReceived
 
 
 @contextlib.contextmanager
@@ -195,4 +195,4 @@ def _raise_unless_unhurried() -> None:
     if _Unhurried.depth:
         _Unhurried.owed = True
     else:
-        raise Told
+        raise SignalReceived

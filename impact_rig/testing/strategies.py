@@ -23,7 +23,7 @@ from impact_rig.instruments.instrument import BOARD_KINDS
 from impact_rig.instruments.registry import INSTRUMENTS
 from impact_rig.testing.virtual_rig import SteppedRig
 
-__all__ = ["Change", "Command", "Inject", "Pause", "Silence", "repeat", "scenarios", "search"]
+__all__ = ["Command", "Inject", "ParameterChange", "Pause", "Silence", "repeat", "scenarios", "search"]
 
 AFTERWARDS = 3  # blocks after the last action, so that a pipeline sees its end
 MOST_BLOCKS = 20
@@ -53,7 +53,7 @@ class Command:
 
 
 @attrs.frozen
-class Change:
+class ParameterChange:
     """Somebody changes a parameter."""
 
     key: str
@@ -128,7 +128,7 @@ def scenarios(
             lambda one: st.builds(Inject, st.just(one[0]), st.just(one[1]), blocks, sizes)
         ),
         st.builds(Silence, st.integers(2, MOST_BLOCKS)),
-        *(st.builds(Change, st.just(key), value) for key, value in values.items()),
+        *(st.builds(ParameterChange, st.just(key), value) for key, value in values.items()),
     )
     return st.lists(action, max_size=most_actions)
 

@@ -17,7 +17,7 @@ from impact_rig.analysis.transmissibility import measure_record
 from impact_rig.blocks import Table
 from impact_rig.errors import ConfigError
 from impact_rig.simtime import NS_PER_S
-from impact_rig.states import Analysis
+from impact_rig.states import AnalysisWord
 
 
 def test_a_settled_response_is_measured_window_after_window():
@@ -177,7 +177,7 @@ def test_windows_that_never_fill_are_refused():
 def test_the_state_says_what_the_measurement_does_and_since_when():
     """No scans, settling from the command on, measuring from the first row on, unable while the laser is stuck."""
     made, rows = tracker(), record(seconds=30.0)
-    assert (made.state.word, made.state.since_ns) == (Analysis.NO_SCANS, None)
+    assert (made.state.word, made.state.since_ns) == (AnalysisWord.NO_SCANS, None)
     rows["laser"][20 * RATE :] = rows["laser"][20 * RATE]
     tables, seen = list(blocks(rows, RATE, 20)), []
     made.on_applied(applied(9.1, 0.0, at_ns=28 * NS_PER_S))
@@ -187,9 +187,9 @@ def test_the_state_says_what_the_measurement_does_and_since_when():
             seen.append(made.state)
     found = [(state.word, state.reason) for state in seen]
     assert found == [
-        (Analysis.AT_REST, ""),  # the command is known with the scans it acts on, which are held back at first
-        (Analysis.SETTLING, ""), (Analysis.MEASURING, ""), (Analysis.LOST_SCANS, "lost_blocks"),
-        (Analysis.MEASURING, ""), (Analysis.UNABLE, "constant"), (Analysis.AT_REST, ""),
+        (AnalysisWord.AT_REST, ""),  # the command is known with the scans it acts on, which are held back at first
+        (AnalysisWord.SETTLING, ""), (AnalysisWord.MEASURING, ""), (AnalysisWord.LOST_SCANS, "lost_blocks"),
+        (AnalysisWord.MEASURING, ""), (AnalysisWord.UNABLE, "constant"), (AnalysisWord.AT_REST, ""),
     ]  # fmt: skip
     assert seen[1].since_ns == 0
     assert seen[2].since_ns == (int(np.ceil(48 * RATE / 9.1)) - 1) * NS_PER_S // RATE
@@ -210,7 +210,9 @@ def test_at_rest_is_a_state_and_no_trouble():
         said += words(made.feed(table).measurements)
         seen.add(made.state)
     assert said[:3] == ["silence", "silence", "spikes"]
-    assert {(state.word, state.reason) for state in seen} - {(Analysis.NO_SCANS, "")} == {(Analysis.AT_REST, "")}
+    assert {(state.word, state.reason) for state in seen} - {(AnalysisWord.NO_SCANS, "")} == {
+        (AnalysisWord.AT_REST, "")
+    }
 
 
 def test_a_value_is_called_measured_no_longer_when_the_next_row_is_overdue():
@@ -225,10 +227,10 @@ def test_a_value_is_called_measured_no_longer_when_the_next_row_is_overdue():
         if not seen or seen[-1] != made.state:
             seen.append(made.state)
     assert [state.word for state in seen] == [
-        Analysis.AT_REST,
-        Analysis.SETTLING,
-        Analysis.MEASURING,
-        Analysis.SETTLING,
+        AnalysisWord.AT_REST,
+        AnalysisWord.SETTLING,
+        AnalysisWord.MEASURING,
+        AnalysisWord.SETTLING,
     ]
     assert 15.8 < seen[-1].since_ns / NS_PER_S < 16.6, "a window after the third row was due"
     assert made.progress.windows < made.progress.needed

@@ -9,7 +9,7 @@ import numpy as np
 from impact_rig.blocks import Table
 from impact_rig.instruments.section import SCAN
 from impact_rig.lab.protocol import Request
-from impact_rig.lab.record import Record
+from impact_rig.lab.record import RigView
 from impact_rig.lab.scope import Scope
 from impact_rig.lab.state import Answer, Snapshot
 
@@ -22,7 +22,7 @@ class FakeSource:
     def __init__(self) -> None:
         self.snapshot = Snapshot()
         self.snapshot.put(rig={"word": "at rest", "text": "", "name": ""})
-        self.record = Record()
+        self.record = RigView()
         self.record.scope = self.scope = Scope(RATE)
         self.record.epoch = 1
         self.now_s = 0.0

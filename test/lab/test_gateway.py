@@ -18,7 +18,7 @@ from impact_rig import topics
 from impact_rig.client import Client, Processes, isolated_domain
 from impact_rig.lab.gateway import KEPT, Gateway, Own
 from impact_rig.lab.live import LiveSource
-from impact_rig.lab.record import Record
+from impact_rig.lab.record import RigView
 from impact_rig.lab.state import DEAD_S, Seen
 from impact_rig.nodes.session import EXPIRES_S
 
@@ -48,7 +48,7 @@ def test_a_rig_of_others_is_sent_nothing_sooner_than_our_own(tmp_path: Path, mon
     ):
         processes.start("rig")
         for owner, silent_s in ((None, EXPIRES_S), (own, DEAD_S)):
-            gateway = Gateway(client, Record(), owner)
+            gateway = Gateway(client, RigView(), owner)
             for age_s, said in ((silent_s - 0.1, ""), (silent_s + 0.1, "nothing was heard of the rig")):
                 monkeypatch.setattr(gateway, "seen", lambda _, age_s=age_s: Seen(instance="1", age_s=age_s))
                 why = gateway._gone("1")
@@ -70,7 +70,7 @@ def test_a_stop_is_told_as_done_whichever_of_two_rigs_answers_first(tmp_path: Pa
         client.wait_until(lambda: "to be alone" in client.status("rig").message, "the second to wait", PATIENCE_S)
 
         async def stop() -> str:
-            gateway = Gateway(client, Record(), None)
+            gateway = Gateway(client, RigView(), None)
             stopping = asyncio.ensure_future(gateway.do_stop())
             while not stopping.done():
                 client.executor.spin_once(timeout_sec=0.05)

@@ -22,7 +22,7 @@ from kits.lab import FakeSource, scans
 
 from impact_rig.errors import ImpactRigError
 from impact_rig.lab import protocol
-from impact_rig.lab.protocol import Kind
+from impact_rig.lab.protocol import FrameKind
 from impact_rig.lab.server import LOOPBACK, MOST_CONNECTIONS, MOST_UNDRAWN, POLICY, Server, kept_token
 
 TIMEOUT = aiohttp.ClientTimeout(30)
@@ -141,7 +141,7 @@ def test_hostile_requests_are_refused_counted_and_end_the_connection(server: Ser
                 await page.send_str(request)
             while len(answers) < 5:
                 message = await page.receive()
-                if message.data[0] == Kind.REPLY:
+                if message.data[0] == FrameKind.REPLY:
                     answers.append(json.loads(message.data[8:])["text"])
             await page.send_bytes(b"\x00")
             await page.send_str("x" * (protocol.LONGEST_REQUEST + 1))
@@ -182,7 +182,7 @@ def test_a_stalled_page_gets_two_pictures_and_another_all_of_them(server: Server
                     source.scope.add(scans(number * 100, 100, laser=float(number)), 0)
                 while True:
                     data = (await quick.receive()).data
-                    if data[0] == Kind.TRACE:
+                    if data[0] == FrameKind.TRACE:
                         drawn += 1
                         await quick.send_str(json.dumps({"do": "ack", "frame": struct.unpack_from("<I", data, 4)[0]}))
                         break
@@ -192,7 +192,7 @@ def test_a_stalled_page_gets_two_pictures_and_another_all_of_them(server: Server
                     data = (await asyncio.wait_for(stalled.receive(), 0.3)).data
                 except TimeoutError:
                     return pictures, drawn
-                pictures += data[0] == Kind.TRACE
+                pictures += data[0] == FrameKind.TRACE
 
     pictures, drawn = loops.run(talk())
     assert drawn == 8
@@ -213,13 +213,13 @@ def test_what_is_in_force_comes_before_the_answer(server: Server, source: FakeSo
             page = await connect(session, server)
             kinds = []
             await page.send_str('{"id":5,"do":"frequency","value":9.3}')
-            while Kind.REPLY not in kinds:
+            while FrameKind.REPLY not in kinds:
                 data = (await page.receive()).data
-                if data[0] != Kind.STATE or b"9.3" in data:
+                if data[0] != FrameKind.STATE or b"9.3" in data:
                     kinds.append(data[0])
             return kinds
 
-    assert loops.run(talk()) == [Kind.STATE, Kind.REPLY]
+    assert loops.run(talk()) == [FrameKind.STATE, FrameKind.REPLY]
 
 
 def test_pages_are_counted(server: Server, source: FakeSource) -> None:
@@ -265,7 +265,7 @@ def test_more_connections_than_there_may_be_are_turned_away_and_the_page_goes_on
             await page.send_str('{"id":1,"do":"stop"}')
             while True:
                 message = await page.receive()
-                if message.data[0] == Kind.REPLY:
+                if message.data[0] == FrameKind.REPLY:
                     break
             reads = [asyncio.create_task(reader.read()) for reader, _writer in held]
             ended = iter(asyncio.as_completed(reads, timeout=5.0))  # sooner than who asks for nothing is turned out
@@ -331,7 +331,7 @@ def test_runs_are_listed_and_played_beside_what_the_lab_shows(
         async def talk() -> dict[str, Any]:
             async with aiohttp.ClientSession(timeout=TIMEOUT) as session:
                 page = await connect(session, server, token=f"{server.token}&run={sample.name}")
-                while (data := (await page.receive()).data)[0] != Kind.STATE:
+                while (data := (await page.receive()).data)[0] != FrameKind.STATE:
                     pass
                 return json.loads(data[8:])
 

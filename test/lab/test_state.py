@@ -18,8 +18,8 @@ from impact_rig.blocks import Table
 from impact_rig.codec import encode, encode_joint_state, joint_state
 from impact_rig.errors import CodecError, RecordingError
 from impact_rig.instruments.instrument import FAULT_KINDS
-from impact_rig.lab.protocol import Kind, RequestError, json_frame, parse
-from impact_rig.lab.record import Curve, Faults, Journal, Motion, Record, plain, scan_rate
+from impact_rig.lab.protocol import FrameKind, RequestError, json_frame, parse
+from impact_rig.lab.record import Curve, Faults, JournalView, MotionBuffer, RigView, plain, scan_rate
 from impact_rig.lab.server import STATIC
 from impact_rig.lab.state import (
     FOLLOWED,
@@ -92,9 +92,9 @@ def test_progress_is_that_of_an_analysis_that_lives() -> None:
 
 
 def test_every_state_of_a_rig_and_an_analysis_has_words() -> None:
-    for one in states.Rig:
+    for one in states.RigWord:
         assert judge(seen("rig", one), MEASURING)[1]
-    for other in states.Analysis:
+    for other in states.AnalysisWord:
         assert judge(seen("rig", "driving"), seen("analysis", other, "over_range"))[1].endswith(".")
 
 
@@ -121,7 +121,7 @@ def test_channels_are_well_only_where_a_row_says_so() -> None:
 
 def test_channels_are_judged_while_the_drive_that_was_measured_is_in_force() -> None:
     """A bug once: after a pluck of a rig at rest the page said "laser: spikes", and after the reset it still did."""
-    record, row = Record(), np.zeros(1, topics.TRANSMISSIBILITY_TABLE.columns)
+    record, row = RigView(), np.zeros(1, topics.TRANSMISSIBILITY_TABLE.columns)
     applied = np.zeros(1, topics.APPLIED.columns)
     assert record.health() is None
     for second, current, status, found in (
@@ -143,7 +143,7 @@ def test_channels_are_judged_while_the_drive_that_was_measured_is_in_force() -> 
 
 def test_what_a_rig_before_applied_is_not_in_force() -> None:
     """A page once showed the current of a dead rig for seconds over the rig that came after it."""
-    record, applied, info = Record(), np.zeros(1, topics.APPLIED.columns), np.zeros(4, topics.INFO.columns)
+    record, applied, info = RigView(), np.zeros(1, topics.APPLIED.columns), np.zeros(4, topics.INFO.columns)
     applied["frequency"], applied["current"], info["rate"] = 9.1, 1.2, 10_000.0
     record.take(topics.INFO, encode(Table(10**9, info)))
     record.take(topics.APPLIED, encode(Table(2 * 10**9, applied)))
@@ -166,7 +166,7 @@ def test_what_a_rig_before_applied_is_not_in_force() -> None:
 
 def test_a_measurement_holds_until_the_rig_is_changed_and_again_from_a_row_that_began_after_that() -> None:
     """A fault is told as such, not as a change; a row of scans from before and after says nothing of the rig now."""
-    record, row = Record(), np.zeros(1, topics.TRANSMISSIBILITY_TABLE.columns)
+    record, row = RigView(), np.zeros(1, topics.TRANSMISSIBILITY_TABLE.columns)
     row["status"], row["frequency"], row["cycles"], row["gap"] = b"ok", 10.0, 40.0, 0.006
 
     def told(second: int, kind: str, key: str) -> None:
@@ -215,7 +215,7 @@ def test_every_word_that_is_shown_has_help() -> None:
 
 def test_a_fault_that_has_ended_speaks_against_what_was_measured_under_it() -> None:
     """A page once said "the measurement holds" for seconds after a gain error was cleared, over a value wrong by it."""
-    record, row = Record(), np.zeros(1, topics.TRANSMISSIBILITY_TABLE.columns)
+    record, row = RigView(), np.zeros(1, topics.TRANSMISSIBILITY_TABLE.columns)
     row["status"], row["frequency"], row["cycles"], row["gap"] = b"ok", 10.0, 40.0, 0.006
     fault = np.zeros(1, topics.FAULTS.columns)
     fault["id"], fault["kind"], fault["channel"], fault["value"] = 1, b"gain_error", b"base", 0.05
@@ -229,7 +229,7 @@ def test_a_fault_that_has_ended_speaks_against_what_was_measured_under_it() -> N
 
 
 def test_a_label_that_is_not_the_gap_of_the_rig_speaks_against_a_measurement() -> None:
-    record, row = Record(), np.zeros(1, topics.TRANSMISSIBILITY_TABLE.columns)
+    record, row = RigView(), np.zeros(1, topics.TRANSMISSIBILITY_TABLE.columns)
     row["status"], row["frequency"], row["cycles"] = b"ok", 10.0, 40.0
     for label_m, doubts in ((0.006, 0), (math.nan, 0), (0.003, 1), (0.0, 1)):
         row["gap"] = label_m
@@ -239,7 +239,7 @@ def test_a_label_that_is_not_the_gap_of_the_rig_speaks_against_a_measurement() -
 
 
 def test_a_fault_of_before_a_reset_is_not_in_force_in_playback() -> None:
-    record, entry, fault = Record(None), np.zeros(1, topics.JOURNAL.columns), np.zeros(1, topics.FAULTS.columns)
+    record, entry, fault = RigView(None), np.zeros(1, topics.JOURNAL.columns), np.zeros(1, topics.FAULTS.columns)
     fault["kind"], fault["channel"], fault["active"] = b"stuck", b"laser", 1
     record.take(topics.FAULTS, encode(Table(3 * 10**9, fault)))
     for second, kind in ((1, b"start"), (5, b"reset")):
@@ -277,7 +277,7 @@ def test_a_rate_that_no_board_has_is_refused_before_rings_are_made(rate: float) 
 def test_every_parameter_of_a_change_stands_in_the_journal() -> None:
     """A gap that comes with the sphere is the second row of one change."""
     rig = Rig(RigConfig())
-    journal = Journal()
+    journal = JournalView()
     rig.configure({"sphere.present": False})
     rig.configure({"sphere.present": True, "barriers.gap_m": 0.004})
     for table in rig.take_journal():
@@ -310,9 +310,9 @@ def test_requests_without_sense_are_refused(raw: str, words: str) -> None:
 def test_a_request_and_a_frame() -> None:
     held = '{"id":3,"do":"sweep","frequencies":[9,9.1],"direction":"up","hold":"base","target":6e-5}'
     assert parse(held).values["frequencies"] == (9.0, 9.1)
-    frame = json_frame(Kind.STATE, 7, {"a": float("nan"), "b": [float("inf"), 1.0], "c": {"d": None}})
+    frame = json_frame(FrameKind.STATE, 7, {"a": float("nan"), "b": [float("inf"), 1.0], "c": {"d": None}})
     assert frame[8:] == b'{"a":null,"b":[null,1.0],"c":{"d":null}}'
-    assert frame[0] == Kind.STATE
+    assert frame[0] == FrameKind.STATE
 
 
 def as_numbers(data: bytes) -> tuple[object, ...]:
@@ -323,7 +323,7 @@ def as_numbers(data: bytes) -> tuple[object, ...]:
 def test_joint_states_are_read_from_their_bytes() -> None:
     data = encode_joint_state(3_500_000_001, (1.0, 2.0, 3.0), (4.0, 5.0, 6.0))
     assert as_numbers(data) == (3_500_000_001, [1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [])
-    motion = Motion()
+    motion = MotionBuffer()
     motion.add_state(data, 500_000_001)
     assert motion.states.since(0).tolist() == [[3.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0]]
     for cut in range(len(data) - 4):
@@ -346,7 +346,7 @@ def test_joint_states_of_ros_are_read_from_their_bytes() -> None:
 
 
 def test_readers_of_a_ring_get_what_is_new_to_them() -> None:
-    motion = Motion()
+    motion = MotionBuffer()
     for number in range(5000):
         motion.states.add((float(number), *([0.0] * 6)))
     assert motion.states.since(4990)[:, 0].tolist() == [float(n) for n in range(4990, 5000)]
@@ -354,7 +354,7 @@ def test_readers_of_a_ring_get_what_is_new_to_them() -> None:
 
 
 def test_journal_curve_and_closed_form() -> None:
-    journal, curve = Journal(), Curve()
+    journal, curve = JournalView(), Curve()
     for topic, table in messages(12):
         if topic == "rig/journal":
             journal.add(table)
@@ -444,7 +444,7 @@ def test_a_drive_that_was_heard_before_a_rig_began_is_not_its_own(monkeypatch: p
     """A rig at twice our speed stamps a minute ahead after a minute; the stamps of the next one begin behind that."""
     now_s = [100.0]
     monkeypatch.setattr("impact_rig.lab.record.time.monotonic", lambda: now_s[0])
-    record = Record()
+    record = RigView()
     rows = np.zeros(1, topics.APPLIED.columns)
     rows["current"] = 1.2
     record.take(topics.APPLIED, encode(Table(60 * 10**9, rows)))

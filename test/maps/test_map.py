@@ -19,7 +19,7 @@ from impact_rig.cli.main import main
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.maps import optimum, run
 from impact_rig.maps.measure import FAILED, MapRig, Settings
-from impact_rig.maps.plan import DOWN, UP, Line, MapPlan, load_map, measure_line
+from impact_rig.maps.plan import DOWN, UP, MapLine, MapPlan, load_map, measure_line
 from impact_rig.physics import prediction
 from impact_rig.physics.prediction import base_amplitude, transmissibility
 from impact_rig.report.heat_map import QUIET, TWO, classes, heat_maps
@@ -360,5 +360,5 @@ def test_a_line_says_what_it_is(small):
     plan, _ = small
     line = plan.lines()[0]
     assert line.describe() == "gap_m 0.01, up"
-    assert isinstance(attrs.evolve(line, current_a=0.4), Line)
+    assert isinstance(attrs.evolve(line, current_a=0.4), MapLine)
     assert attrs.evolve(line, current_a=0.4).key != line.key

@@ -27,7 +27,7 @@ from impact_rig.client.client import ros_parameters
 from impact_rig.config.fields import integer, names, quantity, switch
 from impact_rig.config.tree import Tree
 from impact_rig.errors import CommandError, ConfigError
-from impact_rig.nodes.managed import Done, Level, ManagedNode, State
+from impact_rig.nodes.managed import Done, Level, ManagedNode, NodeState
 from impact_rig.nodes.process import EXECUTOR_VARIABLE
 
 pytestmark = pytest.mark.ros
@@ -50,7 +50,7 @@ class Settings:
 class Small(ManagedNode[Settings]):
     """Everything a node can do wrong."""
 
-    STATES = states.Recorder
+    STATES = states.RecorderWord
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("small", Tree(Settings), **kwargs)
@@ -71,8 +71,8 @@ class Small(ManagedNode[Settings]):
             raise CommandError("thirteen is refused by the node itself")
         self.changes.append(changes)
 
-    def doing(self) -> State:
-        return State(states.Recorder.IDLE)
+    def doing(self) -> NodeState:
+        return NodeState(states.RecorderWord.IDLE)
 
     def health(self) -> tuple[Level, str]:
         return Level.OK, "fine"

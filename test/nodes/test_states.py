@@ -115,7 +115,7 @@ def test_rigs_in_one_namespace_are_rivals_both(client: Client) -> None:
     second.trigger_configure()
     second.trigger_activate()
     for node in (first, second):
-        client.wait_until(lambda node=node: node.present().word == states.Rig.RIVAL, "both to say so")
+        client.wait_until(lambda node=node: node.present().word == states.RigWord.RIVAL, "both to say so")
     said: set[str] = set()
 
     def heard() -> bool:

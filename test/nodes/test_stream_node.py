@@ -33,12 +33,12 @@ from impact_rig.nodes import session
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
 from impact_rig.operate.hardware import Hardware, InProcess
-from impact_rig.physics.stream import State
+from impact_rig.physics.stream import StreamState
 from impact_rig.recording import Run
 from impact_rig.rig import Rig
 from impact_rig.runs.verification import verify
 from impact_rig.simtime import NS_PER_S
-from impact_rig.states import Rig as Words
+from impact_rig.states import RigWord
 
 pytestmark = pytest.mark.ros
 RATE_HZ = 10_000
@@ -208,11 +208,11 @@ def test_a_rig_ahead_of_time_waits_for_samples_and_names_who_sends_none(client):
     scans = client.collect("daq/scan", acknowledge=True)
     send(client, 0, WAVE[:2_050])
     client.wait_until(lambda: len(scans) == 20, "twenty blocks")
-    client.wait_until(lambda: node.doing().word is Words.SILENT_PEER, "the word")
+    client.wait_until(lambda: node.doing().word is RigWord.SILENT_PEER, "the word")
     assert client.name in node.doing().reason
     send(client, 2_050, WAVE[2_050:4_001])
     client.wait_until(lambda: len(scans) == 40, "twenty more, when samples come again")
-    client.wait_until(lambda: node.doing().word is Words.SILENT_PEER, "the word again")
+    client.wait_until(lambda: node.doing().word is RigWord.SILENT_PEER, "the word again")
     client.pause(False)
     client.wait_until(lambda: len(scans) > 60, "that it goes on without")
 
@@ -235,11 +235,11 @@ def test_samples_that_come_during_a_pause_are_played_after_it(client: Client) ->
     send(client, 2_050, WAVE[2_050:4_001])
     client.wait_until(lambda: rig.stream.buffered() > 1_900, "the samples")
     client.spin_for(0.4)
-    assert node.doing().word is Words.PAUSED
+    assert node.doing().word is RigWord.PAUSED
     client.pause(False)
     client.wait_until(lambda: len(scans) == 40, "the blocks of these samples")
     client.spin_for(0.1)
-    assert (len(scans), rig.stream.state) == (40, State.PLAYING), "it waits for more"
+    assert (len(scans), rig.stream.state) == (40, StreamState.PLAYING), "it waits for more"
 
 
 def test_a_stop_during_a_pause_leaves_nothing_to_wait_for(client: Client) -> None:
@@ -294,7 +294,7 @@ def test_a_controllers_hardware_reads_over_topics_what_it_reads_in_process(clien
     host_rig(client, "freewheel", time__peers=[client.name], **STREAM)
     client.wait_active("rig")
     over = over_topics(client).respond(WAVE[: RATE_HZ // 2], rest=RATE_HZ // 10)
-    alone = Hardware(InProcess(Rig(paper_rig(**STREAM)))).respond(WAVE[: RATE_HZ // 2], rest=RATE_HZ // 10)
+    alone = Hardware(InProcess(RigWord(paper_rig(**STREAM)))).respond(WAVE[: RATE_HZ // 2], rest=RATE_HZ // 10)
     assert len(over) == len(alone) > RATE_HZ // 2
     assert np.array_equal(over["laser"], alone["laser"])
     assert np.array_equal(over["current"], alone["current"])

@@ -14,7 +14,7 @@ from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.job import execute
 from impact_rig.errors import ConfigError
 from impact_rig.operate.operator import Applied, News, operate
-from impact_rig.operate.stepped_sine import ControlledSine, Hold, HoldPlan, Plan, State
+from impact_rig.operate.stepped_sine import ControlledSine, Hold, HoldPlan, SweepPlan, SweepState
 from impact_rig.physics.prediction import transmissibility
 from impact_rig.rig.config import RigConfig
 from impact_rig.simtime import NS_PER_S
@@ -22,7 +22,7 @@ from impact_rig.states import Status
 from impact_rig.studies.closed_loop import hold
 from tools import prediction as by_test
 
-PLAN = Plan(frequencies_hz=(8.0, 9.0), current_a=0.3, direction="up_down")
+PLAN = SweepPlan(frequencies_hz=(8.0, 9.0), current_a=0.3, direction="up_down")
 HELD = HoldPlan(hold=Hold.BASE, target=1e-4)
 
 
@@ -64,7 +64,7 @@ def walked(bench, plan=PLAN, hold_plan=HELD):
 def test_every_point_is_held_up_and_down(power):
     bench = Bench(power)
     sweep = walked(bench)
-    assert sweep.state is State.FINISHED
+    assert sweep.state is SweepState.FINISHED
     assert sweep.held["frequency"].tolist() == [8.0, 9.0, 9.0, 8.0]
     assert np.all(np.abs(sweep.held["error"]) <= HELD.tolerance)
     assert sweep.held["held"].tolist() == [1.0] * 4
@@ -76,7 +76,7 @@ def test_every_point_is_held_up_and_down(power):
 
 def test_a_point_that_cannot_be_held_keeps_its_error():
     sweep = walked(Bench(floor_m=1.5e-4))
-    assert sweep.state is State.FINISHED
+    assert sweep.state is SweepState.FINISHED
     assert sweep.held["held"].tolist() == [0.0] * 4
     assert sweep.held["error"] == pytest.approx(0.5)
     assert sweep.held["corrections"].tolist() == [8.0] * 4
@@ -110,7 +110,7 @@ def test_a_point_that_is_left_out_takes_no_corrections_from_the_next():
 def test_a_limit_ends_the_sweep_with_the_shaker_at_rest(limits, words):
     bench = Bench()
     sweep = walked(bench, hold_plan=attrs.evolve(HELD, **limits))
-    assert sweep.state is State.ABORTED
+    assert sweep.state is SweepState.ABORTED
     assert words in sweep.reason
     assert bench.rests == 1
 

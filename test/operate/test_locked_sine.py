@@ -11,7 +11,7 @@ import pytest
 
 from impact_rig.operate.operator import Applied, News, Operator
 from impact_rig.operate.phase_lock import LockedSine, LockPlan
-from impact_rig.operate.stepped_sine import Setpoint, State
+from impact_rig.operate.stepped_sine import Setpoint, SweepState
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
@@ -63,7 +63,7 @@ def test_it_finds_the_resonance_though_scans_are_lost_and_rests_after_the_dwell(
     running.block(lost=True)
     assert running.lock.measured == 0, "the stretch begins anew"
     running.run()
-    assert (running.lock.state, running.rested) == (State.FINISHED, True)
+    assert (running.lock.state, running.rested) == (SweepState.FINISHED, True)
     rows = running.lock.rows
     assert rows["time"][0] > 1.0 + 1.5
     assert rows["frequency"][-1] == pytest.approx(TRUE_HZ, abs=0.003)

@@ -10,10 +10,10 @@ import pytest
 from impact_rig.blocks import APPLIED, TRANSMISSIBILITY, Table
 from impact_rig.errors import CommandError
 from impact_rig.operate.operator import Applied, News, Operator, operate
-from impact_rig.operate.stepped_sine import Plan, Setpoint, State, SteppedSine
+from impact_rig.operate.stepped_sine import Setpoint, SteppedSine, SweepPlan, SweepState
 from impact_rig.simtime import NS_PER_S
 
-PLAN = Plan(frequencies_hz=(9.0, 8.0), current_a=0.5, measurements_per_point=2)
+PLAN = SweepPlan(frequencies_hz=(9.0, 8.0), current_a=0.5, measurements_per_point=2)
 
 
 def measurement(frequency_hz, status="ok"):
@@ -64,7 +64,7 @@ def test_every_point_is_set_measured_and_noted_and_at_the_end_there_is_rest():
     assert script.done == [Setpoint(8.0, 0.5), Setpoint(9.0, 0.5), "rest"]
     assert noted == [0, 1, 2, 3, 4], "at the begin, and after each measurement"
     assert sweep.rows["time"].tolist() == [1.0, 2.0, 3.0, 4.0]
-    assert sweep.state is State.FINISHED
+    assert sweep.state is SweepState.FINISHED
 
 
 def test_a_measurement_that_ends_a_point_takes_none_of_the_next_with_it():
@@ -76,7 +76,7 @@ def test_a_measurement_that_ends_a_point_takes_none_of_the_next_with_it():
 def test_a_rig_that_stops_ends_the_sweep_at_rest_with_what_was_measured():
     sweep, script = SteppedSine(PLAN), Script(stops_s=2)
     operate(sweep, script)
-    assert (sweep.state, sweep.reason) == (State.ABORTED, "the fuse blew")
+    assert (sweep.state, sweep.reason) == (SweepState.ABORTED, "the fuse blew")
     assert script.done[-1] == "rest"
     assert sweep.measured == 2
 
@@ -85,7 +85,7 @@ def test_measurements_come_before_what_stopped_the_rig():
     """A sweep whose last measurement came together with the trip is complete."""
     sweep = SteppedSine(PLAN)
     operate(sweep, Script(stops_s=4))
-    assert (sweep.state, sweep.reason, sweep.measured) == (State.FINISHED, "", 4)
+    assert (sweep.state, sweep.reason, sweep.measured) == (SweepState.FINISHED, "", 4)
 
 
 def test_a_refused_point_is_an_error_that_keeps_the_points_before_it():

@@ -25,7 +25,7 @@ from impact_rig.operate.phase_lock import (
     lock_on,
     mean,
 )
-from impact_rig.operate.stepped_sine import State
+from impact_rig.operate.stepped_sine import SweepState
 from impact_rig.physics.prediction import transmissibility
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
@@ -66,7 +66,7 @@ class Resonance:
 def test_a_resonance_is_found_and_held(reference, start_hz, zeta):
     plan = attrs.evolve(PLAN, start_hz=start_hz, reference=reference)
     lock = lock_on(plan, Resonance(zeta))
-    assert lock.state is State.FINISHED, lock.reason
+    assert lock.state is SweepState.FINISHED, lock.reason
     assert lock.frequency_hz == pytest.approx(9.105 / math.sqrt(1.0 - 4.0 * zeta**2), abs=0.003)
     assert math.degrees(lock.rows["phase"][-1]) == pytest.approx(-90.0, abs=0.5)
     assert lock.locked_ns is not None
@@ -86,7 +86,7 @@ def test_a_transient_that_dies_at_an_end_of_the_range_is_no_resonance(start_hz, 
 
     plan = attrs.evolve(PLAN, start_hz=start_hz, low_hz=low_hz, high_hz=high_hz, reference=Reference.CURRENT)
     lock = lock_on(plan, Ringing())
-    assert lock.state is State.FINISHED, lock.reason
+    assert lock.state is SweepState.FINISHED, lock.reason
     assert lock.frequency_hz == pytest.approx(TRUE_HZ, abs=0.003)
 
 
@@ -100,7 +100,7 @@ def test_it_locks_where_commands_take_their_time(look_s, command_s):
             return super().look(seconds)
 
     lock = lock_on(attrs.evolve(PLAN, look_s=look_s), Late())
-    assert lock.state is State.FINISHED, lock.reason
+    assert lock.state is SweepState.FINISHED, lock.reason
     assert lock.frequency_hz == pytest.approx(TRUE_HZ, abs=0.003)
 
 
@@ -126,7 +126,7 @@ def test_it_follows_a_resonance_that_moves():
 )
 def test_what_ends_it_is_said_and_the_current_is_zero(bench, changes, words):
     lock = lock_on(attrs.evolve(PLAN, **changes), bench)
-    assert lock.state is State.ABORTED
+    assert lock.state is SweepState.ABORTED
     assert words in lock.reason
     assert bench.setpoint.current_a == 0.0
 
@@ -178,7 +178,7 @@ def locked() -> PhaseLock:
 
 
 def test_on_the_linear_rig_the_lock_is_at_the_true_quarter(locked):
-    assert locked.state is State.FINISHED, locked.reason
+    assert locked.state is SweepState.FINISHED, locked.reason
     assert locked.locked_ns is not None
     assert locked.locked_ns <= 60 * NS_PER_S
     late = locked.rows[-10:]
@@ -212,7 +212,7 @@ def test_it_is_held_again_after_the_gap_is_changed_under_way():
     lock.unlock(rig.now_ns())
     changed = rig.now_ns()
     follow(lock, rig, lambda _: rig.now_ns() >= changed + 12 * NS_PER_S)
-    assert lock.state is State.RUNNING, lock.reason
+    assert lock.state is SweepState.RUNNING, lock.reason
     assert lock.locked
     late = lock.rows[lock.rows["time"] >= changed / NS_PER_S + 10.0]
     assert np.degrees(late["phase"]).mean() == pytest.approx(-90.0, abs=2.0)

@@ -12,7 +12,7 @@ from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import TRANSMISSIBILITY, Table
 from impact_rig.errors import ConfigError
-from impact_rig.operate.stepped_sine import Direction, Plan, Setpoint, State, SteppedSine
+from impact_rig.operate.stepped_sine import Direction, Setpoint, SteppedSine, SweepPlan, SweepState
 from impact_rig.simtime import NS_PER_S
 
 S = NS_PER_S
@@ -27,7 +27,7 @@ def row(frequency_hz, status="ok", settled=None):
 
 
 def sweep(**changes):
-    return SteppedSine(Plan(**{"frequencies_hz": POINTS, "current_a": 0.5, **changes}))
+    return SteppedSine(SweepPlan(**{"frequencies_hz": POINTS, "current_a": 0.5, **changes}))
 
 
 @pytest.mark.parametrize(
@@ -36,10 +36,10 @@ def sweep(**changes):
 )
 def test_points_are_visited_in_order_and_the_drive_ends_at_zero(direction, visited):
     one = sweep(direction=direction)
-    assert one.state is State.IDLE
+    assert one.state is SweepState.IDLE
     commands = [one.start(0)]
     now = 0
-    while one.state is State.RUNNING:
+    while one.state is SweepState.RUNNING:
         now += 10 * S
         one.on_applied(one.frequency_hz, 0.5, now)
         assert one.on_time(now + S) is None
@@ -47,7 +47,7 @@ def test_points_are_visited_in_order_and_the_drive_ends_at_zero(direction, visit
     assert [c.frequency_hz for c in commands[:-1]] == visited
     assert all(c.current_a == 0.5 for c in commands[:-1])
     assert commands[-1] == Setpoint(visited[-1], 0.0)
-    assert one.state is State.FINISHED
+    assert one.state is SweepState.FINISHED
     assert one.rows["frequency"].tolist() == visited
     assert one.progress == (len(visited), len(visited))
 
@@ -68,7 +68,7 @@ def test_an_unsettled_point_is_kept_or_not(keep):
     one.start(0)
     answer = one.on_measurement(row(8.0, "not_settled"), S)
     assert answer == (Setpoint(9.0, 0.5) if keep else Setpoint(8.0, 0.0))
-    assert one.state is (State.RUNNING if keep else State.ABORTED)
+    assert one.state is (SweepState.RUNNING if keep else SweepState.ABORTED)
 
 
 @pytest.mark.parametrize("status", ["lost_blocks", "silence", "swapped_channels", "not_finite"])
@@ -78,7 +78,7 @@ def test_refused_measurements_are_borne_so_often(status):
     assert one.on_measurement(row(8.0, status), S) is None
     assert one.on_measurement(row(8.0, status), 2 * S) is None
     assert one.on_measurement(row(8.0, status), 3 * S) == Setpoint(8.0, 0.0)
-    assert one.state is State.ABORTED
+    assert one.state is SweepState.ABORTED
     assert one.reason == f"{status} at 8 Hz, 3 times"
 
 
@@ -112,7 +112,7 @@ def test_a_trip_and_a_stranger_at_the_knob_end_the_sweep():
     assert one.abort("again") is None
     assert one.on_measurement(row(8.0), S) is None
     one.start(0)
-    assert one.state is State.RUNNING
+    assert one.state is SweepState.RUNNING
     assert one.reason == ""
     assert one.on_applied(8.0, 0.0, 0) is None, "the frequency comes first, the current after it"
     one.on_applied(8.0, 0.5, 0)
@@ -151,7 +151,7 @@ def test_closed_loop_with_the_tracker_gives_the_curve():
         for frequency in POINTS
     }
     at = 0
-    while one.state is State.RUNNING:
+    while one.state is SweepState.RUNNING:
         now = at * S // rate
         if command:
             tracker.on_applied(applied(command.frequency_hz, command.current_a, at_ns=now))
@@ -163,7 +163,7 @@ def test_closed_loop_with_the_tracker_gives_the_curve():
         for table in findings.measurements:
             command = one.on_measurement(table.rows[0], now) or command
         command = one.on_time(now) or command
-    assert one.state is State.FINISHED, one.reason
+    assert one.state is SweepState.FINISHED, one.reason
     assert one.rows["frequency"].tolist() == [8.0, 9.0, 10.0, 10.0, 9.0, 8.0]
     truth = np.abs(linear_transmissibility(one.rows["frequency"]))
     assert np.all(np.abs(one.rows["transmissibility"] - truth) < 4 * one.rows["transmissibility_uncertainty"])

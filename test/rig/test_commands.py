@@ -15,7 +15,7 @@ from kits.rig import TICK, config, same, samples
 
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.rig import Block, Rig
-from impact_rig.rig.journal import Kind, read
+from impact_rig.rig.journal import InputKind, read
 
 
 def test_a_command_acts_at_the_first_instant_not_yet_simulated(reference: list[Block]) -> None:
@@ -118,7 +118,7 @@ def test_the_drive_ramps_down_when_the_controller_dies() -> None:
     rig.advance(15 * TICK)
     rig.accept(current_a=0.52)
     current = samples(rig.advance(60 * TICK))["current"]
-    at = [entry.sample for entry in read(rig.take_journal()) if entry.kind is Kind.TIMEOUT]
+    at = [entry.sample for entry in read(rig.take_journal()) if entry.kind is InputKind.TIMEOUT]
     assert at == [3500]
     assert np.abs(current[3500 + 1000 - 1500 :]).max() == 0
     rig.accept(current_a=0.1)

@@ -15,7 +15,7 @@ from kits.rig import TICK, paper_rig
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.rig import Rig
 from impact_rig.rig.interlock import LOOKS_PER_TICK, largest_travel, mean_square
-from impact_rig.rig.journal import Kind, read
+from impact_rig.rig.journal import InputKind, read
 
 LOOK_S = 1e-2 / LOOKS_PER_TICK
 FINE_HZ = 50_000
@@ -87,7 +87,7 @@ def test_over_travel_trips_within_a_block_of_the_true_travel_and_ramps_as_specif
     limit, blocks = rig.config.shaker.travel_limit_m, []
     while rig.latched is None and rig.frontier_ns < 1000 * TICK:
         blocks += rig.advance(rig.frontier_ns + TICK)
-    (trip,) = [entry for entry in read(rig.take_journal()) if entry.kind is Kind.TRIP]
+    (trip,) = [entry for entry in read(rig.take_journal()) if entry.kind is InputKind.TRIP]
     truth = np.concatenate([block.truth.rows for block in blocks])
     beyond = np.abs(truth["x_b"]) > limit
     assert beyond.any()
@@ -141,7 +141,9 @@ def test_clearing_what_is_not_latched_forgets_no_current() -> None:
             rig.advance(rig.frontier_ns + TICK)
             if clears and rig.latched is None:
                 rig.clear_trip()
-        trips.append([(row.sample, row.key, row.value) for row in read(rig.take_journal()) if row.kind is Kind.TRIP])
+        trips.append(
+            [(row.sample, row.key, row.value) for row in read(rig.take_journal()) if row.kind is InputKind.TRIP]
+        )
     assert [key for _, key, _ in trips[0]] == ["over_current"]
     assert trips[1] == trips[0]
 

@@ -13,7 +13,7 @@ from impact_rig.errors import ConfigError
 from impact_rig.instruments.fault import Fault
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig, from_flat, to_flat
-from impact_rig.rig.journal import JournalView, Kind, read, short_key, values_of
+from impact_rig.rig.journal import InputKind, JournalView, read, short_key, values_of
 from impact_rig.rig.resimulation import Resimulation
 
 
@@ -72,7 +72,7 @@ def test_a_fault_ordered_ahead_does_not_end_what_a_resimulation_is_given_before_
     again = Resimulation(rig.take_journal())
     again.finish(3 * TICK)
     assert [one.instruments.laser.lag_s for one in again.configurations] == [0.7e-3, 1e-3]
-    assert any(entry.kind is Kind.FAULT for entry in read(again.rig.take_journal()))
+    assert any(entry.kind is InputKind.FAULT for entry in read(again.rig.take_journal()))
 
 
 def test_a_journal_with_a_missing_row_is_refused() -> None:
@@ -92,7 +92,7 @@ def test_journal_rows_carry_every_kind_of_value_exactly() -> None:
         "instruments.faults.planned": ("stuck channel=laser start_s=1 duration_s=0.5", "lost_block start_s=2.5 seed=3"),
     }
     rig = Rig(from_flat(RigConfig(), changes))
-    initial = [entry for entry in read(rig.take_journal()) if entry.kind is Kind.INITIAL]
+    initial = [entry for entry in read(rig.take_journal()) if entry.kind is InputKind.INITIAL]
     assert values_of(initial) == changes
 
 
@@ -107,27 +107,27 @@ def test_a_view_follows_what_a_journal_says_table_by_table() -> None:
     rig = Rig(from_flat(RigConfig(), {"daq.seed": 5, "contact.law": "hunt_crossley"}), START_NS)
     view = JournalView()
 
-    def seen() -> list[Kind]:
+    def seen() -> list[InputKind]:
         return [change.kind for table in rig.take_journal() for change in view.take(table)]
 
     rig.advance(START_NS + 5 * TICK)
     rig.accept(frequency_hz=9.1, current_a=0.3)
     rig.configure({"barriers.gap_m": 0.004, "sphere.present": True, "contact.law": "lankarani_nikravesh"})
-    assert seen() == [Kind.START, Kind.INITIAL, Kind.COMMAND, Kind.COMMAND, Kind.PARAMETER]
+    assert seen() == [InputKind.START, InputKind.INITIAL, InputKind.COMMAND, InputKind.COMMAND, InputKind.PARAMETER]
     assert view.start_ns == START_NS
     assert (view.configuration["daq.seed"], view.configuration["contact.law"]) == (5, "lankarani_nikravesh")
     assert view.configuration["barriers.gap_m"] == 0.004
     assert (view.drive, view.latched, view.plucked) == ({"frequency": 9.1, "current": 0.3}, None, False)
     rig.stop()
-    assert seen() == [Kind.STOP]
+    assert seen() == [InputKind.STOP]
     assert view.latched is not None
-    assert view.latched.kind is Kind.STOP
+    assert view.latched.kind is InputKind.STOP
     rig.clear_trip()
     rig.pluck(0.001)
-    assert seen() == [Kind.CLEAR_TRIP, Kind.PLUCK]
+    assert seen() == [InputKind.CLEAR_TRIP, InputKind.PLUCK]
     assert (view.latched, view.plucked) == (None, True)
     rig.reset()
-    assert seen()[0] is Kind.RESET
+    assert seen()[0] is InputKind.RESET
     assert (view.plucked, view.drive, view.configuration["barriers.gap_m"]) == (False, {}, 0.004)
 
 

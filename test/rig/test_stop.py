@@ -12,7 +12,7 @@ from impact_rig.blocks import Table
 from impact_rig.errors import CommandError
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig
-from impact_rig.rig.journal import Kind, read
+from impact_rig.rig.journal import InputKind, read
 
 
 def test_the_emergency_stop_ramps_and_latches() -> None:
@@ -47,7 +47,7 @@ def test_over_travel_trips_within_a_tick_whatever_the_cut(step: int) -> None:
     while len(blocks) < 200:
         blocks += rig.advance((len(blocks) + step) * TICK)
     entries = read(rig.take_journal())
-    (trip,) = [entry for entry in entries if entry.kind is Kind.TRIP]
+    (trip,) = [entry for entry in entries if entry.kind is InputKind.TRIP]
     first = int(np.argmax(np.abs(travel(blocks)) > 0.002))
     assert trip.key == "over_travel"
     assert first < trip.sample <= first + 100, "at the end of the tick in which the limit was exceeded"

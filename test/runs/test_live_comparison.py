@@ -18,7 +18,7 @@ from impact_rig.blocks import Table
 from impact_rig.cli import main
 from impact_rig.recording import open_run
 from impact_rig.runs import reanalysis
-from impact_rig.runs.reanalysis import Comparison
+from impact_rig.runs.reanalysis import Agreement
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system import machine
 
@@ -40,7 +40,7 @@ def long() -> Messages:
     return messages(26, (1600,))
 
 
-def compared(directory: Path, found: Messages) -> Comparison:
+def compared(directory: Path, found: Messages) -> Agreement:
     with open_run(record(directory / "run", found)) as run:
         findings = list(reanalysis.analyze(run))
         impacts = [table for one in findings for table in one.impacts]

@@ -20,7 +20,7 @@ from impact_rig.cli.main import main
 from impact_rig.errors import ConfigError, SimulationError
 from impact_rig.maps.measure import MapRig, Settings
 from impact_rig.physics import Simulation
-from impact_rig.physics.prediction import Rig
+from impact_rig.physics.prediction import LinearRig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.studies.dynamics import exponent, orbits, plan
 from impact_rig.studies.dynamics.stroboscope import Place, Stroboscope
@@ -304,7 +304,7 @@ def event(rows, name):
 
 def test_both_branches_are_the_slow_invariant_manifold(over_gap):
     """Loss factor of the damper against (m/m_1)(8/π²) ρΘ²/ξ², on the stable and on the unstable side of the fold."""
-    rig = Rig.of(RigConfig())
+    rig = LinearRig.of(RigConfig())
     sphere, m_1 = rig.sphere_kg, RigConfig().structure.mass_kg
     seen = set()
     for row in over_gap:

@@ -33,8 +33,8 @@ from impact_rig.studies.identification.measurements import (
     RECORD_S,
     Gains,
     Measured,
-    Motion,
     Reduced,
+    SettledMotion,
     SineData,
     measured_decay,
     recorded_decay,
@@ -159,7 +159,7 @@ def test_a_difference_across_a_change_of_orbit_is_no_derivative():
     """A jump on one side, on both sides, a kink without a change of pattern; and a motion that does not repeat."""
 
     def motion(value, impacts=2.0, regime="periodic"):
-        return Motion(value, regime, 1.0, impacts)
+        return SettledMotion(value, regime, 1.0, impacts)
 
     def stepped(left, right):
         return lambda h: motion(0.5 * h) if left < h < right else motion(0.5 * h + 0.1, 3.0)

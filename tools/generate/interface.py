@@ -25,7 +25,7 @@ from impact_rig.nodes.recorder_node import RecorderSettings
 from impact_rig.nodes.stepped_sine_node import SteppedSineSettings
 from impact_rig.rig import takes_effect
 from impact_rig.rig.config import TREE
-from impact_rig.rig.journal import Kind
+from impact_rig.rig.journal import InputKind
 from tools.generate import figures, services
 from tools.generate.markdown import table
 from tools.generate.nominal import scalar
@@ -195,7 +195,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "qualities of service": _qualities,
     "columns": _columns,
     "fields": _fields,
-    "journal": lambda: table(("kind", "meaning"), ((f"`{kind.value}`", kind.doc) for kind in Kind)),
+    "journal": lambda: table(("kind", "meaning"), ((f"`{kind.value}`", kind.doc) for kind in InputKind)),
     "faults": lambda: table(("kind", "meaning"), ((f"`{kind}`", doc) for kind, doc in FAULT_KINDS.items())),
     "services": _services,
     "states": _states,

@@ -38,7 +38,7 @@ import numpy as np
 
 from impact_rig import kernels
 from impact_rig.config.fields import Origin, quantity
-from impact_rig.kernels import Exported, Fields, Function, Pointer, Record
+from impact_rig.kernels import Exported, Fields, Function, Pointer, RecordType
 from impact_rig.physics.collocation import STAGES
 from impact_rig.physics.state import CONTACT_STEP, PARAMETERS
 
@@ -120,7 +120,7 @@ class ContactLaw:
 
 
 AT_POINT = Function(6 * (float,), 5 * (float,))
-AT_STAGES = Function((Record(PARAMETERS), float, Record(CONTACT_STEP)), None)
+AT_STAGES = Function((RecordType(PARAMETERS), float, RecordType(CONTACT_STEP)), None)
 
 
 class CompiledForce(NamedTuple):

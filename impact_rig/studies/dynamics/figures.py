@@ -14,12 +14,12 @@ from impact_rig.campaign.tasks import Row
 from impact_rig.drawing import INK, SERIES, Drawn, new_axes, style
 from impact_rig.maps.plan import CURRENT, FREQUENCY, GAP, POSITION, SPEED
 from impact_rig.studies.dynamics import plan as plans
-from impact_rig.studies.dynamics.plan import Plan, Task
+from impact_rig.studies.dynamics.plan import Plan, StudyTask
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Found = Sequence[tuple[Task, Sequence[Row]]]
+Found = Sequence[tuple[StudyTask, Sequence[Row]]]
 MARKS = {"fold": "o", "symmetry": "D", "flip": "s", "torus": "^", "grazing": "v", "lost": "x"}
 """Of what changes along a branch."""
 LABELS = {

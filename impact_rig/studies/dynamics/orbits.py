@@ -77,7 +77,7 @@ class Orbit:
 
 
 @attrs.frozen(eq=False)
-class Change:
+class BranchChange:
     """Where a branch changes."""
 
     kind: str  # fold, symmetry, flip, torus or grazing
@@ -90,7 +90,7 @@ class Arc:
     """A branch one way from an orbit."""
 
     orbits: tuple[Orbit, ...]  # in order, the first one not counted
-    changes: tuple[Change, ...]  # where stability or direction changes, in order
+    changes: tuple[BranchChange, ...]  # where stability or direction changes, in order
     end: str
     """Why it ends: `edge` of the range, `lost` (no step is short enough: an impact comes or goes, or the motion is out
     of sight at the section), `closed`, or `length`."""
@@ -136,7 +136,7 @@ def followed(
             is to be read from now on, or None.
     """
     orbits: list[Orbit] = []
-    changes: list[Change] = []
+    changes: list[BranchChange] = []
     here, length, first = start.towards(np.append(np.zeros(len(start.z)), way)), longest / 4.0, start.z
     while len(orbits) < points:
         guess = np.append(here.z, here.p) + length * here.tangent
@@ -228,7 +228,7 @@ def _told(f: Map, y: Real) -> Orbit | None:
     return Orbit(z, p, float(np.abs(f(z, p) - z).max()), multipliers[order], np.linalg.svd(rows)[2][-1])
 
 
-def _changes(f: Map, here: Orbit, new: Orbit) -> Iterator[Change]:
+def _changes(f: Map, here: Orbit, new: Orbit) -> Iterator[BranchChange]:
     """Yield what happens between two neighbours: where a test function passes zero."""
     tests: dict[str, Callable[[Orbit, Real], float]] = {}
     if here.tangent[-1] * new.tangent[-1] < 0.0:
@@ -247,7 +247,7 @@ def _changes(f: Map, here: Orbit, new: Orbit) -> Iterator[Change]:
         if kind == TORUS and not (np.abs(np.abs(paired) - 1.0) < PASSING).any():
             continue  # no pair of complex multipliers stands on the unit circle
         jumps = kind in PASSED and float(np.abs(found.multipliers - PASSED[kind]).min()) > PASSING
-        yield Change(GRAZING if jumps else kind, found)
+        yield BranchChange(GRAZING if jumps else kind, found)
 
 
 def _product(one: Orbit, value: float) -> float:

@@ -15,11 +15,11 @@ import numpy as np
 from impact_rig.campaign import axes
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCY_HZ
 from impact_rig.campaign.plan import STARTS
-from impact_rig.campaign.tasks import Keyed, Row, Store, load_plan
+from impact_rig.campaign.tasks import Keyed, Row, TaskStore, load_plan
 from impact_rig.config.tree import Value
 from impact_rig.errors import ConfigError, SimulationError
 from impact_rig.maps.measure import CHUNK, FAILED, MapRig, Reading, Settings
-from impact_rig.maps.plan import BOTH, CURRENT, DOWN, FREQUENCY, GAP, POSITION, RESET, SPEED, UP, Line, refuse_owned
+from impact_rig.maps.plan import BOTH, CURRENT, DOWN, FREQUENCY, GAP, POSITION, RESET, SPEED, UP, MapLine, refuse_owned
 from impact_rig.rig.config import RigConfig, differences, from_flat, to_flat
 from impact_rig.studies.dynamics import exponent, orbits
 from impact_rig.studies.dynamics.stroboscope import Energy, Note, Place, Properties, Stroboscope, at, size
@@ -54,7 +54,7 @@ Start = str | tuple[float, float]
 
 
 @attrs.frozen(kw_only=True)
-class Task(Keyed):
+class StudyTask(Keyed):
     """A part of a study that is run, stored and never repeated; it holds every value that decides its numbers."""
 
     kind: str  # of the study
@@ -94,15 +94,15 @@ class Plan:
     base: RigConfig  # the rig
     text: str  # the file
     over: str  # name of the parameter, empty where there is none
-    tasks: tuple[Task, ...]  # in order
+    tasks: tuple[StudyTask, ...]  # in order
 
 
-def store(directory: Path) -> Store[Task]:
+def store(directory: Path) -> TaskStore[StudyTask]:
     """Return what keeps a study's tasks in a directory."""
-    return Store(directory, "dynamics", "tasks", ("maps", "studies"))
+    return TaskStore(directory, "dynamics", "tasks", ("maps", "studies"))
 
 
-def stored(directory: Path, kind: str) -> tuple[Plan, list[tuple[Task, Sequence[Row]]]]:
+def stored(directory: Path, kind: str) -> tuple[Plan, list[tuple[StudyTask, Sequence[Row]]]]:
     """Return the study of one kind in a directory, and what is stored of each task.
 
     Raises:
@@ -116,7 +116,7 @@ def stored(directory: Path, kind: str) -> tuple[Plan, list[tuple[Task, Sequence[
     return plan, found
 
 
-def run(task: Task) -> list[Row]:
+def run(task: StudyTask) -> list[Row]:
     """Return the rows of a task."""
     return _RUNNERS[task.kind](task, **task.what)
 
@@ -130,13 +130,13 @@ def load(path: Path, kind: str, resolved: RigConfig | None = None) -> Plan:
     return load_plan(path, "dynamics file", lambda document, text: _read(document, text, path, kind, resolved))
 
 
-def exponent_at(line: Line, value: float) -> Task:
+def exponent_at(line: MapLine, value: float) -> StudyTask:
     """Return what measures the largest exponent at a place of a map where every place begins from rest."""
     changes, frequency, current, sphere = line.place(value)
     changes = {**line.changes, **changes}
     start = sphere or from_flat(RigConfig(), changes).sphere.start
     what = {"over": FREQUENCY, "value": frequency, "start": start, "cycles": _CYCLES, "windows": _WINDOWS}
-    return Task(
+    return StudyTask(
         kind=EXPONENT, name=f"{line.along} {value:g}, {line.describe()}", changes=changes, settings=line.settings,
         frequency_hz=frequency, current_a=current, what=what,
     )  # fmt: skip
@@ -154,7 +154,7 @@ def _read(document: object, text: str, path: Path, kind: str, resolved: RigConfi
     current_a = axes.number(CURRENT, top.get(CURRENT, CURRENT_A), 0.0)
     over, parts = _PARTS_OF[kind](axes.mapping(kind, top[kind]), Place(rig, frequency_hz, current_a), settings)
     tasks = tuple(
-        Task(
+        StudyTask(
             kind=kind, name=name, changes=changes, settings=settings, frequency_hz=frequency_hz, current_a=current_a,
             what=what,
         )
@@ -300,7 +300,7 @@ def _points(rig: MapRig, place: Place, cycles: int, turn: float) -> list[list[fl
     return points
 
 
-def _section(task: Task, start: Start, cycles: int, turn: float) -> list[Row]:
+def _section(task: StudyTask, start: Start, cycles: int, turn: float) -> list[Row]:
     place = task.place
     rig = _begun(place, start, task.settings)
     if rig.measure(place.frequency_hz, place.amplitude).regime == FAILED:
@@ -309,7 +309,7 @@ def _section(task: Task, start: Start, cycles: int, turn: float) -> list[Row]:
 
 
 def _bifurcation(
-    task: Task, over: str, values: Sequence[float], start: Start, marched: bool, cycles: int, turn: float
+    task: StudyTask, over: str, values: Sequence[float], start: Start, marched: bool, cycles: int, turn: float
 ) -> list[Row]:
     rows: list[Row] = []
     rig: MapRig | None = None
@@ -330,7 +330,7 @@ def _bifurcation(
     return rows
 
 
-def _orbit(task: Task, start: Start) -> list[Row]:
+def _orbit(task: StudyTask, start: Start) -> list[Row]:
     found = _found(task, FREQUENCY, task.frequency_hz, start, 1.0)
     if found is None:
         return []
@@ -338,7 +338,9 @@ def _orbit(task: Task, start: Start) -> list[Row]:
     return [_row(one, strobe.note(one), 1.0, one.kind)]
 
 
-def _continue(task: Task, over: str, low: float, high: float, value: float, start: Start, points: int) -> list[Row]:
+def _continue(
+    task: StudyTask, over: str, low: float, high: float, value: float, start: Start, points: int
+) -> list[Row]:
     unit = (high - low) / _PARTS
     found = _found(task, over, value, start, unit)
     if found is None:
@@ -362,7 +364,9 @@ def _continue(task: Task, over: str, low: float, high: float, value: float, star
     return rows
 
 
-def _found(task: Task, over: str, value: float, start: Start, unit: float) -> tuple[Stroboscope, orbits.Orbit] | None:
+def _found(
+    task: StudyTask, over: str, value: float, start: Start, unit: float
+) -> tuple[Stroboscope, orbits.Orbit] | None:
     """Return the orbit that a motion settles to; None if it settles to none, or cannot be resolved."""
     place = at(task.place, over, value)
     strobe = Stroboscope(task.place, over, unit)
@@ -388,7 +392,7 @@ def _row(one: orbits.Orbit, note: object, unit: float, event: str) -> Row:
     )  # fmt: skip
 
 
-def _exponent(task: Task, over: str, value: float, start: Start, cycles: int, windows: int) -> list[Row]:
+def _exponent(task: StudyTask, over: str, value: float, start: Start, cycles: int, windows: int) -> list[Row]:
     place = at(task.place, over, value)
     rig = _begun(place, start, task.settings)
     reading = rig.measure(place.frequency_hz, place.amplitude)
@@ -447,7 +451,7 @@ def _distance(state: np.ndarray, attractor: Sequence[str | float], scale: np.nda
 
 
 def _basin(
-    task: Task, positions: Sequence[float], speed: float, attractors: Sequence[Sequence[str | float]]
+    task: StudyTask, positions: Sequence[float], speed: float, attractors: Sequence[Sequence[str | float]]
 ) -> list[Row]:
     place = task.place
     rig = MapRig(place.config, task.settings)

@@ -27,7 +27,14 @@ from impact_rig.errors import ConfigError
 from impact_rig.physics.prediction import base_amplitude, transmissibility
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.states import Regime
-from impact_rig.studies.identification.measurements import NUISANCES, RESTITUTION, Measured, Motion, simulated, slope
+from impact_rig.studies.identification.measurements import (
+    NUISANCES,
+    RESTITUTION,
+    Measured,
+    SettledMotion,
+    simulated,
+    slope,
+)
 
 # --- The constants that are identified, as logarithms, and the rig that they make.
 
@@ -357,12 +364,12 @@ class _Impacts:
                 break
         return theta
 
-    def _motion(self, gap_m: float, theta: Real, restitution: float) -> Motion:
+    def _motion(self, gap_m: float, theta: Real, restitution: float) -> SettledMotion:
         e = self._known.contact.restitution + restitution
         config = from_flat(rig(self._known, theta), {"contact.restitution": e})
         return simulated(config, gap_m, self._reduced.frequency_hz, self._reduced.current_a)
 
-    def _slope(self, gap_m: float, theta: Real, nuisance: Real, here: Motion, direction: Real) -> float | None:
+    def _slope(self, gap_m: float, theta: Real, nuisance: Real, here: SettledMotion, direction: Real) -> float | None:
         """Return the derivative along a direction in the space of the constants and, last, e."""
         e = float(nuisance[RESTITUTION])
         return slope(lambda h: self._motion(gap_m, theta + h * direction[:-1], e + h * direction[-1]), here)

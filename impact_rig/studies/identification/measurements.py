@@ -29,7 +29,7 @@ from impact_rig.errors import RecordingError, SimulationError
 from impact_rig.maps.measure import FAILED, MapRig, Settings
 from impact_rig.physics.prediction import transmissibility
 from impact_rig.recording import Run
-from impact_rig.rig import Kind, Rig
+from impact_rig.rig import InputKind, Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.runs.measurement import is_measured
 from impact_rig.runs.wholes import calibration_rows, last_record
@@ -210,9 +210,9 @@ def recorded_decay(run: Run, method: DecayMethod = fit_decay) -> Decay:
     for table in run.tables(topics.JOURNAL.name, recorded_order=True):
         for row in table.rows:
             at_ns = table.stamp_ns + round(float(row["time"]) * NS_PER_S)
-            if row["kind"] == Kind.PLUCK.value.encode():
+            if row["kind"] == InputKind.PLUCK.value.encode():
                 begin_ns, end_ns = at_ns, math.inf
-            elif row["kind"] == Kind.RESET.value.encode():
+            elif row["kind"] == InputKind.RESET.value.encode():
                 end_ns = min(end_ns, at_ns)
     if begin_ns is None:
         raise RecordingError(f"{run.path}: nothing was plucked in this run (rig/pluck)")
@@ -240,7 +240,7 @@ STEPS = (1e-3, 3e-4, 1e-4)  # for differences; the next one where the one before
 SAME_SLOPE, LEAST_SLOPE = 0.1, 0.05  # the slopes of both sides differ by at most this share of them, plus this
 
 
-class Motion(NamedTuple):
+class SettledMotion(NamedTuple):
     """What the rig settles to with its sphere."""
 
     log_ratio: float  # ln(DT with sphere / DT without)
@@ -255,7 +255,7 @@ class Motion(NamedTuple):
         return self.period, round(self.impacts)
 
 
-def simulated(config: RigConfig, gap_m: float, frequency_hz: float, current_a: float) -> Motion:
+def simulated(config: RigConfig, gap_m: float, frequency_hz: float, current_a: float) -> SettledMotion:
     """Return the motion of a rig, from its reset on; without the sphere DT is known in closed form.
 
     Raises:
@@ -266,10 +266,12 @@ def simulated(config: RigConfig, gap_m: float, frequency_hz: float, current_a: f
     if found.regime == FAILED or not found.dt > 0.0:
         raise SimulationError(f"gap {gap_m * 1e3:g} mm, {frequency_hz:g} Hz: the motion cannot be resolved")
     without = abs(complex(transmissibility(config, frequency_hz)))
-    return Motion(math.log(found.dt / without), found.regime, found.period, found.impacts_per_cycle * found.period)
+    return SettledMotion(
+        math.log(found.dt / without), found.regime, found.period, found.impacts_per_cycle * found.period
+    )
 
 
-def slope(at: Callable[[float], Motion], here: Motion) -> float | None:
+def slope(at: Callable[[float], SettledMotion], here: SettledMotion) -> float | None:
     """Return the derivative of `log_ratio` along the orbit of `here`, or None where its neighbours have no such one.
 
     Args:
