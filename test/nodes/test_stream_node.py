@@ -294,7 +294,7 @@ def test_a_controllers_hardware_reads_over_topics_what_it_reads_in_process(clien
     host_rig(client, "freewheel", time__peers=[client.name], **STREAM)
     client.wait_active("rig")
     over = over_topics(client).respond(WAVE[: RATE_HZ // 2], rest=RATE_HZ // 10)
-    alone = Hardware(InProcess(RigWord(paper_rig(**STREAM)))).respond(WAVE[: RATE_HZ // 2], rest=RATE_HZ // 10)
+    alone = Hardware(InProcess(Rig(paper_rig(**STREAM)))).respond(WAVE[: RATE_HZ // 2], rest=RATE_HZ // 10)
     assert len(over) == len(alone) > RATE_HZ // 2
     assert np.array_equal(over["laser"], alone["laser"])
     assert np.array_equal(over["current"], alone["current"])
