@@ -19,7 +19,7 @@ from impact_rig.codec import encode, encode_joint_state, joint_state
 from impact_rig.errors import CodecError, RecordingError
 from impact_rig.instruments.instrument import FAULT_KINDS
 from impact_rig.lab.protocol import FrameKind, RequestError, json_frame, parse
-from impact_rig.lab.record import Curve, Faults, JournalView, MotionBuffer, RigView, plain, scan_rate
+from impact_rig.lab.record import Curve, Faults, MotionBuffer, RigHistory, RigView, plain, scan_rate
 from impact_rig.lab.server import STATIC
 from impact_rig.lab.state import (
     FOLLOWED,
@@ -277,7 +277,7 @@ def test_a_rate_that_no_board_has_is_refused_before_rings_are_made(rate: float) 
 def test_every_parameter_of_a_change_stands_in_the_journal() -> None:
     """A gap that comes with the sphere is the second row of one change."""
     rig = Rig(RigConfig())
-    journal = JournalView()
+    journal = RigHistory()
     rig.configure({"sphere.present": False})
     rig.configure({"sphere.present": True, "barriers.gap_m": 0.004})
     for table in rig.take_journal():
@@ -354,7 +354,7 @@ def test_readers_of_a_ring_get_what_is_new_to_them() -> None:
 
 
 def test_journal_curve_and_closed_form() -> None:
-    journal, curve = JournalView(), Curve()
+    journal, curve = RigHistory(), Curve()
     for topic, table in messages(12):
         if topic == "rig/journal":
             journal.add(table)
