@@ -266,7 +266,7 @@ class Client:
             )
         self.executor.add_node(self.node)
         self.diagnostics: dict[str, DiagnosticStatus] = {}
-        """Latest status of each node, by name relative to the namespace."""
+        """Latest status of each node, by name relative to the namespace; of others by their full name: `/there/rig`."""
         self._hosted: list[Any] = []
         self._spinner = Spinner(self.executor)
         self._rigs: dict[str, Activation] = {}
@@ -673,10 +673,10 @@ class Client:
         return None
 
     def _on_diagnostics(self, message: Any, info: dict[str, Any]) -> None:
-        prefix = self.node.get_namespace().strip("/")
+        namespace = self.node.get_namespace().rstrip("/")
         for status in message.status:
             name, _, component = status.name.partition(":")
-            name = name.removeprefix(prefix).lstrip("/")
+            name = f"/{name}".removeprefix(f"{namespace}/")
             self.diagnostics[name] = status
             if component.strip() == RIG:
                 instance = next((value.value for value in status.values if value.key == "instance"), "")

@@ -105,3 +105,30 @@ def test_a_rig_that_the_user_has_seen_start_is_the_one_that_is_meant() -> None:
     rig.heard("three", sent_ns=time.time_ns())
     with pytest.raises(RigGoneError):
         check()
+
+
+@pytest.mark.ros
+def test_a_rig_outside_of_the_namespace_is_another_one() -> None:
+    """`/rig` was taken for `/here/rig`: what was given to that was said to be lost with a rig that is gone."""
+    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+    from impact_rig import topics
+    from impact_rig.client import Client, isolated_domain
+
+    def say(client: Client, name: str) -> None:
+        values = [KeyValue(key="instance", value=name)]
+        status = DiagnosticStatus(name=f"{name}: simulation", level=b"\0", message=name, values=values)
+        client.publish(topics.DIAGNOSTICS, DiagnosticArray(status=[status]))
+        client.wait_until(
+            lambda: any(one.message == name for one in client.diagnostics.values()), f"the diagnostics of {name}"
+        )
+
+    with isolated_domain() as domain_id, Client(domain_id, "here") as client:
+        say(client, "here/rig")
+        check = client.given("a command")
+        for other in ("rig", "there/rig", "hererig", "here2/rig"):
+            say(client, other)
+            check()
+        assert client.status("rig").message == "here/rig"
+        assert client.figures("rig") == {"instance": "here/rig"}
