@@ -43,6 +43,9 @@
     near(motion.newest - motion.oldest, 1, 0.011);
     motion.add("states", table([[0, 0, 0, 0, 0, 0, 0]]));
     same(motion.states.length, 0);
+    motion.add("states", table([[5, 0, 0, 0, 0, 0, 0]]));
+    motion.add("states", table([[0, 0, 0, 0, 0, 0, 0], [0.01, 0, 0, 0, 0, 0, 0], [0.02, 0, 0, 0, 0, 0, 0]]));
+    same(motion.states.length, 2); // what follows in one table is motion of the new record
   });
   test("impacts are kept for the longest window of the scope, longer than the motion", () => {
     const motion = new Motion();

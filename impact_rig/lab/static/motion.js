@@ -44,10 +44,9 @@ export class Motion {
    * @param {"states" | "impacts"} what @param {{rows: number, columns: number, values: Float64Array}} table
    */
   add(what, table) {
-    const list = this[what];
     for (let row = 0; row < table.rows; row++) {
       const one = table.values.slice(row * table.columns, (row + 1) * table.columns);
-      if (what === "states" && list.length && one[0] <= list[list.length - 1][0]) {
+      if (what === "states" && one[0] <= this.newest) {
         if (one[0] < this.oldest - 1) this.clear();
         continue;
       }
