@@ -1,7 +1,7 @@
 // The transmissibility over frequency: points with error bars, earlier gaps in grey; as lines the rig without sphere
 // and what theory predicts with it, dashed where such a motion does not last.
 
-import { axis, colour, stacked, stroke } from "./paper.js";
+import { axis, clipped, colour, stacked, stroke } from "./paper.js";
 
 /* global uPlot */
 
@@ -96,11 +96,7 @@ export class CurveView {
 
   /** Draw what is predicted, and say in the corner which line is what. @private */
   theory(plot) {
-    const g = plot.ctx, ratio = devicePixelRatio || 1, { left, top, width, height } = plot.bbox;
-    g.save();
-    g.beginPath();
-    g.rect(left, top, width, height);
-    g.clip();
+    const g = clipped(plot), ratio = devicePixelRatio || 1, { left, top } = plot.bbox;
     g.strokeStyle = colour("drive");
     g.lineWidth = 1.6 * ratio;
     for (const [lasts, points] of this.predicted) {

@@ -93,12 +93,12 @@ function onConnection(connected) {
 const SHOW = {
   choices: (choices) => {
     knobs.choose(choices);
-    byId("spectrum-channel").replaceChildren(...choices.channels.map((name) => new Option(name, name)));
-    byId("spectrum-channel").value = "laser";
+    for (const id of ["spectrum-channel", "fault-channel"]) {
+      byId(id).replaceChildren(...choices.channels.map((name) => new Option(name, name)));
+      byId(id).value = "laser";
+    }
     byId("fault-kind").replaceChildren(...Object.keys(choices.faults).map((kind) => new Option(kind.replaceAll("_", " "), kind)));
     byId("fault-kind").value = "offset_step";
-    byId("fault-channel").replaceChildren(...choices.channels.map((name) => new Option(name, name)));
-    byId("fault-channel").value = "laser";
     showFault();
     look();
   },
@@ -118,7 +118,7 @@ const SHOW = {
   dt_now: () => showDt(),
   dt_b: () => showCurve(), closed_form: () => showCurve(), prediction: () => showCurve(),
   other_motion: (words) => setText("other-motion", words),
-  journal: (lines) => { showJournal(lines); if (now.playback) player.show(now.playback, lines, now.impact_marks); },
+  journal: (lines) => { showJournal(lines); showPlayer(); },
   sweep: (sweep) => setText("sweep-text", sweep.text || "not started"),
   recorder: (recorder) => {
     const size = recorder.megabytes ? ` ${fixed(recorder.megabytes, 1)} MB` : "";
@@ -154,12 +154,12 @@ const SHOW = {
     byId("refused").title = names.map((name) => `${name}: ${refused[name][1]}`).join("\n");
   },
   playback: (state) => {
-    player.show(state, now.journal, now.impact_marks);
+    showPlayer();
     byId("legend").hidden = state.names.length < 2;
     setText("legend-a", state.names[0]);
     setText("legend-b", state.names[1] ?? "");
   },
-  impact_marks: () => now.playback && player.show(now.playback, now.journal, now.impact_marks),
+  impact_marks: () => showPlayer(),
   mode: (mode) => {
     const live = mode === "live";
     knobs.readOnly = !live;
@@ -174,6 +174,8 @@ const SHOW = {
 };
 
 // What is shown
+
+function showPlayer() { if (now.playback) player.show(now.playback, now.journal, now.impact_marks); }
 
 function showStatus() {
   const said = status(link.connected, now.rig);
@@ -282,8 +284,8 @@ function explain() {
     const text = help[word] ?? help[plain(word)];
     if (text && label.title !== text) label.title = text;
   }
-  for (const name of ["law", "fault-kind"]) {
-    for (const option of byId(name === "law" ? "knob-law" : name).options) option.title = help[option.textContent] ?? "";
+  for (const id of ["knob-law", "fault-kind"]) {
+    for (const option of byId(id).options) option.title = help[option.textContent] ?? "";
   }
 }
 
@@ -371,11 +373,11 @@ function showFault() {
   byId("fault-channel").disabled = board;
 }
 
+const token = new URLSearchParams(location.search).get("token") ?? "";
 const chosenRuns = () => [.../** @type {NodeListOf<HTMLInputElement>} */ (document.querySelectorAll("#run-list input:checked"))].map((box) => box.value);
 
 async function listRuns() {
   if (!byId("recorded").open) return;
-  const token = new URLSearchParams(location.search).get("token") ?? "";
   const runs = await (await fetch(`/runs?token=${encodeURIComponent(token)}`)).json();
   byId("run-list").replaceChildren(...runs.map(({ name, megabytes }) => {
     const box = element("input", { type: "checkbox", value: name });
@@ -394,7 +396,7 @@ function theme(next) {
   scope.make();
   curve.make();
   spectrum.make();
-  if (now.playback) player.show(now.playback, now.journal, now.impact_marks);
+  showPlayer();
 }
 
 const run = async () => (await knobs.turn("frequency", 9.1)) && knobs.turn("current", 0.52);
@@ -472,7 +474,6 @@ onSubmit("note-form", () => {
 });
 byId("recorded").addEventListener("toggle", listRuns);
 onClick("run-play", () => {
-  const token = new URLSearchParams(location.search).get("token") ?? "";
   window.open(`/?${new URLSearchParams([["token", token], ...chosenRuns().map((name) => ["run", name])])}`, "_blank", "noopener");
 });
 byId("fault-kind").addEventListener("change", showFault);

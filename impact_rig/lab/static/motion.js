@@ -124,7 +124,7 @@ export class Clock {
     const target = newest - lag;
     const error = target - this.time;
     if (!Number.isFinite(error) || Math.abs(error) > 4 * lag + 0.2) this.time = target;
-    else this.time += dt * speed + Math.min(1, 2 * dt) * (error - dt * speed * 0) * 0.5;
+    else this.time += dt * speed + Math.min(1, 2 * dt) * error * 0.5;
     this.time = Math.min(this.time, newest);
     return this.time;
   }

@@ -25,6 +25,15 @@ export function stroke(g, points) {
   g.stroke();
 }
 
+/** Save the state of a plot's context, and let nothing be drawn beyond its axes. @returns {CanvasRenderingContext2D} */
+export function clipped({ ctx, bbox: { left, top, width, height } }) {
+  ctx.save();
+  ctx.beginPath();
+  ctx.rect(left, top, width, height);
+  ctx.clip();
+  return ctx;
+}
+
 let cached = {};
 
 /** @param {string} name of a variable of style.css @returns {string} its value now */

@@ -1,7 +1,7 @@
 // Four traces above one time axis; every column of the picture is a minimum and a maximum.
 
 import { engineering, limits, line } from "./format.js";
-import { axis, colour, stacked } from "./paper.js";
+import { axis, clipped, colour, stacked } from "./paper.js";
 
 /* global uPlot */
 const CHANNELS = [["accelerometer", "m/s²"], ["laser", "m"], ["base", "m"], ["current", "A"]];
@@ -88,13 +88,9 @@ export class ScopeView {
       }
       this.ranges[number] = limits(this.ranges[number], low, high);
       const [x, y] = line(trace.low[number], trace.high[number], trace.column);
-      let b = new Array(x.length).fill(null);
-      if (other) b = fitted(line(other.low[number], other.high[number], other.column), x);
-      const rows = [x, y, b];
-      if (number === CURRENT) {
-        const told = trace.low[COMMANDED];
-        rows.push(told ? line(told, trace.high[COMMANDED], trace.column)[1] : new Array(x.length).fill(null));
-      }
+      const none = new Array(x.length).fill(null), told = trace.low[COMMANDED];
+      const rows = [x, y, other ? fitted(line(other.low[number], other.high[number], other.column), x) : none];
+      if (number === CURRENT) rows.push(told ? line(told, trace.high[COMMANDED], trace.column)[1] : none);
       this.plots[number].setData(rows);
     }
   }
@@ -105,14 +101,9 @@ export class ScopeView {
   /** @private */
   marks(plot, number) {
     if (!this.trace) return;
-    const { ctx: g } = plot;
-    const { left, top, width, height } = plot.bbox;
+    const g = clipped(plot), { left, top, width, height } = plot.bbox;
     const ratio = devicePixelRatio || 1;
     const at = (time) => left + (time - this.trace.begin) / this.span() * width;
-    g.save();
-    g.beginPath();
-    g.rect(left, top, width, height);
-    g.clip();
     g.fillStyle = colour("hot"); // over range: a bar at the lower edge, and a word
     let over = false;
     this.trace.status.forEach((bits, i) => {
