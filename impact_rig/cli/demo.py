@@ -11,7 +11,6 @@ import json
 import time
 from pathlib import Path
 
-import attrs
 import numpy as np
 from numpy.typing import NDArray
 from rich.progress import BarColumn, Progress, TaskID, TimeElapsedColumn
@@ -19,7 +18,7 @@ from rich.progress import BarColumn, Progress, TaskID, TimeElapsedColumn
 from impact_rig import topics
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.campaign import paper
-from impact_rig.campaign.axes import case_of, gap_values
+from impact_rig.campaign.axes import NO_SPHERE, case_of, gap_values
 from impact_rig.campaign.job import Job
 from impact_rig.campaign.paper import DEMO_POINTS_LIMIT, Reductions
 from impact_rig.campaign.results import FILE_NAME, Statement, write_summary
@@ -39,29 +38,8 @@ MEASUREMENTS = 2
 LINEAR_LIMIT = 0.02
 
 
-@attrs.frozen(eq=False)
-class Case:
-    """One run of the demo: a gap [m], or 0 for no sphere."""
-
-    gap_m: float
-
-    @property
-    def name(self) -> str:
-        """Name of the run's directory."""
-        return f"gap_{self.gap_m * 1e3:g}mm" if self.gap_m else "no_sphere"
-
-    def job(self, config: RigConfig) -> Job:
-        """Return what is measured, on a rig of this configuration."""
-        return Job(
-            changes=not_default(from_flat(config, gap_values(self.gap_m))),
-            gap_m=self.gap_m,
-            frequencies_hz=(paper.FREQUENCY_HZ,),
-            current_a=paper.CURRENT_A,
-            repetitions=MEASUREMENTS,
-        )
-
-
-CASES = (Case(0.0), *(Case(gap) for gap in paper.REDUCTION_PERCENT))
+RUNS = {NO_SPHERE: "no_sphere", **{gap_m: f"gap_{gap_m * 1e3:g}mm" for gap_m in paper.REDUCTION_PERCENT}}
+"""Name of the run's directory, by gap [m]."""
 
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -105,10 +83,10 @@ def run(arguments: argparse.Namespace) -> int:
 
     from impact_rig.physics.prediction import transmissibility  # noqa: PLC0415  # compiles nothing, but loads SciPy
 
-    runs = [info(directory / case.name) for case in CASES]
+    runs = [info(directory / name) for name in RUNS.values()]
     lost = sum(_lost_blocks(run) for run in runs)
     simulated_s = sum(_scanned_s(run) for run in runs)
-    with open_run(directory / CASES[0].name) as recorded:
+    with open_run(directory / RUNS[NO_SPHERE]) as recorded:
         calibration = Calibration.from_info(next(recorded.tables(topics.INFO.name)).rows)  # the certificate, published
     reductions = Reductions.of(rows, calibration)
     closed_form = float(abs(transmissibility(config, paper.FREQUENCY_HZ)))
@@ -128,11 +106,9 @@ def run(arguments: argparse.Namespace) -> int:
     failed = [name for name, statement in statements.items() if not statement.passed]
     if failed:
         console.print(f"not as expected: {', '.join(failed)}", style="red")
-    console.print(
-        f"figure: reductions.png, figures for programs: summary.json, runs: {', '.join(c.name for c in CASES)}"
-    )
+    console.print(f"figure: reductions.png, figures for programs: summary.json, runs: {', '.join(RUNS.values())}")
     summary = json.loads((directory / FILE_NAME).read_text(encoding="utf-8"))
-    tell_results(directory, {"runs": [case.name for case in CASES], **summary}, as_json=arguments.json)
+    tell_results(directory, {"runs": list(RUNS.values()), **summary}, as_json=arguments.json)
     return 1 if failed else 0
 
 
@@ -142,14 +118,24 @@ def _measure(config: RigConfig, directory: Path) -> dict[float, NDArray[np.void]
 
     rows: dict[float, NDArray[np.void]] = {}
     with Screen() as screen:
-        runner = freewheel_runner(directory, config, lambda job: Case(job.gap_m).name, screen.show)
-        with contextlib.closing(runner([case.job(config) for case in CASES])) as done:
+        runner = freewheel_runner(directory, config, lambda job: RUNS[job.gap_m], screen.show)
+        with contextlib.closing(runner([_job(config, gap_m) for gap_m in RUNS])) as done:
             for job, outcome in done:
                 if outcome.failure:
                     raise ImpactRigError(f"{case_of(job.gap_m)}: {outcome.failure}")
                 rows[job.gap_m] = outcome.rows
         screen.done()
     return rows
+
+
+def _job(config: RigConfig, gap_m: float) -> Job:
+    return Job(
+        changes=not_default(from_flat(config, gap_values(gap_m))),
+        gap_m=gap_m,
+        frequencies_hz=(paper.FREQUENCY_HZ,),
+        current_a=paper.CURRENT_A,
+        repetitions=MEASUREMENTS,
+    )
 
 
 class Screen:

@@ -18,7 +18,7 @@ import pytest
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.reduction import Reduction, reduction
 from impact_rig.campaign.paper import REDUCTION_PERCENT
-from impact_rig.cli.demo import CASES, MEASUREMENTS
+from impact_rig.cli.demo import MEASUREMENTS, RUNS
 from impact_rig.recording import open_run
 from impact_rig.runs import check_contiguity, reanalysis
 
@@ -68,11 +68,11 @@ def wait_for(demo: subprocess.Popen[str], path: Path, size: int = 0) -> None:
 def recorded_reductions(directory: Path) -> dict[str, Reduction]:
     """Return the reductions by gap in mm, as the recorded certificate and measurements give them."""
     rows = {}
-    for case in CASES:
-        with open_run(directory / case.name) as run:
+    for gap_m, name in RUNS.items():
+        with open_run(directory / name) as run:
             calibration = Calibration.from_info(next(run.tables("daq/info")).rows)
             found = np.concatenate([table.rows for table in run.tables("transmissibility/table")])
-        rows[case.gap_m] = found[(found["settled"] == 1.0) & (found["gap"] == case.gap_m)][:MEASUREMENTS]
+        rows[gap_m] = found[(found["settled"] == 1.0) & (found["gap"] == gap_m)][:MEASUREMENTS]
     without = rows.pop(0.0)
     return {f"{gap * 1e3:g}": reduction(without, own, calibration) for gap, own in rows.items()}
 
