@@ -26,7 +26,7 @@ from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.blocks import WAVEFORM, Table
 from impact_rig.campaign.job import TRACE_BLOCKS, Job, JobApparatus, Outcome, Trace, columns, run_job
 from impact_rig.campaign.run import Runner
-from impact_rig.client.client import Client, Collector, WaitTimeoutError
+from impact_rig.client.client import Client, Collector, WaitTimeoutError, subscribers
 from impact_rig.client.processes import ParameterValue, Processes, isolated_domain
 from impact_rig.errors import CommandError, ConfigError, ImpactRigError
 from impact_rig.nodes.process import DISCOVERY_S
@@ -483,10 +483,9 @@ class OverTopics:
 
     def _finds_readers(self) -> bool:
         """Whether all are found that the rig says it is read by: a recorder that is not misses the first samples."""
-        figures, node = self._client.figures("rig"), self._client.node
-        reading = node.get_subscriptions_info_by_topic(node.resolve_topic_name(topics.SCAN.name))
+        figures = self._client.figures("rig")
         names = {key.removeprefix("behind.") for key in figures if key.startswith("behind.")}
-        return bool(figures) and names <= {info.node_name for info in reading}
+        return bool(figures) and names <= subscribers(self._client.node, topics.SCAN.name)
 
     def info(self) -> NDArray[np.void]:
         """Return the calibration as last published."""
