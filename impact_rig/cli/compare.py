@@ -13,6 +13,7 @@ import numpy as np
 
 from impact_rig.cli.terminal import Console, TextTable, add_json, subcommand, tell_json
 from impact_rig.recording import open_run
+from impact_rig.system import files
 
 if TYPE_CHECKING:
     from impact_rig.studies.comparison import Comparison
@@ -46,8 +47,6 @@ def _run(arguments: argparse.Namespace) -> int:
 
     console = Console(quiet=arguments.json)
     if arguments.figure:
-        from impact_rig.system import files  # noqa: PLC0415  # as above
-
         files.make_folder(arguments.figure)
     known = load(arguments.config) if arguments.config else None
     with open_run(arguments.path) as run:

@@ -8,8 +8,11 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import attrs
+
 from impact_rig.cli.terminal import Console, TextTable, add_json, subcommand, tell_json, tell_program
 from impact_rig.errors import ConfigError
+from impact_rig.system import files
 
 if TYPE_CHECKING:
     from impact_rig.runs.measurement import ImportedFile, Mapping
@@ -93,10 +96,7 @@ def _import(arguments: argparse.Namespace) -> int:
 
 def _mapping(guessed: Mapping, arguments: argparse.Namespace) -> Mapping:
     """Return the mapping guessed, with what the YAML and then the options say."""
-    import attrs  # noqa: PLC0415  # after the signals are taken
-
     from impact_rig.runs.measurement import MAPPING_CHARACTERS, Channel, refined  # noqa: PLC0415  # as above
-    from impact_rig.system import files  # noqa: PLC0415  # as above
 
     mapping = guessed
     if arguments.mapping:
@@ -116,10 +116,8 @@ def _mapping(guessed: Mapping, arguments: argparse.Namespace) -> Mapping:
         else:
             channels.pop(name, None)
     changes: dict[str, object] = {"channels": channels, "notes": (*mapping.notes, *arguments.note)}
-    if arguments.rate is not None:
-        changes["rate_hz"] = arguments.rate
-    if arguments.resample is not None:
-        changes["resample_hz"] = arguments.resample
+    told = {"rate_hz": arguments.rate, "resample_hz": arguments.resample}
+    changes |= {name: value for name, value in told.items() if value is not None}
     if arguments.frequency is not None:
         changes["frequency"] = _number(arguments.frequency)
     if arguments.gap is not None:

@@ -252,24 +252,18 @@ def _play(opened: Run, arguments: argparse.Namespace) -> int:
 
 
 def _delay(text: str) -> float:
-    """Return a time [s]."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 <= value <= LONGEST_DELAY_S:
-        raise argparse.ArgumentTypeError(f"must be a number of seconds from 0 to {LONGEST_DELAY_S:g}, got {text!r}")
-    return value
+    return _number(text, 0.0, LONGEST_DELAY_S, "a number of seconds")
 
 
 def _rate(text: str) -> float:
-    """Return a factor; infinity for `max`."""
-    if text == FASTEST:
-        return math.inf
+    return math.inf if text == FASTEST else _number(text, 0.001, 1000.0, f"{FASTEST} or a number")
+
+
+def _number(text: str, least: float, most: float, what: str) -> float:
     try:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not 0.001 <= value <= 1000:
-        raise argparse.ArgumentTypeError(f"must be {FASTEST} or a number from 0.001 to 1000, got {text!r}")
+    if not least <= value <= most:
+        raise argparse.ArgumentTypeError(f"must be {what} from {least:g} to {most:g}, got {text!r}")
     return value
