@@ -114,12 +114,12 @@ def _source(arguments: argparse.Namespace, stack: contextlib.ExitStack) -> Any:
 
             arguments.runs = [make_sample(SAMPLE)]
         return PlaybackSource(arguments.runs)
-    from impact_rig.lab.live import LiveSource, domain_id  # noqa: PLC0415
+    from impact_rig.client.processes import Processes, domain_of_environment  # noqa: PLC0415
+    from impact_rig.lab.live import LiveSource  # noqa: PLC0415
 
-    domain = domain_id()
+    domain = domain_of_environment()
     if arguments.attach:
         return LiveSource(domain, None if arguments.attach == FOUND else arguments.attach)
-    from impact_rig.client.processes import Processes  # noqa: PLC0415
     from impact_rig.lab.gateway import Own  # noqa: PLC0415
     from impact_rig.rig.config import RigConfig, from_flat  # noqa: PLC0415
 

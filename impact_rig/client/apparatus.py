@@ -12,7 +12,6 @@ import abc
 import contextlib
 import functools
 import itertools
-import os
 import tempfile
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -27,7 +26,7 @@ from impact_rig.blocks import WAVEFORM, Table
 from impact_rig.campaign.job import TRACE_BLOCKS, Job, JobApparatus, Outcome, Trace, columns, run_job
 from impact_rig.campaign.run import Runner
 from impact_rig.client.client import Client, Collector, WaitTimeoutError, subscribers
-from impact_rig.client.processes import ParameterValue, Processes, isolated_domain
+from impact_rig.client.processes import ParameterValue, Processes, domain_of_environment, isolated_domain
 from impact_rig.errors import CommandError, ConfigError, ImpactRigError
 from impact_rig.nodes.process import DISCOVERY_S
 from impact_rig.operate.hardware import Hardware, Wanted
@@ -561,7 +560,7 @@ def recorded(directory: Path, config: RigConfig, namespace: str | None = None) -
     """
     with contextlib.ExitStack() as stack:
         running = namespace is not None
-        domain_id = int(os.environ.get("ROS_DOMAIN_ID", "0")) if running else stack.enter_context(isolated_domain())
+        domain_id = domain_of_environment() if running else stack.enter_context(isolated_domain())
         logs = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="impact_rig_stream_")))
         processes = stack.enter_context(Processes(domain_id, logs, namespace or ""))
         recorder = "stream_recorder" if running else "recorder"

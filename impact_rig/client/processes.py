@@ -217,6 +217,18 @@ FIRST_PORT, PORTS_PER_DOMAIN = 7400, 250  # of RTPS (DDSI-RTPS 2.2, 9.6.1.1)
 DISCOVERY_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
 
+def domain_of_environment() -> int:
+    """Return the ROS domain of this process.
+
+    Raises:
+        ImpactRigError: it is no number.
+    """
+    value = os.environ.get("ROS_DOMAIN_ID") or "0"
+    if not value.isdecimal():
+        raise ImpactRigError(f"ROS_DOMAIN_ID must be a number, got {value!r}")
+    return int(value)
+
+
 @contextmanager
 def isolated_domain() -> Iterator[int]:
     """Reserve a domain id until the end of the block; discovery of this process and its children stays on this host.

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import asyncio
 import functools
-import os
 import re
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -18,7 +17,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any  # what goes to JSON
 
 from impact_rig import states
-from impact_rig.errors import ImpactRigError
 from impact_rig.instruments.section import CHANNELS
 from impact_rig.lab import state
 from impact_rig.lab.record import LAST_NS, RigView
@@ -260,15 +258,3 @@ def _lost(seen: Mapping[str, Seen]) -> dict[str, float] | None:
 def _over_range(figures: Mapping[str, str]) -> dict[str, float]:
     found = {name: figure(figures.get(f"over_range.{name}")) or 0.0 for name in CHANNELS}
     return {name: count for name, count in found.items() if count}
-
-
-def domain_id() -> int:
-    """Return the ROS domain of the environment.
-
-    Raises:
-        ImpactRigError: it is no number.
-    """
-    value = os.environ.get("ROS_DOMAIN_ID", "0") or "0"
-    if not value.isdigit():
-        raise ImpactRigError(f"ROS_DOMAIN_ID must be a number, got {value!r}")
-    return int(value)

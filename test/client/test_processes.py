@@ -154,3 +154,20 @@ def test_a_node_ends_when_the_process_that_started_it_is_killed(tmp_path: Path) 
     finally:
         os.close(watched)
     assert "terminated, as the process that started it is gone" in (tmp_path / "recorder.log").read_text()
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("value", ["twelve", "-1", "²"])
+def test_a_domain_of_the_environment_that_is_no_number_is_refused_in_words(
+    value: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    from impact_rig.client.apparatus import recorded
+    from impact_rig.rig.config import RigConfig
+
+    monkeypatch.setenv("ROS_DOMAIN_ID", value)
+    with (
+        pytest.raises(ImpactRigError, match=f"ROS_DOMAIN_ID must be a number, got {value!r}"),
+        recorded(tmp_path / "run", RigConfig(), "/rig"),
+    ):
+        pass
