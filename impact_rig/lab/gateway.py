@@ -270,7 +270,7 @@ class Gateway:
             await asyncio.sleep(0)
         return found
 
-    async def _call(self, service_type: Any, name: str, request: Any, timeout_s: float = ANSWER_S) -> Any:
+    async def _call(self, service_type: Any, name: str, request: Any, timeout_s: float = ANSWER_S) -> str:
         client = self.client.prepare(service_type, name)
         await self.until(client.service_is_ready, f"the service {name}: is its node there?", timeout_s)
         future = client.call_async(request)
@@ -280,13 +280,14 @@ class Gateway:
             if not future.done():
                 client.remove_pending_request(future)
         response = future.result()
-        refused = response.result if hasattr(response, "result") else response
-        if not (refused.successful if hasattr(refused, "successful") else refused.success):
-            raise Refused(refused.reason if hasattr(refused, "reason") else refused.message)
-        return response
+        result = getattr(response, "result", None)  # of parameters that were set
+        done, words = (result.successful, result.reason) if result else (response.success, response.message)
+        if not done:
+            raise Refused(words)
+        return str(words)
 
     async def _trigger(self, name: str, timeout_s: float = ANSWER_S) -> str:
-        return str((await self._call(Trigger, name, Trigger.Request(), timeout_s)).message)
+        return await self._call(Trigger, name, Trigger.Request(), timeout_s)
 
     async def _set(self, node: str, values: Mapping[str, Any]) -> None:
         """Set parameters of a node; those of the rig are in force when this returns."""
@@ -354,7 +355,7 @@ class Gateway:
 
     async def do_pause(self, value: bool) -> str:  # as the request has it
         """Let rig time stand still, or go on."""
-        return str((await self._call(SetBool, "rig/pause", SetBool.Request(data=value))).message)
+        return await self._call(SetBool, "rig/pause", SetBool.Request(data=value))
 
     async def do_gap(self, value: float) -> str:
         """Set the gap of the rig and the label of the analysis together [m]; 0 takes the sphere away."""

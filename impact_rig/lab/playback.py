@@ -380,28 +380,28 @@ class PlaybackSource(Source):
             answer(*done)
 
     def _do(self, request: Request) -> str:
-        value = request.values.get("value")
+        value: Any = request.values.get("value")  # of the type that the protocol has checked
         match request.do:
             case "play":
                 if value and self.now_s >= self._end_s:
                     self._move(self._begin_s)
-                self._playing = bool(value)
+                self._playing = value
             case "pause":
                 self._playing = not value
             case "speed":
-                self._speed = float(value or 1.0)
+                self._speed = value
             case "seek":
-                self._move(float(value or 0.0))
+                self._move(value)
             case "next_impact":
                 shown_s = self._impact_s if self.now_s == self._jumped_s else self.now_s - PEEK_S
-                found = self._runs[0].impact_after(shown_s, float(value or 1.0))
+                found = self._runs[0].impact_after(shown_s, value or 1.0)
                 if found is None:
                     raise RecordingError("there is no further impact in what was read so far")
                 self._playing = False
                 self._move(found + PEEK_S)
                 self._impact_s, self._jumped_s = found, self.now_s
             case "align":
-                return self._align(request.values["by"], float(value or 0.0))
+                return self._align(request.values["by"], value)
             case _:
                 raise RecordingError(f"{request.do}: a recorded run cannot be changed")
         return ""
