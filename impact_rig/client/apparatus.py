@@ -235,8 +235,8 @@ class SteppedApparatus(RosApparatus):
         client.change_state("analysis", "deactivate")
         client.change_state("rig", "deactivate")
         client.change_state("rig", "cleanup")  # its history goes with its publishers
-        values = {name: value for name, value in to_flat(config).items() if not name.startswith(FIXED)}
-        client.set_parameters("rig", {name: ("",) if value == () else value for name, value in values.items()})
+        values = to_flat(config)
+        client.set_parameters("rig", {name: value for name, value in values.items() if not name.startswith(FIXED)})
         settings = {**attrs.asdict(TrackerSettings()), **job.analysis, "gap_m": job.gap_m}
         client.set_parameters("analysis", settings)
         for node, transition in (("rig", "configure"), ("rig", "activate"), ("analysis", "activate")):

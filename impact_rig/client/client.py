@@ -690,9 +690,14 @@ class Client:
 
 
 def ros_parameters(values: Mapping[str, ParameterValue]) -> list[Parameter]:
-    """Return parameters by name and value; rclpy knows no sequences but lists, tuples and arrays."""
+    """Return parameters by name and value; rclpy knows no sequences but lists, tuples and arrays.
+
+    No lines are one empty line, as the nodes have it: of which type an empty list is, ROS 2 cannot tell.
+    """
     return [
-        Parameter(name, value=value if isinstance(value, str) or not isinstance(value, Sequence) else list(value))
+        Parameter(
+            name, value=value if isinstance(value, str) or not isinstance(value, Sequence) else list(value) or [""]
+        )
         for name, value in values.items()
     ]
 

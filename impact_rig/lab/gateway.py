@@ -377,7 +377,7 @@ class Gateway:
         present = to_flat(from_flat(RigConfig(), self.record.knobs))
         changes = {name: found for name, found in wanted.items() if found != present[name]}
         fixed = sorted(name for name, about, _ in fields() if about.read_only and name in changes)
-        changes = {name: found if found != () else ("",) for name, found in changes.items() if name not in fixed}
+        changes = {name: found for name, found in changes.items() if name not in fixed}
         if changes:
             await self._set("rig", changes)
         words = f"{len(changes)} settings changed" if changes else "these settings are in force already"

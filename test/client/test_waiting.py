@@ -132,3 +132,22 @@ def test_a_rig_outside_of_the_namespace_is_another_one() -> None:
             check()
         assert client.status("rig").message == "here/rig"
         assert client.figures("rig") == {"instance": "here/rig"}
+
+
+@pytest.mark.ros
+def test_a_list_is_emptied_as_an_empty_list() -> None:
+    """ROS 2 cannot tell of which type an empty list is: the rig wanted strings and was given bytes."""
+    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    from kits.nodes import host_rig
+
+    from impact_rig.client import Client, isolated_domain
+
+    with isolated_domain() as domain_id, Client(domain_id) as client:
+        host_rig(client)
+        client.wait_active("rig")
+        name = "instruments.faults.planned"
+        for lines in ([], ()):
+            client.set_parameters("rig", {name: ["dropout channel=laser duration_s=1"]})
+            assert client.get_parameters("rig", [name]) != {name: [""]}
+            client.set_parameters("rig", {name: lines})
+            assert client.get_parameters("rig", [name]) == {name: [""]}
