@@ -78,11 +78,10 @@ def run(arguments: argparse.Namespace) -> int:
     console = Console()
     runs = arguments.runs[0].resolve().parent if arguments.runs else arguments.record_directory
     with contextlib.ExitStack() as stack:
-        started: list[Any] = []
-        stack.callback(_say_where, started)  # last of all: the recorder has finished then
+        source: Any = None
+        stack.callback(lambda: _say_where(source))  # last of all: the recorder has finished then
         source = _source(arguments, stack)
         source.theory.beside = branches
-        started.append(source)
         server = stack.enter_context(Server(source, arguments.host, arguments.port, kept_token(), runs))
         stack.enter_context(source)
         console.print("impact_rig lab: open this address in a browser; Ctrl-C ends it", soft_wrap=True)
@@ -97,12 +96,12 @@ def run(arguments: argparse.Namespace) -> int:
     return 128 + signal.SIGPIPE
 
 
-def _say_where(sources: list[Any]) -> None:
+def _say_where(source: Any) -> None:
     """Print where the last recording lies."""
-    for directory in (getattr(source, "directory", None) for source in sources):
-        if directory is not None:
-            with contextlib.suppress(OSError):
-                print(f"recorded: {directory}", flush=True)  # noqa: T201
+    directory = getattr(source, "directory", None)
+    if directory is not None:
+        with contextlib.suppress(OSError):
+            print(f"recorded: {directory}", flush=True)  # noqa: T201
 
 
 def _source(arguments: argparse.Namespace, stack: contextlib.ExitStack) -> Any:

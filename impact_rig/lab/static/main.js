@@ -6,7 +6,7 @@ import { Kind } from "./frames.js";
 import { fillSheet, listen } from "./keys.js";
 import { KnobPanel, SweepForm } from "./knobs.js";
 import { Link } from "./link.js";
-import { Clock, Motion } from "./motion.js";
+import { Clock, LONGEST_WINDOW_S, Motion } from "./motion.js";
 import { byId, element } from "./page.js";
 import { forgetColours, save, savePicture } from "./paper.js";
 import { Player } from "./player.js";
@@ -68,7 +68,7 @@ function onFrame({ kind, number, content }) {
   else if (kind === Kind.IMPACTS) motion.add("impacts", content);
   else if (kind === Kind.DETECTED) {
     for (let i = 0; i < content.rows; i++) detected.push(content.values[i * content.columns]);
-    while (detected.length && detected[0] < detected[detected.length - 1] - 11) detected.shift(); // the longest window
+    while (detected.length && detected[0] < detected[detected.length - 1] - LONGEST_WINDOW_S) detected.shift();
   } else if (kind === Kind.SPECTRUM) spectrum.show(content);
   else if (kind === Kind.TRACE_B) drawn.beside = content;
 }

@@ -15,7 +15,7 @@ export function hermite(t0, x0, v0, t1, x1, v1, t) {
   return a * a * (1 + 2 * s) * x0 + s * s * (3 - 2 * s) * x1 + h * s * a * (a * v0 - s * v1);
 }
 
-const LONGEST_WINDOW_S = 11;
+export const LONGEST_WINDOW_S = 11; // of the scope, and a little
 
 /** The last seconds of motion: states and impacts in the order of their times. */
 export class Motion {
