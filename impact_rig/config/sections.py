@@ -173,7 +173,7 @@ class Daq:
     clock_error_ppm: float = quantity(
         0.0,
         "ppm",
-        "DAQ clock error: rig time is DAQ time, so this scales the physics beneath it.",
+        "DAQ clock error, > 0: slow. Rig time is DAQ time, so this scales the physics beneath it.",
         at_least=-1000,
         at_most=1000,
     )

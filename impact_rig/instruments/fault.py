@@ -34,7 +34,7 @@ from impact_rig.instruments.registry import INSTRUMENTS
 DEFAULT_SPIKE_RATE_HZ = 10.0
 MOST = 2**53  # of the whole numbers: beyond, the journal's columns are not exact
 LARGEST_DRIFT_PPM = 5e5
-"""Of the scan clock: at a million slow it stands, and no tick ends; far beyond fast, one takes for ever."""
+"""Of the scan clock: at −10⁶ a tick of it takes no time at all; far above 0 one takes for ever."""
 _PACKED = struct.Struct("<QQd")
 _NUMBERS = ("start_s", "duration_s", "value", "seed", "rate_hz")
 
@@ -327,7 +327,7 @@ class FaultBoard:
         return any(active.fault.start_sample < first + count and active.end > first for active in lost)
 
     def clock_ppm(self, scan: int) -> float:
-        """Return by how much the scan clock is off at a scan because of faults [ppm], at most LARGEST_DRIFT_PPM."""
+        """Return by how much faults make the scan clock slow at a scan [ppm], within ± LARGEST_DRIFT_PPM."""
         if not self._faults:
             return 0.0
         drifts = (active for active in self._faults if active.fault.kind == "clock_drift")

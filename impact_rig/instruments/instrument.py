@@ -22,7 +22,7 @@ FAULT_KINDS = {
     "saturation": "the signal is limited to ± `value` [unit] and flagged",
     "added_noise": "white noise of `value` rms [unit] is added",
     "lost_block": "blocks are numbered, but their scans are withheld; truth and monitors still come",
-    "clock_drift": "the scan clock is off by `value` ppm, on top of daq.clock_error_ppm",
+    "clock_drift": "the scan clock is slow by `value` ppm, on top of daq.clock_error_ppm",
 }
 BOARD_KINDS = frozenset({"lost_block", "clock_drift"})  # faults of the whole board: their channel is empty
 CHANNEL_KINDS = frozenset(FAULT_KINDS) - BOARD_KINDS
