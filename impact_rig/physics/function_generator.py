@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""The function generator: turns commands into drive segments, phase-continuous, with ramped amplitude.
+"""The function generator: cycles commands into drive segments, phase-continuous, with ramped amplitude.
 
 One segment per tick of the command grid; a stream, see `stream`, cuts ticks at its samples as well. No phase depends on
 how many segments are asked for at once: that of a sine is computed from the number of ticks since the last change, so
@@ -27,10 +27,10 @@ from impact_rig.simtime import COMMAND_GRID_S
 
 
 class Ramp(NamedTuple):
-    """Of the amplitude, linear: first tick, amplitude there, target, and ticks until that."""
+    """Of the amplitude, linear: first tick, initial amplitude there, target, and ticks until that."""
 
     first_tick: int
-    start: float
+    initial: float
     target: float
     ticks: int
 
@@ -42,7 +42,7 @@ RAMP = Fields(Ramp, (int, float, float, int))
 def amplitude_at(ramp, tick):  # type: ignore[no-untyped-def]
     """Return the amplitude at a tick."""
     progress = (tick - ramp.first_tick) / ramp.ticks if tick < ramp.first_tick + ramp.ticks else 1.0
-    return ramp.start + (ramp.target - ramp.start) * progress
+    return ramp.initial + (ramp.target - ramp.initial) * progress
 
 
 @entry(SEGMENT, REALS, float)
@@ -57,13 +57,13 @@ def fill_lines(segments, amplitudes, tick_s):  # type: ignore[no-untyped-def]
 @entry(SEGMENT, int, RAMP, float, float, int, float)
 def fill_sine(segments, tick, ramp, tick_s, frequency_hz, ticks_since, phase):  # type: ignore[no-untyped-def]
     """Fill in segments of one tick [s] each from `tick` on, `ticks_since` ticks after the phase [rad] was `phase`."""
-    amplitude, turns_per_tick = amplitude_at(ramp, tick), frequency_hz * tick_s
+    amplitude, cycles_per_tick = amplitude_at(ramp, tick), frequency_hz * tick_s
     for i in range(segments.shape[0]):
         segment, next_amplitude = segments[i], amplitude_at(ramp, tick + i + 1)
         segment.duration, segment.amplitude, segment.growth = tick_s, amplitude, (next_amplitude - amplitude) / tick_s
         amplitude = next_amplitude
-        turns = turns_per_tick * (ticks_since + i)
-        angle = phase + TWO_PI * (turns - int(turns))
+        cycles = cycles_per_tick * (ticks_since + i)
+        angle = phase + TWO_PI * (cycles - int(cycles))
         while angle >= TWO_PI:
             angle -= TWO_PI
         segment.omega, segment.phase, segment.begin = TWO_PI * frequency_hz, angle, 0.0
@@ -105,8 +105,8 @@ class FunctionGenerator:
     @property
     def phase_rad(self) -> float:
         """Phase of the sine or chirp at the next tick, in [0, 2π)."""
-        turns = self.frequency_hz * self._tick_s * (self.tick - self._anchor_tick)
-        return math.fmod(self._anchor_phase + TWO_PI * math.fmod(turns, 1.0), TWO_PI)
+        cycles = self.frequency_hz * self._tick_s * (self.tick - self._anchor_tick)
+        return math.fmod(self._anchor_phase + TWO_PI * math.fmod(cycles, 1.0), TWO_PI)
 
     @property
     def amplitude(self) -> float:
@@ -136,17 +136,17 @@ class FunctionGenerator:
         if self.stream is not None:
             self.stream.stop()
             return
-        now = self.amplitude if self._ramp_ticks else amplitude
-        self._ramp = Ramp(self.tick, now, amplitude, self._ramp_ticks)
+        present = self.amplitude if self._ramp_ticks else amplitude
+        self._ramp = Ramp(self.tick, present, amplitude, self._ramp_ticks)
 
     def set_ramp(self, ramp_s: float) -> None:
         """Ramp later amplitude changes within another time; a ramp under way starts again with it."""
         if self.stream is not None:
             self.stream.set_ramp(ramp_s)
             return
-        now, target = self.amplitude, self.target_amplitude
+        present, target = self.amplitude, self.target_amplitude
         self._ramp_ticks = math.ceil(ramp_s / self._tick_s - 1e-9)
-        self._ramp = Ramp(self.tick, now if self._ramp_ticks else target, target, self._ramp_ticks)
+        self._ramp = Ramp(self.tick, present if self._ramp_ticks else target, target, self._ramp_ticks)
 
     def set_tick(self, tick_s: float) -> None:
         """Go on with ticks of another duration: the scan clock's error has changed. The phase does not jump."""

@@ -343,7 +343,7 @@ def integrate_tabulated(model, f, step, steps):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def last_before(history, first_row, end_row, t):  # type: ignore[no-untyped-def]
+def last_not_after(history, first_row, end_row, t):  # type: ignore[no-untyped-def]
     """Return the last row in [first_row, end_row) whose state is not after t, or first_row."""
     while end_row - first_row > 1:
         middle_row = (first_row + end_row) // 2
@@ -455,7 +455,7 @@ def _sample_contact(model, f, history, row, start, stop, query, workspace):  # t
     end_point = 0.0, 0.0, 0.0
     for i in range(start, stop):
         t = query.offset[i] - f.begin
-        step_row = last_before(steps, first_row, end_row, t)
+        step_row = last_not_after(steps, first_row, end_row, t)
         start_state = steps[step_row]
         if step_row != solved_row:
             solved_row, end_point = step_row, _solve_again(model, f, start_state, step)
@@ -512,7 +512,7 @@ def _rows_at(trajectory, tick, offset):  # type: ignore[no-untyped-def]
         else:
             end_segment = middle_segment
     t, end_row = offset - trajectory.segments[segment].begin, trajectory.first_state[segment + 1]
-    return segment, last_before(trajectory.history, trajectory.first_state[segment], end_row, t), end_row
+    return segment, last_not_after(trajectory.history, trajectory.first_state[segment], end_row, t), end_row
 
 
 @entry(*SAMPLED, QUERY, returns=bool)
@@ -674,8 +674,9 @@ def fit(model, trajectory, spans, workspace):  # type: ignore[no-untyped-def]
     """Fill `spans.out` and return whether there are such ticks.
 
     In flight the fastest motion goes at most 2 radians either side of a piece's middle. There the series leaves out
-    2^14 / 14! = 2e-7 of it, and its shortening to eight terms 2 / 8! = 5e-5; longer pieces go through
-    samples. In a step of a contact a millionth is left out, in a tabulated contact up to a thousandth of the pulse.
+    2^14 / 14! = 2e-7 of it, and its shortening to eight terms 2 / 8! = 5e-5; longer pieces go through samples. In a
+    step of a contact a millionth is left out; in a tabulated one the polynomial misses the force by up to a thousandth
+    of its peak.
     """
     p, flight, history = model.parameters[0], workspace.flight[0], trajectory.history
     flight.omega, workspace.pulse_row[0] = -1.0, -1
@@ -716,7 +717,7 @@ def fit(model, trajectory, spans, workspace):  # type: ignore[no-untyped-def]
     return True
 
 
-PARTS = 3
+TABULATED_PIECES = 3
 """Pieces in which a tabulated contact is smooth enough for the instruments' polynomials."""
 
 
@@ -724,7 +725,7 @@ PARTS = 3
 def refine(trajectory, tick, offset):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Fill in tick and offset [s] of the instants between which all is smooth; return how many there are.
 
-    The arrays have room for PARTS instants a state.
+    The arrays have room for TABULATED_PIECES instants a state.
     """
     history, first_state, count = trajectory.history, trajectory.first_state, 0
     tick_index = -1
@@ -738,10 +739,10 @@ def refine(trajectory, tick, offset):  # type: ignore[no-untyped-def]  # compile
             count += 1
             if s.phase == CONTACT and s.tabulated != 0:
                 duration = history[row + 1].t - s.t
-                for part in range(1, PARTS):
+                for part in range(1, TABULATED_PIECES):
                     tick[count], offset[count] = (
                         trajectory.first_tick + tick_index,
-                        segment_start + (s.t + duration * (part / PARTS)),
+                        segment_start + (s.t + duration * (part / TABULATED_PIECES)),
                     )
                     count += 1
     return count

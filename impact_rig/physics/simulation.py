@@ -24,8 +24,8 @@ from impact_rig.physics.fundamental import CYCLE, follow_cycles
 from impact_rig.physics.linear import MechanicsSetup
 from impact_rig.physics.model import CONTACT_RTOL, Model, build
 from impact_rig.physics.sampling import (
-    PARTS,
     QUANTITIES,
+    TABULATED_PIECES,
     Query,
     SamplingWorkspace,
     Spans,
@@ -178,7 +178,7 @@ class Motion:
 
         These are all states that were kept, at events and steps of contacts, and two places in each tabulated contact.
         """
-        most = PARTS * len(self._trajectory.history)
+        most = TABULATED_PIECES * len(self._trajectory.history)
         tick, offset = np.empty(most, np.int64), np.empty(most)
         count = refine(self._trajectory, tick, offset)
         return tick[:count], offset[:count]

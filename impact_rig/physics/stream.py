@@ -86,15 +86,15 @@ class Buffer:
         self._whole_to = 0
         self.ends.clear()
 
-    def there(self, first: int, last: int) -> NDArray[np.bool_]:
-        """Return which of the samples first … last − 1 are there."""
-        numbers = np.arange(first, last)
+    def there(self, first: int, end: int) -> NDArray[np.bool_]:
+        """Return which of the samples first … end − 1 are there."""
+        numbers = np.arange(first, end)
         found: NDArray[np.bool_] = self._tags[numbers % self.capacity] == numbers + 1
         return found
 
-    def values(self, first: int, last: int) -> NDArray[np.float64]:
-        """Return the samples first … last − 1."""
-        found: NDArray[np.float64] = self._values[np.arange(first, last) % self.capacity]
+    def values(self, first: int, end: int) -> NDArray[np.float64]:
+        """Return the samples first … end − 1."""
+        found: NDArray[np.float64] = self._values[np.arange(first, end) % self.capacity]
         return found
 
     def first_missing(self, first: int) -> int:
@@ -129,21 +129,22 @@ class Stream:
         self.missing = 0
         self.events: list[Happened] = []
         self._linear = drive.stream_hold == "first_order"
-        self._holds = drive.on_underrun == "hold"
+        self._holds_on_underrun = drive.on_underrun == "hold"
         self._recent = np.zeros(2)  # the last two samples in force
-        self._from, self._since, self._falls = 0.0, 0, True
-        self._why = UNDERRUN
-        self._sum_first, self._sum_count, self._sum = 0, 0, 0
-        self._ramp = 1
+        self._last_value = 0.0  # the last value in force: what is held, or what a ramp begins from
+        self._ramped = 0  # missing samples since then, at most those of a ramp
+        self._ramps_down = True  # whether it ramps to zero from there, or holds the value
+        self._end_reason = UNDERRUN  # why it ends where a sample is missing, unless its controller has ended it there
+        self._crc_first, self._crc_count, self._crc = 0, 0, 0
+        self._ramp_samples = 1  # samples of a ramp to zero
         self.set_ramp(shaker.ramp_s)
 
     def set_ramp(self, ramp_s: float) -> None:
         """Ramp to zero within another time where samples are missing; a ramp under way starts again with it."""
-        if (
-            self.state is not StreamState.PLAYING and self._falls and self._since
-        ):  # from where it is: the drive must not jump
-            self._from, self._since = self._from * (1.0 - self._since / self._ramp), 0
-        self._ramp = max(1, math.ceil(ramp_s * self.rate_hz - 1e-9))
+        if self.state is not StreamState.PLAYING and self._ramps_down and self._ramped:
+            # from where it is: the drive must not jump
+            self._last_value, self._ramped = self._last_value * (1.0 - self._ramped / self._ramp_samples), 0
+        self._ramp_samples = max(1, math.ceil(ramp_s * self.rate_hz - 1e-9))
 
     def copy(self) -> Stream:
         """Return a stream that goes on from here on its own, from the same buffer."""
@@ -177,11 +178,11 @@ class Stream:
     def stop(self) -> None:
         """Play nothing more of what is buffered, and ramp to zero."""
         self.buffer.clear()
-        self._why = STOPPED
+        self._end_reason = STOPPED
         if self.state is not StreamState.PLAYING:
             self.state = StreamState.OVER
-        if not self._falls:  # it holds a value for want of others
-            self._since, self._falls = 0, True
+        if not self._ramps_down:  # it holds a value for want of others
+            self._ramped, self._ramps_down = 0, True
 
     def buffered(self) -> int:
         """Return how many samples are there that follow each other from the next one wanted on."""
@@ -196,35 +197,36 @@ class Stream:
     def whole_ticks(self) -> int | None:
         """Return up to which tick samples suffice, or None: no more will come."""
         missing = self._first_missing()
-        over = self.state is StreamState.OVER or self._why == STOPPED
+        over = self.state is StreamState.OVER or self._end_reason == STOPPED
         if missing in self.buffer.ends or (over and missing == self.played):
             return None
         return self._tick_of(missing)
 
     def segments(self, tick: int, count: int, tick_s: float) -> NDArray[np.void]:
         """Return the drive of the ticks tick … tick + count − 1, dtype `SEGMENT`."""
-        begin, end = tick * COMMAND_GRID_NS, (tick + count) * COMMAND_GRID_NS
-        first = -(-(begin + 1) * self.rate_hz // NS_PER_S) - 1  # the last one not after the begin
-        before, last = self.played, -(-end * self.rate_hz // NS_PER_S) + self._linear
-        values = self._play(last)
-        values = np.concatenate([self._recent[2 - before + first :], values]) if first < before else values
+        begin_ns, end_ns = tick * COMMAND_GRID_NS, (tick + count) * COMMAND_GRID_NS
+        first = -(-(begin_ns + 1) * self.rate_hz // NS_PER_S) - 1  # the last one not after the begin
+        first_new, end = self.played, -(-end_ns * self.rate_hz // NS_PER_S) + self._linear
+        values = self._play(end)
+        values = np.concatenate([self._recent[2 - first_new + first :], values]) if first < first_new else values
         self._recent = np.concatenate([self._recent, values])[-2:]
-        numbers = np.arange(first, last)
-        times = numbers // self.rate_hz * NS_PER_S + numbers % self.rate_hz * NS_PER_S // self.rate_hz
-        edges = np.concatenate([times[(times >= begin) & (times < end)], np.arange(begin, end, COMMAND_GRID_NS)])
+        numbers = np.arange(first, end)
+        times_ns = numbers // self.rate_hz * NS_PER_S + numbers % self.rate_hz * NS_PER_S // self.rate_hz
+        inside = (times_ns >= begin_ns) & (times_ns < end_ns)
+        edges = np.concatenate([times_ns[inside], np.arange(begin_ns, end_ns, COMMAND_GRID_NS)])
         edges.sort(kind="stable")  # two runs to merge; numpy's `union1d` takes five times as long
         edges = edges[np.diff(edges, prepend=-1) > 0]
-        at = np.searchsorted(times, edges, side="right") - 1
+        at = np.searchsorted(times_ns, edges, side="right") - 1
         rows = np.zeros(len(edges), SEGMENT)
         rows["begin"] = edges % COMMAND_GRID_NS / COMMAND_GRID_NS * tick_s
-        rows["duration"] = np.diff(edges, append=end) / COMMAND_GRID_NS * tick_s
+        rows["duration"] = np.diff(edges, append=end_ns) / COMMAND_GRID_NS * tick_s
         rows["phase"] = PI / 2.0
         rows["amplitude"] = values[at]
         if self._linear:
-            part = (edges - times[at]) / (times[at + 1] - times[at])
-            step = values[at + 1] - values[at]
-            rows["amplitude"] += step * part
-            rows["growth"] = step / ((times[at + 1] - times[at]) / COMMAND_GRID_NS * tick_s)
+            progress = (edges - times_ns[at]) / (times_ns[at + 1] - times_ns[at])
+            rise = values[at + 1] - values[at]
+            rows["amplitude"] += rise * progress
+            rows["growth"] = rise / ((times_ns[at + 1] - times_ns[at]) / COMMAND_GRID_NS * tick_s)
         if (tick + count) % SUM_TICKS == 0:
             self._sum_up()
         return rows
@@ -236,13 +238,13 @@ class Stream:
         """Return the first tick that needs a sample."""
         return self.time_ns(max(0, sample - self._linear)) // COMMAND_GRID_NS
 
-    def _play(self, last: int) -> NDArray[np.float64]:
-        """Return the values of the samples played … last − 1, which from now on are in force."""
+    def _play(self, end: int) -> NDArray[np.float64]:
+        """Return the values of the samples played … end − 1, which from now on are in force."""
         parts = [np.empty(0)]
-        while self.played < last:
-            there = self.buffer.there(self.played, last)
+        while self.played < end:
+            there = self.buffer.there(self.played, end)
             change = np.flatnonzero(there != there[0])
-            count = int(change[0]) if len(change) else last - self.played
+            count = int(change[0]) if len(change) else end - self.played
             parts.append(self._samples(count) if there[0] else self._without(count))
             self.played += count
         return np.concatenate(parts)
@@ -251,30 +253,30 @@ class Stream:
         if self.state is not StreamState.PLAYING:
             self.state = StreamState.PLAYING
             self.events.append(Happened(Event.BEGIN, self.played))
-        self._why = UNDERRUN
+        self._end_reason = UNDERRUN
         values = self.buffer.values(self.played, self.played + count)
-        if self._sum_count == 0:
-            self._sum_first = self.played
-        self._sum, self._sum_count = binascii.crc32(values.tobytes(), self._sum), self._sum_count + count
-        self._from = float(values[-1])
+        if self._crc_count == 0:
+            self._crc_first = self.played
+        self._crc, self._crc_count = binascii.crc32(values.tobytes(), self._crc), self._crc_count + count
+        self._last_value = float(values[-1])
         return values
 
     def _without(self, count: int) -> NDArray[np.float64]:
         """Return what stands in place of samples that are missing: zero, a straight ramp to it, or the last one."""
         if self.state is StreamState.PLAYING:
             self._sum_up()
-            why = ENDED if self._why == UNDERRUN and self.played in self.buffer.ends else self._why
+            why = ENDED if self._end_reason == UNDERRUN and self.played in self.buffer.ends else self._end_reason
             self.events.append(Happened(Event.END, self.played, why))
             self.state = StreamState.MISSING if why == UNDERRUN else StreamState.OVER
-            self._since, self._falls = 0, why != UNDERRUN or not self._holds
+            self._ramped, self._ramps_down = 0, why != UNDERRUN or not self._holds_on_underrun
         self.missing += count * (self.state is StreamState.MISSING)
-        steps = np.arange(self._since + 1, self._since + count + 1)
-        self._since = min(self._since + count, self._ramp)
-        if not self._falls:
-            return np.full(count, self._from)
-        return np.asarray(self._from * (1.0 - np.minimum(steps, self._ramp) / self._ramp))
+        ramped = np.arange(self._ramped + 1, self._ramped + count + 1)
+        self._ramped = min(self._ramped + count, self._ramp_samples)
+        if not self._ramps_down:
+            return np.full(count, self._last_value)
+        return np.asarray(self._last_value * (1.0 - np.minimum(ramped, self._ramp_samples) / self._ramp_samples))
 
     def _sum_up(self) -> None:
-        if self._sum_count:
-            self.events.append(Happened(Event.SUM, self._sum_first, f"{self._sum_count} {self._sum:08x}"))
-        self._sum_count = self._sum = 0
+        if self._crc_count:
+            self.events.append(Happened(Event.SUM, self._crc_first, f"{self._crc_count} {self._crc:08x}"))
+        self._crc_count = self._crc = 0

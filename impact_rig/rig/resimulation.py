@@ -88,16 +88,16 @@ class RecordedSamples(Buffer):
                 self.ends.add(int(entry.value))
         self._seconds = NS_PER_S / rig.stream.rate_hz / NS_PER_S
 
-    def there(self, first: int, last: int) -> NDArray[np.bool_]:
-        """Return which of the samples first … last − 1 were in force.
+    def there(self, first: int, end: int) -> NDArray[np.bool_]:
+        """Return which of the samples first … end − 1 were in force.
 
         Raises:
             ConfigError: one of them is not in the recording.
         """
-        numbers = np.arange(first, last)
+        numbers = np.arange(first, end)
         wanted = np.searchsorted(self._changes, numbers, side="right") % 2 == 0
-        held = np.zeros(last - first, np.bool_)
-        known = self._are_there[first:last]
+        held = np.zeros(end - first, np.bool_)
+        known = self._are_there[first:end]
         held[: len(known)] = known
         lacking = numbers[wanted & ~held]
         if len(lacking) and (lacking[0] < len(self._recorded) or lacking[0] < self._changes[-1]):
@@ -108,9 +108,9 @@ class RecordedSamples(Buffer):
         held &= wanted
         return held
 
-    def values(self, first: int, last: int) -> Samples:
-        """Return the samples first … last − 1."""
-        found: Samples = self._recorded[first:last]
+    def values(self, first: int, end: int) -> Samples:
+        """Return the samples first … end − 1."""
+        found: Samples = self._recorded[first:end]
         return found
 
     def first_missing(self, first: int) -> int:
