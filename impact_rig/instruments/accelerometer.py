@@ -87,7 +87,7 @@ class Accelerometer(Instrument):
             noise=self.noise_v_rms / volt_per_unit,
             adc_range_v=self.adc_range_v,
             inverted=self.inverted,
-            settled=False,
+            starts_settled=False,
         )
 
     def message(self, reading: float, clipped: bool, noise: float) -> Mapping[str, object]:  # noqa: ARG002

@@ -28,7 +28,7 @@ _VARIANCE_C = 1.0 / 6.0
 
 
 @attrs.frozen
-class Errors:
+class ChannelErrors:
     """What is wrong with one channel, each within ± 1 of its tolerance; (c_2, c_3) within |c_2| + |c_3| <= 1."""
 
     gain: float = 0.0
@@ -45,10 +45,12 @@ class BoardErrors:
     offset: float = 0.0
 
 
-def draw(random: Random) -> Errors:
+def draw_channel(random: Random) -> ChannelErrors:
     """Draw the errors of a channel."""
-    gain, offset, p, q = 2.0 * random.uniform(4) - 1.0
-    return Errors(float(gain), float(offset), float(0.5 * (p + q)), float(0.5 * (p - q)))
+    gain, offset, total, difference = 2.0 * random.uniform(4) - 1.0
+    return ChannelErrors(
+        float(gain), float(offset), float(0.5 * (total + difference)), float(0.5 * (total - difference))
+    )
 
 
 def draw_board(random: Random) -> BoardErrors:
@@ -70,16 +72,16 @@ def converter_noise_v(sensor: Sensor, adc: Adc) -> float:
 def gain_uncertainty(sensor: Sensor, adc: Adc) -> float:
     """Return the relative standard uncertainty of the sensitivity, for signals anywhere within the range."""
     slope = 1.5 * sensor.linearity / sensor.half_range
-    even = _square(sensor.gain_tolerance) / 3.0 + _square(adc.gain_tolerance) / 3.0
-    return math.sqrt(even + _square(slope) * _VARIANCE_C)
+    rectangular = _square(sensor.gain_tolerance) / 3.0 + _square(adc.gain_tolerance) / 3.0
+    return math.sqrt(rectangular + _square(slope) * _VARIANCE_C)
 
 
 def offset_uncertainty(sensor: Sensor, adc: Adc) -> float:
     """Return the standard uncertainty of the zero [unit]."""
     board = adc.offset_tolerance * sensor.adc_range_v / sensor.volt_per_unit
     middle = 0.5 * sensor.linearity
-    even = _square(sensor.offset_tolerance) / 3.0 + _square(board) / 3.0
-    return math.sqrt(even + _square(middle) * _VARIANCE_C)
+    rectangular = _square(sensor.offset_tolerance) / 3.0 + _square(board) / 3.0
+    return math.sqrt(rectangular + _square(middle) * _VARIANCE_C)
 
 
 def total_noise(sensor: Sensor, adc: Adc) -> float:

@@ -31,17 +31,17 @@ from impact_rig.instruments.channel import (
 )
 from impact_rig.instruments.conversion import CHANNEL, set_converter, set_output, take_rows
 from impact_rig.instruments.fault import Fault, FaultBoard
-from impact_rig.instruments.pieces import PIECES_PER_PERIOD, Limits, Pieces, PiecewiseMotion, cut
-from impact_rig.instruments.response import SENSOR_MODE, records_of
+from impact_rig.instruments.pieces import PIECES_PER_PERIOD, Limits, PiecewiseMotion, Pieces, cut
+from impact_rig.instruments.response import SENSOR_MODE, mode_records
 from impact_rig.instruments.section import InstrumentSetup, row_type_of
-from impact_rig.instruments.sensor import Sensor, SensorModes
+from impact_rig.instruments.sensor import SensorModes, Sensor
 from impact_rig.kernels import records
 from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S
 
 SEED_STREAM = 1
 """First number of the spawn key of every generator of the instruments."""
 _LONGEST_PIECE_S = 2.5e-3
-_LONGEST_PULSE_PIECE_S = 16e-6
+_LONGEST_CONTACT_PIECE_S = 16e-6
 """Integration steps inside a contact are joined up to this: three polynomials hold one of 40 µs to 0.1 %."""
 _TICKS_AT_ONCE = 25
 """Arrays of a quarter of a second fit into the caches; the bits are the same for any number."""
@@ -97,23 +97,23 @@ class Chain:
         self._sensors = sensors(config)
         self._board = calibration.draw_board(Random(self._seed(_BOARD, 0)))
         places = [instrument.place for instrument in config.instruments.fitted()]
-        self._errors = [calibration.draw(Random(self._seed(_ERRORS, place))) for place in places]
+        self._errors = [calibration.draw_channel(Random(self._seed(_ERRORS, place))) for place in places]
         self._channels = records(len(places), CHANNEL)
         for index, place in enumerate(places):
-            self._channels["noise"][index] = Random(self._seed(_NOISE, place)).state
-            self._channels["converter_noise"][index] = Random(self._seed(_CONVERTER_NOISE, place)).state
+            self._channels["noise_random"][index] = Random(self._seed(_NOISE, place)).state
+            self._channels["adc_random"][index] = Random(self._seed(_CONVERTER_NOISE, place)).state
         self._channels["due"] = self._clock.skews
         self._sines: dict[int, Sine] = {}
         self._names = tuple(sensor.name for sensor in self._sensors)
         self._quantities = tuple(sensor.quantity for sensor in self._sensors)
-        self._most = self._clock.scans_per_tick() + 1
-        self._buffers = new_buffers(len(places), _TICKS_AT_ONCE * self._most + _LEFT_OVER)
+        self._most_per_tick = self._clock.scans_per_tick() + 1
+        self._buffers = new_buffers(len(places), _TICKS_AT_ONCE * self._most_per_tick + _LEFT_OVER)
         self._words = self._buffers.values.view(np.uint64)
-        self._chains: list[SensorModes] = []
+        self._dynamics: list[SensorModes] = []
         self._modes: NDArray[np.void] = records(0, SENSOR_MODE)
-        self._longest_s = _LONGEST_PIECE_S
+        self._longest_piece_s = _LONGEST_PIECE_S
         if config.drive.waveform == "chirp":  # no command: it may end beyond the highest frequency of one
-            self._note_fastest(config.drive.chirp_end_hz)
+            self._shorten_pieces(config.drive.chirp_end_hz)
         self._equip()
         rate = config.daq.rate_hz
         self._faults = FaultBoard(config.instruments.faults.faults(rate), rate)
@@ -149,7 +149,7 @@ class Chain:
                 raise ConfigError(f"{key} cannot change without a reset: is {old}, got {new}")
         if config.instruments == self._config.instruments:
             self._config = config
-            self._note_fastest(config.shaker.frequency_max_hz)
+            self._shorten_pieces(config.shaker.frequency_max_hz)
             return
         skews, ideal = self._clock.skews, self._config.instruments.ideal
         self._clock = scan_clock(config)
@@ -177,10 +177,13 @@ class Chain:
                 self._acquire_directly(motion, motion_tick + first, ticks, tick_s, clock)
             else:
                 pieces = cut(
-                    breakpoints, motion_tick + first, ticks, Limits(tick_s, self._longest_s, _LONGEST_PULSE_PIECE_S)
+                    breakpoints,
+                    motion_tick + first,
+                    ticks,
+                    Limits(tick_s, self._longest_piece_s, _LONGEST_CONTACT_PIECE_S),
                 )
                 self._acquire(motion, pieces, blows, motion_tick + first, clock)
-            self._note_rows(ticks)
+            self._make_rows(ticks)
             self._tick += ticks
 
     def read(self, count: int) -> NDArray[np.void]:
@@ -207,9 +210,9 @@ class Chain:
         self._next_scan += count
         return rows
 
-    def _note_rows(self, ticks: int) -> None:
+    def _make_rows(self, ticks: int) -> None:
         """Make rows of all that every channel has finished after so many new ticks."""
-        rows = np.empty((ticks * self._most + _LEFT_OVER) * self._row_type.itemsize, np.uint8)
+        rows = np.empty((ticks * self._most_per_tick + _LEFT_OVER) * self._row_type.itemsize, np.uint8)
         count = take_rows(self._channels, self._words, self._buffers.clipped, rows, self._layout)
         if count:
             # a view as records is looked through by NumPy
@@ -276,32 +279,32 @@ class Chain:
         return self._faults.block_lost(first_scan, count)
 
     def clock_ppm(self, tick: int) -> float:
-        """Return how fast clock_drift faults make the scan clock at a tick [ppm]: part of that tick's `tick_s`."""
+        """Return by how much clock_drift faults make the scan clock slow at a tick [ppm]: it lasts so much longer."""
         return self._faults.clock_ppm(-(-tick * COMMAND_GRID_NS * self._clock.rate_hz // NS_PER_S))
 
     def _equip(self, *, keep: bool = False) -> None:
         """Give the channels what their sensors are; if `keep`, modes of unchanged dynamics go on as they are."""
         config, channels, modes = self._config, self._channels, []
-        chains = [sensor.transfer.modes() for sensor in self._sensors]
-        for j, (sensor, chain) in enumerate(zip(self._sensors, chains, strict=True)):
+        dynamics = [sensor.transfer.modes() for sensor in self._sensors]
+        for j, (sensor, own) in enumerate(zip(self._sensors, dynamics, strict=True)):
             row = channels[j : j + 1]
             set_output(row, sensor, self._errors[j], 1.0 / self._clock.rate_hz)
             set_converter(row, sensor, config.instruments.adc, self._board)
-            goes_on = keep and chain.same_as(self._chains[j])
+            goes_on = keep and own.same_as(self._dynamics[j])
             first, count = int(row["first_mode"][0]), int(row["modes"][0])
             modes.append(
-                self._modes[first : first + count].copy() if goes_on else records_of(chain.poles, chain.residues)
+                self._modes[first : first + count].copy() if goes_on else mode_records(own.poles, own.residues)
             )
-            row["settled"], row["awake"] = sensor.settled, goes_on and row["awake"][0]
+            row["starts_settled"], row["awake"] = sensor.starts_settled, goes_on and row["awake"][0]
         *firsts, total = itertools.accumulate(map(len, modes), initial=0)
         channels["modes"], channels["first_mode"] = list(map(len, modes)), firsts
-        self._chains, self._modes = chains, records(total, SENSOR_MODE)
+        self._dynamics, self._modes = dynamics, records(total, SENSOR_MODE)
         self._modes[:] = np.concatenate(modes)
-        self._note_fastest(config.shaker.frequency_max_hz)
+        self._shorten_pieces(config.shaker.frequency_max_hz)
 
-    def _note_fastest(self, frequency_hz: float) -> None:
+    def _shorten_pieces(self, frequency_hz: float) -> None:
         """Cut pieces as short as such a drive needs; no longer ones until a reset: a faster one may still be on."""
-        self._longest_s = min(self._longest_s, 1.0 / (PIECES_PER_PERIOD * frequency_hz))
+        self._longest_piece_s = min(self._longest_piece_s, 1.0 / (PIECES_PER_PERIOD * frequency_hz))
 
     def _acquire(
         self, motion: PiecewiseMotion, pieces: Pieces, blows: NDArray[np.void], motion_tick: int, clock: Clock
@@ -325,27 +328,27 @@ class Chain:
             self._faults.on_cable(sensor.name, values, clipped, first, sensor.volt_per_unit, sensor.offset_v)
         digitise(self._channels, self._buffers)
         for one in faulty:
-            self._repeat(*one)
+            self._stick(*one)
 
     def _acquire_directly(
         self, motion: PiecewiseMotion, motion_tick: int, ticks: int, tick_s: float, clock: Clock
     ) -> None:
         """Read the motion itself: ideal instruments have no skew, all channels are converted at the same instants."""
-        tick, offset = np.empty(ticks * self._most, np.int64), np.empty(ticks * self._most)
+        tick, offset = np.empty(ticks * self._most_per_tick, np.int64), np.empty(ticks * self._most_per_tick)
         count = instants(self._channels, clock, ticks, tick_s, tick, offset)
         tick, offset = tick[:count], offset[:count]
         self._sines = still_on(self._sines.items(), self._tick, tick_s)
-        for j, seen in enumerate(motion.quantities(self._quantities, tick + motion_tick, offset)):
+        for j, values_there in enumerate(motion.quantities(self._quantities, tick + motion_tick, offset)):
             one = j, *self._newest(j)
             _, values, clipped, first, _ = one
             own = slice(count - len(values), count)  # one more where a skew had kept the channel a scan behind
-            values[:], clipped[:] = seen[own], False
+            values[:], clipped[:] = values_there[own], False
             if j in self._sines:
                 at = tick[own] + self._tick
                 on = self._sines[j].covers(at)
                 values[on] = self._sines[j].values(at[on], offset[own][on])[0]
             self._faults.on_cable(self._names[j], values, clipped, first, 1.0, 0.0)
-            self._repeat(*one)
+            self._stick(*one)
         self._channels["finished"] = self._channels["filled"]
 
     def _newest(self, channel: int) -> tuple[NDArray[np.float64], NDArray[np.bool_], int, float | None]:
@@ -353,16 +356,16 @@ class Chain:
         row = self._channels[channel]
         part = slice(int(row["finished"]), int(row["filled"]))
         first = int(row["converted"]) - (part.stop - part.start)
-        last = float(row["last"]) if first else None
+        last = float(row["last_reading"]) if first else None
         return self._buffers.values[channel, part], self._buffers.clipped[channel, part], first, last
 
-    def _repeat(
+    def _stick(
         self, channel: int, readings: NDArray[np.float64], clipped: NDArray[np.bool_], first: int, last: float | None
     ) -> None:
         """Let a stuck converter repeat itself."""
         self._faults.behind_converter(self._names[channel], readings, clipped, first, last)
         if len(readings):
-            self._channels["last"][channel] = readings[-1]
+            self._channels["last_reading"][channel] = readings[-1]
 
     def _seed(self, purpose: int, index: int) -> np.random.SeedSequence:
         return np.random.SeedSequence(self._config.daq.seed, spawn_key=(SEED_STREAM, purpose, index))
@@ -372,11 +375,11 @@ def _kicks(blows: NDArray[np.void], motion_tick: int, pieces: Pieces, mass_kg: f
     """Return what instantaneous impacts add to the structure's velocity [m/s] at each piece's start, shape (n,)."""
     kicks = np.zeros(len(pieces.start))
     tick = blows["tick"] - motion_tick
-    for k, blow in zip(tick, blows, strict=True):
-        if 0 <= k < len(pieces.first) - 1:
-            low, high = pieces.first[k], pieces.first[k + 1]
+    for tick_index, blow in zip(tick, blows, strict=True):
+        if 0 <= tick_index < len(pieces.first_piece) - 1:
+            first, end = pieces.first_piece[tick_index], pieces.first_piece[tick_index + 1]
             # blows within 16 µs of each other share a piece: all come at its start
-            piece = low + np.searchsorted(pieces.start[low:high], blow["offset"] + 1e-9, side="right") - 1
+            piece = first + np.searchsorted(pieces.start[first:end], blow["offset"] + 1e-9, side="right") - 1
             kicks[piece] += float(blow["wall"]) * float(blow["impulse"]) / mass_kg
     return kicks
 

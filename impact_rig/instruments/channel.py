@@ -20,7 +20,15 @@ from impact_rig.arithmetic.interpolation import polynomials
 from impact_rig.errors import ConfigError
 from impact_rig.instruments.conversion import CHANNEL, STRETCH, TWO_D_FLAGS, to_units, to_volts
 from impact_rig.instruments.pieces import PIECES, Pieces
-from impact_rig.instruments.response import SENSOR_MODE, SERIES, first_value, put_out, set_period, settle, through_piece
+from impact_rig.instruments.response import (
+    SENSOR_MODE,
+    SERIES_TERMS,
+    input_at_start,
+    output_at_start,
+    set_period,
+    settle,
+    through_piece,
+)
 from impact_rig.instruments.section import InstrumentSetup
 from impact_rig.kernels import INTEGERS, REALS, REALS_2D, REALS_3D, Fields, entry, kernel
 from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S
@@ -65,13 +73,13 @@ def scan_clock(config: InstrumentSetup) -> ScanClock:
             f"daq.rate_hz must be <= {int(adc.aggregate_limit_hz) // channels} Hz: {channels} channels share"
             f" instruments.adc.aggregate_limit_hz = {adc.aggregate_limit_hz:g} Hz, got {rate} Hz"
         )
-    unit = rate * channels  # clock units per nanosecond
-    interval = min(adc.conversion_ns * unit, NS_PER_S)  # the smaller of the board's and period / channels
-    apart = adc.multiplexed and not config.instruments.ideal
+    units_per_ns = rate * channels  # clock units per nanosecond
+    interval = min(adc.conversion_ns * units_per_ns, NS_PER_S)  # the smaller of the board's and period / channels
+    is_skewed = adc.multiplexed and not config.instruments.ideal
     return ScanClock(
         rate_hz=rate,
-        lengths=Clock(NS_PER_S * channels, COMMAND_GRID_NS * unit),
-        skews=tuple(channel * interval * apart for channel in range(channels)),
+        lengths=Clock(NS_PER_S * channels, COMMAND_GRID_NS * units_per_ns),
+        skews=tuple(channel * interval * is_skewed for channel in range(channels)),
     )
 
 
@@ -82,7 +90,7 @@ class Buffers(NamedTuple):
         values: output [unit], then volts, then readings [unit], shape (channels, room).
         clipped: whether each was at an end of a range, likewise.
         white: scratch for random numbers, shape (STRETCH,).
-        series: scratch of `response`, shape (3, SERIES).
+        series: scratch of `response`, shape (3, SERIES_TERMS).
         first_and_spacing: scratch, shape (2,): see `response.through_piece`.
     """
 
@@ -99,7 +107,7 @@ BUFFERS = Fields(Buffers, (REALS_2D, TWO_D_FLAGS, REALS, REALS_2D, REALS))
 def new_buffers(channels: int, room: int) -> Buffers:
     """Return buffers for so many readings of each channel."""
     values, clipped = np.zeros((channels, room)), np.zeros((channels, room), np.bool_)
-    return Buffers(values, clipped, np.zeros(STRETCH), np.zeros((3, SERIES)), np.zeros(2))
+    return Buffers(values, clipped, np.zeros(STRETCH), np.zeros((3, SERIES_TERMS)), np.zeros(2))
 
 
 @kernel
@@ -125,14 +133,14 @@ def _respond(channel, modes, clock, pieces, coefficients, kicks, values, buffers
     set_period(modes, first_and_spacing[1])
     if channel.awake == 0:
         channel.awake = 1
-        if channel.settled != 0:
-            settle(modes, first_value(coefficients[0]))
+        if channel.starts_settled != 0:
+            settle(modes, input_at_start(coefficients[0]))
     if channel.due < 0:  # a skew that became smaller has put it before these ticks: it is made at their start
-        values[channel.filled] = put_out(modes)
+        values[channel.filled] = output_at_start(modes)
         channel.filled += 1
         channel.due += clock.period
-    for tick in range(pieces.first.shape[0] - 1):
-        for i in range(pieces.first[tick], pieces.first[tick + 1]):
+    for tick in range(pieces.first_piece.shape[0] - 1):
+        for i in range(pieces.first_piece[tick], pieces.first_piece[tick + 1]):
             if kicks.shape[0] > 0:
                 for k in range(modes.shape[0]):
                     modes[k].psi_re += kicks[i]
@@ -178,7 +186,7 @@ def digitise(channels, buffers):  # type: ignore[no-untyped-def]
             end = min(begin + STRETCH, channel.filled)
             to_units(channel, buffers.values[j, begin:end], buffers.clipped[j, begin:end], buffers.white[: end - begin])
         if channel.filled > channel.finished:
-            channel.last = buffers.values[j, channel.filled - 1]
+            channel.last_reading = buffers.values[j, channel.filled - 1]
         channel.finished = channel.filled
 
 

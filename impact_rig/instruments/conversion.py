@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from impact_rig.arithmetic.elementary import TWO_PI, exp, nearest
 from impact_rig.arithmetic.random import fill_normal
 from impact_rig.instruments import calibration
-from impact_rig.instruments.calibration import BoardErrors, Errors
+from impact_rig.instruments.calibration import BoardErrors, ChannelErrors
 from impact_rig.instruments.sensor import Adc, Sensor
 from impact_rig.kernels import BYTES, INTEGERS, Array, entry, kernel
 
@@ -48,20 +48,20 @@ CHANNEL = np.dtype(
         ("adc_gain", "f8"),  # gain of the converter as it really is, about 1 [-]
         ("adc_offset", "f8"),  # offset of the converter as it really is [V]
         ("lsb", "f8"),  # step of the converter [V]
-        ("lowest", "f8"),  # smallest code [-]
-        ("highest", "f8"),  # largest code [-]
+        ("lowest_code", "f8"),  # smallest code [-]
+        ("highest_code", "f8"),  # largest code [-]
         ("scale", "f8"),  # nominal unit per code [unit]
         ("zero", "f8"),  # nominal reading at code 0 [unit]
         ("coloured", "f8"),  # last value of the sensor's noise [unit]
-        ("noise", "u8", (4,)),  # state of the random numbers of the sensor's noise, see `Random`
-        ("converter_noise", "u8", (4,)),  # state of those of the converter's noise
-        ("settled", "i8"),  # 1: begins as if the motion's first value had stood for ever; 0: begins at zero
+        ("noise_random", "u8", (4,)),  # state of the random numbers of the sensor's noise, see `Random`
+        ("adc_random", "u8", (4,)),  # state of those of the converter's noise
+        ("starts_settled", "i8"),  # 1: begins as if the motion's first value had stood for ever; 0: begins at zero
         ("awake", "i8"),  # 1 once it has begun
         ("first_mode", "i8"),  # row of its first mode, see `response`
         ("modes", "i8"),  # how many modes it has
         ("due", "i8"),  # when in this tick its next conversion is [clock units]
         ("converted", "i8"),  # scans since the reset
-        ("last", "f8"),  # its last reading [unit]
+        ("last_reading", "f8"),  # its last reading [unit]
         ("finished", "i8"),  # how many values of its buffer are finished readings
         ("filled", "i8"),  # how many values its buffer has, the newest on their way through the stages
     ],
@@ -74,7 +74,7 @@ STRETCH = 512
 TWO_D_FLAGS, TWO_D_WORDS = Array(np.dtype("?"), 2), Array(np.dtype("u8"), 2)
 
 
-def set_output(channel: NDArray[np.void], sensor: Sensor, errors: Errors, scan_period_s: float) -> None:
+def set_output(channel: NDArray[np.void], sensor: Sensor, errors: ChannelErrors, scan_period_s: float) -> None:
     """Give one CHANNEL record the output stage of a sensor with these errors."""
     sign = -1.0 if sensor.inverted else 1.0
     gain = sign * sensor.volt_per_unit * (1.0 + errors.gain * sensor.gain_tolerance)
@@ -94,7 +94,7 @@ def set_converter(channel: NDArray[np.void], sensor: Sensor, adc: Adc, errors: B
     channel["adc_gain"] = 1.0 + errors.gain * adc.gain_tolerance
     channel["adc_offset"] = errors.offset * adc.offset_tolerance * sensor.adc_range_v
     channel["lsb"] = lsb
-    channel["lowest"], channel["highest"] = -float(1 << (adc.bits - 1)), float((1 << (adc.bits - 1)) - 1)
+    channel["lowest_code"], channel["highest_code"] = -float(1 << (adc.bits - 1)), float((1 << (adc.bits - 1)) - 1)
     channel["scale"], channel["zero"] = lsb / sensor.volt_per_unit, -sensor.offset_v / sensor.volt_per_unit
 
 
@@ -112,7 +112,7 @@ def to_volts(channel, values, clipped, white):  # type: ignore[no-untyped-def]
     Notes in `clipped` whether the sensor was at an end of its range; `white` is scratch, at last the noise [unit].
     """
     count = values.shape[0]
-    fill_normal(channel.noise, white)
+    fill_normal(channel.noise_random, white)
     coloured, memory, fresh = channel.coloured, channel.memory, channel.fresh
     for i in range(count):
         coloured = memory * coloured + fresh * white[i]
@@ -145,16 +145,16 @@ def to_units(channel, values, clipped, white):  # type: ignore[no-untyped-def]
     Adds to `clipped` where the converter was at an end of its range.
     """
     count = values.shape[0]
-    fill_normal(channel.converter_noise, white)
+    fill_normal(channel.adc_random, white)
     noise, gain, offset, per_lsb = channel.adc_noise, channel.adc_gain, channel.adc_offset, 1.0 / channel.lsb
-    lowest, highest, scale, zero = channel.lowest, channel.highest, channel.scale, channel.zero
+    lowest_code, highest_code, scale, zero = channel.lowest_code, channel.highest_code, channel.scale, channel.zero
     for i in range(count):
         code = (gain * (values[i] + noise * white[i]) + offset) * per_lsb
-        values[i] = nearest(clamped(code, lowest - 1.0, highest + 1.0))
+        values[i] = nearest(clamped(code, lowest_code - 1.0, highest_code + 1.0))
     for i in range(count):
-        clipped[i] |= (values[i] <= lowest) | (values[i] >= highest)
+        clipped[i] |= (values[i] <= lowest_code) | (values[i] >= highest_code)
     for i in range(count):
-        values[i] = scale * clamped(values[i], lowest, highest) + zero
+        values[i] = scale * clamped(values[i], lowest_code, highest_code) + zero
 
 
 @entry(CHANNEL, TWO_D_WORDS, TWO_D_FLAGS, BYTES, INTEGERS, returns=int)

@@ -63,14 +63,14 @@ class Pieces(NamedTuple):
     """Smooth pieces of some ticks, in order; offsets [s] count from the piece's tick.
 
     Attributes:
-        first: index of the first piece of each tick, and the number of pieces; shape (ticks + 1,).
+        first_piece: index of the first piece of each tick, and the number of pieces; shape (ticks + 1,).
         start: where each piece starts, shape (n,).
         end: where it ends, shape (n,).
         tick: the motion's number of the piece's tick, shape (n,).
         tick_s: duration of one tick.
     """
 
-    first: NDArray[np.int64]
+    first_piece: NDArray[np.int64]
     start: NDArray[np.float64]
     end: NDArray[np.float64]
     tick: NDArray[np.int64]
@@ -106,7 +106,7 @@ def cut(
 def _cut(tick, offset, motion_tick, limits, pieces):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Fill `pieces`, which has room; return how many there are."""
     tick_s, longest_s = limits.tick_s, limits.longest_s
-    first, start, end, piece_tick = pieces.first, pieces.start, pieces.end, pieces.tick
+    first, start, end, piece_tick = pieces.first_piece, pieces.start, pieces.end, pieces.tick
     ticks = first.shape[0] - 1
     count, next_break = 0, 0
     for tick_index in range(ticks):

@@ -9,7 +9,7 @@ the mode is the sum of a particular answer to it and of what it rings with:
     ψ = Σ ψ_k x^k + (ψ(−1) − Σ ψ_k (−1)^k) exp(λ half (x + 1))
 
     size >= 1    ψ_k = ((k + 1) ψ_{k+1} − half S_k) / (λ half),    ψ_8 = 0    downwards: of the same degree as S
-    size < 1     ψ_{k+1} = (λ half ψ_k + half S_k) / (k + 1),      ψ_0 = 0    upwards: a power series, SERIES terms
+    size < 1     ψ_{k+1} = (λ half ψ_k + half S_k) / (k + 1),      ψ_0 = 0    upwards: SERIES_TERMS of a power series
 
 with size = |Re λ half| + |Im λ half|. The polynomials of all modes of a channel are added up once a piece; a conversion
 then costs one polynomial, and a multiplication for each mode that still rings. Nothing depends on how conversions and
@@ -44,8 +44,8 @@ SENSOR_MODE = np.dtype(
 )
 """A mode of a channel."""
 
-SERIES = 16
-_SHORT = 10
+SERIES_TERMS = 16
+_SHORT_TERMS = 10
 """Terms of the sum of all modes' polynomials, where what lies beyond is lost in the rounding of the others."""
 _LOST = 2.0**-54
 _SILENT = 45.0  # exp(−45) = 3e-20
@@ -80,16 +80,16 @@ def settle(modes, level):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def first_value(seen):  # type: ignore[no-untyped-def]
-    """Return the polynomial S at x = −1."""
+def input_at_start(coefficients):  # type: ignore[no-untyped-def]
+    """Return S at x = −1, where the piece starts, by its coefficients."""
     value = 0.0
     for k in range(NODES - 1, -1, -1):
-        value = seen[k] - value
+        value = coefficients[k] - value
     return value
 
 
 @kernel
-def put_out(modes):  # type: ignore[no-untyped-def]
+def output_at_start(modes):  # type: ignore[no-untyped-def]
     """Return what the modes put out at the start of the piece."""
     value = 0.0
     for k in range(modes.shape[0]):
@@ -99,8 +99,8 @@ def put_out(modes):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _particular(mode, seen, half, psi):  # type: ignore[no-untyped-def]
-    """Fill psi, shape (2, SERIES), with the particular answer to S; return its values at x = −1 and 1, re and im."""
+def _particular(mode, coefficients, half, psi):  # type: ignore[no-untyped-def]
+    """Fill psi, shape (2, SERIES_TERMS), with the particular answer to S; return re and im of it at x = −1 and 1."""
     pole_half_re, pole_half_im = mode.pole_re * half, mode.pole_im * half
     re, im = 0.0, 0.0
     even_re, even_im, odd_re, odd_im = 0.0, 0.0, 0.0, 0.0
@@ -108,7 +108,7 @@ def _particular(mode, seen, half, psi):  # type: ignore[no-untyped-def]
         per_square = 1.0 / (pole_half_re * pole_half_re + pole_half_im * pole_half_im)
         reciprocal_re, reciprocal_im = pole_half_re * per_square, -pole_half_im * per_square
         for k in range(NODES - 1, -1, -1):
-            numerator_re, numerator_im = (k + 1) * re - half * seen[k], (k + 1) * im
+            numerator_re, numerator_im = (k + 1) * re - half * coefficients[k], (k + 1) * im
             re, im = (
                 numerator_re * reciprocal_re - numerator_im * reciprocal_im,
                 numerator_re * reciprocal_im + numerator_im * reciprocal_re,
@@ -118,34 +118,34 @@ def _particular(mode, seen, half, psi):  # type: ignore[no-untyped-def]
                 even_re, even_im = even_re + re, even_im + im
             else:
                 odd_re, odd_im = odd_re + re, odd_im + im
-        for k in range(NODES, SERIES):
+        for k in range(NODES, SERIES_TERMS):
             psi[0, k], psi[1, k] = 0.0, 0.0
     else:
-        for k in range(SERIES):
+        for k in range(SERIES_TERMS):
             psi[0, k], psi[1, k] = re, im
             if k % 2 == 0:
                 even_re, even_im = even_re + re, even_im + im
             else:
                 odd_re, odd_im = odd_re + re, odd_im + im
-            half_seen = half * seen[k] if k < NODES else 0.0
-            per_order = 1.0 / (k + 1)
+            half_coefficient = half * coefficients[k] if k < NODES else 0.0
+            per_power = 1.0 / (k + 1)
             re, im = (
-                ((pole_half_re * re - pole_half_im * im) + half_seen) * per_order,
-                (pole_half_re * im + pole_half_im * re) * per_order,
+                ((pole_half_re * re - pole_half_im * im) + half_coefficient) * per_power,
+                (pole_half_re * im + pole_half_im * re) * per_power,
             )
     return even_re - odd_re, even_im - odd_im, even_re + odd_re, even_im + odd_im
 
 
 @kernel
-def through_piece(modes, seen, length, first_and_spacing, scratch, out):  # type: ignore[no-untyped-def]
+def through_piece(modes, coefficients, length, first_and_spacing, scratch, out):  # type: ignore[no-untyped-def]
     """Carry the modes through a piece; fill `out` with what they put out at the conversions in it.
 
     Args:
         modes: of one channel.
-        seen: polynomial S of the input, shape (NODES,).
+        coefficients: of the polynomial S, the input, shape (NODES,).
         length: of the piece [s].
         first_and_spacing: time from its start to its first conversion, and from one conversion to the next [s].
-        scratch: shape (3, SERIES).
+        scratch: shape (3, SERIES_TERMS).
         out: one place for each conversion.
     """
     half, count = 0.5 * length, out.shape[0]
@@ -153,18 +153,18 @@ def through_piece(modes, seen, length, first_and_spacing, scratch, out):  # type
     total[:] = 0.0
     for n in range(modes.shape[0]):
         mode = modes[n]
-        first_re, first_im, last_re, last_im = _particular(mode, seen, half, psi)
-        free_re, free_im = mode.psi_re - first_re, mode.psi_im - first_im
+        start_re, start_im, end_re, end_im = _particular(mode, coefficients, half, psi)
+        free_re, free_im = mode.psi_re - start_re, mode.psi_im - start_im
         if count:
             residue_re, residue_im = mode.residue_re, mode.residue_im
-            for k in range(SERIES):
+            for k in range(SERIES_TERMS):
                 total[k] += residue_re * psi[0, k] - residue_im * psi[1, k]
             decay_re, decay_im = decayed(mode.pole_re, mode.pole_im, first_and_spacing[0])
             re, im = decay_re * free_re - decay_im * free_im, decay_re * free_im + decay_im * free_re
             mode.free_re, mode.free_im = residue_re * re - residue_im * im, residue_re * im + residue_im * re
         decay_re, decay_im = decayed(mode.pole_re, mode.pole_im, length)
-        mode.psi_re = (decay_re * free_re - decay_im * free_im) + last_re
-        mode.psi_im = (decay_re * free_im + decay_im * free_re) + last_im
+        mode.psi_re = (decay_re * free_re - decay_im * free_im) + end_re
+        mode.psi_im = (decay_re * free_im + decay_im * free_re) + end_im
     if count:
         largest = _fill_polynomial(total, (first_and_spacing[0] - half) / half, first_and_spacing[1] / half, out)
         for n in range(modes.shape[0]):
@@ -175,9 +175,9 @@ def through_piece(modes, seen, length, first_and_spacing, scratch, out):  # type
 def _fill_polynomial(total, first, spacing, out):  # type: ignore[no-untyped-def]
     """Fill in the polynomial at x = first, first + spacing, …; return the size of its coefficients."""
     largest, beyond = 0.0, 0.0
-    for k in range(SERIES):
+    for k in range(SERIES_TERMS):
         largest = max(largest, abs(total[k]))
-        if k >= _SHORT:
+        if k >= _SHORT_TERMS:
             beyond = max(beyond, abs(total[k]))
     o_0, o_1, o_2, o_3, o_4 = total[0], total[1], total[2], total[3], total[4]  # read once, not for each conversion
     o_5, o_6, o_7, o_8, o_9 = total[5], total[6], total[7], total[8], total[9]
@@ -188,8 +188,8 @@ def _fill_polynomial(total, first, spacing, out):  # type: ignore[no-untyped-def
     if beyond > _LOST * largest:
         for i in range(out.shape[0]):
             x = first + i * spacing
-            value = total[SERIES - 1]
-            for k in range(SERIES - 2, -1, -1):
+            value = total[SERIES_TERMS - 1]
+            for k in range(SERIES_TERMS - 2, -1, -1):
                 value = value * x + total[k]
             out[i] = value
     return largest
@@ -212,7 +212,7 @@ def _add_ringing(mode, largest, out):  # type: ignore[no-untyped-def]
             re, im = decay_re * re - decay_im * im, decay_re * im + decay_im * re
 
 
-def records_of(poles: NDArray[np.complex128], residues: NDArray[np.complex128]) -> NDArray[np.void]:
+def mode_records(poles: NDArray[np.complex128], residues: NDArray[np.complex128]) -> NDArray[np.void]:
     """Return SENSOR_MODE records, at zero."""
     rows = np.zeros(len(poles), SENSOR_MODE)
     rows["pole_re"], rows["pole_im"] = poles.real, poles.imag

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every sensor is made of: a transfer function, a calibration with its tolerances, a range, noise.
 
-**Transfer functions** are poles, zeros and gain, and the partial fractions in which they are simulated. A chain H(s) is
-run as Σ r_k / (s − λ_k): every mode is one complex number that follows ψ' = λ_k ψ + S, S what the sensor sees, exactly,
-however its input is cut into steps (`response`). So there is no discretised filter and no sampling rate in here: a 25
+**Transfer functions** are poles, zeros and gain, and the partial fractions in which they are simulated. One is run
+as Σ r_k / (s − λ_k): every mode is one complex number that follows ψ' = λ_k ψ + S, S what the sensor sees, exactly,
+however its input is cut into pieces (`response`). So there is no discretised filter and no sampling rate in here: a 25
 kHz resonance is the same at 1 kS/s and at 250 kS/s.
 
 Poles, zeros and residues have 70 digits and are rounded once, at the end: every machine gets the same ones.
@@ -64,7 +64,7 @@ class SensorModes:
     residues: NDArray[np.complex128]  # complex, shape (k,) [1/s]; doubled where a pair is represented
 
     def same_as(self, other: SensorModes) -> bool:
-        """Whether both describe the same chain, bit for bit."""
+        """Whether both describe the same dynamics, bit for bit."""
         return np.array_equal(self.poles, other.poles) and np.array_equal(self.residues, other.residues)
 
 
@@ -99,15 +99,15 @@ class Transfer:
 
 @functools.lru_cache(maxsize=64)  # a change that leaves a sensor's dynamics alone recomputes none of them
 @precise
-def _modes(chain: Transfer) -> SensorModes:
-    upper = _distinct(chain.poles)
+def _modes(transfer: Transfer) -> SensorModes:
+    upper = _distinct(transfer.poles)
     poles = [*upper, *(pole.conjugate() for pole in upper if pole.imag)]
     residues = []
     for k, pole in enumerate(upper):
-        above = product(pole - zero for zero in chain.zeros)
+        above = product(pole - zero for zero in transfer.zeros)
         below = product(pole - other for j, other in enumerate(poles) if j != k)
         weight = TWO if pole.imag else ONE  # the conjugate's part is the conjugate of this one
-        residues.append(Complex(weight * chain.gain) * above / below)
+        residues.append(Complex(weight * transfer.gain) * above / below)
     return SensorModes(np.array([complex(p) for p in upper]), np.array([complex(r) for r in residues]))
 
 
@@ -184,7 +184,7 @@ class Sensor:
     resolution: float = 0.0  # step of its own output, 0 for none [unit]
     adc_range_v: float  # input range of the converter, either side [V]
     inverted: bool  # wired the wrong way round
-    settled: bool = True  # whether it has watched the motion's first value for ever when the rig starts, or zero
+    starts_settled: bool = True  # whether it begins as if the motion's first value had stood for ever, or at zero
 
     @property
     def transfer(self) -> Transfer:

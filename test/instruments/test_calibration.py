@@ -11,7 +11,7 @@ from kits.instruments import AnalyticMotion, configured, fitted, measured, sine
 
 from impact_rig.arithmetic.random import Random
 from impact_rig.instruments import Chain, calibration, conversion
-from impact_rig.instruments.calibration import Errors
+from impact_rig.instruments.calibration import ChannelErrors
 from impact_rig.instruments.chain import sensors
 from impact_rig.kernels import with_fields
 
@@ -51,7 +51,7 @@ def test_linearity_stays_within_its_limit_and_holds_no_gain(index, shift):
     rng = Random(5)
     largest = 0.0
     for _ in range(200):
-        errors = calibration.draw(rng)
+        errors = calibration.draw_channel(rng)
         departure = curve(sensor, errors, values)
         assert np.max(np.abs(departure)) <= sensor.linearity * (1 + 1e-9)
         largest = max(largest, np.max(np.abs(departure)))
@@ -63,7 +63,7 @@ def test_linearity_stays_within_its_limit_and_holds_no_gain(index, shift):
 
 def test_errors_fill_their_tolerances():
     rng = Random(6)
-    drawn = np.array([[e.gain, e.offset, e.c_2, e.c_3] for e in (calibration.draw(rng) for _ in range(20_000))])
+    drawn = np.array([[e.gain, e.offset, e.c_2, e.c_3] for e in (calibration.draw_channel(rng) for _ in range(20_000))])
     assert np.max(np.abs(drawn)) <= 1.0
     assert np.max(np.abs(drawn[:, 2]) + np.abs(drawn[:, 3])) <= 1.0 + 1e-12
     np.testing.assert_allclose(np.var(drawn, axis=0), [1 / 3, 1 / 3, 1 / 6, 1 / 6], rtol=0.04)
@@ -128,4 +128,4 @@ def test_the_board_errs_alike_on_all_channels():
 
 def test_perfect_errors_leave_a_straight_line():
     sensor = sensors(configured())[2]
-    np.testing.assert_allclose(curve(sensor, Errors(), np.linspace(-0.01, 0.01, 11)), 0.0, atol=1e-15)
+    np.testing.assert_allclose(curve(sensor, ChannelErrors(), np.linspace(-0.01, 0.01, 11)), 0.0, atol=1e-15)

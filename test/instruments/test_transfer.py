@@ -10,7 +10,7 @@ from scipy import integrate, signal
 from impact_rig.arithmetic.interpolation import NODES
 from impact_rig.instruments import sensor as transfer
 from impact_rig.instruments.chain import sensors
-from impact_rig.instruments.response import SERIES, records_of, set_period, through_piece
+from impact_rig.instruments.response import SERIES_TERMS, mode_records, set_period, through_piece
 from impact_rig.kernels import with_fields
 
 FREQUENCIES = np.geomspace(0.1, 60e3, 50)
@@ -71,12 +71,12 @@ def test_a_mode_answers_a_polynomial_as_its_integral_says(scale, direction):
     length = 1e-4
     pole = np.array([scale * direction / length], complex)
     residue, start = np.array([0.7 - 0.4j]), 1e-5 - 2e-5j
-    modes = with_fields(records_of(pole, residue))
+    modes = with_fields(mode_records(pole, residue))
     modes["psi_re"], modes["psi_im"] = start.real, start.imag
     u = np.random.default_rng(1).normal(size=NODES) / 4.0 ** np.arange(NODES)
     first, period, out = 0.13 * length, 0.2 * length, np.zeros(5)
     set_period(modes, period)
-    through_piece(modes, u, length, np.array([first, period]), np.zeros((3, SERIES)), out)
+    through_piece(modes, u, length, np.array([first, period]), np.zeros((3, SERIES_TERMS)), out)
 
     def exact(t):
         def integrand(s, part):
