@@ -84,7 +84,7 @@ def transmissibility(config: MechanicsSetup, frequency_hz: NDArray[np.float64] |
     return ratio
 
 
-def base_amplitude(config: MechanicsSetup, frequency_hz: NDArray[np.float64] | float) -> NDArray[np.complex128]:
+def base_per_ampere(config: MechanicsSetup, frequency_hz: NDArray[np.float64] | float) -> NDArray[np.complex128]:
     """Return X_b per ampere of coil current without the sphere [m/A].
 
     X_b = K_f I / [k_f − (m_a + m_b) ω² + iωc_f − m_1 ω² T]: the structure pushes back on the base with m_1 ω² X_1.
@@ -447,10 +447,10 @@ def backbone(config: MechanicsSetup, gap_m: float, *, recoil: bool = True) -> Br
     rig = LinearRig.of(config, recoil=recoil)
     c, theta = rig.linear, rig.thetas()
     force = rig.manifold.force(theta)
-    mass, per_omega = c.m_1 + rig.sphere_kg * force.real, -rig.sphere_kg * force.imag
+    mass, damping_per_omega = c.m_1 + rig.sphere_kg * force.real, -rig.sphere_kg * force.imag
     omega = np.full(theta.shape, math.sqrt(c.k_1 / c.m_1))
     for _ in range(60):  # the damping terms are of the order ζ²: it converges in a few rounds
-        omega = c.k_1 / np.sqrt(c.k_1 * mass - c.c_1 * (c.c_1 + per_omega * omega))
+        omega = c.k_1 / np.sqrt(c.k_1 * mass - c.c_1 * (c.c_1 + damping_per_omega * omega))
     frequency = omega / (2.0 * math.pi)
     unit = rig.motions(theta, frequency, HeldDrive(superior_m=1.0))
     size = gap_m / unit.gap_m

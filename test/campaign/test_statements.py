@@ -13,7 +13,7 @@ from impact_rig.campaign.paper import CURRENT_A, FREQUENCIES_HZ, REDUCTION_PERCE
 from impact_rig.campaign.results import Curves, Point
 from impact_rig.campaign.statements import Worth, judge, peak_hz, variations
 from impact_rig.config import Origin
-from impact_rig.physics.prediction import base_amplitude, transmissibility
+from impact_rig.physics.prediction import base_per_ampere, transmissibility
 from impact_rig.rig.config import RigConfig, fields, from_flat
 
 FINE_HZ = [round(9.0 + i / 100, 2) for i in range(16)]
@@ -112,7 +112,7 @@ def without_sphere(changes):
     """The ten points of a rig without the sphere, from the closed form."""
     rig, axes = from_flat(RigConfig(), changes), dict(changes)
     for frequency in FREQUENCIES_HZ:
-        ratio, base = abs(complex(transmissibility(rig, frequency))), abs(complex(base_amplitude(rig, frequency)))
+        ratio, base = abs(complex(transmissibility(rig, frequency))), abs(complex(base_per_ampere(rig, frequency)))
         made = point(0.0, frequency, axes)
         made.rows["transmissibility"], made.rows["base_amplitude"] = ratio, CURRENT_A * base
         made.rows["laser_amplitude"] = CURRENT_A * base * ratio

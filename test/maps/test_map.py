@@ -21,7 +21,7 @@ from impact_rig.maps import optimum, run
 from impact_rig.maps.measure import FAILED, MapRig, Settings
 from impact_rig.maps.plan import DOWN, UP, MapLine, MapPlan, load_map, measure_line
 from impact_rig.physics import prediction
-from impact_rig.physics.prediction import base_amplitude, transmissibility
+from impact_rig.physics.prediction import base_per_ampere, transmissibility
 from impact_rig.report.heat_map import QUIET, TWO, classes, heat_maps
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.system.budget import BudgetError
@@ -66,7 +66,7 @@ def test_without_a_sphere_a_place_is_the_closed_form(frequency_hz):
     config = from_flat(RigConfig(), {"sphere.present": False})
     found = MapRig(config, Settings(settle_cycles=600)).measure(frequency_hz, CURRENT_A)
     assert found.dt == pytest.approx(abs(complex(transmissibility(config, frequency_hz))), rel=1e-3)
-    assert found.base_m == pytest.approx(CURRENT_A * abs(complex(base_amplitude(config, frequency_hz))), rel=1e-3)
+    assert found.base_m == pytest.approx(CURRENT_A * abs(complex(base_per_ampere(config, frequency_hz))), rel=1e-3)
     assert (found.regime, found.period, found.impacts_per_cycle) == ("periodic", 1.0, 0.0)
     assert abs(found.reduction_percent) < 0.1
 

@@ -19,7 +19,7 @@ from impact_rig.campaign.paper import FREQUENCIES_HZ
 from impact_rig.campaign.plan import load_campaign
 from impact_rig.campaign.results import Curves
 from impact_rig.cli import main
-from impact_rig.physics.prediction import base_amplitude, transmissibility
+from impact_rig.physics.prediction import base_per_ampere, transmissibility
 from impact_rig.recording import open_run
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
@@ -58,7 +58,7 @@ def synthetic(rng):
     """Return measurements of TRUTH in closed form, with errors drawn as the certificate says."""
     gains = Gains.of(Rig(TRUTH).info().rows)
     frequency = np.array(FREQUENCIES_HZ)
-    ratio, per_ampere = transmissibility(TRUTH, frequency), np.abs(base_amplitude(TRUTH, frequency))
+    ratio, per_ampere = transmissibility(TRUTH, frequency), np.abs(base_per_ampere(TRUTH, frequency))
     base = 0.52 * per_ampere
     laser = base * np.abs(ratio)
     errors = np.append(rng.normal(0.0, gains.u), (0.0, 0.0))

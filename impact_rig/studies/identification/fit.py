@@ -24,7 +24,7 @@ from impact_rig.analysis.calibration import Real
 from impact_rig.analysis.scans import BASE, CURRENT, LASER
 from impact_rig.config.tree import Value
 from impact_rig.errors import ConfigError
-from impact_rig.physics.prediction import base_amplitude, transmissibility
+from impact_rig.physics.prediction import base_per_ampere, transmissibility
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.states import Regime
 from impact_rig.studies.identification.measurements import (
@@ -431,4 +431,4 @@ def _model(known: RigConfig, theta: Real, frequency_hz: Real) -> Real:
     """Return ln DT, ln |X_b / I| and the phase, shape (3, n)."""
     config = rig(known, theta)
     ratio = transmissibility(config, frequency_hz)
-    return np.stack([np.log(np.abs(ratio)), np.log(np.abs(base_amplitude(config, frequency_hz))), np.angle(ratio)])
+    return np.stack([np.log(np.abs(ratio)), np.log(np.abs(base_per_ampere(config, frequency_hz))), np.angle(ratio)])
