@@ -74,7 +74,7 @@ def row_type(columns: Iterable[Column]) -> np.dtype[np.void]:
 FRAME_DAQ = "daq"
 MOST_HZ = 1e6  # the board's aggregate rate; bounds the memory that a hostile table can ask for
 
-SCAN_FRAME = (
+SCAN_COMMON_COLUMNS = (
     time("Scan clock, since the stamp; a channel is converted its `skew` later (daq/info)."),
     Column("status", "-", "Bit j: channel j (in the order of these columns, from 0) is over range or clipped.", "u1"),
 )

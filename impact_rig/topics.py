@@ -70,7 +70,8 @@ def _table(
 
 
 SCAN = attrs.evolve(
-    _table("daq/scan", Qos.DATA, "rig", blocks.SCAN_FRAME, "One block of scans; stamp = first scan."), further=NUMBER
+    _table("daq/scan", Qos.DATA, "rig", blocks.SCAN_COMMON_COLUMNS, "One block of scans; stamp = first scan."),
+    further=NUMBER,
 )
 INFO = _table(
     "daq/info", Qos.STATE, "rig", blocks.DAQ_INFO_COLUMNS,

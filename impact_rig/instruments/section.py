@@ -23,7 +23,7 @@ from impact_rig.instruments.fault import FaultPlan
 from impact_rig.instruments.instrument import Instrument
 from impact_rig.instruments.registry import INSTRUMENTS
 from impact_rig.instruments.sensor import ADC_RANGES_V, Adc
-from impact_rig.topics import SCAN as FRAME
+from impact_rig.topics import SCAN as SCAN_TOPIC
 
 
 def _with_instruments(_section: type, own: list[attrs.Attribute[Any]]) -> list[attrs.Attribute[Any]]:
@@ -69,7 +69,7 @@ class Instruments:
 
 def columns(fitted: Iterable[Instrument | type[Instrument]]) -> tuple[Column, ...]:
     """Return the columns of a scan of these instruments; the status bit of channel j is 1 << j."""
-    time, status = FRAME.fields
+    time, status = SCAN_TOPIC.fields
     return (time, *(instrument.column() for instrument in fitted), status)
 
 
@@ -85,11 +85,11 @@ CHANNELS = tuple(instrument.name for instrument in Instruments().fitted())
 
 
 def channels_of(rows: NDArray[np.void]) -> tuple[str, ...]:
-    """Return the channels of some scans: their columns without those of the frame."""
-    return tuple(name for name in rows.dtype.names or () if name not in _FRAME)
+    """Return the channels of some scans: their columns without time and status."""
+    return tuple(name for name in rows.dtype.names or () if name not in _COMMON)
 
 
-_FRAME = frozenset(column.name for column in FRAME.fields)
+_COMMON = frozenset(column.name for column in SCAN_TOPIC.fields)
 
 
 class InstrumentSetup(Protocol):
