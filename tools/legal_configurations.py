@@ -167,7 +167,7 @@ def run(config: RigConfig, loudness: float, seconds: float) -> Result:
                 step_ns = COMMAND_GRID_NS  # a stream takes as few as two ticks ahead
                 feed(rig, limit if rig.frontier_ns >= end_ns / 3 else amplitude)
             elif not commanded and rig.frontier_ns >= end_ns / 3 and rig.latched is None:
-                rig.accept(current_a=min(2.0 * amplitude, limit))
+                rig.accept(amplitude=min(2.0 * amplitude, limit))
                 commanded = True
             for block in rig.advance(rig.frontier_ns + step_ns):
                 impacts += 0 if block.impacts is None else len(block.impacts.rows)

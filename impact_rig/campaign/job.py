@@ -221,7 +221,7 @@ class ProcessApparatus:
         """Command frequency, then current."""
         rig = self._rig
         rig.accept(frequency_hz=setpoint.frequency_hz)
-        rig.accept(current_a=setpoint.current_a)
+        rig.accept(amplitude=setpoint.current_a)
         for table in rig.take_applied():
             self._tracker.on_applied(table)
             self._applied += Applied.of(table, self.now_ns())

@@ -68,7 +68,7 @@ class Monitors:
         """
         start_ns = block.scan.stamp_ns - stamp_ns(block.first_scan, self._rate_hz)
         if wanted(topics.JOINT_STATES):
-            for scan, truth in zip(block.monitor_scans.tolist(), block.monitor, strict=True):
+            for scan, truth in zip(block.monitor_scans.tolist(), block.monitor_states, strict=True):
                 stamp = stamp_ns(block.first_scan + scan, self._rate_hz, start_ns)
                 yield topics.JOINT_STATES, self._joint_states.render(stamp, *itertools.chain(*joints(truth)))
         readings = {name: reading for name, reading in self._readings.items() if wanted(reading[0])}

@@ -93,7 +93,7 @@ class RigState:
             "block_rate_hz": counts.block_rate_hz(),
             "lost_blocks": counts.lost_blocks,
             "frequency_hz": rig.frequency_hz,
-            "current_a": rig.amplitude,
+            "current_a": rig.target_amplitude,
             "latched": rig.latched or "",
             "impacts": counts.impacts,
             "restitution": config.contact.restitution,

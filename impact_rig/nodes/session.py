@@ -214,7 +214,7 @@ class Session:
         self._back_ns = 0  # system time at which this process last went on after it was suspended
         self._commands = [
             node.subscribe(topic, functools.partial(self._on_command, topic.name, key))
-            for topic, key in ((topics.FREQUENCY, "frequency_hz"), (topics.CURRENT, "current_a"))
+            for topic, key in ((topics.FREQUENCY, "frequency_hz"), (topics.CURRENT, "amplitude"))
         ]
         self._commands.append(node.subscribe_table(topics.WAVEFORM, self._on_waveform))
         node.subscribe(topics.ACK, self._on_ack, raw=True)
@@ -563,7 +563,7 @@ class Session:
         if self.rig is None:
             self.node.refuse("inactive", f"{name}: {self.why_not()}")
             return
-        was_driven = self.rig.amplitude != 0.0
+        was_driven = self.rig.target_amplitude != 0.0
         try:
             self._check_sent(int(info["source_timestamp"]))
             self.rig.accept(**{key: message.data})
@@ -572,7 +572,7 @@ class Session:
             return
         self.node.get_logger().debug(f"accepted: {key} = {message.data:g}")
         self.publishers.changes(self.rig)
-        if was_driven != (self.rig.amplitude != 0.0):
+        if was_driven != (self.rig.target_amplitude != 0.0):
             self.node.report_change()
 
     def _on_waveform(self, table: Table) -> None:

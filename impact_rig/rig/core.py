@@ -31,15 +31,15 @@ from impact_rig.physics.stream import UNDERRUN, Event, Stream, StreamState
 from impact_rig.rig.config import RigConfig, differences, from_flat
 from impact_rig.rig.interlock import Interlock, Trip, check_amplitude, check_frequency, check_stream
 from impact_rig.rig.journal import (
-    INSTRUMENTS,
+    INSTRUMENT_SECTIONS,
     PLANNED,
     InputKind,
     Journal,
     PlanInForce,
     Value,
+    deciding_samples,
     is_mechanics,
     not_default,
-    sampled,
     until_reset,
 )
 from impact_rig.rig.truth import Truth
@@ -53,7 +53,7 @@ resolve it, so short that a sphere at rest on a wall cannot be followed in real 
 DRIVE_SEED = 0  # `spawn_key` of the drive's random numbers under `daq.seed`; the instruments use their own
 
 
-def generator(config: RigConfig) -> FunctionGenerator:
+def new_generator(config: RigConfig) -> FunctionGenerator:
     """Return a new drive at its initial command.
 
     Raises:
@@ -67,7 +67,7 @@ def generator(config: RigConfig) -> FunctionGenerator:
         raise ConfigError(f"drive: {error}") from error
 
 
-def tried(config: RigConfig) -> Model:
+def tried_model(config: RigConfig) -> Model:
     """Return the model of values that are not only legal one by one but give finite motion together.
 
     Raises:
@@ -116,12 +116,12 @@ class Block:
     end_ns: int  # stamp of the first scan after the block: when it is complete
     scan: Table  # `daq/scan`
     impacts: Table | None  # `truth/impacts`: the contacts that ended in this block; None if there were none
-    monitor: NDArray[np.void]
+    monitor_states: NDArray[np.void]
     """True state at the monitor instants, rows of `blocks.TRUTH_SCAN`, time since the stamp of `scan`."""
     monitor_scans: NDArray[np.int64]  # rows of `scan` at the monitor instants
     truth: Table | None  # `truth/scan`, if asked for
     faults: Table | None  # `truth/faults`: faults that start or end in this block; None if there are none
-    lost: bool  # a lost_block fault is active: the scans are withheld, truth and monitors are not
+    lost: bool  # a lost_block fault acts on one of its scans: the scans are withheld, truth and monitors are not
 
     def tables(self) -> list[tuple[topics.Topic, Table]]:
         """Return its tables in the order they are published: scans first, then what is true about them."""
@@ -181,7 +181,7 @@ class Rig:
         return float(self._generator.frequency_hz)
 
     @property
-    def amplitude(self) -> float:
+    def target_amplitude(self) -> float:
         """Drive amplitude commanded (a ramp leads there); A, m or V by `drive.kind`."""
         return float(self._generator.target_amplitude)
 
@@ -204,7 +204,7 @@ class Rig:
     def is_driven(self) -> bool:
         """Whether an amplitude is commanded, or samples of a stream are in force."""
         stream = self._generator.stream
-        return self.amplitude != 0.0 if stream is None else stream.state is StreamState.PLAYING
+        return self.target_amplitude != 0.0 if stream is None else stream.state is StreamState.PLAYING
 
     @property
     def takes_samples(self) -> bool:
@@ -228,8 +228,8 @@ class Rig:
         whole = stream.whole_ticks() if stream is not None and self._drive.stream_wait else None
         if whole is None:
             return most
-        last_scan = whole * self.rate_hz // TICKS_PER_S
-        return min(most, max(0, last_scan - self._next_scan) // self.config.daq.block_scans)
+        end_scan = whole * self.rate_hz // TICKS_PER_S
+        return min(most, max(0, end_scan - self._next_scan) // self.config.daq.block_scans)
 
     def stream_state(self) -> Table:
         """Return `shaker/stream`; its stamp is that of the sample that is wanted next."""
@@ -275,7 +275,10 @@ class Rig:
 
     def _simulate(self, ticks: int) -> None:
         """Simulate at most `ticks` ticks; fewer where something happens inside them."""
-        ticks = self._until_timeout(ticks)
+        self._time_out_if_due()  # at once where the timeout was shortened
+        due = self._timeout_tick()
+        if due is not None:
+            ticks = min(ticks, due - self._ticks)
         if self._generator.stream is not None:
             ticks = min(ticks, self._generator.stream.ticks_until_event(self._ticks))
         ppm = self._chain.clock_ppm(self._ticks)
@@ -295,14 +298,14 @@ class Rig:
         self._truth.take(motion, tick_s)
         self._chain.acquire(motion, self._ticks, ticks, tick_s)
         self._ticks += ticks
-        underrun = self._note_stream()
+        underrun = self._journal_stream()
         trip = trip or underrun  # of both in one tick, what the interlock has seen
         if trip is not None:
             self._trip(trip)
-        elif self._ticks == self._timeout_tick():
-            self._time_out()
+        else:
+            self._time_out_if_due()
 
-    def _note_stream(self) -> Trip | None:
+    def _journal_stream(self) -> Trip | None:
         """Journal what happened to the stream; return the trip of an underrun, where that is asked for."""
         stream, trip = self._generator.stream, None
         if stream is None or not stream.events:
@@ -318,7 +321,7 @@ class Rig:
         """Return the next `size` scans as a block."""
         first = self._next_scan
         stamp = self._stamp(first)
-        states, scans, monitor = self._truth.pop_states(first, size)
+        states, scans, is_monitored = self._truth.pop_states(first, size)
         impacts = self._truth.pop_impacts(first, size)
         faults = self._chain.fault_rows(first, size)
         block = Block(
@@ -327,8 +330,8 @@ class Rig:
             end_ns=self._stamp(first + size),
             scan=Table(stamp, self._chain.read(size)),
             impacts=Table(stamp, impacts, FRAME_DAQ) if len(impacts) else None,
-            monitor=states[monitor],
-            monitor_scans=scans[monitor],
+            monitor_states=states[is_monitored],
+            monitor_scans=scans[is_monitored],
             truth=Table(stamp, states) if self._truth.every_scan and len(states) == size else None,
             faults=Table(stamp, faults) if len(faults) else None,
             lost=self._chain.block_lost(first, size),
@@ -339,7 +342,7 @@ class Rig:
 
     # Inputs: commands and parameters act at the frontier and are journaled there; faults and samples at their own scans
 
-    def accept(self, frequency_hz: float | None = None, current_a: float | None = None) -> Table:
+    def accept(self, frequency_hz: float | None = None, amplitude: float | None = None) -> Table:
         """Take commanded frequency and amplitude (A peak; m, V by `drive.kind`; rms if random); return the applied row.
 
         Raises:
@@ -353,14 +356,14 @@ class Rig:
             if self._drive.waveform != "sine":
                 raise CommandError(f"the drive is {self._drive.waveform}: it takes no frequency, only an amplitude")
             check_frequency(frequency_hz, self.config.shaker)
-        if current_a is not None:
-            check_amplitude(current_a, self._drive, self.config.shaker)
+        if amplitude is not None:
+            check_amplitude(amplitude, self._drive, self.config.shaker)
         if frequency_hz is not None:
             self._generator.set_frequency(frequency_hz)
             self._journal.add(self.frontier_sample, InputKind.COMMAND, "frequency", frequency_hz)
-        if current_a is not None:
-            self._generator.set_amplitude(current_a)
-            self._journal.add(self.frontier_sample, InputKind.COMMAND, "current", current_a)
+        if amplitude is not None:
+            self._generator.set_amplitude(amplitude)
+            self._journal.add(self.frontier_sample, InputKind.COMMAND, "current", amplitude)
         self._last_command_tick, self._timed_out = self._ticks, False
         return self._add_applied()
 
@@ -433,13 +436,13 @@ class Rig:
         mechanics = attrs.evolve(config, drive=self._drive)
         instruments = until_reset(self._chain.config, config)
         new_mechanics = any(is_mechanics(name) for name in changed)
-        new_instruments = any(name.startswith(INSTRUMENTS) and name != PLANNED for name in changed)
+        new_instruments = any(name.startswith(INSTRUMENT_SECTIONS) and name != PLANNED for name in changed)
         replan = self._planned_faults.replan(config.instruments.faults.planned, self.frontier_sample)
         if any(name.startswith("drive.") for name in changed):
-            generator(config)  # taken at the next reset, refused here
-        model = tried(mechanics) if new_mechanics else None  # refused here, before anything is changed
+            new_generator(config)  # taken at the next reset, refused here
+        model = tried_model(mechanics) if new_mechanics else None  # refused here, before anything is changed
         if config.drive.kind != self._drive.kind:  # so is what the next reset would make of them
-            tried(config)
+            tried_model(config)
         if new_instruments:
             Chain(instruments)
         self._chain.reconfigure(instruments)  # always: the structure's mass and the fastest drive decide readings, too
@@ -449,7 +452,7 @@ class Rig:
             self._generator.set_ramp(config.shaker.ramp_s)
         self.config = config
         self._truth.configure(config.output.monitor_rate_hz, config.output.truth_scan)
-        values = {name: value for name, value in sampled(changed).items() if name != PLANNED}
+        values = {name: value for name, value in deciding_samples(changed).items() if name != PLANNED}
         self._journal.add_values(self.frontier_sample, InputKind.PARAMETER, values.items())
         self._planned_faults.put_into_force(replan, self._clear_if_there, self.inject)
         if new_instruments:
@@ -522,7 +525,7 @@ class Rig:
 
     def _begin(self, kind: InputKind, start_ns: int) -> None:
         config = self.config
-        parts = generator(config), tried(config), Chain(config)  # what they refuse leaves everything as it is
+        parts = new_generator(config), tried_model(config), Chain(config)  # what they refuse leaves everything as it is
         self._generator, model, self._chain = parts
         self._simulation = Simulation(config, account=True, model=model)
         self.start_ns = start_ns
@@ -569,20 +572,14 @@ class Rig:
     def _timeout_tick(self) -> int | None:
         """Return the tick at which the drive ramps down for want of commands."""
         timeout = self.config.output.command_timeout_s
-        if timeout <= 0 or self._timed_out or self._latched is not None or self.amplitude == 0:
+        if timeout <= 0 or self._timed_out or self._latched is not None or self.target_amplitude == 0:
             return None
         return self._last_command_tick + max(1, round(timeout * TICKS_PER_S))
 
-    def _until_timeout(self, ticks: int) -> int:
+    def _time_out_if_due(self) -> None:
         due = self._timeout_tick()
-        if due is None:
-            return ticks
-        if due <= self._ticks:  # the timeout was shortened
-            self._time_out()
-            return ticks
-        return min(ticks, due - self._ticks)
-
-    def _time_out(self) -> None:
+        if due is None or self._ticks < due:
+            return
         self._timed_out = True
         self._journal_row(InputKind.TIMEOUT)
         self._generator.set_amplitude(0.0)

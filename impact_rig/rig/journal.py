@@ -29,9 +29,9 @@ from impact_rig.simtime import NS_PER_S, stamp_ns
 Value = bool | int | float | str | tuple[str, ...]
 
 SEPARATOR = "\n"  # between the items of a list
-NOT_SAMPLED = ("time.", "step.", "pluck.", "output.")
+PUBLISHING_SECTIONS = ("time.", "step.", "pluck.", "output.")
 """Sections that change when and what is published, but not one sample: they are not in the journal."""
-SAMPLED = frozenset({"output.command_timeout_s"})  # exceptions from `NOT_SAMPLED`
+SAMPLE_DECIDING = frozenset({"output.command_timeout_s"})  # exceptions in `PUBLISHING_SECTIONS`: they decide samples
 
 
 class InputKind(enum.Enum):
@@ -303,14 +303,18 @@ def _of_its_type(number: float, default: Value) -> Value:
     return int(number) if isinstance(default, int) and number.is_integer() else number
 
 
-def sampled(values: Mapping[str, Value]) -> dict[str, Value]:
+def deciding_samples(values: Mapping[str, Value]) -> dict[str, Value]:
     """Return those configuration values that decide samples."""
-    return {name: value for name, value in values.items() if name in SAMPLED or not name.startswith(NOT_SAMPLED)}
+    return {
+        name: value
+        for name, value in values.items()
+        if name in SAMPLE_DECIDING or not name.startswith(PUBLISHING_SECTIONS)
+    }
 
 
 def not_default(configuration: RigConfig) -> dict[str, Value]:
     """Return the values of `configuration` that decide samples and differ from the default rig."""
-    return sampled(differences(configuration))
+    return deciding_samples(differences(configuration))
 
 
 def short_key(name: str) -> str:
@@ -328,20 +332,20 @@ def _full_name(key: str) -> tuple[str, Value]:
     return _NAMES[key], _DEFAULTS[_NAMES[key]]
 
 
-MECHANICS = ("structure.", "shaker.", "sphere.", "barriers.", "contact.")
+MECHANICAL_SECTIONS = ("structure.", "shaker.", "sphere.", "barriers.", "contact.")
 LIMITS = frozenset({
     "shaker.travel_limit_m", "shaker.current_limit_a_rms", "shaker.frequency_min_hz", "shaker.frequency_max_hz",
     "shaker.ramp_s",
 })  # fmt: skip
-"""Of the mechanics' sections, but none of the mechanics: a change of them leaves the motion as it is."""
-INSTRUMENTS = ("instruments.", "daq.")
+"""Values in the mechanics' sections that stand in no equation of motion: a change of them leaves the state as it is."""
+INSTRUMENT_SECTIONS = ("instruments.", "daq.")
 PLANNED = "instruments.faults.planned"
 AT_RESET = ("drive.", "daq.seed")  # what is drawn or commanded at the beginning only
 
 
 def is_mechanics(name: str) -> bool:
     """Return whether the equations of motion have a parameter: a change of it puts the sphere back to its start."""
-    return name.startswith(MECHANICS) and name not in LIMITS
+    return name.startswith(MECHANICAL_SECTIONS) and name not in LIMITS
 
 
 def takes_effect(name: str) -> str:
@@ -350,7 +354,7 @@ def takes_effect(name: str) -> str:
         return "next command instant, for the lines that are new or gone"
     if name.startswith(AT_RESET):
         return "next reset"
-    if name.startswith(NOT_SAMPLED) and name not in SAMPLED:
+    if name.startswith(PUBLISHING_SECTIONS) and name not in SAMPLE_DECIDING:
         return "at once"
     if is_mechanics(name):
         return "next command instant; the sphere rests at `sphere.start` again"

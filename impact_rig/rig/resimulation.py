@@ -51,7 +51,7 @@ def resimulate(
     yield from Resimulation(journal, base, waveform).blocks
 
 
-def _number(rig: Rig, stamp_ns: int) -> int:
+def _first_sample_from(rig: Rig, stamp_ns: int) -> int:
     """Return the number of the first sample that is not before an instant."""
     return -(-(stamp_ns - rig.start_ns) * rig.stream.rate_hz // NS_PER_S)
 
@@ -66,13 +66,17 @@ class RecordedSamples(Buffer):
     def __init__(self, rig: Rig, entries: Iterable[JournalRow], waveform: Sequence[Sent]) -> None:
         super().__init__(0)
         parts, last = [], 0
-        most = rig.stream.capacity + 1 + _number(rig, max((sent.received_ns for sent in waveform), default=0))
+        most = (
+            rig.stream.capacity + 1 + _first_sample_from(rig, max((sent.received_ns for sent in waveform), default=0))
+        )
         for stamp_ns, samples, received_ns in waveform:
             with contextlib.suppress(CommandError):  # what the rig had refused as well
                 check_stream(samples, rig.config.drive, rig.config.shaker)
                 first = rig.sample_at(stamp_ns)
                 if 0 <= first + len(samples) <= most:
-                    parts.append((np.arange(first, first + len(samples)), samples, _number(rig, received_ns)))
+                    parts.append(
+                        (np.arange(first, first + len(samples)), samples, _first_sample_from(rig, received_ns))
+                    )
                     last = max(last, first + len(samples))
         self._recorded, self._are_there = np.zeros(last), np.zeros(last, np.bool_)
         for numbers, samples, received in parts:
@@ -80,13 +84,13 @@ class RecordedSamples(Buffer):
             taken[taken] = (numbers[taken] >= received) | ~self._are_there[numbers[taken]]
             self._recorded[numbers[taken]] = samples[taken]
             self._are_there[numbers[taken]] = True
-        self._changes = [0]  # samples are in force from each odd one of these to the next
+        self._switches = [0]  # samples are in force from each odd one of these to the next
         for entry in entries:
             if entry.kind is InputKind.STREAM and entry.key in (Event.BEGIN, Event.END):
-                self._changes.append(int(entry.value))
+                self._switches.append(int(entry.value))
             if entry.kind is InputKind.STREAM and entry.text == ENDED.encode():
                 self.ends.add(int(entry.value))
-        self._seconds = NS_PER_S / rig.stream.rate_hz / NS_PER_S
+        self._sample_s = 1.0 / rig.stream.rate_hz
 
     def there(self, first: int, end: int) -> NDArray[np.bool_]:
         """Return which of the samples first … end − 1 were in force.
@@ -95,15 +99,15 @@ class RecordedSamples(Buffer):
             ConfigError: one of them is not in the recording.
         """
         numbers = np.arange(first, end)
-        wanted = np.searchsorted(self._changes, numbers, side="right") % 2 == 0
+        wanted = np.searchsorted(self._switches, numbers, side="right") % 2 == 0
         held = np.zeros(end - first, np.bool_)
         known = self._are_there[first:end]
         held[: len(known)] = known
         lacking = numbers[wanted & ~held]
-        if len(lacking) and (lacking[0] < len(self._recorded) or lacking[0] < self._changes[-1]):
+        if len(lacking) and (lacking[0] < len(self._recorded) or lacking[0] < self._switches[-1]):
             raise ConfigError(
                 f"the recording lacks sample {lacking[0]} of {topics.WAVEFORM.name}, which was in force "
-                f"{lacking[0] * self._seconds:.6f} s after the start"
+                f"{lacking[0] * self._sample_s:.6f} s after the start"
             )
         held &= wanted
         return held
@@ -115,17 +119,17 @@ class RecordedSamples(Buffer):
 
     def first_missing(self, first: int) -> int:
         """Return the number of the first sample from `first` on that was not in force."""
-        at = int(np.searchsorted(self._changes, first, side="right"))
+        at = int(np.searchsorted(self._switches, first, side="right"))
         if at % 2:
             return first
-        return self._changes[at] if at < len(self._changes) else max(first, len(self._recorded))
+        return self._switches[at] if at < len(self._switches) else max(first, len(self._recorded))
 
     def first_there(self, first: int) -> int | None:
         """Return the number of the first sample from `first` on that was in force, or None."""
-        at = int(np.searchsorted(self._changes, first, side="right"))
+        at = int(np.searchsorted(self._switches, first, side="right"))
         if at % 2 == 0:
             return first
-        return self._changes[at] if at < len(self._changes) else None
+        return self._switches[at] if at < len(self._switches) else None
 
     def clear(self) -> None:
         """Keep all samples: what was not in force after a stop is known."""
@@ -190,7 +194,7 @@ def apply(rig: Rig, change: JournalInput) -> None:
     elif change.kind is InputKind.COMMAND and change.key == "frequency":
         rig.accept(frequency_hz=change.value)
     elif change.kind is InputKind.COMMAND and change.key == "current":
-        rig.accept(current_a=change.value)
+        rig.accept(amplitude=change.value)
     elif change.kind is InputKind.PLUCK:
         rig.pluck(change.value)
     elif change.kind is InputKind.STOP:

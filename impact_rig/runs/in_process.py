@@ -69,7 +69,7 @@ class RigRecorder:
         for topic, table in block.tables():
             if topic in PUBLISHED:
                 self.write(topic, table)
-        for scan, row in zip(block.monitor_scans, block.monitor, strict=True):
+        for scan, row in zip(block.monitor_scans, block.monitor_states, strict=True):
             stamp = stamp_ns(block.first_scan + int(scan), self._rig.rate_hz, self._rig.start_ns)
             self._writer.write(f"/rig/{topics.JOINT_STATES.name}", codec.encode_joint_state(stamp, *joints(row)), stamp)
 
@@ -134,7 +134,7 @@ def make_sample(directory: Path) -> Path:
         recorder.write(topics.ANALYSIS_SETTINGS, settings_table(settings, GAP_M, 0))
         while rig.frontier_ns < SAMPLE_S * NS_PER_S:
             if rig.next_block_ns == NS_PER_S:
-                rig.accept(frequency_hz=9.1, current_a=0.52)
+                rig.accept(frequency_hz=9.1, amplitude=0.52)
             for table in recorder.changes():
                 tracker.on_applied(table)
             block = rig.advance(rig.block_end_ns(1))[0]

@@ -32,7 +32,7 @@ from impact_rig.recording.description import matches, members
 from impact_rig.rig import Block, InputKind
 from impact_rig.rig.config import RigConfig, from_flat, parse, to_flat
 from impact_rig.rig.description import joints, robot_description
-from impact_rig.rig.journal import PLANNED, JournalRow, read, sampled
+from impact_rig.rig.journal import PLANNED, Entry, deciding_samples, read
 from impact_rig.rig.monitors import HALF_PERIODS, AntiAlias, Smoothed
 from impact_rig.rig.resimulation import Resimulation, Sent
 from impact_rig.rig.truth import monitor_step
@@ -417,7 +417,7 @@ class _Beside:
         for stamp in self._joints.before(block.end_ns, block.scan.stamp_ns):
             scan = -(-(stamp - start_ns) * rate // NS_PER_S)
             at, rows = scan - block.first_scan, block.truth.rows if block.truth is not None else None
-            states = block.monitor[block.monitor_scans == at] if rows is None else rows[at : at + 1]
+            states = block.monitor_states[block.monitor_scans == at] if rows is None else rows[at : at + 1]
             exact = stamp_ns(scan, rate, start_ns) == stamp and len(states)
             self._joints.compare(states[0] if exact else None)
         self._compare_monitors(block)
@@ -678,7 +678,7 @@ def _joints_differ(recorded: tuple[NDArray[np.float64], ...], truth: np.void) ->
 
 def _deciding(config: RigConfig) -> dict[str, object]:
     """Return what of a configuration decides samples; planned faults are in the journal as they were injected."""
-    return {name: value for name, value in sampled(to_flat(config)).items() if name != PLANNED}
+    return {name: value for name, value in deciding_samples(to_flat(config)).items() if name != PLANNED}
 
 
 def _words(recorded: JournalRow, made: JournalRow) -> str:

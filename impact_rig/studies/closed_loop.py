@@ -69,8 +69,8 @@ class ProcessLoop:
             return
         if setpoint.frequency_hz != rig.frequency_hz:
             rig.accept(frequency_hz=setpoint.frequency_hz)
-        if setpoint.current_a != rig.amplitude:
-            rig.accept(current_a=setpoint.current_a)
+        if setpoint.current_a != rig.target_amplitude:
+            rig.accept(amplitude=setpoint.current_a)
         rig.take_applied()
         self._frequency_hz = setpoint.frequency_hz
 

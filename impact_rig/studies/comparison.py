@@ -36,7 +36,7 @@ from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.physics import Simulation
 from impact_rig.recording import CONFIGURATION, Run
 from impact_rig.rig.config import RigConfig, from_flat, parse
-from impact_rig.rig.core import generator
+from impact_rig.rig.core import new_generator
 from impact_rig.runs import drawings, reanalysis
 from impact_rig.runs.wholes import Excerpt, calibration_rows, last_excerpt
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, stamp_ns
@@ -293,7 +293,7 @@ def _drive(scans: _ModelledScans, stretch: _Stretch, config: RigConfig, kind: st
     drive = np.append(drive, np.full(2 * PER_TICK, drive[-1]))
     instants = np.array([stamp_ns(scan, rate) for scan in range(n)]) + lead_s * NS_PER_S
     ticks, offsets = np.divmod(instants, COMMAND_GRID_NS)
-    simulation, source = Simulation(config), generator(config)
+    simulation, source = Simulation(config), new_generator(config)
     assert source.stream is not None
     for tick in range(0, int(ticks[-1]) + 1, TICKS_AT_ONCE):
         count = min(TICKS_AT_ONCE, int(ticks[-1]) + 1 - tick)

@@ -63,7 +63,7 @@ def messages(seconds: int = 12, again: tuple[int, ...] = (), **values: object) -
     tracker.configure(rig.info())
     tracker.label(0.0, 0)
     deeds: dict[int, Callable[[], object]] = {
-        7: lambda: rig.accept(frequency_hz=9.1, current_a=0.52),
+        7: lambda: rig.accept(frequency_hz=9.1, amplitude=0.52),
         seconds * 100 - 40: lambda: rig.configure({"barriers.gap_m": 0.004, "sphere.present": True}),
         seconds * 100 - 30: lambda: rig.inject(spikes(rig.frontier_sample + 50)),
         seconds * 100 - 20: rig.stop,
@@ -131,7 +131,7 @@ def everything(rig: Rig, blocks: int, deeds: dict[int, Callable[[], object]] | N
                 found.append(("daq/scan", block.scan))
             beside = ("truth/impacts", block.impacts), ("truth/faults", block.faults), ("truth/scan", block.truth)
             found += [(name, table) for name, table in beside if table is not None]
-            for scan, state in zip(block.monitor_scans, block.monitor, strict=True):
+            for scan, state in zip(block.monitor_scans, block.monitor_states, strict=True):
                 push = state["force_left"] - state["force_right"]
                 values = [state[name] for name in ("x_b", "x_1", "x_2", "v_b", "v_1", "v_2")] + [0.0, -push, push]
                 instant = stamp_ns(block.first_scan + int(scan), rig.rate_hz, rig.start_ns)

@@ -152,13 +152,13 @@ def test_laser_out_of_range_is_infinite_towards_its_side() -> None:
     assert message.min_range == pytest.approx(0.046)
     assert message.max_range == pytest.approx(0.054)
     assert ((finite >= message.min_range) & (finite <= message.max_range)).all()
-    truth = np.concatenate([block.monitor for block in blocks])[: len(ranges)]
+    truth = np.concatenate([block.monitor_states for block in blocks])[: len(ranges)]
     assert np.all(truth["x_1"][ranges == math.inf] < 0), "far from the laser: to the left"
 
 
 def test_joint_states_carry_the_contact_force_as_effort() -> None:
     blocks, found = monitored(barriers__gap_m=0.002, output__monitor_rate_hz=200.0)
-    truth = np.concatenate([block.monitor for block in blocks])
+    truth = np.concatenate([block.monitor_states for block in blocks])
     for row, message in zip(truth, found["truth/joint_states"], strict=True):
         assert list(message.name) == ["base", "structure", "sphere"]
         assert list(message.position) == [row["x_b"], row["x_1"], row["x_2"]]

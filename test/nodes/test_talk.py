@@ -56,7 +56,7 @@ def test_a_rig_says_what_runs_what_trips_and_who_has_left(client: Client) -> Non
     console.wait(LoggingSeverity.INFO, "running: stepped, 10000 scans/s, gap 6 mm, law flores, seed 7")
     node.get_logger().set_level(LoggingSeverity.DEBUG)
     client.command(current_a=8.0)
-    console.wait(LoggingSeverity.DEBUG, "accepted: current_a = 8")
+    console.wait(LoggingSeverity.DEBUG, "accepted: amplitude = 8")
     client.step(20)
     console.wait(LoggingSeverity.WARN, "fault 1 acts: saturation/laser")
     client.step(20)

@@ -36,10 +36,10 @@ class Running:
 
     def set(self, setpoint: Setpoint) -> None:
         self.rig.accept(frequency_hz=setpoint.frequency_hz)
-        self.rig.accept(current_a=setpoint.current_a)
+        self.rig.accept(amplitude=setpoint.current_a)
 
     def rest(self) -> None:
-        self.rig.accept(current_a=0.0)
+        self.rig.accept(amplitude=0.0)
         self.rested = True
 
     def block(self, lost: bool = False, accepted: bool = True) -> None:

@@ -20,7 +20,7 @@ from impact_rig.physics.contact_step import ROUNDS, begin_step, solve
 from impact_rig.physics.model import CONTACT_RTOL, Model, build
 from impact_rig.physics.state import CONTACT_STEP, STATE, record
 from impact_rig.rig.config import RigConfig
-from impact_rig.rig.core import generator
+from impact_rig.rig.core import new_generator
 
 FREQUENCY_HZ = 9.1
 GAPS_M = (2e-3, 4e-3, 6e-3, 8e-3, 10e-3)
@@ -203,7 +203,7 @@ def test_a_random_base_makes_the_contacts_that_dop853_finds():
     config = prescribed(
         drive={"waveform": "random", "amplitude": 3e-3}, contact={"law": "kelvin_voigt"}, shaker={"ramp_s": 0.0}
     )
-    segments = generator(config).segments(15)
+    segments = new_generator(config).segments(15)
     motion = Simulation(config).advance(segments)
     ours = motion.impacts["tick"] * 0.01 + motion.impacts["offset"]
     theirs = np.array(touches_by_dop853(config, segments))

@@ -11,7 +11,7 @@ from kits.mechanics import benchmark_rig, limit_case, rig, sine
 from impact_rig.physics import EnergyAccount, Simulation
 from impact_rig.physics.contact import LAWS
 from impact_rig.rig.config import RigConfig, from_flat
-from impact_rig.rig.core import generator
+from impact_rig.rig.core import new_generator
 from impact_rig.simtime import COMMAND_GRID_S
 
 GAPS_M = (2e-3, 4e-3, 6e-3, 8e-3, 10e-3)
@@ -110,7 +110,7 @@ def test_the_balance_closes_where_it_was_hard(seconds, values):
     """Long rests under a linear law, bases that jump in speed or place, tiny spheres, and hardly any motion."""
     config = from_flat(RigConfig(), values)
     simulation = Simulation(config, account=True)
-    simulation.advance(generator(config).segments(round(seconds / COMMAND_GRID_S)))
+    simulation.advance(new_generator(config).segments(round(seconds / COMMAND_GRID_S)))
     energy = simulation.energy()
     lost = energy.columns + energy.shaker + energy.contact + energy.friction
     assert energy.work != 0.0

@@ -34,7 +34,7 @@ def test_monitor_instants_are_scans_at_the_asked_rate() -> None:
     indices = np.concatenate([block.first_scan + block.monitor_scans for block in blocks])
     assert np.array_equal(indices, np.arange(200) * 128)
     for block in blocks:
-        assert np.array_equal(block.monitor["time"], block.monitor_scans / 25_600)
+        assert np.array_equal(block.monitor_states["time"], block.monitor_scans / 25_600)
 
 
 @pytest.mark.parametrize("then", [{"output.monitor_rate_hz": 20.0}, {"output.truth_scan": True}])
@@ -48,7 +48,7 @@ def test_a_block_holds_the_instants_of_the_rate_at_its_end(then: dict[str, objec
     assert step == (500 if "output.monitor_rate_hz" in then else 100)
     for block in (first, second):
         assert np.array_equal(block.monitor_scans, np.arange(0, 2_000, step))
-        assert np.array_equal(block.monitor["time"], block.monitor_scans / 10_000)
+        assert np.array_equal(block.monitor_states["time"], block.monitor_scans / 10_000)
     assert first.truth is None, "the truth of a part of its scans is none"
     assert (second.truth is None) == ("output.truth_scan" not in then)
 
@@ -61,7 +61,7 @@ def test_what_is_changed_and_changed_back_between_two_ticks_changes_no_block() -
     rig.configure({"output.truth_scan": True, "output.monitor_rate_hz": 50.0})
     (block,), (expected,) = rig.advance(20 * TICK), as_it_was.advance(20 * TICK)
     assert same(block.truth.rows, expected.truth.rows)
-    assert same(block.monitor, expected.monitor)
+    assert same(block.monitor_states, expected.monitor_states)
 
 
 def test_memory_stays_bounded() -> None:
@@ -76,8 +76,8 @@ def test_blocks_are_values_of_their_own() -> None:
     """A later advance must not write into a block that was handed out."""
     rig = Rig(config())
     (block,) = rig.advance(TICK)
-    before = attrs.evolve(block), block.scan.rows.copy(), block.monitor.copy()
+    before = attrs.evolve(block), block.scan.rows.copy(), block.monitor_states.copy()
     rig.advance(20 * TICK)
     assert same(block.scan.rows, before[1])
-    assert same(block.monitor, before[2])
+    assert same(block.monitor_states, before[2])
     assert stamp_ns(0, 10_000) == block.scan.stamp_ns

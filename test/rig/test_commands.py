@@ -60,11 +60,11 @@ def test_the_drive_has_no_jump_of_phase_at_a_command() -> None:
         ({"frequency_hz": 4.99}, ["frequency", "4.99"]),
         ({"frequency_hz": 1e308}, ["frequency", "1e+308"]),
         ({"frequency_hz": -9.1}, ["frequency", "-9.1"]),
-        ({"current_a": math.nan}, ["current", "nan"]),
-        ({"current_a": -0.1}, ["current", "-0.1"]),
-        ({"current_a": 15.0 * math.sqrt(2) * 1.0001}, ["current", "21.21", "15 A", "current_limit_a_rms"]),
-        ({"current_a": math.inf}, ["current", "inf"]),
-        ({"frequency_hz": 9.0, "current_a": math.nan}, ["current", "nan"]),
+        ({"amplitude": math.nan}, ["current", "nan"]),
+        ({"amplitude": -0.1}, ["current", "-0.1"]),
+        ({"amplitude": 15.0 * math.sqrt(2) * 1.0001}, ["current", "21.21", "15 A", "current_limit_a_rms"]),
+        ({"amplitude": math.inf}, ["current", "inf"]),
+        ({"frequency_hz": 9.0, "amplitude": math.nan}, ["current", "nan"]),
     ],
 )
 def test_a_refused_command_names_value_and_range_and_changes_nothing(
@@ -76,7 +76,7 @@ def test_a_refused_command_names_value_and_range_and_changes_nothing(
         rig.accept(**command)
     for word in words:
         assert word in str(refusal.value)
-    assert (rig.frequency_hz, rig.amplitude) == (9.1, 0.52)
+    assert (rig.frequency_hz, rig.target_amplitude) == (9.1, 0.52)
     assert rig.take_journal() == []
 
 
@@ -86,12 +86,12 @@ def test_a_drive_of_many_frequencies_takes_no_command_of_one(waveform: str) -> N
     rig = Rig(config(drive__waveform=waveform))
     rig.advance(10 * TICK)
     rig.take_applied(), rig.take_journal()
-    for command in ({"frequency_hz": 11.0}, {"frequency_hz": 11.0, "current_a": 0.1}):
+    for command in ({"frequency_hz": 11.0}, {"frequency_hz": 11.0, "amplitude": 0.1}):
         with pytest.raises(CommandError, match=f"the drive is {waveform}: it takes no frequency, only an amplitude"):
             rig.accept(**command)
-    assert (rig.take_applied(), rig.take_journal(), rig.amplitude) == ([], [], 0.52)
-    rig.accept(current_a=0.1)
-    assert rig.amplitude == 0.1
+    assert (rig.take_applied(), rig.take_journal(), rig.target_amplitude) == ([], [], 0.52)
+    rig.accept(amplitude=0.1)
+    assert rig.target_amplitude == 0.1
 
 
 def test_the_initial_drive_is_checked_like_a_command() -> None:
@@ -104,11 +104,11 @@ def test_the_initial_drive_is_checked_like_a_command() -> None:
 @pytest.mark.repeats
 def test_any_command_is_accepted_within_range_or_refused(hammered: Rig, frequency: float, current: float) -> None:
     """Whatever is sent, the drive stays finite and within the shaker's limits."""
-    for command in ({"frequency_hz": frequency}, {"current_a": current}, {"frequency_hz": 5 + abs(frequency) % 195}):
+    for command in ({"frequency_hz": frequency}, {"amplitude": current}, {"frequency_hz": 5 + abs(frequency) % 195}):
         with contextlib.suppress(CommandError):
             hammered.accept(**command)
     assert 5 <= hammered.frequency_hz <= 200
-    assert 0 <= hammered.amplitude <= 15 * math.sqrt(2)
+    assert 0 <= hammered.target_amplitude <= 15 * math.sqrt(2)
     assert all(0 <= table.rows["phase"][0] < 2 * math.pi for table in hammered.take_applied())
     hammered.take_journal()
 
@@ -116,10 +116,10 @@ def test_any_command_is_accepted_within_range_or_refused(hammered: Rig, frequenc
 def test_the_drive_ramps_down_when_the_controller_dies() -> None:
     rig = Rig(config(output__command_timeout_s=0.2, instruments__ideal=True))
     rig.advance(15 * TICK)
-    rig.accept(current_a=0.52)
+    rig.accept(amplitude=0.52)
     current = samples(rig.advance(60 * TICK))["current"]
     at = [entry.sample for entry in read(rig.take_journal()) if entry.kind is InputKind.TIMEOUT]
     assert at == [3500]
     assert np.abs(current[3500 + 1000 - 1500 :]).max() == 0
-    rig.accept(current_a=0.1)
-    assert rig.amplitude == 0.1
+    rig.accept(amplitude=0.1)
+    assert rig.target_amplitude == 0.1

@@ -112,7 +112,7 @@ def test_masses_are_the_configurations_and_links_are_where_the_joint_states_say(
         assert masses == pytest.approx(expected, rel=1e-9)
         rest = places(dict.fromkeys(joints, 0.0))
         blocks = Rig(config.from_flat(configuration, {"drive.amplitude": 0.52})).advance(10**9)
-        truth = [row for block in blocks for row in block.monitor][-1]
+        truth = [row for block in blocks for row in block.monitor_states][-1]
         positions = dict(zip(joints, (float(truth[name]) for name in ("x_b", "x_1", "x_2")), strict=False))
         now = places(positions)
     for joint, position in positions.items():

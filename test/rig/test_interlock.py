@@ -27,7 +27,7 @@ def test_a_new_kind_of_drive_waits_for_the_reset_and_does_not_switch_the_interlo
     """A bug once: the watch looked at the kind of drive of the next reset."""
     rig = Rig(paper_rig(drive__frequency_hz=8.0, shaker__travel_limit_m=2e-3))
     rig.configure({"drive.kind": "prescribed"})
-    rig.accept(current_a=5.0)
+    rig.accept(amplitude=5.0)
     rig.advance(200 * TICK)
     assert rig.latched is not None
     assert rig.latched.startswith("over_travel")
@@ -108,7 +108,7 @@ def test_a_trip_is_cleared_on_request_only_and_the_amplitude_stays_zero() -> Non
     rig = Rig(paper_rig(**BELOW_IT, drive__amplitude=8.0))
     rig.advance(300 * TICK)
     assert rig.latched is not None
-    for refused in (lambda: rig.accept(current_a=0.1), lambda: rig.accept(frequency_hz=9.0), rig.reset):
+    for refused in (lambda: rig.accept(amplitude=0.1), lambda: rig.accept(frequency_hz=9.0), rig.reset):
         with pytest.raises(CommandError, match="clear_trip"):
             refused()
     rig.configure({"shaker.travel_limit_m": 0.1, "barriers.gap_m": 0.004})
@@ -116,16 +116,16 @@ def test_a_trip_is_cleared_on_request_only_and_the_amplitude_stays_zero() -> Non
     rig.advance(900 * TICK)
     assert rig.latched is not None, "neither time nor a change of the limit nor another stop clears it"
     rig.clear_trip()
-    assert (rig.latched, rig.amplitude) == (None, 0.0)
+    assert (rig.latched, rig.target_amplitude) == (None, 0.0)
     blocks = rig.advance(1000 * TICK)
-    assert max(np.abs(block.monitor["current"]).max() for block in blocks if len(block.monitor)) == 0.0
-    rig.accept(current_a=0.1)
+    assert max(np.abs(block.monitor_states["current"]).max() for block in blocks if len(block.monitor_states)) == 0.0
+    rig.accept(amplitude=0.1)
 
 
 def test_the_largest_current_that_is_accepted_does_not_trip() -> None:
     """A bug once: the average of a sine ripples, and at the limit the ripple passed it."""
     rig = Rig(paper_rig(drive__frequency_hz=5.0, shaker__travel_limit_m=1.0))
-    rig.accept(current_a=rig.config.shaker.current_limit_a_rms * math.sqrt(2.0))
+    rig.accept(amplitude=rig.config.shaker.current_limit_a_rms * math.sqrt(2.0))
     rig.advance(800 * TICK)
     assert rig.latched is None
 
@@ -135,7 +135,7 @@ def test_clearing_what_is_not_latched_forgets_no_current() -> None:
     trips = []
     for clears in (False, True):
         rig = Rig(paper_rig(drive__frequency_hz=5.0, shaker__travel_limit_m=1.0))
-        rig.accept(current_a=2.0)
+        rig.accept(amplitude=2.0)
         rig.configure({"shaker.current_limit_a_rms": 0.5})
         for _ in range(200):
             rig.advance(rig.frontier_ns + TICK)

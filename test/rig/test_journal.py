@@ -27,8 +27,8 @@ def eventful(chosen: RigConfig, cuts: int) -> tuple[list[Block], list[Table], Ri
             blocks.extend(rig.advance(rig.frontier_ns + (end - rig.frontier_ns) * k // cuts))
 
     go(13)
-    rig.accept(current_a=0.4)
-    rig.accept(frequency_hz=9.05, current_a=0.45)
+    rig.accept(amplitude=0.4)
+    rig.accept(frequency_hz=9.05, amplitude=0.45)
     go(29)
     rig.configure({"barriers.gap_m": 0.003, "contact.law": "lankarani_nikravesh", "contact.restitution": 0.5})
     rig.configure({"instruments.laser.lag_s": 1e-3})
@@ -39,7 +39,7 @@ def eventful(chosen: RigConfig, cuts: int) -> tuple[list[Block], list[Table], Ri
     rig.stop()
     go(55)
     rig.clear_trip()
-    rig.accept(current_a=0.52)
+    rig.accept(amplitude=0.52)
     rig.clear_fault()
     go(70)
     rig.pluck(0.001)
@@ -58,7 +58,7 @@ def test_a_resimulation_begins_at_the_last_reset() -> None:
     _, _, rig = eventful(config(), 2)
     rig.reset()
     blocks = rig.advance(rig.start_ns + 10 * TICK)
-    rig.accept(current_a=0.3)
+    rig.accept(amplitude=0.3)
     blocks += rig.advance(rig.start_ns + 20 * TICK)
     resimulated(blocks, rig.take_journal())
 
@@ -111,7 +111,7 @@ def test_a_view_follows_what_a_journal_says_table_by_table() -> None:
         return [change.kind for table in rig.take_journal() for change in view.take(table)]
 
     rig.advance(START_NS + 5 * TICK)
-    rig.accept(frequency_hz=9.1, current_a=0.3)
+    rig.accept(frequency_hz=9.1, amplitude=0.3)
     rig.configure({"barriers.gap_m": 0.004, "sphere.present": True, "contact.law": "lankarani_nikravesh"})
     assert seen() == [InputKind.START, InputKind.INITIAL, InputKind.COMMAND, InputKind.COMMAND, InputKind.PARAMETER]
     assert view.start_ns == START_NS

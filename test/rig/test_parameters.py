@@ -64,9 +64,9 @@ def test_a_gap_change_rests_the_sphere_at_its_start() -> None:
     rig = Rig(config(output__monitor_rate_hz=200.0))
     before = rig.advance(50 * TICK)
     rig.configure({"barriers.gap_m": 0.008})
-    after = rig.advance(51 * TICK)[0].monitor[0]
+    after = rig.advance(51 * TICK)[0].monitor_states[0]
     assert after["x_2"] - after["x_1"] == pytest.approx(-0.004, abs=1e-15)
-    last = before[-1].monitor[-1]
+    last = before[-1].monitor_states[-1]
     gone_on = last["x_1"] + last["v_1"] * 5e-3
     assert after["x_1"] == pytest.approx(gone_on, abs=2e-4), "the structure keeps its motion"
 
@@ -115,7 +115,7 @@ def test_publishing_options_change_no_sample_and_are_not_journaled(reference: li
     assert same(samples(blocks + more), samples(reference))
     assert more[5].truth is not None
     assert len(more[5].truth.rows) == 100
-    assert sum(len(block.monitor) for block in more[-20:]) == 10
+    assert sum(len(block.monitor_states) for block in more[-20:]) == 10
 
 
 def test_a_seed_is_taken_at_the_next_reset() -> None:
@@ -143,7 +143,7 @@ def test_instruments_know_the_mechanics_as_they_are(chosen: dict, then: dict[str
         named = {name.replace(".", "__"): value for name, value in first.items()}
         rig = Rig(config(**chosen, **named))
         rig.configure(later)
-        rig.accept(frequency_hz=hertz, current_a=0.52)
+        rig.accept(frequency_hz=hertz, amplitude=0.52)
         read.append(samples(rig.advance(100 * TICK)))
     assert same(*read)
 
@@ -153,7 +153,7 @@ def test_a_drive_faster_than_a_new_limit_is_still_read_as_it_is() -> None:
     read = []
     for then in ({}, {"shaker.frequency_max_hz": 200.0, "instruments.laser.lag_s": 1e-3}):
         rig = Rig(config(sphere__present=False, shaker__frequency_max_hz=1000.0))
-        rig.accept(frequency_hz=1000.0, current_a=0.52)
+        rig.accept(frequency_hz=1000.0, amplitude=0.52)
         rig.configure(then)
         read.append(samples(rig.advance(20 * TICK))["current"])
     assert same(*read)

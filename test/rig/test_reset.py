@@ -17,7 +17,7 @@ from impact_rig.rig import Block, Rig
 def test_a_reset_begins_as_new_with_later_stamps(reference: list[Block]) -> None:
     rig = Rig(config(), START_NS)
     rig.advance(START_NS + 17 * TICK)
-    rig.accept(frequency_hz=20.0, current_a=1.0)
+    rig.accept(frequency_hz=20.0, amplitude=1.0)
     rig.advance(START_NS + 23 * TICK)
     rig.reset()
     assert rig.start_ns == START_NS + 23 * TICK
@@ -42,9 +42,9 @@ def test_a_pluck_locks_the_base_and_lets_the_structure_ring_at_its_natural_frequ
     peaks = [np.abs(truth["x_1"][k * 1098 : (k + 1) * 1098]).max() for k in (0, cycles)]
     assert math.log(peaks[0] / peaks[1]) == pytest.approx(2 * math.pi * zeta * cycles, rel=0.05)
     with pytest.raises(CommandError, match="reset"):
-        rig.accept(current_a=0.5)
+        rig.accept(amplitude=0.5)
     rig.reset()
-    rig.accept(current_a=0.5)
+    rig.accept(amplitude=0.5)
 
 
 def test_a_pluck_may_go_further_than_the_table() -> None:

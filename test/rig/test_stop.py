@@ -22,14 +22,14 @@ def test_the_emergency_stop_ramps_and_latches() -> None:
     current = samples(rig.advance(60 * TICK))["current"]
     assert np.abs(current[:500]).max() > 0.2, "a ramp, not a cut"
     assert np.abs(current[1000:]).max() == 0, "zero after shaker.ramp_s"
-    for refused in ({"current_a": 0.1}, {"frequency_hz": 9.0}):
+    for refused in ({"amplitude": 0.1}, {"frequency_hz": 9.0}):
         with pytest.raises(CommandError, match="clear_trip"):
             rig.accept(**refused)
     with pytest.raises(CommandError, match="clear_trip"):
         rig.reset()
     rig.clear_trip()
-    assert rig.amplitude == 0
-    rig.accept(current_a=0.1)
+    assert rig.target_amplitude == 0
+    rig.accept(amplitude=0.1)
 
 
 def travel(blocks: list[Block]) -> np.ndarray:

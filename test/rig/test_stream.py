@@ -177,7 +177,7 @@ def test_a_block_is_refused_whole(first, values, says):
         rig.feed(first, values)
     assert rig.stream.buffered() == 0
     assert rig.stream_state().rows["refused"] == 1
-    assert not np.any(rig.advance(NS_PER_S // 10)[-1].monitor["current"])
+    assert not np.any(rig.advance(NS_PER_S // 10)[-1].monitor_states["current"])
 
 
 def test_samples_of_the_past_are_dropped_and_counted():
@@ -216,7 +216,7 @@ def test_the_interlock_sees_what_lies_between_its_looks():
 
 def test_the_drive_takes_no_other_command_and_no_other_drive_takes_samples():
     with pytest.raises(CommandError, match="shaker/waveform"):
-        stream_rig().accept(current_a=0.1)
+        stream_rig().accept(amplitude=0.1)
     with pytest.raises(CommandError, match="the drive is sine"):
         Rig(config()).feed(0, [0.1])
     with pytest.raises(ConfigError, match="first_order"):

@@ -27,7 +27,7 @@ def test_the_way_advance_is_called_changes_no_bit(reference: list[Block], steps:
     assert same(samples(blocks), samples(reference))
     assert same(impacts(blocks), impacts(reference))
     for one, other in zip(blocks, reference, strict=True):
-        assert same(one.monitor, other.monitor)
+        assert same(one.monitor_states, other.monitor_states)
         assert one.scan.stamp_ns == other.scan.stamp_ns
 
 
@@ -69,7 +69,7 @@ def test_a_seed_changes_noise_and_errors_but_not_one_impact(reference: list[Bloc
     for name in CHANNELS:
         assert not np.array_equal(samples(other)[name], samples(reference)[name])
     for one, two in zip(other, reference, strict=True):
-        assert same(one.monitor, two.monitor), "the truth knows no noise"
+        assert same(one.monitor_states, two.monitor_states), "the truth knows no noise"
 
 
 def test_the_clock_error_scales_the_physics_beneath_the_samples() -> None:

@@ -265,7 +265,7 @@ def told() -> list[tuple[str, object]]:
         300,
         {
             5: lambda: rig.accept(frequency_hz=9.1),
-            6: lambda: rig.accept(current_a=0.52),
+            6: lambda: rig.accept(amplitude=0.52),
             60: lambda: rig.inject(spikes(rig.frontier_sample + 50)),
             70: lambda: rig.configure({"instruments.laser.lag_s": 0.001}),
             75: lambda: rig.inject(spikes(rig.frontier_sample + 50)),
@@ -276,7 +276,7 @@ def told() -> list[tuple[str, object]]:
             140: rig.reset,
             150: lambda: rig.configure({"sphere.present": False}),
             155: lambda: rig.configure({"sphere.present": True}),
-            160: lambda: rig.accept(frequency_hz=8.9, current_a=0.4),
+            160: lambda: rig.accept(frequency_hz=8.9, amplitude=0.4),
         },
     )
 

@@ -42,7 +42,7 @@ def main() -> int:
     arguments = parser.parse_args()
     tables = Tables(arguments.against if kernels.MODE == "plain" else None)
     if kernels.MODE == "plain":
-        core.tried = build
+        core.tried_model = build
     found: digests.Digests = {}
     failed = 0
     for run in known((*LONG, *SHORT, *(run for run in QUICK if run not in SHORT))):

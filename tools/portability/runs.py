@@ -147,7 +147,7 @@ def _rig(run: Run) -> Streams:
                 topics.IMPACTS_TRUTH.name: block.impacts,
                 topics.FAULTS.name: block.faults,
             }
-            found[topics.TRUTH_SCAN.name] = block.truth or Table(block.scan.stamp_ns, block.monitor)
+            found[topics.TRUTH_SCAN.name] = block.truth or Table(block.scan.stamp_ns, block.monitor_states)
             smoothed = monitors.feed(block.first_scan, block.scan.rows)
             if smoothed:
                 rows = [(one.sample, one.status, *one.values.values()) for one in smoothed]
