@@ -24,7 +24,8 @@ from impact_rig.instruments.section import InstrumentSetup
 _SETTLE_TICKS = 400  # 4 s: the 1 Hz high-pass forgets its start to e^-25
 _MEASURE_TICKS = 100
 _COVERAGE = 2.5
-"""Covers every error within its tolerance: a rectangular one reaches √3 standard uncertainties, linearity √6."""
+"""Covers any one error within its tolerance, not several at their limits:
+a rectangular one reaches √3 standard uncertainties, linearity √6."""
 
 
 @attrs.frozen
