@@ -31,10 +31,10 @@ from impact_rig.instruments.channel import (
 )
 from impact_rig.instruments.conversion import CHANNEL, set_converter, set_output, take_rows
 from impact_rig.instruments.fault import Fault, FaultBoard
-from impact_rig.instruments.pieces import PIECES_PER_PERIOD, Limits, PiecewiseMotion, Pieces, cut
+from impact_rig.instruments.pieces import PIECES_PER_PERIOD, Limits, Pieces, PiecewiseMotion, cut
 from impact_rig.instruments.response import SENSOR_MODE, mode_records
 from impact_rig.instruments.section import InstrumentSetup, row_type_of
-from impact_rig.instruments.sensor import SensorModes, Sensor
+from impact_rig.instruments.sensor import Sensor, SensorModes
 from impact_rig.kernels import records
 from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S
 
