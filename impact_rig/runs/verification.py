@@ -32,7 +32,7 @@ from impact_rig.recording.description import matches, members
 from impact_rig.rig import Block, InputKind
 from impact_rig.rig.config import RigConfig, from_flat, parse, to_flat
 from impact_rig.rig.description import joints, robot_description
-from impact_rig.rig.journal import PLANNED, deciding_samples, read
+from impact_rig.rig.journal import PLANNED, JournalRow, deciding_samples, read
 from impact_rig.rig.monitors import HALF_PERIODS, AntiAlias, Smoothed
 from impact_rig.rig.resimulation import Resimulation, Sent
 from impact_rig.rig.truth import monitor_step
