@@ -90,7 +90,7 @@ def _superior_base(robot: ET.Element, config: RigConfig) -> None:
     plate = (max(TOP[0], 2.0 * (face + 2.0 * WALL[0])), TOP[1], TOP[2])
     height = max(WALL[2], 2.0 * radius)
     link = _link(robot, STRUCTURE)
-    _inertial(link, config.structure.mass_kg, _of_box(TOP))
+    _inertial(link, config.structure.mass_kg, _of_box(plate))
     _box(link, plate, (0.0, 0.0, 0.0), "aluminium")
     for side in (-1.0, 1.0):
         place = (side * (face + 0.5 * WALL[0]), 0.0, 0.5 * (TOP[2] + height))

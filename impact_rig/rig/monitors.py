@@ -31,7 +31,7 @@ _BESSEL_TERMS = 20  # of I_0 up to BETA: what is left is below rounding
 
 @functools.lru_cache(maxsize=4)
 def taps(step: int) -> NDArray[np.float64]:
-    """Return the filter for a monitor of every `step`-th scan, shape (8 step + 1,), of sum 1."""
+    """Return the filter for a monitor of every `step`-th scan, of sum 1, shape (8 step + 1,); of every scan (1,)."""
     if step == 1:
         return np.ones(1)
     offsets = np.arange(-HALF_PERIODS * step, HALF_PERIODS * step + 1)

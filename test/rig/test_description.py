@@ -163,5 +163,21 @@ def test_inertias_are_those_of_bodies() -> None:
     assert moment == pytest.approx(0.4 * mass * (0.5 * RigConfig().sphere.diameter_m) ** 2, rel=1e-9)
 
 
+def test_the_inertia_of_a_plate_that_a_wide_gap_makes_longer_is_its_own() -> None:
+    """It was that of the plate of a narrow gap."""
+    link = tree(barriers__gap_m=0.2).find("link[@name='superior_base']")
+    assert link is not None
+
+    def said(where: str, key: str) -> str:
+        found = link.find(where)
+        assert found is not None
+        return found.get(key, "")
+
+    length, width, _ = map(float, said("visual/geometry/box", "size").split())
+    assert length > 0.2
+    expected = float(said("inertial/mass", "value")) * (length * length + width * width) / 12.0
+    assert float(said("inertial/inertia", "izz")) == pytest.approx(expected, rel=1e-9)
+
+
 def test_the_file_is_the_nominal_rig() -> None:
     assert (share_dir() / "urdf" / "impact_rig.urdf").read_text(encoding="utf-8") == robot_description(RigConfig())
