@@ -133,10 +133,10 @@ check: $(TEST) kernels ## after every edit: style, types, layers, and the tests 
 lint: $(TEST) kernels ## check style, types and layers
 	@$(LINT)
 
-generate: $(TEST) $(PACKAGE) ## rewrite the pages and files that are made from the code
+generate: $(TEST) kernels ## rewrite the pages and files that are made from the code
 	@$(VENV)/bin/python -m tools.generate
 
-figures: $(TEST) $(PACKAGE) ## draw every figure of README and docs; ARGS='paper.svg lab_pictures' chooses
+figures: $(TEST) kernels ## draw every figure of README and docs; ARGS='paper.svg lab_pictures' chooses
 	@$(VENV)/bin/python -m tools.figures $(ARGS)
 
 docs: $(DOCS) kernels ## build the website from docs/ into build/site, offline, without a warning
@@ -146,10 +146,10 @@ format: $(TEST) $(PACKAGE) ## bring the code into the one format
 	@$(VENV)/bin/ruff check --fix-only .
 	@$(VENV)/bin/ruff format .
 
-bench: $(TEST) $(PACKAGE) ## measure the figures of docs/ and write build/bench.json; ONLY=physics measures one part
+bench: $(TEST) kernels ## measure the figures of docs/ and write build/bench.json; ONLY=physics measures one part
 	@$(VENV)/bin/python -m benchmarks $(ONLY)
 
-fuzz: $(TEST) $(PACKAGE) ## throw 10,000 hostile inputs at each decoder and validator; ARGS='--inputs 1000 texts' chooses
+fuzz: $(TEST) kernels ## throw 10,000 hostile inputs at each decoder and validator; ARGS='--inputs 1000 texts' chooses
 	@$(VENV)/bin/python -m fuzz $(ARGS)
 
 portability: kernels ## prove the same bits under masks of this CPU and on emulated ones; ARGS=--write takes this machine's
