@@ -62,9 +62,9 @@ _PART_OF_FALL, _RADIANS = 0.4, 8.0  # see `_limit_length`
 
 
 @kernel
-def _force_slope(p, law, s, step, motion):  # type: ignore[no-untyped-def]
+def _force_and_slope(p, law, s, step, point):  # type: ignore[no-untyped-def]
     """Return the force at a point (w, δ', dδ'/dχ) of the step, and its derivative along the motion, dF/dχ."""
-    w, speed, slope = motion
+    w, speed, slope = point
     elastic, lossy, _, by_w, by_speed = law.at_point(p.stiffness, p.factor, s.per_v0, step.turned_at, w, speed)
     return elastic + lossy, 0.5 * by_w * speed + by_speed * slope
 
@@ -100,7 +100,7 @@ def _excess_slope(p, law, s, step, event):  # type: ignore[no-untyped-def]
     if event == PAUSED:
         return w / step.time_left
     if event == RELEASED:
-        _, slope = _force_slope(p, law, s, step, (w, speed, step.speed_slope[LAST]))
+        _, slope = _force_and_slope(p, law, s, step, (w, speed, step.speed_slope[LAST]))
         return -slope / max(step.start_force, s.peak_force, _SMALLEST)
     if event == TURNED:
         return -step.speed_slope[LAST] / s.speed
@@ -110,7 +110,7 @@ def _excess_slope(p, law, s, step, event):  # type: ignore[no-untyped-def]
 @kernel
 def _length_by_dense_output(p, law, s, step, event):  # type: ignore[no-untyped-def]
     """Return the length of a step up to an event that it went beyond, by the Illinois method on its dense output."""
-    low, high, x, side_moved = 0.0, 1.0, 1.0, 0
+    low, high, x, last_moved = 0.0, 1.0, 1.0, 0
     excess_low = _excess(p, law, s, step, event, dense_output(s, step, low))
     excess_high = _excess(p, law, s, step, event, dense_output(s, step, high))
     excess_low = excess_low if excess_low < 0.0 else -excess_high  # the step may have started at the same event
@@ -121,12 +121,12 @@ def _length_by_dense_output(p, law, s, step, event):  # type: ignore[no-untyped-
             break
         if excess > 0.0:
             high, excess_high = x, excess
-            excess_low *= 0.5 if side_moved == 1 else 1.0
-            side_moved = 1
+            excess_low *= 0.5 if last_moved == 1 else 1.0
+            last_moved = 1
         else:
             low, excess_low = x, excess
-            excess_high *= 0.5 if side_moved == -1 else 1.0
-            side_moved = -1
+            excess_high *= 0.5 if last_moved == -1 else 1.0
+            last_moved = -1
     return x * s.h
 
 
@@ -203,8 +203,8 @@ def _limit_length(s, step):  # type: ignore[no-untyped-def]
 def take_step(p, law, s, step):  # type: ignore[no-untyped-def]
     """Solve the next step, its length in `s.h`, and propose one in `s.next_h`; return the event it ends at.
 
-    The state stays where it is until `conclude` moves it. `step` must have been expanded about s, and hold the `rest`
-    of the segment.
+    The state stays where it is until `conclude` moves it. `step` must have been expanded about s, and hold the
+    `time_left` of the segment.
     """
     begin_step(p, law, s, step)
     s.h = _limit_length(s, step)
@@ -253,10 +253,10 @@ def _find_peak(p, law, s, step, of_force):  # type: ignore[no-untyped-def]
     low, high = 0.0, 1.0
     while high - low > _PEAK_FOUND:
         middle = 0.5 * (low + high)
-        _, w, rate = dense_output(s, step, middle)
+        _, w, slope = dense_output(s, step, middle)
         if of_force:
-            _, rate = _force_slope(p, law, s, step, (w, rate, dense_slope(step, middle)))
-        if rate > 0.0:
+            _, slope = _force_and_slope(p, law, s, step, (w, slope, dense_slope(step, middle)))
+        if slope > 0.0:
             low = middle
         else:
             high = middle
@@ -271,19 +271,19 @@ def find_peaks(p, law, s, step):  # type: ignore[no-untyped-def]
     stages are well below an earlier peak, so is the step. A law with a memory ends its steps where it is deepest.
     """
     w, speed, slope = step.w[LAST], step.speed[LAST], step.speed_slope[LAST]
-    _, start_rate = _force_slope(p, law, s, step, (s.w, s.speed, step.start_speed_slope))
-    end_force, end_rate = _force_slope(p, law, s, step, (w, speed, slope))
+    _, start_slope = _force_and_slope(p, law, s, step, (s.w, s.speed, step.start_speed_slope))
+    end_force, end_slope = _force_and_slope(p, law, s, step, (w, speed, slope))
     force_before, deepest_before = _PEAK_MARGIN * s.peak_force, _PEAK_MARGIN * s.deepest_w
     s.peak_force = max(s.peak_force, step.start_force, end_force)
     largest_force, largest_w = 0.0, 0.0
     for i in range(STAGES):
         largest_force, largest_w = max(largest_force, step.force[i]), max(largest_w, step.w[i])
-    of_force = start_rate > 0.0 > end_rate and largest_force >= force_before
+    of_force = start_slope > 0.0 > end_slope and largest_force >= force_before
     of_depth = not p.remembers and s.speed > 0.0 > speed and largest_w >= deepest_before
     if of_force:
         h = s.h * _find_peak(p, law, s, step, True)
         if solve(p, law, s, step, h, ROUNDS):
-            peak, _ = _force_slope(p, law, s, step, (step.w[LAST], step.speed[LAST], step.speed_slope[LAST]))
+            peak, _ = _force_and_slope(p, law, s, step, (step.w[LAST], step.speed[LAST], step.speed_slope[LAST]))
             s.peak_force = max(s.peak_force, peak)
     if of_depth:
         h = s.h * _find_peak(p, law, s, step, False)
@@ -323,10 +323,10 @@ def account_step(p, f, s, step, ledger):  # type: ignore[no-untyped-def]
 def conclude(p, s, step, ended, t_end):  # type: ignore[no-untyped-def]
     """Move the state to the end of the step, with the time elapsed, the impulse on the sphere and the deepest point."""
     since, w, speed = step.since[LAST], max(step.w[LAST], 0.0), step.speed[LAST]
-    v_2 = s.y[V1] + s.side * (1.0 - p.share) * s.speed
+    v_2_before = s.y[V1] + s.side * (1.0 - p.share) * s.speed
     pair_at(step, since, s.y)
     add_correction(p, s.side, step, LAST, s.y)
-    s.impulse -= s.side * p.m * (s.y[V1] + s.side * (1.0 - p.share) * speed - v_2)
+    s.impulse -= s.side * p.m * (s.y[V1] + s.side * (1.0 - p.share) * speed - v_2_before)
     s.elapsed += since
     step.dense_since = step.dense_length  # the next step starts where this one ends
     s.w = 0.0 if ended == SEPARATED else w
@@ -354,7 +354,7 @@ def settles(p, law, s, step):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def contact_time(p, speed):  # type: ignore[no-untyped-def]
+def t_0_of(p, speed):  # type: ignore[no-untyped-def]
     """Return t_0 = (m_eff/K)^(1/(1+b)) v0^((1−b)/(1+b)) [s], the time scale of a contact with F ~ K δ^b."""
     return p.time_scale * power(speed, p.time_power)
 
@@ -362,5 +362,5 @@ def contact_time(p, speed):  # type: ignore[no-untyped-def]
 @kernel
 def first_length(p, speed, acceleration):  # type: ignore[no-untyped-def]
     """Return a first step [s/m^0.5]: a part of √(time/v0), with the time scale of the law, or of a_r."""
-    scale = min(contact_time(p, speed), speed / max(abs(acceleration), _SMALLEST))
+    scale = min(t_0_of(p, speed), speed / max(abs(acceleration), _SMALLEST))
     return _FIRST_LENGTH * math.sqrt(scale / speed)

@@ -250,7 +250,7 @@ def turned_at(s):  # type: ignore[no-untyped-def]  # compiled: types are inferre
 
 @kernel
 def begin_step(p, law, s, step):  # type: ignore[no-untyped-def]
-    """Evaluate force and slope at the start of a step, where it turned, its `radian`, and how exact its speeds must be.
+    """Evaluate force and slope where a step starts, where it turned, its time scale, and how exact its speeds must be.
 
     A step may be wrong by a part of the contact's own speeds: δ', and δ times its natural frequency. Where the sphere
     rests on the wall these are tiny, and it may be the same part of a tenth of the speed that a_r gives in a radian of
@@ -305,9 +305,11 @@ def _evaluate_slopes(p, law, s, step):  # type: ignore[no-untyped-def]
     for i in range(STAGES):
         w, speed = step.w[i], step.speed[i]
         from_columns = p.slowing_by_depth * w * w + p.slowing_by_speed * speed
-        acceleration = step.acceleration_at[i] - from_columns - step.force[i] * p.per_m_eff
-        step.speed_slope[i] = w * acceleration
-        step.speed_slope_by_w[i] = acceleration - w * (step.force_by_w[i] * p.per_m_eff + 2.0 * p.slowing_by_depth * w)
+        depth_acceleration = step.acceleration_at[i] - from_columns - step.force[i] * p.per_m_eff
+        step.speed_slope[i] = w * depth_acceleration
+        step.speed_slope_by_w[i] = depth_acceleration - w * (
+            step.force_by_w[i] * p.per_m_eff + 2.0 * p.slowing_by_depth * w
+        )
         step.speed_slope_by_speed[i] = -w * (step.force_by_speed[i] * p.per_m_eff + p.slowing_by_speed)
 
 

@@ -192,7 +192,7 @@ def _touch(p, s, side, ledger):  # type: ignore[no-untyped-def]
 def _keep_impact(work, s, separation, indentation):  # type: ignore[no-untyped-def]
     """Append the contact of s as an impact; separation speed [m/s], largest indentation [m]."""
     row = work.impacts[work.counts[0].impacts]
-    row.tick, row.offset, row.wall = s.touch_tick, s.touch_t, int(s.side)
+    row.tick, row.offset, row.wall = s.touch_tick, s.touch_offset, int(s.side)
     row.approach_speed, row.separation_speed = s.approach, separation
     row.peak_force, row.peak_indentation = s.peak_force, indentation
     row.impulse, row.duration, row.energy_lost = s.impulse, s.elapsed, s.lost
@@ -223,7 +223,7 @@ def _leave(model, s, work, settled):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _bounce(p, s, side, pair_acceleration, rounding_m, work):  # type: ignore[no-untyped-def]
+def _bounce(p, s, side, pair_acceleration, position_rounding, work):  # type: ignore[no-untyped-def]
     """Reverse the relative speed at once, or attach a sphere that no longer bounces off a pressing wall.
 
     It stays where the wall presses it, by the `pair_acceleration` [m/s²] of both as one body, up to the `least_rebound`
@@ -231,7 +231,7 @@ def _bounce(p, s, side, pair_acceleration, rounding_m, work):  # type: ignore[no
     """
     speed = max(0.0, side * s.d_rate)
     e = p.restitution
-    least_rebound = max(p.touch_speed, math.sqrt(2.0 * abs(pair_acceleration) * rounding_m))
+    least_rebound = max(p.touch_speed, math.sqrt(2.0 * abs(pair_acceleration) * position_rounding))
     stays = e * speed <= least_rebound and side * pair_acceleration <= 0.0
     if stays:
         e = 0.0
@@ -340,7 +340,7 @@ def _change_phase(model, f, work, tick, ended):  # type: ignore[no-untyped-def]
     if ended == PAUSED:
         return
     if ended == TOUCHED:
-        s.touch_tick, s.touch_t = tick, f.begin + s.t
+        s.touch_tick, s.touch_offset = tick, f.begin + s.t
     if s.phase == CONTACT:
         _leave(model, s, work, ended == SETTLED)
     elif s.phase == ATTACHED:
@@ -382,7 +382,7 @@ def _move_base(p, f, s, ledger, account):  # type: ignore[no-untyped-def]
 
 @entry(MODEL, SEGMENT, int, int, WORKSPACE, bool, returns=(int, int))
 def run(model, segments, first_tick, segment, work, account):  # type: ignore[no-untyped-def]
-    """Advance the state through `segments[index:]`; return (how it ended, the segment it is in).
+    """Advance the state through `segments[segment:]`; return (how it ended, the segment it is in).
 
     `first_tick` is the number of the tick of `segments[0]`, counted since the reset, whatever `segment` is.
 

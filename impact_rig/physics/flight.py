@@ -161,22 +161,24 @@ def particular(system, f, flight):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def safe_time(distance, speed, acceleration, jerk, longest):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def safe_time(distance, speed, acceleration, jerk_bound, longest):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Return a time, at most `longest` [s], in which a point cannot cover `distance`: see the head of this file."""
-    half_acceleration = 0.5 * (acceleration + jerk * longest / 3.0)  # the factor of t²
+    half_acceleration = 0.5 * (acceleration + jerk_bound * longest / 3.0)  # the factor of t²
     if speed * longest + half_acceleration * longest * longest <= distance and (
         speed <= 0.0 or speed + 2.0 * half_acceleration * longest >= 0.0
     ):
         return longest  # most often: it ends nearer, and was never further out than there or where it began
     horizon = longest
-    if jerk > 0.0:
+    if jerk_bound > 0.0:
         horizon = min(
             horizon,
-            3.0 * abs(acceleration) / jerk + math.sqrt(6.0 * abs(speed) / jerk) + power(6.0 * distance / jerk, _THIRD),
+            3.0 * abs(acceleration) / jerk_bound
+            + math.sqrt(6.0 * abs(speed) / jerk_bound)
+            + power(6.0 * distance / jerk_bound, _THIRD),
         )
     safe = 0.0
     for _ in range(_ROUNDS):
-        half_acceleration = 0.5 * (acceleration + jerk * horizon / 3.0)
+        half_acceleration = 0.5 * (acceleration + jerk_bound * horizon / 3.0)
         discriminant = speed * speed + 4.0 * half_acceleration * distance
         crossing = math.inf
         if speed > 0.0:
@@ -325,38 +327,42 @@ def fly(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def]
     braking, x_1 = -s.slide * p.friction_acceleration, flight.x_1
     begin_flight(system, f, flight, s.y, s.t)
     evaluate(system, f, flight, s.t, 0)
-    x_2, v_2 = x_1[0] + s.d, x_1[1] + s.d_rate  # where the flight begins
+    x_2_start, v_2_start = x_1[0] + s.d, x_1[1] + s.d_rate  # where the flight begins
     ended, t = PAUSED, s.t
     while p.sphere_present:
         since, time_left = t - flight.t_b, t_end - t
-        d = x_2 + since * (v_2 + 0.5 * since * braking) - x_1[0]
-        d_rate, d_acceleration, jerk = v_2 + since * braking - x_1[1], braking - x_1[2], flight.bound
+        d = x_2_start + since * (v_2_start + 0.5 * since * braking) - x_1[0]
+        d_rate, d_acceleration, jerk_bound = v_2_start + since * braking - x_1[1], braking - x_1[2], flight.bound
         side = 1.0 if d_rate >= 0.0 else -1.0  # the wall that the sphere moves to; the other one is seldom nearer
-        to_wall = safe_time(wall_distance(p, s, side, d), side * d_rate, side * d_acceleration, jerk, time_left)
-        to_other = safe_time(wall_distance(p, s, -side, d), -side * d_rate, -side * d_acceleration, jerk, to_wall)
-        if to_other < to_wall:
-            to_wall, side = to_other, -side
-        to_stop, to_surface = math.inf, math.inf
+        time_to_wall = safe_time(
+            wall_distance(p, s, side, d), side * d_rate, side * d_acceleration, jerk_bound, time_left
+        )
+        time_to_other = safe_time(
+            wall_distance(p, s, -side, d), -side * d_rate, -side * d_acceleration, jerk_bound, time_to_wall
+        )
+        if time_to_other < time_to_wall:
+            time_to_wall, side = time_to_other, -side
+        time_to_stop, time_to_surface = math.inf, math.inf
         if s.dent > 0.0:
             inside, out = max(0.0, s.dent_side * d - p.half_gap), -s.dent_side
-            to_surface = safe_time(inside, out * d_rate, out * d_acceleration, jerk, time_left)
-            if negligible(to_surface, t):
+            time_to_surface = safe_time(inside, out * d_rate, out * d_acceleration, jerk_bound, time_left)
+            if negligible(time_to_surface, t):
                 s.dent = 0.0  # the sphere is out of it: from here on the surface is whole again
                 continue
         if s.slide != 0.0:
             evaluate(system, f, flight, t, 1)
-            to_stop = safe_time(
+            time_to_stop = safe_time(
                 max(0.0, s.slide * d_rate), -s.slide * d_acceleration, s.slide * x_1[3], flight.bound, time_left
             )
-        if min(to_wall, to_stop, to_surface) >= time_left:
+        if min(time_to_wall, time_to_stop, time_to_surface) >= time_left:
             break
-        if to_stop < to_wall and negligible(to_stop, t):
+        if time_to_stop < time_to_wall and negligible(time_to_stop, t):
             ended = STOPPED
             break
-        if to_wall <= to_stop and negligible(to_wall, t):
+        if time_to_wall <= time_to_stop and negligible(time_to_wall, t):
             ended, s.side = TOUCHED, side
             break
-        t += min(to_wall, to_stop, to_surface)
+        t += min(time_to_wall, time_to_stop, time_to_surface)
         evaluate(system, f, flight, t, 0)
     if ended == PAUSED:
         t = t_end
@@ -365,8 +371,8 @@ def fly(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def]
         s.y[i] = flight.y[i]
     since = t - flight.t_b
     s.t = t
-    s.d_rate = 0.0 if ended == STOPPED else v_2 + since * braking - s.y[V1]
-    s.d = x_2 + since * (v_2 + 0.5 * since * braking) - s.y[X1]
+    s.d_rate = 0.0 if ended == STOPPED else v_2_start + since * braking - s.y[V1]
+    s.d = x_2_start + since * (v_2_start + 0.5 * since * braking) - s.y[X1]
     return ended
 
 
@@ -383,17 +389,19 @@ def fly_attached(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def
         evaluate(system, f, flight, t, 2)
         time_left = t_end - t
         # the structure may pull away to the right (the sphere lags: -1) or to the left (+1), but not through a wall
-        to_lag, to_lead = math.inf, math.inf
+        time_to_lag, time_to_lead = math.inf, math.inf
         if s.side >= 0.0:
-            to_lag = safe_time(max(0.0, p.friction_acceleration - x_1[2]), x_1[3], x_1[4], flight.bound, time_left)
+            time_to_lag = safe_time(max(0.0, p.friction_acceleration - x_1[2]), x_1[3], x_1[4], flight.bound, time_left)
         if s.side <= 0.0:
-            to_lead = safe_time(max(0.0, p.friction_acceleration + x_1[2]), -x_1[3], -x_1[4], flight.bound, time_left)
-        advance = min(to_lag, to_lead)
+            time_to_lead = safe_time(
+                max(0.0, p.friction_acceleration + x_1[2]), -x_1[3], -x_1[4], flight.bound, time_left
+            )
+        advance = min(time_to_lag, time_to_lead)
         if advance >= time_left:
             t = t_end
             break
         if negligible(advance, t):
-            ended, s.slide = PARTED, -1.0 if to_lag < to_lead else 1.0
+            ended, s.slide = PARTED, -1.0 if time_to_lag < time_to_lead else 1.0
             break
         t += advance
     structure_at(system, f, flight, t)

@@ -50,55 +50,57 @@ def _sphere(p, s):  # type: ignore[no-untyped-def]  # compiled: types are inferr
 
 
 @kernel
-def _straight(omega, tau, x_2, v_2, x_end, v_end):  # type: ignore[no-untyped-def]
+def _integrate_straight(omega, length, x_2, v_2, x_end, v_end):  # type: ignore[no-untyped-def]
     """Return the integral over a step of x_2'' exp(−jωt), t from its middle, where x_2'' is a straight line."""
-    moment = 0.5 * tau * (v_end + v_2) - (x_end - x_2)  # of x_2'' about the middle
-    square = omega * tau * omega * tau
+    moment = 0.5 * length * (v_end + v_2) - (x_end - x_2)  # of x_2'' about the middle
+    square = omega * length * omega * length
     return complex((v_end - v_2) * (1.0 - square * (1.0 / 24.0)), -omega * moment * (1.0 - square * (1.0 / 40.0)))
 
 
 @kernel
-def _one_body(system, flight, omega, t, z, t_end, z_end):  # type: ignore[no-untyped-def]
-    """Return the integral of x_1'' exp(−jωt) over the flight from t to t_end; z and z_end are exp(−jωt) there."""
+def _integrate_one_body(system, flight, omega, t, rotor, t_end, rotor_end):  # type: ignore[no-untyped-def]
+    """Return the integral of x_1'' exp(−jωt) over the flight from t to t_end, the rotors exp(−jωt) there."""
     jw = complex(0.0, omega)
     steady, growing = flight.steady[X1], flight.growing[X1]
     for _ in range(2):
         steady, growing = jw * steady + growing, jw * growing
-    tau, minus_2jw = t_end - t, -2.0 * jw
-    total = tau * (steady + 0.5 * (t_end + t) * growing)
+    length, minus_2jw = t_end - t, -2.0 * jw
+    total = length * (steady + 0.5 * (t_end + t) * growing)
     steady, growing = steady.conjugate(), growing.conjugate()
-    end = (steady + growing * t_end - growing / minus_2jw) * (z_end * z_end)
-    total = (total - (end - (steady + growing * t - growing / minus_2jw) * (z * z)) / minus_2jw) * -0.5j
+    end = (steady + growing * t_end - growing / minus_2jw) * (rotor_end * rotor_end)
+    total = (total - (end - (steady + growing * t - growing / minus_2jw) * (rotor * rotor)) / minus_2jw) * -0.5j
     for n in range(system.modes):
         rate = system.rate[n]
-        _, decay = mode_decay(rate, tau)
+        _, decay = mode_decay(rate, length)
         wave = 0.5 * (rate * rate) * system.right[n, X1] * flight.modal[n]
-        total += wave * (decay * z_end - z) / (rate - jw)
-        total += wave.conjugate() * (decay.conjugate() * z_end - z) / (rate.conjugate() - jw)
+        total += wave * (decay * rotor_end - rotor) / (rate - jw)
+        total += wave.conjugate() * (decay.conjugate() * rotor_end - rotor) / (rate.conjugate() - jw)
     return total
 
 
 @kernel
-def _accelerated(model, f, trajectory, rows, duration, flight):  # type: ignore[no-untyped-def]
+def _integrate_acceleration(model, f, trajectory, rows, duration, flight):  # type: ignore[no-untyped-def]
     """Return the integral of x_2'' exp(−jωt) over a segment, whose states are `rows` = (first, first of the next)."""
-    p, history, total, z = model.parameters[0], trajectory.history, 0.0j, 1.0 + 0.0j
+    p, history, total, rotor = model.parameters[0], trajectory.history, 0.0j, 1.0 + 0.0j
     x_2, v_2 = _sphere(p, history[rows[0]])
     for row in range(rows[0], rows[1]):
         s = history[row]
         t_end = history[row + 1].t if row + 1 < rows[1] else duration
-        z_end = phasor(-f.omega * t_end)
+        rotor_end = phasor(-f.omega * t_end)
         x_end, v_end = _sphere(p, history[row + 1])
-        tau = t_end - s.t
+        length = t_end - s.t
         if s.phase == CONTACT:
-            total += phasor(-f.omega * (s.t + 0.5 * tau)) * _straight(f.omega, tau, x_2, v_2, x_end, v_end)
+            total += phasor(-f.omega * (s.t + 0.5 * length)) * _integrate_straight(
+                f.omega, length, x_2, v_2, x_end, v_end
+            )
         elif s.phase == ATTACHED:
             system = begin_flight_at(model, f, s, flight)
-            total += _one_body(system, flight, f.omega, s.t, z, t_end, z_end)
+            total += _integrate_one_body(system, flight, f.omega, s.t, rotor, t_end, rotor_end)
         else:
             braking = -s.slide * p.friction_acceleration
-            total += braking * (z_end - z) * complex(0.0, 1.0 / f.omega)
-            total += (v_end - v_2 - braking * tau) * z_end  # off a rigid wall: at once
-        x_2, v_2, z = x_end, v_end, z_end
+            total += braking * (rotor_end - rotor) * complex(0.0, 1.0 / f.omega)
+            total += (v_end - v_2 - braking * length) * rotor_end  # off a rigid wall: at once
+        x_2, v_2, rotor = x_end, v_end, rotor_end
     return total
 
 
@@ -110,10 +112,10 @@ def follow_cycles(model, trajectory, flights, out):  # type: ignore[no-untyped-d
     for i in range(out.shape[0]):
         row = trajectory.segments[i]
         f, duration = drive_segment(row), row.duration
-        force = 0.0j
+        sphere_integral = 0.0j
         if p.sphere_present:
             rows = trajectory.first_state[i], trajectory.first_state[i + 1]
-            force = -p.m * _accelerated(model, f, trajectory, rows, duration, flight)
+            sphere_integral = -p.m * _integrate_acceleration(model, f, trajectory, rows, duration, flight)
         jw, rotor = complex(0.0, f.omega), phasor(f.phase)
         drive = rotor * (f.amplitude + 0.5 * f.growth * duration) * duration * -0.5j
         drive -= rotor.conjugate() * (f.growth * duration * 0.25 / f.omega)
@@ -122,7 +124,7 @@ def follow_cycles(model, trajectory, flights, out):  # type: ignore[no-untyped-d
         load = flight.steady  # scratch
         for k in range(system.states):
             load[k] = begin.y[k] - end.y[k] + system.b_0[k] * drive + system.b_1[k] * (rise + jw * drive)
-        load[V1] += force * p.per_m_1
+        load[V1] += sphere_integral * p.per_m_1
         x_2, v_2 = _sphere(p, begin)
         out[i, 4], out[i, 5] = (x_2, v_2) if p.sphere_present else (0.0, 0.0)
         for s, sign in ((begin, 1.0), (end, -1.0)):

@@ -117,7 +117,7 @@ def _table(force: Force) -> Any:
 
 
 def unit_parameters(force: Force) -> Any:
-    """Return one record of PARAMETERS for a law in its own units: masses, stiffness and approach speed are 1."""
+    """Return one record of PARAMETERS for a law in its own units: masses are 1, and so should its stiffness be."""
     p = SimpleNamespace(m=1.0, m_1=1.0, m_eff=1.0, per_m_eff=1.0, speed_floor=1.0)
     _set_force(p, force, 1.0)
     return _parameters(p)

@@ -31,7 +31,7 @@ from impact_rig.arithmetic.elementary import PI, sincos
 from impact_rig.kernels import REALS, entry, kernel
 from impact_rig.physics.collocation import LAST, MATRIX, STAGES
 from impact_rig.physics.contact.law import FORCE, CompiledForce
-from impact_rig.physics.contact_phase import conclude, contact_time, find_peaks, take_step
+from impact_rig.physics.contact_phase import conclude, find_peaks, t_0_of, take_step
 from impact_rig.physics.contact_step import drop_dense_output, pair_at
 from impact_rig.physics.state import CONTACT_STEP, NOTHING, PARAMETERS, SEPARATED, STATE, TURNED, V1, VB, X1, XB, record
 
@@ -42,7 +42,7 @@ OUTCOMES = 7
 BY_ETA_1_SQUARED, BY_ETA_2, BY_STIFFNESS, BY_DAMPING = range(4)
 """Further derivatives, of the first outcomes only: ½ ∂²/∂η_1², ∂/∂η_2, ∂/∂α, ∂/∂γ."""
 DECISIVE = 3  # so many outcomes have these
-COLUMNS = 2 * OUTCOMES + 4 * DECISIVE
+SERIES_COUNT = 2 * OUTCOMES + 4 * DECISIVE
 """Of the series: all outcomes, their derivatives by η_1, and the further ones of the decisive three."""
 COEFFICIENTS = 20
 _COEFFICIENTS_1, _COEFFICIENTS_2 = 14, 7  # of the derivatives, whose factors are below MOST_1 and MOST_2
@@ -64,8 +64,8 @@ TABLE = np.dtype(
     [
         ("low", "f8"),  # lower end of the range of η_0 [-]
         ("high", "f8"),  # its upper end, 0 where nothing is tabulated [-]
-        ("series", "f8", (COEFFICIENTS, COLUMNS)),  # Chebyshev coefficients of each column, by degree [-]
-        ("value", "f8", (COLUMNS,)),  # of each column at the η_0 looked up last [-]
+        ("series", "f8", (COEFFICIENTS, SERIES_COUNT)),  # Chebyshev coefficients of each column, by degree [-]
+        ("value", "f8", (SERIES_COUNT,)),  # of each column at the η_0 looked up last [-]
         ("outcome", "f8", (OUTCOMES,)),  # what was looked up last, in the contact's own units [-]
     ],
     align=True,
@@ -85,7 +85,7 @@ def perturbed_contact(parameters, law, eta_0, perturbations, states, steps, out)
     s.next_h = 0.1
     drop_dense_output(step)
     out[:] = 0.0
-    damped, lossy = 0.0, 0.0
+    damped, largest_lossy = 0.0, 0.0
     step.acceleration[:] = 0.0
     step.time_left = step.valid_for = math.inf
     step.terms = 3
@@ -102,7 +102,7 @@ def perturbed_contact(parameters, law, eta_0, perturbations, states, steps, out)
             area = s.h * MATRIX[LAST, i] * step.w[i] * step.w[i] * step.w[i]
             out[SUM] += area
             out[MOMENT] += (since - step.since[i]) * area
-            lossy = max(lossy, abs(step.lossy[i]))
+            largest_lossy = max(largest_lossy, abs(step.lossy[i]))
             damped += s.h * MATRIX[LAST, i] * step.w[i] * step.speed[i] * step.speed[i]
         find_peaks(p, law, s, step)
         conclude(p, s, step, ended, 0.0)
@@ -110,10 +110,10 @@ def perturbed_contact(parameters, law, eta_0, perturbations, states, steps, out)
         if ended == SEPARATED:
             out[SEPARATION], out[DURATION], out[DEPTH] = -s.speed, s.t, s.deepest_w * s.deepest_w
             out[PEAK] = s.peak_force
-            if lossy == 0.0:
+            if largest_lossy == 0.0:
                 return True
-            lever = s.t * out[SUM] - out[MOMENT]  # ∫ θ Δ dθ; what a_r does, it does along Δ, which ends at 0
-            out[LOST] = 0.5 * (1.0 - s.speed * s.speed) - eta_1 * out[SUM] - 2.0 * eta_2 * lever - gamma * damped
+            first_moment = s.t * out[SUM] - out[MOMENT]  # ∫ θ Δ dθ; what a_r does, it does along Δ, which ends at 0
+            out[LOST] = 0.5 * (1.0 - s.speed * s.speed) - eta_1 * out[SUM] - 2.0 * eta_2 * first_moment - gamma * damped
             return True
     return False
 
@@ -148,7 +148,7 @@ class Contacts:
         half_second = 0.5 * (up + down - 2.0 * plain) / (perturbation * perturbation)
         return left and left_up and left_down, (up - down) / (2.0 * perturbation), half_second
 
-    def rebound(self, eta_0: float) -> float:
+    def rebound_squared(self, eta_0: float) -> float:
         """Return twice the energy with which the sphere leaves under η_0, 0 where it does not leave by itself."""
         left, out = self.under(eta_0, np.zeros(4))
         return float(out[SEPARATION] * out[SEPARATION]) if left else 0.0
@@ -163,10 +163,10 @@ def tabulate(parameters: Any, law: CompiledForce) -> Any:
     """
     table, contacts = record(TABLE), Contacts(parameters, law)
     parameters[0].rtol = RTOL
-    least = _WEAKEST * contacts.rebound(0.0)
+    least = _WEAKEST * contacts.rebound_squared(0.0)
     low, high = -WIDEST, WIDEST
     for _ in range(_NARROWINGS):
-        fits = contacts.rebound(_MARGIN * low) > 0.0, contacts.rebound(high) > least
+        fits = contacts.rebound_squared(_MARGIN * low) > 0.0, contacts.rebound_squared(high) > least
         if all(fits):
             series = _series(contacts, (low, high))
             if series is not None:
@@ -178,15 +178,15 @@ def tabulate(parameters: Any, law: CompiledForce) -> Any:
 
 
 def _series(contacts: Contacts, limits: tuple[float, float]) -> NDArray[np.float64] | None:
-    """Return the series over a range of η_0, shape (COEFFICIENTS, COLUMNS); None where they do not hold.
+    """Return the series over a range of η_0, shape (COEFFICIENTS, SERIES_COUNT); None where they do not hold.
 
     The less a column counts, the fewer contacts it is made of.
     """
-    series = np.zeros((COEFFICIENTS, COLUMNS))
+    series = np.zeros((COEFFICIENTS, SERIES_COUNT))
 
-    def fill(degree: int, columns: slice, outcome: Callable[[float], tuple[bool, NDArray[np.float64]]]) -> bool:
-        found = [outcome(eta_0) for eta_0 in _nodes(limits, degree)]
-        series[:degree, columns] = _chebyshev(np.array([values for _, values in found]))
+    def fill(count: int, columns: slice, outcome: Callable[[float], tuple[bool, NDArray[np.float64]]]) -> bool:
+        found = [outcome(eta_0) for eta_0 in _nodes(limits, count)]
+        series[:count, columns] = _chebyshev(np.array([values for _, values in found]))
         return all(ended for ended, _ in found)
 
     def by(which: int, quantities: int) -> Callable[[float], tuple[bool, NDArray[np.float64]]]:
@@ -208,19 +208,19 @@ def _series(contacts: Contacts, limits: tuple[float, float]) -> NDArray[np.float
     return series if complete else None
 
 
-def _nodes(limits: tuple[float, float], degree: int) -> list[float]:
+def _nodes(limits: tuple[float, float], count: int) -> list[float]:
     """Return the places of a Chebyshev series within limits."""
     middle, half = 0.5 * (limits[0] + limits[1]), 0.5 * (limits[1] - limits[0])
-    return [middle + half * sincos(PI * (j + 0.5) / degree)[1] for j in range(degree)]
+    return [middle + half * sincos(PI * (j + 0.5) / count)[1] for j in range(count)]
 
 
 def _chebyshev(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the coefficients of the Chebyshev series through the values at its nodes, shape (degree, columns)."""
-    series, degree = np.zeros_like(values), len(values)
-    for n in range(degree):
-        for j in range(degree):
-            cosine = sincos(n * PI * (j + 0.5) / degree)[1]
-            series[n] += values[j] * (cosine * (1.0 if n == 0 else 2.0) / degree)
+    series, count = np.zeros_like(values), len(values)
+    for n in range(count):
+        for j in range(count):
+            cosine = sincos(n * PI * (j + 0.5) / count)[1]
+            series[n] += values[j] * (cosine * (1.0 if n == 0 else 2.0) / count)
     return series
 
 
@@ -233,7 +233,7 @@ def look_up(p, table, s, step, time_left):  # type: ignore[no-untyped-def]
     speed = s.speed
     if speed < p.speed_floor:  # a floored approach speed is a scale of its own
         return False
-    t_0 = contact_time(p, speed)
+    t_0 = t_0_of(p, speed)
     eta_0 = step.acceleration[0] * t_0 / speed
     scale = t_0 * t_0 / speed
     eta_1, eta_2 = step.acceleration[1] * scale, step.acceleration[2] * scale * t_0
@@ -246,11 +246,11 @@ def look_up(p, table, s, step, time_left):  # type: ignore[no-untyped-def]
     x = (2.0 * eta_0 - table.high - table.low) / (table.high - table.low)
     value, series = table.value, table.series
     previous, chebyshev = 1.0, x  # T_0, T_1 and so on
-    for j in range(COLUMNS):
+    for j in range(SERIES_COUNT):
         value[j] = series[0, j] + series[1, j] * x
     for n in range(2, COEFFICIENTS):
         previous, chebyshev = chebyshev, 2.0 * x * chebyshev - previous
-        for j in range(COLUMNS):
+        for j in range(SERIES_COUNT):
             value[j] += series[n, j] * chebyshev
     for q in range(OUTCOMES):
         table.outcome[q] = value[q] + eta_1 * value[OUTCOMES + q]
@@ -269,11 +269,11 @@ def look_up(p, table, s, step, time_left):  # type: ignore[no-untyped-def]
 def apply_outcome(p, table, s, step):  # type: ignore[no-untyped-def]
     """Move s from the touch to the end of the contact that `look_up` found."""
     found, speed = table.outcome, s.speed
-    t_0 = contact_time(p, speed)
+    t_0 = t_0_of(p, speed)
     delta_0 = speed * t_0
     duration, separation = found[DURATION] * t_0, found[SEPARATION] * speed
     columns_impulse = p.k_1 * found[SUM] * delta_0 * t_0  # ∫ F_z dt [N s]
-    columns_moment = (
+    columns_impulse_integral = (
         p.k_1 * found[MOMENT] * delta_0 * t_0 * t_0 + p.c_1 * found[SUM] * delta_0 * t_0
     )  # ∫∫ F_z dt dt [N s²]
     v_2_before = s.y[V1] + s.side * (1.0 - p.share) * speed
@@ -281,9 +281,9 @@ def apply_outcome(p, table, s, step):  # type: ignore[no-untyped-def]
     # the correction z to first order: `look_up` has seen to it that the next one is nothing
     signed_share = s.side * p.share
     s.y[V1] += signed_share * columns_impulse * p.per_m_pair
-    s.y[X1] += signed_share * columns_moment * p.per_m_pair
+    s.y[X1] += signed_share * columns_impulse_integral * p.per_m_pair
     s.y[VB] -= signed_share * columns_impulse * p.per_m_base
-    s.y[XB] -= signed_share * columns_moment * p.per_m_base
+    s.y[XB] -= signed_share * columns_impulse_integral * p.per_m_base
     s.impulse = -s.side * p.m * (s.y[V1] - s.side * (1.0 - p.share) * separation - v_2_before)
     s.elapsed = duration
     s.peak_force = found[PEAK] * p.m_eff * speed / t_0

@@ -185,23 +185,25 @@ class Motion:
 
 
 MOST_STATES = 200_000
-"""Rows of the history in one drive segment: flights and steps of contacts. It is looked at when the log is full; a
+"""Rows of the history in one drive segment: flights and steps of contacts. It is looked at when the history is full; a
 chattering sphere makes some ten rows a segment."""
 
 _WHOLE = 1e-9  # by so much the phase of a whole cycle may miss one turn [rad]
 _STATES, _IMPACTS = 1 << 15, 1 << 11  # room for so many: pages that are not touched take no memory
 _NOTHING_FILLED, _NO_IMPACTS = np.zeros((), COUNTS), np.empty(0, IMPACT)
-_GROWTH = 4  # of the log, when a call needs more room
+_GROWTH = 4  # of the history, when a call needs more room
 _PLACES = {"left": -1.0, "centre": 0.0, "right": 1.0}
 
 
 @attrs.frozen
 class EnergyAccount:
-    """Energies since the reset [J]: each term integrated on its own, so that `imbalance` measures the integration.
+    """Energies since the ledger began [J], each term integrated on its own: `imbalance` measures the integration.
 
     work: done by the drive (coil force, coil voltage or prescribed base);
     columns, shaker, contact, friction: lost there;
-    stored: kinetic and potential, less what was stored at the reset.
+    stored: kinetic and potential, less what was stored then.
+
+    It begins with a reset, another configuration, a pluck or another place of the sphere.
     """
 
     work: float
@@ -385,7 +387,7 @@ class Simulation:
         return twin
 
     def energy(self) -> EnergyAccount:
-        """Return the energy account since the reset; only the contacts' share is kept unless `account` is on."""
+        """Return the energy account; only the contacts' share is kept unless `account` is on."""
         ledger = self._work.ledger[0]
         work, columns, shaker, contact, friction = (float(ledger[name]) for name in LEDGER.names or ())
         return EnergyAccount(work, columns, shaker, contact, friction, self.stored_energy() - self._stored)
@@ -439,7 +441,7 @@ class Simulation:
 
 
 def _grown(work: Workspace) -> Workspace:
-    """Return the work with more room in its log, what is in it kept."""
+    """Return the workspace with more room in its history, what is in it kept."""
     return work._replace(history=_longer(work.history, STATE), impacts=_longer(work.impacts, IMPACT))
 
 

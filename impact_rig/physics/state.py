@@ -59,7 +59,7 @@ STATE = np.dtype(
         ("dent_side", "f8"),  # which wall that is: −1 left, 1 right
         ("next_h", "f8"),  # length in χ that the step control proposes [s/m^0.5], 0 where a contact has just begun
         ("touch_tick", "i8"),  # number of the tick in which the contact began
-        ("touch_t", "f8"),  # when in that tick it began [s]
+        ("touch_offset", "f8"),  # when in that tick it began [s]
         ("approach", "f8"),  # δ' with which the contact began [m/s]
         ("elapsed", "f8"),  # duration of the contact so far [s]
         ("peak_force", "f8"),  # largest F of the contact so far [N]
@@ -71,14 +71,14 @@ STATE = np.dtype(
 
 LEDGER = np.dtype(
     [
-        ("work", "f8"),  # done by the drive since the reset [J]
-        ("columns", "f8"),  # lost in the columns' damping since then [J]
+        ("work", "f8"),  # done by the drive since then [J]
+        ("columns", "f8"),  # lost in the columns' damping [J]
         ("shaker", "f8"),  # lost in the damping of the inferior base's suspension and in the coil [J]
         ("contact", "f8"),  # lost in contacts, less what the least speeds added [J]
         ("friction", "f8"),  # lost by friction of the guide [J]
     ]
 )
-"""Energies since the reset."""
+"""Energies since the reset, or since another configuration, a pluck or another place of the sphere."""
 
 IMPACT = np.dtype(
     [

@@ -254,6 +254,6 @@ def test_what_a_contact_returns_does_not_depend_on_the_one_that_was_integrated_b
     """The pull of the columns that one had been integrated with once stayed for the next."""
     force = from_config(RigConfig().contact).force(ContactPair(1.0, 1.0))
     contacts = outcome.Contacts(unit_parameters(force), compiled_force(force.function))
-    before = contacts.rebound(0.05)
+    before = contacts.rebound_squared(0.05)
     contacts.derivatives(0.05, 3)
-    assert contacts.rebound(0.05) == before
+    assert contacts.rebound_squared(0.05) == before

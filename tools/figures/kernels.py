@@ -121,9 +121,9 @@ def draw_table() -> str:
         ("½ ∂²/∂η_1²", few, SPHERE, "of the first three"), ("∂/∂η_2", few, SPHERE, ""), ("∂/∂α", few, SPHERE, ""),
         ("∂/∂γ", few, SPHERE, ""),
     )  # fmt: skip
-    assert sum(count for _, count, _, _ in groups) == outcome.COLUMNS
+    assert sum(count for _, count, _, _ in groups) == outcome.SERIES_COUNT
     parts = [
-        text(20, 26, f"Tabulated outcome: {outcome.COEFFICIENTS} rows, {outcome.COLUMNS} columns", bold=True),
+        text(20, 26, f"Tabulated outcome: {outcome.COEFFICIENTS} rows, {outcome.SERIES_COUNT} columns", bold=True),
         text(20, 46, "row n holds the coefficients of T_n(x), Chebyshev, x = −1 … 1 over the range of η_0",
              colour=MUTED, px=12),
     ]  # fmt: skip

@@ -53,16 +53,16 @@ def factor_returning(restitution: float) -> float:
 
 
 def _imbalance(a: Decimal, e: Decimal) -> Decimal:
-    """Return the left side of the equation less the right one: it grows with both."""
+    """Return the left side less the right one: negative below the root, in `a` as in `e`, and positive above it."""
     return ((ONE + a) / (ONE - a * e)).ln() - a * (ONE + e)
 
 
-def _root(high: Decimal, growing: Callable[[Decimal], Decimal]) -> float:
-    """Return the number in (0, high) where a growing function is zero."""
+def _root(high: Decimal, imbalance: Callable[[Decimal], Decimal]) -> float:
+    """Return the one number in (0, high) at which a function goes from negative to positive."""
     low = ZERO
     while high - low > _CLOSE * high:
         middle = (low + high) / TWO
-        low, high = (low, middle) if growing(middle) > ZERO else (middle, high)
+        low, high = (low, middle) if imbalance(middle) > ZERO else (middle, high)
     return float(low)
 
 

@@ -114,8 +114,8 @@ class WaltonBraun(ContactLaw):
 
     def loading_stiffness(self, pair: ContactPair) -> float:
         """Return k_1 [N/m]."""
-        per_root = 2.0 * self.contact_time_s / (PI * (1.0 + self.restitution))
-        return pair.effective_mass / (per_root * per_root)
+        time_scale = 2.0 * self.contact_time_s / (PI * (1.0 + self.restitution))
+        return pair.effective_mass / (time_scale * time_scale)
 
     def force(self, pair: ContactPair) -> Force:
         """Return the force between the bodies of `pair`."""
