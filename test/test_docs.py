@@ -25,7 +25,7 @@ from impact_rig.campaign.paper import CURRENT_A, FREQUENCY_HZ, REDUCTION_PERCENT
 from impact_rig.campaign.plan import load_campaign
 from impact_rig.kernels.build import PARTS
 from impact_rig.maps.plan import load_map
-from impact_rig.physics.prediction import transmissibility
+from impact_rig.physics.linear_response import transmissibility
 from impact_rig.rig.config import RigConfig, dump, load
 from impact_rig.runs.measurement import Mapping, refined
 from impact_rig.simtime import NS_PER_S

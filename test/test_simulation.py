@@ -12,7 +12,7 @@ import pytest
 
 import impact_rig
 from impact_rig.errors import ConfigError
-from impact_rig.physics.prediction import transmissibility
+from impact_rig.physics.linear_response import transmissibility
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simulation import DRAWN_S, simulate

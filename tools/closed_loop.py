@@ -21,15 +21,16 @@ from pathlib import Path
 import attrs
 import numpy as np
 
-from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.job import execute
 from impact_rig.campaign.pool import in_parallel
 from impact_rig.drawing import SERIES, legend_below, new_axes, style
 from impact_rig.operate.phase_lock import Ladder, LockPlan, PhaseLock, Rung, climb, follow, lock_on
 from impact_rig.operate.stepped_sine import Hold, HoldPlan, SweepState
 from impact_rig.physics import prediction
-from impact_rig.physics.prediction import Manifold, transmissibility
+from impact_rig.physics.linear_response import transmissibility
+from impact_rig.physics.prediction import Manifold
 from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.rig.gaps import NO_SPHERE
 from impact_rig.simtime import NS_PER_S
 from impact_rig.studies.closed_loop import ProcessLoop, hold
 from tools.prediction import job, tell

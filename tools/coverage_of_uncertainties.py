@@ -40,11 +40,11 @@ from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.reduction import reduction
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import APPLIED, Table
-from impact_rig.campaign.axes import NO_SPHERE, gap_values
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCY_HZ
 from impact_rig.instruments.chain import Chain
 from impact_rig.physics import FunctionGenerator, Motion, Simulation
 from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.rig.gaps import NO_SPHERE, gap_values
 from impact_rig.simtime import NS_PER_S, TICKS_PER_S
 
 RATE_HZ = 10_000

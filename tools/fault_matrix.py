@@ -37,7 +37,6 @@ from impact_rig.analysis.scans import CHANNELS
 from impact_rig.analysis.sine import fit_sine
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import APPLIED, FAULTS, Table
-from impact_rig.campaign.axes import gap_values
 from impact_rig.client import Client, Collector, Processes, isolated_domain
 from impact_rig.client.client import Received
 from impact_rig.instruments.chain import Chain
@@ -48,6 +47,7 @@ from impact_rig.nodes.messages import nanoseconds
 from impact_rig.physics import FunctionGenerator, Motion, Simulation
 from impact_rig.recording import open_run
 from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.rig.gaps import gap_values
 from impact_rig.runs import recover
 from impact_rig.simtime import NS_PER_S
 

@@ -27,10 +27,10 @@ from pathlib import Path
 import numpy as np
 
 from impact_rig.blocks import joined
-from impact_rig.campaign.axes import gap_values
 from impact_rig.cli.main import main as impact_rig
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, dump, from_flat
+from impact_rig.rig.gaps import gap_values
 from impact_rig.simtime import NS_PER_S
 
 RATE_HZ, GAIN, COVERAGE = 1000, 0.03, 2.0

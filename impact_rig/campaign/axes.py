@@ -14,25 +14,14 @@ import attrs
 from impact_rig.config.tree import Value, flatten
 from impact_rig.errors import ConfigError
 from impact_rig.rig.config import RigConfig, from_flat, load
+from impact_rig.rig.gaps import NO_SPHERE
 
 S = TypeVar("S", bound=attrs.AttrsInstance)
 
-NO_SPHERE = 0.0
-"""The gap that stands for a run without the sphere, as in the analysis's labels; `none` in a campaign file."""
 MAX_VALUES = 10_000
 HUGE = 10**30  # no integer of a configuration is as large; one of 400 digits is no floating-point number
 SHOWN = 200  # characters of a wrong value that an error quotes
 _DIGITS = 12  # of the values of a range, so that 9.00, 9.01, ... are what they look like
-
-
-def case_of(gap_m: float) -> str:
-    """Return the words for a gap, or for no sphere."""
-    return "no sphere" if gap_m == NO_SPHERE else f"gap {gap_m * 1e3:g} mm"
-
-
-def gap_values(gap_m: float) -> dict[str, Value]:
-    """Return the configuration of a gap; without a sphere the barriers do not matter and stay as they are."""
-    return {"sphere.present": False} if gap_m == NO_SPHERE else {"sphere.present": True, "barriers.gap_m": gap_m}
 
 
 def wrong(key: str, rule: str, value: object) -> ConfigError:

@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import TRANSMISSIBILITY, joined
-from impact_rig.campaign.axes import case_of
 from impact_rig.config.tree import Value
 from impact_rig.errors import GoneError, ImpactRigError
 from impact_rig.instruments.section import channels_of
@@ -34,6 +33,7 @@ from impact_rig.operate.operator import Applied, News, Note, PatientApparatus, o
 from impact_rig.operate.stepped_sine import Direction, Setpoint, SteppedSine, SweepPlan, SweepState
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.rig.gaps import case_of
 from impact_rig.rig.journal import not_default
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.reduction import combined, reduction
-from impact_rig.campaign.axes import NO_SPHERE
+from impact_rig.rig.gaps import NO_SPHERE
 
 TITLE = "Modeling of an impact damper submitted to forced vibration from a nonlinear contact force model"
 AUTHORS = "Marcos Vieira de Albuquerque, Robson Pederiva"

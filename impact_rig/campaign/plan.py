@@ -17,7 +17,6 @@ import attrs
 
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.campaign import axes
-from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.job import Job
 from impact_rig.campaign.paper import CURRENT_A
 from impact_rig.campaign.tasks import load_plan
@@ -26,6 +25,7 @@ from impact_rig.errors import ConfigError
 from impact_rig.operate.stepped_sine import Direction
 from impact_rig.physics.contact import LAWS
 from impact_rig.rig.config import RigConfig, differences, from_flat
+from impact_rig.rig.gaps import NO_SPHERE, gap_values
 from impact_rig.system import budget
 
 RESET = "reset"  # the direction of a study whose points each begin with a reset rig
@@ -132,7 +132,7 @@ class Campaign:
         for values, current, gap in combinations:
             varied = dict(zip(study.vary, values, strict=True))
             try:
-                config = from_flat(self.base, {**varied, **axes.gap_values(gap)})
+                config = from_flat(self.base, {**varied, **gap_values(gap)})
             except ConfigError as error:
                 raise ConfigError(f"study {study.name}: {error}") from error
             changes = differences(config)

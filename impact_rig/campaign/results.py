@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 import impact_rig
 from impact_rig.analysis.reduction import combined
-from impact_rig.campaign.axes import NO_SPHERE, case_of
 from impact_rig.campaign.job import Outcome
 from impact_rig.campaign.paper import REDUCTION_PERCENT, Reductions
 from impact_rig.campaign.plan import RESET, Planned
 from impact_rig.config.tree import Value
 from impact_rig.operate.stepped_sine import Direction
+from impact_rig.rig.gaps import NO_SPHERE, case_of
 from impact_rig.system import files
 
 NAN = math.nan

@@ -31,7 +31,6 @@ from impact_rig.analysis.calibration import Calibration
 from impact_rig.arithmetic import ARITHMETIC
 from impact_rig.blocks import DAQ_INFO
 from impact_rig.campaign import statements
-from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.job import Job, Outcome
 from impact_rig.campaign.paper import FREQUENCY_HZ, REDUCTION_PERCENT, Reductions
 from impact_rig.campaign.plan import Campaign, Planned, load_campaign
@@ -41,6 +40,7 @@ from impact_rig.campaign.store import FOLDER, Store, fingerprint
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.instruments.chain import Chain
 from impact_rig.rig.config import dump, load
+from impact_rig.rig.gaps import NO_SPHERE
 from impact_rig.system import files
 
 CAMPAIGN_FILE, CONFIGURATION_FILE, PROVENANCE_FILE = "campaign.yaml", "configuration.yaml", "provenance.json"

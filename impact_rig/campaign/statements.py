@@ -15,11 +15,11 @@ from collections.abc import Callable, Mapping, Sequence
 
 import attrs
 
-from impact_rig.campaign.axes import NO_SPHERE, case_of
 from impact_rig.campaign.paper import FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT
 from impact_rig.campaign.plan import RESET
 from impact_rig.campaign.results import Curves, Point, Statement
 from impact_rig.config.tree import Value
+from impact_rig.rig.gaps import NO_SPHERE, case_of
 
 ABOVE_HZ = (9.2, 9.5)
 FAR_HZ = (7.5, 8.0, 10.0, 10.5)

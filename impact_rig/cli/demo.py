@@ -18,7 +18,6 @@ from rich.progress import BarColumn, Progress, TaskID, TimeElapsedColumn
 from impact_rig import topics
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.campaign import paper
-from impact_rig.campaign.axes import NO_SPHERE, case_of, gap_values
 from impact_rig.campaign.job import Job
 from impact_rig.campaign.paper import DEMO_POINTS_LIMIT, Reductions
 from impact_rig.campaign.results import FILE_NAME, Statement, write_summary
@@ -28,6 +27,7 @@ from impact_rig.operate.stepped_sine import SteppedSine
 from impact_rig.recording import open_run
 from impact_rig.report.dt import draw_reductions
 from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.rig.gaps import NO_SPHERE, case_of, gap_values
 from impact_rig.rig.journal import not_default
 from impact_rig.runs import RunInfo, info
 from impact_rig.simtime import NS_PER_S
@@ -81,7 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
     rows = _measure(config, directory)
     wall_s = time.monotonic() - started
 
-    from impact_rig.physics.prediction import transmissibility  # noqa: PLC0415  # compiles nothing, but loads SciPy
+    from impact_rig.physics.linear_response import transmissibility  # noqa: PLC0415  # compiles nothing, but loads SciPy
 
     runs = [info(directory / name) for name in RUNS.values()]
     lost = sum(_lost_blocks(run) for run in runs)

@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.scans import CHANNELS
-from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.cli.terminal import Console, add_json, subcommand, tell_results
 from impact_rig.errors import CommandError, ConfigError, ImpactRigError, visible
 from impact_rig.operate.hardware import Hardware
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat, load
+from impact_rig.rig.gaps import NO_SPHERE
 from impact_rig.system import files
 from impact_rig.system.endings import unhurried
 

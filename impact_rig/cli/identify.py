@@ -11,12 +11,12 @@ from pathlib import Path
 
 from impact_rig.analysis.decay import REASONS, fit_decay, log_decrement
 from impact_rig.campaign import run
-from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT
 from impact_rig.cli.terminal import Console, TextTable, add_json, subcommand, tell_json, tell_program
 from impact_rig.errors import ConfigError, ImpactRigError
 from impact_rig.recording import open_run
 from impact_rig.rig.config import RigConfig, dump, load
+from impact_rig.rig.gaps import NO_SPHERE
 from impact_rig.states import Status
 from impact_rig.studies.identification import paper_fit
 from impact_rig.studies.identification.fit import NAMES, START, UNITS, Identified, Information, identify, logarithms

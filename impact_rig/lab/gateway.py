@@ -27,7 +27,6 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from std_srvs.srv import SetBool, Trigger
 
 from impact_rig import states, topics
-from impact_rig.campaign.axes import case_of, gap_values
 from impact_rig.client.client import Client, ros_parameters
 from impact_rig.errors import ImpactRigError, in_words
 from impact_rig.instruments.instrument import FAULT_KINDS
@@ -37,6 +36,7 @@ from impact_rig.lab.state import DEAD_S, Answer, Seen
 from impact_rig.nodes import messages
 from impact_rig.nodes.session import EXPIRES_S
 from impact_rig.rig.config import RigConfig, fields, from_flat, parameters_in, to_flat
+from impact_rig.rig.gaps import case_of, gap_values
 from impact_rig.rig.journal import PLANNED
 from impact_rig.runs import recover
 

@@ -23,7 +23,7 @@ from impact_rig.blocks import joined
 from impact_rig.config.fields import integer, quantity
 from impact_rig.errors import SimulationError
 from impact_rig.physics import SEGMENT, Motion, Simulation
-from impact_rig.physics.prediction import transmissibility
+from impact_rig.physics.linear_response import transmissibility
 from impact_rig.rig.config import RigConfig
 from impact_rig.states import Regime
 

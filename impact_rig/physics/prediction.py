@@ -73,30 +73,7 @@ from numpy.typing import NDArray
 from impact_rig.errors import ConfigError
 from impact_rig.physics import contact as contact_laws
 from impact_rig.physics.linear import Constants, MechanicsSetup, constants, sphere_mass_kg
-
-
-def transmissibility(config: MechanicsSetup, frequency_hz: NDArray[np.float64] | float) -> NDArray[np.complex128]:
-    """Return X_1 / X_b without the sphere: (1 + 2iζr) / (1 − r² + 2iζr), r = f / f_n; its phase is x_1 over x_b."""
-    structure = config.structure
-    r = np.asarray(frequency_hz, float) / structure.natural_frequency_hz
-    loss = 2.0j * structure.damping_ratio * r
-    ratio: NDArray[np.complex128] = (1.0 + loss) / (1.0 - r**2 + loss)
-    return ratio
-
-
-def base_per_ampere(config: MechanicsSetup, frequency_hz: NDArray[np.float64] | float) -> NDArray[np.complex128]:
-    """Return X_b per ampere of coil current without the sphere [m/A].
-
-    X_b = K_f I / [k_f − (m_a + m_b) ω² + iωc_f − m_1 ω² T]: the structure pushes back on the base with m_1 ω² X_1.
-    """
-    c = constants(config)
-    omega = 2.0 * math.pi * np.asarray(frequency_hz, float)
-    pushed_back = c.m_1 * omega**2 * transmissibility(config, frequency_hz)
-    per_ampere: NDArray[np.complex128] = c.force_factor / (
-        c.k_f - c.m_base * omega**2 + 1j * omega * c.c_f - pushed_back
-    )
-    return per_ampere
-
+from impact_rig.physics.linear_response import transmissibility
 
 THETA_SYMMETRIC = math.pi**2 / (math.pi**2 - 4.0)
 """Largest Θ of stable symmetric motion, whatever e; without recoil."""

@@ -9,6 +9,7 @@ from impact_rig.recording.description import (
     Provenance,
     TopicDescription,
     arithmetic_of,
+    is_measured,
     schema_text,
 )
 from impact_rig.recording.losses import Account
@@ -17,5 +18,5 @@ from impact_rig.recording.writer import RunWriter
 
 __all__ = [
     "CONFIGURATION", "Account", "Attachment", "Message", "OfferedQos", "Provenance", "RecordedTopic", "Run",
-    "RunWriter", "TopicDescription", "arithmetic_of", "open_run", "schema_text",
+    "RunWriter", "TopicDescription", "arithmetic_of", "is_measured", "open_run", "schema_text",
 ]  # fmt: skip

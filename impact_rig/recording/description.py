@@ -382,6 +382,9 @@ TOPIC_RECORD_NAME = "impact_rig/topic"
 """Metadata record repeating a channel and its schema outside the chunks: a lost chunk does not cost the others."""
 CONFIGURATION = "config.yaml"  # attachment with the resolved configuration
 
+MODE_KEY = "mode"
+MEASURED = "measured"  # mode of a run that was imported
+
 ARITHMETIC_KEY = "arithmetic"
 UNWRITTEN_ARITHMETIC = "1"  # of recordings from before it was written down
 
@@ -423,6 +426,11 @@ class Provenance:
 def arithmetic_of(record: Mapping[str, str]) -> str:
     """Return the version of the arithmetic that a run's metadata record names; of another recorder's file nothing."""
     return record.get(ARITHMETIC_KEY, UNWRITTEN_ARITHMETIC) if record else ""
+
+
+def is_measured(record: Mapping[str, str]) -> bool:
+    """Return whether a run's metadata record is that of an imported measurement: there is no simulation behind it."""
+    return record.get(MODE_KEY) == MEASURED
 
 
 @attrs.frozen

@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from impact_rig.campaign import run
-from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.paper import FREQUENCIES_HZ, FREQUENCY_HZ
 from impact_rig.campaign.results import Point
 from impact_rig.campaign.run import Finished
@@ -24,6 +23,7 @@ from impact_rig.report.findings import value_cell
 from impact_rig.report.page import contents, folded, link, page, paragraph, section
 from impact_rig.report.studies import continued, reduction_over_gap, study_figures
 from impact_rig.rig.config import fields, to_flat
+from impact_rig.rig.gaps import NO_SPHERE
 from impact_rig.studies.dynamics import plan as dynamics
 from impact_rig.system import files
 

@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.reduction import Damper, damper
 from impact_rig.campaign import paper
-from impact_rig.campaign.axes import NO_SPHERE, case_of
 from impact_rig.campaign.job import Trace
 from impact_rig.campaign.paper import FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT, Reductions
 from impact_rig.campaign.results import Curves, Point
@@ -41,6 +40,7 @@ from impact_rig.drawing import (
 from impact_rig.report.content import COVERAGE
 from impact_rig.report.studies import Stretch, predicted
 from impact_rig.rig.config import RigConfig
+from impact_rig.rig.gaps import NO_SPHERE, case_of
 from impact_rig.system import files
 
 if TYPE_CHECKING:

@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from impact_rig.analysis.reduction import budget
-from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCY_HZ, REDUCTION_PERCENT
 from impact_rig.campaign.results import Point
 from impact_rig.campaign.run import Finished
@@ -19,6 +18,7 @@ from impact_rig.report.content import COVERAGE, Cell, Content, number, plus_minu
 from impact_rig.report.dt import dampers
 from impact_rig.report.page import paragraph
 from impact_rig.rig.config import RigConfig, fields, to_flat
+from impact_rig.rig.gaps import NO_SPHERE
 
 BUDGETED_GAP_M = 6e-3  # the uncertainty of this case is taken apart, where it was measured
 

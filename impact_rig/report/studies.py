@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.reduction import reduction
-from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.results import Curves, Point
 from impact_rig.drawing import INK, PREDICTED, SERIES, Drawn, Line, legend_below, new_axes
 from impact_rig.errors import ConfigError
 from impact_rig.physics import prediction
-from impact_rig.physics.prediction import transmissibility
+from impact_rig.physics.linear_response import transmissibility
 from impact_rig.report.content import COVERAGE
 from impact_rig.rig.config import RigConfig, from_flat, to_flat
+from impact_rig.rig.gaps import NO_SPHERE
 from impact_rig.studies.dynamics import figures
 from impact_rig.studies.dynamics.figures import Found
 from impact_rig.studies.dynamics.plan import Plan

@@ -31,12 +31,12 @@ from impact_rig.analysis.settings import GapLabel, parse_label
 from impact_rig.analysis.tracker import Findings, Tracker
 from impact_rig.blocks import APPLIED, DAQ_INFO, DAQ_INFO_COLUMNS, LONGEST_S, MOST_HZ, Column, Table, row_type
 from impact_rig.errors import ConfigError, RecordingError, did_you_mean
-from impact_rig.recording import Attachment, Provenance, Run, RunWriter, TopicDescription
+from impact_rig.recording import Attachment, Provenance, RunWriter, TopicDescription
+from impact_rig.recording.description import MEASURED, MODE_KEY
 from impact_rig.runs.foreign_files import VALUES, Foreign
 from impact_rig.simtime import NS_PER_S, stamp_ns
 from impact_rig.system import budget
 
-MEASURED = "measured"  # the `mode` that the provenance of an imported run names, beside what was read
 MAPPING_FILE = "mapping.yaml"  # attachment with the mapping in use
 UNITS = {"accelerometer": "m/s^2", "laser": "m", "base": "m", "current": "A"}
 HINTS = {
@@ -595,7 +595,7 @@ def write(found: ImportedFile, directory: Path, clock_ns: int | None = None) -> 
         RecordingError: it cannot be written, or holds a recording already.
     """
     now = time.time_ns() if clock_ns is None else clock_ns
-    about = {"mode": MEASURED, "source": found.source.path.name, "format": found.source.kind}
+    about = {MODE_KEY: MEASURED, "source": found.source.path.name, "format": found.source.kind}
     provenance = Provenance(version=impact_rig.__version__, seed=0, wall_start_ns=now, extra=about)
     kept = Attachment(MAPPING_FILE, as_yaml(found.mapping).encode(), "application/yaml")
     if directory.is_dir() and any(directory.iterdir()):
@@ -653,8 +653,3 @@ def _blocks(found: ImportedFile) -> Iterator[Table]:
             rows = found.rows[begin : min(begin + length, end)].copy()
             rows["time"] = np.arange(len(rows)) / found.rate_hz
             yield Table(stamp_ns(int(found.index[begin]), found.rate_hz, found.start_ns), rows)
-
-
-def is_measured(run: Run) -> bool:
-    """Return whether a run was imported: there is no simulation behind it."""
-    return run.provenance.get("mode") == MEASURED

@@ -22,9 +22,8 @@ from impact_rig.analysis.settings import GapLabel, TrackerSettings, machine_of, 
 from impact_rig.analysis.tracker import Findings, Tracker
 from impact_rig.blocks import TRANSMISSIBILITY, Table
 from impact_rig.errors import ConfigError, RecordingError
-from impact_rig.recording import Message, Run
+from impact_rig.recording import Message, Run, is_measured
 from impact_rig.recording.losses import check_contiguity
-from impact_rig.runs.measurement import is_measured
 from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Status
 from impact_rig.system.machine import fingerprint
@@ -273,7 +272,7 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
     Raises:
         RecordingError: the run is damaged, or a table in it is none of its topic.
     """
-    if is_measured(run):
+    if is_measured(run.provenance):
         return Agreement(None, reason="this run was imported, no analysis saw it live")
     settings = _settings_told(run)
     if any(one.in_turn for one in settings):

@@ -27,7 +27,7 @@ from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, CommandError, ConfigError, RecordingError, SimulationError
 from impact_rig.instruments.instrument import Instrument
 from impact_rig.instruments.registry import INSTRUMENTS
-from impact_rig.recording import CONFIGURATION, Message, Run, arithmetic_of
+from impact_rig.recording import CONFIGURATION, Message, Run, arithmetic_of, is_measured
 from impact_rig.recording.description import matches, members
 from impact_rig.rig import Block, InputKind
 from impact_rig.rig.config import RigConfig, from_flat, parse, to_flat
@@ -36,7 +36,6 @@ from impact_rig.rig.journal import PLANNED, JournalRow, deciding_samples, read
 from impact_rig.rig.monitors import HALF_PERIODS, AntiAlias, Smoothed
 from impact_rig.rig.resimulation import Resimulation, Sent
 from impact_rig.rig.truth import monitor_step
-from impact_rig.runs.measurement import is_measured
 from impact_rig.runs.reanalysis import Compared, texts
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, stamp_ns
 
@@ -83,7 +82,7 @@ def verify(run: Run) -> Verification:
     if arithmetic_of(run.provenance) not in ("", str(ARITHMETIC)):
         return Verification(None, 0, f"recorded with arithmetic {arithmetic_of(run.provenance)}, this is {ARITHMETIC}")
     run.resolve(topics.SCAN.name)
-    if is_measured(run):
+    if is_measured(run.provenance):
         return Verification(None, 0, "a measurement: there is nothing to re-simulate")
     try:
         journals, waveforms, first, foreign = _journals(run)

@@ -28,7 +28,6 @@ from impact_rig import topics
 from impact_rig.analysis.calibration import Calibration, Real
 from impact_rig.analysis.scans import BASE, CHANNELS, CURRENT, LASER, SCAN, samples_of
 from impact_rig.blocks import Table
-from impact_rig.campaign.axes import NO_SPHERE, gap_values
 from impact_rig.campaign.plan import RESET
 from impact_rig.campaign.results import Curves, Point
 from impact_rig.drawing import MEASURED, MUTED, PREDICTED, WIDE_INCH, Drawn, Line, new_axes, style
@@ -37,6 +36,7 @@ from impact_rig.physics import Simulation
 from impact_rig.recording import CONFIGURATION, Run
 from impact_rig.rig.config import RigConfig, from_flat, parse
 from impact_rig.rig.core import new_generator
+from impact_rig.rig.gaps import NO_SPHERE, gap_values
 from impact_rig.runs import drawings, reanalysis
 from impact_rig.runs.wholes import Excerpt, calibration_rows, last_excerpt
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, stamp_ns

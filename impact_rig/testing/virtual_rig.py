@@ -206,7 +206,7 @@ class SteppedRig(abc.ABC):
         Raises:
             ConfigError: the sphere is there.
         """
-        from impact_rig.physics.prediction import transmissibility  # noqa: PLC0415  # loads compiled code
+        from impact_rig.physics.linear_response import transmissibility  # noqa: PLC0415  # loads compiled code
 
         if self.config.sphere.present:
             raise ConfigError("the closed form holds without the sphere: start the rig with sphere.present: false")

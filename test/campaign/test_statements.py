@@ -13,7 +13,7 @@ from impact_rig.campaign.paper import CURRENT_A, FREQUENCIES_HZ, REDUCTION_PERCE
 from impact_rig.campaign.results import Curves, Point
 from impact_rig.campaign.statements import Worth, judge, peak_hz, variations
 from impact_rig.config import Origin
-from impact_rig.physics.prediction import base_per_ampere, transmissibility
+from impact_rig.physics.linear_response import base_per_ampere, transmissibility
 from impact_rig.rig.config import RigConfig, fields, from_flat
 
 FINE_HZ = [round(9.0 + i / 100, 2) for i in range(16)]

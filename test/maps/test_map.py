@@ -21,7 +21,7 @@ from impact_rig.maps import optimum, run
 from impact_rig.maps.measure import FAILED, MapRig, Settings
 from impact_rig.maps.plan import DOWN, UP, MapLine, MapPlan, load_map, measure_line
 from impact_rig.physics import prediction
-from impact_rig.physics.prediction import base_per_ampere, transmissibility
+from impact_rig.physics.linear_response import base_per_ampere, transmissibility
 from impact_rig.report.heat_map import QUIET, TWO, classes, heat_maps
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.system.budget import BudgetError

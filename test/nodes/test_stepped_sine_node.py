@@ -17,7 +17,7 @@ from impact_rig.client.client import ros_parameters
 from impact_rig.errors import ConfigError
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.stepped_sine_node import SteppedSineNode
-from impact_rig.physics.prediction import transmissibility
+from impact_rig.physics.linear_response import transmissibility
 from impact_rig.rig.config import RigConfig
 
 pytestmark = pytest.mark.ros

@@ -10,13 +10,13 @@ import pytest
 
 from impact_rig.analysis.reduction import combined
 from impact_rig.blocks import TRANSMISSIBILITY
-from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.job import execute
 from impact_rig.errors import ConfigError
 from impact_rig.operate.operator import Applied, News, operate
 from impact_rig.operate.stepped_sine import ControlledSine, Hold, HoldPlan, SweepPlan, SweepState
-from impact_rig.physics.prediction import transmissibility
+from impact_rig.physics.linear_response import transmissibility
 from impact_rig.rig.config import RigConfig
+from impact_rig.rig.gaps import NO_SPHERE
 from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Status
 from impact_rig.studies.closed_loop import hold

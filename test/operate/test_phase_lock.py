@@ -26,7 +26,7 @@ from impact_rig.operate.phase_lock import (
     mean,
 )
 from impact_rig.operate.stepped_sine import SweepState
-from impact_rig.physics.prediction import transmissibility
+from impact_rig.physics.linear_response import transmissibility
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
 from impact_rig.studies.closed_loop import ProcessLoop

@@ -16,7 +16,7 @@ from impact_rig.analysis.decay import Drop, parse_drop
 from impact_rig.cli import main
 from impact_rig.errors import RecordingError
 from impact_rig.physics.contact import from_config
-from impact_rig.physics.prediction import transmissibility
+from impact_rig.physics.linear_response import transmissibility
 from impact_rig.recording import open_run
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.runs import reanalysis, wholes

@@ -19,7 +19,7 @@ from impact_rig.campaign.paper import FREQUENCIES_HZ
 from impact_rig.campaign.plan import load_campaign
 from impact_rig.campaign.results import Curves
 from impact_rig.cli import main
-from impact_rig.physics.prediction import base_per_ampere, transmissibility
+from impact_rig.physics.linear_response import base_per_ampere, transmissibility
 from impact_rig.recording import open_run
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat

@@ -10,10 +10,10 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.campaign.axes import gap_values
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCY_HZ
 from impact_rig.physics import SEGMENT, Motion, Simulation
 from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.rig.gaps import gap_values
 from impact_rig.simulation import simulate
 from tools.figures.style import finished
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from impact_rig.campaign.paper import FREQUENCY_HZ
-from impact_rig.physics.prediction import transmissibility
+from impact_rig.physics.linear_response import transmissibility
 from impact_rig.rig.config import RigConfig
 from tools.figures import simulated
 from tools.figures.style import BASE, INK, MUTED, STRUCTURE, direct_label, finished, new_figure, style

@@ -24,7 +24,7 @@ from impact_rig.analysis.calibration import Real
 from impact_rig.analysis.scans import BASE, CURRENT, LASER
 from impact_rig.config.tree import Value
 from impact_rig.errors import ConfigError
-from impact_rig.physics.prediction import base_per_ampere, transmissibility
+from impact_rig.physics.linear_response import base_per_ampere, transmissibility
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.states import Regime
 from impact_rig.studies.identification.measurements import (

@@ -23,15 +23,14 @@ from impact_rig.analysis.decay import Decay, DecayMethod, fit_decay, measure_dec
 from impact_rig.analysis.reduction import repeatability
 from impact_rig.analysis.scans import BASE, CURRENT, LASER, Recent, samples_of
 from impact_rig.blocks import joined
-from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.results import Curves, Point
 from impact_rig.errors import RecordingError, SimulationError
 from impact_rig.maps.measure import FAILED, MapRig, Settings
-from impact_rig.physics.prediction import transmissibility
-from impact_rig.recording import Run
+from impact_rig.physics.linear_response import transmissibility
+from impact_rig.recording import Run, is_measured
 from impact_rig.rig import InputKind, Rig
 from impact_rig.rig.config import RigConfig, from_flat
-from impact_rig.runs.measurement import is_measured
+from impact_rig.rig.gaps import NO_SPHERE
 from impact_rig.runs.wholes import calibration_rows, last_record
 from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Regime
@@ -199,7 +198,7 @@ def recorded_decay(run: Run, method: DecayMethod = fit_decay) -> Decay:
     Raises:
         RecordingError: nothing was plucked, or the run holds no scans after it.
     """
-    if not run.holds(topics.JOURNAL) and is_measured(run):
+    if not run.holds(topics.JOURNAL) and is_measured(run.provenance):
         record = last_record(run)
         x_1 = samples_of(record.rows, "laser")
         rest = x_1[-max(1, len(x_1) // 4) :].mean()

@@ -1,0 +1,35 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Closed-form frequency response of the rig without its sphere: superior base over base, and base over coil current."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.physics.linear import MechanicsSetup, constants
+
+
+def transmissibility(config: MechanicsSetup, frequency_hz: NDArray[np.float64] | float) -> NDArray[np.complex128]:
+    """Return X_1 / X_b without the sphere: (1 + 2iζr) / (1 − r² + 2iζr), r = f / f_n; its phase is x_1 over x_b."""
+    structure = config.structure
+    r = np.asarray(frequency_hz, float) / structure.natural_frequency_hz
+    loss = 2.0j * structure.damping_ratio * r
+    ratio: NDArray[np.complex128] = (1.0 + loss) / (1.0 - r**2 + loss)
+    return ratio
+
+
+def base_per_ampere(config: MechanicsSetup, frequency_hz: NDArray[np.float64] | float) -> NDArray[np.complex128]:
+    """Return X_b per ampere of coil current without the sphere [m/A].
+
+    X_b = K_f I / [k_f − (m_a + m_b) ω² + iωc_f − m_1 ω² T]: the structure pushes back on the base with m_1 ω² X_1.
+    """
+    c = constants(config)
+    omega = 2.0 * math.pi * np.asarray(frequency_hz, float)
+    pushed_back = c.m_1 * omega**2 * transmissibility(config, frequency_hz)
+    per_ampere: NDArray[np.complex128] = c.force_factor / (
+        c.k_f - c.m_base * omega**2 + 1j * omega * c.c_f - pushed_back
+    )
+    return per_ampere

@@ -1,0 +1,20 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""The gap of a rig as one number that also stands for a rig without its sphere: its configuration and its label."""
+
+from __future__ import annotations
+
+from impact_rig.config.tree import Value
+
+NO_SPHERE = 0.0
+"""The gap that stands for a run without the sphere, as in the analysis's labels; `none` in a campaign file."""
+
+
+def case_of(gap_m: float) -> str:
+    """Return the words for a gap, or for no sphere."""
+    return "no sphere" if gap_m == NO_SPHERE else f"gap {gap_m * 1e3:g} mm"
+
+
+def gap_values(gap_m: float) -> dict[str, Value]:
+    """Return the configuration of a gap; without a sphere the barriers do not matter and stay as they are."""
+    return {"sphere.present": False} if gap_m == NO_SPHERE else {"sphere.present": True, "barriers.gap_m": gap_m}
