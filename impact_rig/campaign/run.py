@@ -20,13 +20,13 @@ import platform
 import sys
 import time
 from collections.abc import Callable, Generator, Sequence
-from importlib import metadata
 from pathlib import Path
 
 import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig import kernels
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.arithmetic import ARITHMETIC
 from impact_rig.blocks import DAQ_INFO
@@ -41,7 +41,7 @@ from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.instruments.chain import Chain
 from impact_rig.rig.config import dump, load
 from impact_rig.rig.gaps import NO_SPHERE
-from impact_rig.system import files
+from impact_rig.system import files, machine
 
 CAMPAIGN_FILE, CONFIGURATION_FILE, PROVENANCE_FILE = "campaign.yaml", "configuration.yaml", "provenance.json"
 CSV_FILE, CALIBRATION_FILE = "points.csv", "calibration.json"
@@ -133,7 +133,7 @@ def prepare(campaign: Campaign, directory: Path, through: str) -> Store:
         files.write_text(directory / CONFIGURATION_FILE, dump(campaign.base))
         provenance = {
             "impact_rig": fingerprint(), "arithmetic": ARITHMETIC, "python": sys.version.split()[0],
-            **{name: metadata.version(name) for name in LIBRARIES},
+            **machine.versions(LIBRARIES), "kernels": kernels.MODE,
             "machine": platform.machine(), "system": platform.platform(), "through": through,
         }  # fmt: skip
         files.write_text(directory / PROVENANCE_FILE, json.dumps(provenance, indent=2) + "\n")

@@ -20,6 +20,7 @@ from impact_rig.campaign.tasks import measure
 from impact_rig.cli import tasks
 from impact_rig.cli.terminal import Console, Counted, TextTable, add_json, subcommand, tell_program, tell_results
 from impact_rig.errors import ConfigError
+from impact_rig.system import files
 
 WAYS = ("process", "ros", "dask")
 SHOWN = 20  # failing points that are printed; all of them are in the CSV
@@ -63,7 +64,6 @@ def _run(arguments: argparse.Namespace) -> int:
         campaign = campaign.only(tuple(arguments.only))
     if arguments.record and way != "ros":
         raise ConfigError("--record needs --through ros: what is recorded are messages")
-    store = run.prepare(campaign, directory, way)
     console = Console(quiet=arguments.json)
     started = time.monotonic()
     jobs = run.unique_jobs(campaign.planned())
@@ -73,7 +73,8 @@ def _run(arguments: argparse.Namespace) -> int:
         runner = stepped_runner(directory, record=arguments.record)
     else:
         runner = tasks.runner(execute, address, arguments.workers)
-    _measure(jobs, store, runner)
+    with files.results_in(directory, lambda: run.prepare(campaign, directory, way)) as store:
+        _measure(jobs, store, runner)
     for what in store.damaged:
         console.print(f"{what}; it was measured again", style="yellow")
     done = run.finished(campaign, directory)

@@ -58,9 +58,9 @@ def _map(arguments: argparse.Namespace) -> int:
     if arguments.exponent and {UP, DOWN} & set(plan.layers):
         raise ConfigError("--exponent is of motions that begin from rest: direction must be reset")
     store = run.store(directory)
-    store.prepare(plan.text, plan.base)
     console = Console(quiet=arguments.json)
-    measured, wall_s = tasks.measure(plan.lines(), store, runner, console, lambda line: len(line.values))
+    with files.results_in(directory, lambda: store.prepare(plan.text, plan.base)):
+        measured, wall_s = tasks.measure(plan.lines(), store, runner, console, lambda line: len(line.values))
     done = run.finished(plan, directory)
     more: dict[str, object] = {"wall_s": wall_s, "measured_points": measured}
     if arguments.exponent:
@@ -137,9 +137,9 @@ def _dynamics(arguments: argparse.Namespace) -> int:
     runner = tasks.runner(plans.run, address, arguments.workers)
     plan = plans.load(file, kind)
     store = plans.store(directory)
-    store.prepare(plan.text, plan.base)
     console = Console(quiet=arguments.json)
-    measured, wall_s = tasks.measure(plan.tasks, store, runner, console, lambda _: 1)
+    with files.results_in(directory, lambda: store.prepare(plan.text, plan.base)):
+        measured, wall_s = tasks.measure(plan.tasks, store, runner, console, lambda _: 1)
     found = [(task, store.get(task) or []) for task in plan.tasks]
     rows = [row for _, each in found for row in each]
     files.write_csv(directory / f"{kind}.csv", plans.COLUMNS[kind], rows)

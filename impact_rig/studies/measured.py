@@ -81,7 +81,11 @@ def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = N
     }, indent=1)  # fmt: skip
     files.make_folder(directory)
     files.write_text(directory / CAMPAIGN_FILE, text)
-    campaign = load_campaign(directory / CAMPAIGN_FILE, resolved=base)
+    try:
+        campaign = load_campaign(directory / CAMPAIGN_FILE, resolved=base)
+    except ConfigError:
+        (directory / CAMPAIGN_FILE).unlink()  # or the directory would look like a campaign
+        raise
     store = prepare(campaign, directory, "import")
     files.write_text(directory / CALIBRATION_FILE, json.dumps([_plain(row) for row in info], indent=1))
     for job in unique_jobs(campaign.planned()):

@@ -24,17 +24,19 @@ import io
 import math
 import os
 import secrets
+import shutil
 import stat
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, TypeVar
 
 import numpy as np
 
 from impact_rig.errors import ImpactRigError, RecordingError
 from impact_rig.system.endings import unhurried
 
+T = TypeVar("T")
 NEW_FILE = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
 """How a file is opened that must not be there yet, not even as a link."""
 
@@ -119,6 +121,28 @@ def write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[object]]
     writer.writerow(names)
     writer.writerows([["" if isinstance(cell, float) and math.isnan(cell) else cell for cell in row] for row in rows])
     write_text(path, text.getvalue())
+
+
+@contextlib.contextmanager
+def results_in(directory: Path, prepare: Callable[[], T]) -> Iterator[T]:
+    """Prepare a directory for results and yield what `prepare` returns.
+
+    If the block fails before it has added a file, a directory that was not there before is removed: a half-made one
+    would look like a result, and would block the next attempt.
+
+    Args:
+        directory: the directory that `prepare` makes.
+        prepare: function that makes the directory and writes what stands there before the first result.
+    """
+    is_new, prepared = not directory.exists(), set[Path]()
+    try:
+        found = prepare()
+        prepared = set(directory.rglob("*")) if is_new else prepared
+        yield found
+    except BaseException:
+        if is_new and prepared.issuperset(directory.rglob("*") if prepared else ()):
+            shutil.rmtree(directory, ignore_errors=True)
+        raise
 
 
 def plain(value: object) -> object:

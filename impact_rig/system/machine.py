@@ -11,6 +11,7 @@ import functools
 import hashlib
 import os
 import platform
+from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 
@@ -21,6 +22,21 @@ from impact_rig import kernels
 _DECIDING = ("OPENBLAS_CORETYPE", "GLIBC_TUNABLES", "NPY_DISABLE_CPU_FEATURES")
 """Environment variables by which the same machine computes as another one."""
 _FINGERPRINT_BYTES = 6  # of a hash: exact as a 64-bit float, the only number that travels in a table
+
+
+NOT_INSTALLED = "not installed"
+
+
+def versions(distributions: Sequence[str]) -> dict[str, str]:
+    """Return the installed version of each distribution, by name; `NOT_INSTALLED` where there is none."""
+    return {name: _version(name) for name in distributions}
+
+
+def _version(distribution: str) -> str:
+    try:
+        return metadata.version(distribution)
+    except metadata.PackageNotFoundError:  # an optional one, or one that is importable without its metadata
+        return NOT_INSTALLED
 
 
 @functools.cache
@@ -35,7 +51,7 @@ def identity() -> dict[str, str]:
         "c_library": " ".join(platform.libc_ver()),
         "python": platform.python_version(),
         "numpy": np.__version__,
-        "kernels": metadata.version("numba") if kernels.MODE == "jit" else kernels.MODE,
+        "kernels": _version("numba") if kernels.MODE == "jit" else kernels.MODE,
     }
 
 

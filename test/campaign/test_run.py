@@ -177,6 +177,50 @@ def test_another_directory_is_never_taken_for_a_campaign(tiny, tmp_path):
         run.prepare(tiny, tmp_path, "process")
 
 
+RUN_TIER = """
+import importlib.metadata as metadata, sys
+known = metadata.version
+def version(name):
+    if name in ("numba", "llvmlite", "matplotlib", "distributed"):
+        raise metadata.PackageNotFoundError(name)
+    return known(name)
+metadata.version = version
+from impact_rig.cli import main
+sys.exit(main())
+"""
+"""The command where optional packages are not installed, as far as the metadata of the environment say."""
+
+
+def test_a_campaign_runs_where_optional_packages_are_not_installed(tmp_path):
+    (tmp_path / "one.yaml").write_text("studies: {one: {frequencies_hz: 9.1, gaps_m: none}}")
+    command = [sys.executable, "-c", RUN_TIER, "campaign", "one.yaml", "--output", "out"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, env=watched(), check=False)
+    assert done.returncode == 0, done.stderr
+    provenance = json.loads((tmp_path / "out" / run.PROVENANCE_FILE).read_text())
+    assert (provenance["numba"], provenance["numpy"]) == ("not installed", np.__version__)
+
+
+def test_a_command_that_fails_before_its_first_result_leaves_no_directory(tmp_path):
+    """A half-made directory would look like a result, and the next attempt would be refused or resume nothing."""
+    plans = {
+        "campaign": "studies: {one: {frequencies_hz: 9.1, gaps_m: none}}",
+        "map": "axes: {gap_m: [0.006, 0.008], frequency_hz: [9.0, 9.1]}",
+        "dynamics orbit": "orbit: {starts: [centre]}",
+    }
+    program = (  # ended at once: a client of Dask that cannot connect leaves a thread that would be waited for
+        "import os, sys; from impact_rig.cli import main; os._exit(sum(main(one.split()) for one in sys.argv[1:]))"
+    )
+    lines = []
+    for words, plan in plans.items():
+        file = tmp_path / f"{words.split()[0]}.yaml"
+        file.write_text(plan)
+        lines.append(f"{words} {file.name} --output {file.stem} --through dask nowhere://x")
+    command = [sys.executable, "-c", program, *lines]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, env=watched(), check=False)
+    assert done.returncode == done.stderr.count("cannot reach a Dask scheduler") == len(plans), done.stderr
+    assert not [path for path in tmp_path.iterdir() if path.is_dir()]
+
+
 def start(file, directory, *more, environment=None):
     """Start the command with two workers in a process of its own: they and what watches them end with it."""
     command = [sys.executable, "-c", "import sys; from impact_rig.cli import main; sys.exit(main())", "campaign"]
