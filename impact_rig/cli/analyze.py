@@ -5,10 +5,11 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import attrs
 import numpy as np
@@ -28,6 +29,22 @@ FIGURE_FORMATS = ("png", "svg")  # of runs.drawings, which is too heavy for a pa
 WINDOWS = ("hann", "boxcar", "flattop", "blackmanharris")
 LINES = 15  # lines of a frequency response that are printed
 DRAWN_CYCLES = 4
+ANALYSES = ("impact_rig.cli.analyze:FRF", "impact_rig.cli.analyze:SINE", "impact_rig.cli.drops:DROP")
+"""Modules and names of the analyses that may be asked for instead of the live one."""
+
+
+class Analysis(NamedTuple):
+    """Another analysis of a run than the live one, chosen by an option of its own."""
+
+    name: str  # of its option, without the dashes
+    add: Callable[[argparse._MutuallyExclusiveGroup], object]  # adds the option, whose default is None or False
+    run: Callable[[Console, Run, argparse.Namespace], int]  # analyses, prints, and returns the exit code
+
+
+def _analyses() -> Iterator[Analysis]:
+    for where in ANALYSES:
+        module, _, name = where.partition(":")
+        yield getattr(importlib.import_module(module), name)
 
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -45,17 +62,8 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.add_argument("--all", action="store_true", help="also rows without a measurement, with the reason")
     parser.add_argument("path", type=Path, metavar="RUN", help="run directory or .mcap file")
     instead = parser.add_argument_group("instead").add_mutually_exclusive_group()
-    instead.add_argument(
-        "--frf", action="store_true", help="frequency response x_1/x_b of a chirp or noise: H1, H2, Hv, coherence"
-    )
-    instead.add_argument(
-        "--sine", action="store_true", help="sines fitted to the last settled measurement, channel by channel"
-    )
-    instead.add_argument(
-        "--drop", type=float, metavar="U_M",
-        help="coefficient of restitution from remarks like `drop h0_m=0.2 h1_m=0.0245`; U_M: standard uncertainty of a "
-        "height [m]",
-    )  # fmt: skip
+    for analysis in _analyses():
+        analysis.add(instead)
     parser.add_argument(
         "--segment", type=float, metavar="S",
         help="with --frf: length of a segment, the lines lie 1/S Hz apart (default: what resolves the resonance found, "
@@ -79,12 +87,9 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 def _run(arguments: argparse.Namespace) -> int:
     console = Console(quiet=arguments.json)
     with open_run(arguments.path) as run:
-        if arguments.frf:
-            return _frf(console, run, arguments)
-        if arguments.sine:
-            return _sine(console, run, arguments)
-        if arguments.drop is not None:
-            return _drop(console, run, arguments)
+        for analysis in _analyses():
+            if getattr(arguments, analysis.name) not in (None, False):
+                return analysis.run(console, run, arguments)
         return _as_live(console, run, arguments)
 
 
@@ -173,7 +178,7 @@ def _frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
         if value is not None and not 0.0 < value < most:
             limit = "> 0 and finite" if most == math.inf else f"> 0 and < {most:g}"
             raise ConfigError(f"--{name} must be {limit}, got {value!r}")
-    _prepare(arguments, "frf")
+    prepare_figure(arguments, "frf")
     found = response_of(run, arguments.segment, arguments.window, arguments.damping)
     excited = found.excited
     peak = int(excited[np.argmax(np.abs(found.h1[excited]))])
@@ -219,7 +224,7 @@ def _frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     else:
         console.print(f"{len(excited)} lines of {low:g} to {high:g} Hz are excited, largest at {top:g} Hz")
         console.print(*_resolution(found, arguments.window, apart), sep="\n")
-    _draw(console, run, arguments, "frf", lambda: frequency_response(found, low - apart, high + apart))
+    draw_figure(console, run, arguments, "frf", lambda: frequency_response(found, low - apart, high + apart))
     return 0
 
 
@@ -249,7 +254,7 @@ def _sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     from impact_rig.runs import reanalysis  # noqa: PLC0415  # as above
     from impact_rig.runs.wholes import calibration_rows, last_excerpt, sines_of  # noqa: PLC0415  # as above
 
-    _prepare(arguments, "sine")
+    prepare_figure(arguments, "sine")
     found = sines_of(run, last_excerpt(run, list(reanalysis.analyze(run))))
     info = calibration_rows(run)
     units = {row["name"].decode(): row["unit"].decode() for row in info}
@@ -286,34 +291,27 @@ def _sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
         f"{2 * u_phase:.2f}°, lag and skew corrected ({measured.status.value})"
     )
     rows = found.excerpt.rows[: round(DRAWN_CYCLES / reference.frequency_hz * found.excerpt.rate_hz)]
-    _draw(console, run, arguments, "sine", lambda: sine_fits(rows, found.fits, units, found.excerpt.rate_hz))
+    draw_figure(console, run, arguments, "sine", lambda: sine_fits(rows, found.fits, units, found.excerpt.rate_hz))
     return 0
 
 
-def _drop(console: Console, run: Run, arguments: argparse.Namespace) -> int:
-    from impact_rig.analysis.drawings import restitution_by_drop  # noqa: PLC0415  # heavy: after the run is open
-    from impact_rig.runs.wholes import drops_of  # noqa: PLC0415  # as above
-
-    if not (math.isfinite(arguments.drop) and arguments.drop >= 0.0):
-        raise ConfigError(f"--drop must be >= 0 m and finite, got {arguments.drop!r}")
-    _prepare(arguments, "drop")
-    drops, found = drops_of(run, arguments.drop)
-    each = np.array([math.sqrt(one.h1_m / one.h0_m) for one in drops])
-    if arguments.json:
-        tell_json({
-            "run": str(run.path), "restitution": found.restitution, "u_restitution": found.u_restitution,
-            "drops": [{"h0_m": one.h0_m, "h1_m": one.h1_m, "e": e} for one, e in zip(drops, each, strict=True)],
-        })  # fmt: skip
-    table = TextTable("Drop test", right=("drop", "from [m]", "back to [m]", "e"))
-    for number, (one, e) in enumerate(zip(drops, each, strict=True), 1):
-        table.add_row(str(number), f"{one.h0_m:g}", f"{one.h1_m:g}", f"{e:.4f}")
-    console.print(table)
-    console.print(f"e = {found.restitution:.4f} ± {2 * found.u_restitution:.4f} (2u) from {found.drops} drops")
-    _draw(console, run, arguments, "drop", lambda: restitution_by_drop(each, found.restitution, found.u_restitution))
-    return 0
+FRF = Analysis(
+    "frf",
+    lambda instead: instead.add_argument(
+        "--frf", action="store_true", help="frequency response x_1/x_b of a chirp or noise: H1, H2, Hv, coherence"
+    ),
+    _frf,
+)
+SINE = Analysis(
+    "sine",
+    lambda instead: instead.add_argument(
+        "--sine", action="store_true", help="sines fitted to the last settled measurement, channel by channel"
+    ),
+    _sine,
+)
 
 
-def _prepare(arguments: argparse.Namespace, stem: str) -> None:
+def prepare_figure(arguments: argparse.Namespace, stem: str) -> None:
     """See that a figure can be written before there is anything to draw."""
     if arguments.figures is not None:
         from impact_rig.runs.drawings import prepare  # noqa: PLC0415  # heavy: after the run is open
@@ -321,7 +319,9 @@ def _prepare(arguments: argparse.Namespace, stem: str) -> None:
         prepare(arguments.figures, arguments.format, [stem])
 
 
-def _draw(console: Console, run: Run, arguments: argparse.Namespace, stem: str, draw: Callable[[], Figure]) -> None:
+def draw_figure(
+    console: Console, run: Run, arguments: argparse.Namespace, stem: str, draw: Callable[[], Figure]
+) -> None:
     """Draw and save a figure where figures are wanted, and name its file."""
     if arguments.figures is None:
         return

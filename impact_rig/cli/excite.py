@@ -278,7 +278,8 @@ def _connected(arguments: argparse.Namespace, config: RigConfig, directory: Path
     """Give a rig's hardware, recorded into a directory."""
     abort = dict(_limit(text) for text in arguments.abort)
     if arguments.through == PROCESS:
-        from impact_rig.runs.in_process import DRIVEN, RecordedInProcess, RigRecorder  # noqa: PLC0415
+        from impact_rig.client.recorded_wire import DRIVEN, RecordedInProcess  # noqa: PLC0415
+        from impact_rig.runs.in_process import RigRecorder  # noqa: PLC0415
 
         rig = Rig(config)
         with RigRecorder(directory, rig, DRIVEN) as recorder:

@@ -5,22 +5,31 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+import importlib
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.campaign.results import Point, table
-from impact_rig.campaign.run import CAMPAIGN_FILE, open_finished
 from impact_rig.cli.terminal import Console, subcommand
-from impact_rig.errors import ConfigError, RecordingError
-from impact_rig.maps import run as maps
+from impact_rig.errors import ConfigError
 from impact_rig.recording import open_run
 from impact_rig.runs import export
 from impact_rig.runs.exports import write_columns
 
 FORMATS = ("csv", "npz", "parquet", "uff")
+Columns = dict[str, NDArray[np.generic]]
+Exporter = Callable[[Path], Callable[[str], Columns] | None]
+"""Takes a directory that is no run; returns what gives its points for a file of a suffix, None for another kind."""
+EXPORTERS = ("impact_rig.studies.exporters:map_points", "impact_rig.studies.exporters:campaign_points")
+"""Modules and names of the exporters of directories that are no runs."""
+
+
+def _exporters() -> Iterator[Exporter]:
+    for where in EXPORTERS:
+        module, _, name = where.partition(":")
+        yield getattr(importlib.import_module(module), name)
 
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -43,50 +52,14 @@ def _run(arguments: argparse.Namespace) -> int:
     path, target = arguments.path, arguments.target
     if arguments.format and target.suffix != f".{arguments.format}":
         target = target.with_name(f"{target.name}.{arguments.format}")
-    is_map = maps.store(path).file.exists()
-    if (is_map or (path / CAMPAIGN_FILE).exists()) and arguments.topic != "points":
-        raise ConfigError(f"of a campaign or a map there are points, got {arguments.topic!r}")
-    if is_map:
-        written = write_columns(lambda: iter([_columns(*maps.table(maps.open_map(path)))]), target)
-    elif (path / CAMPAIGN_FILE).exists():
-        points = open_finished(path).points
-        columns = _columns(*table(points))
-        if target.suffix == ".uff":
-            columns = _response(points)
+    points = next((found for exporter in _exporters() if (found := exporter(path)) is not None), None)
+    if points is not None:
+        if arguments.topic != "points":
+            raise ConfigError(f"of a campaign or a map there are points, got {arguments.topic!r}")
+        columns = points(target.suffix)
         written = write_columns(lambda: iter([columns]), target)
     else:
         with open_run(path) as run:
             written = export(run, arguments.topic, target)
     Console().print(str(written))
     return 0
-
-
-def _columns(names: Sequence[str], rows: Sequence[Sequence[object]]) -> dict[str, NDArray[np.generic]]:
-    """Return a table by columns: numbers, or texts where a column has any."""
-    if not rows:
-        raise RecordingError("nothing was measured yet: there is no point to export")
-    found: dict[str, NDArray[np.generic]] = {}
-    for name, cells in zip(names, zip(*rows, strict=True), strict=True):
-        texts = any(isinstance(cell, str) for cell in cells)
-        found[name] = np.array([str(cell) for cell in cells] if texts else cells)
-    return found
-
-
-def _response(points: Sequence[Point]) -> dict[str, NDArray[np.generic]]:
-    """Return settled points as a universal file has them: X_1/X_b over the frequency, a function per curve."""
-    settled = [point for point in points if point.settled]
-    if not settled:
-        raise RecordingError("no point of this campaign is settled: there is no curve to export")
-    one_current = len({point.current_a for point in points}) == 1
-    return {
-        "frequency": np.array([point.frequency_hz for point in settled]),
-        "transmissibility": np.array([point.dt for point in settled]),
-        "phase": np.array([point.phase_rad for point in settled]),
-        "curve": np.array([
-            ", ".join([
-                point.study, point.label, point.direction, *([] if one_current else [f"{point.current_a:g} A"]),
-                *(f"{name.rpartition('.')[2]} {value}" for name, value in point.axes.items()),
-            ])
-            for point in settled
-        ]),
-    }  # fmt: skip

@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""A rig in this process recorded as its node's recorder would: what it publishes, in its order; and a sample."""
+"""Recorder of a rig in this process, which writes what its node's recorder would, and the sample run of the lab."""
 
 from __future__ import annotations
 
@@ -9,14 +9,11 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 
-import numpy as np
-
 import impact_rig
 from impact_rig import codec, topics
 from impact_rig.analysis.settings import TrackerSettings, settings_table
 from impact_rig.analysis.tracker import Tracker
-from impact_rig.blocks import WAVEFORM, Table
-from impact_rig.operate.hardware import InProcess
+from impact_rig.blocks import Table
 from impact_rig.recording import CONFIGURATION, Attachment, Provenance, RunWriter, TopicDescription, open_run
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig, dump
@@ -24,8 +21,6 @@ from impact_rig.rig.description import joints
 from impact_rig.simtime import NS_PER_S, stamp_ns
 
 PUBLISHED = (topics.INFO, topics.JOURNAL, topics.APPLIED, topics.SCAN, topics.IMPACTS_TRUTH, topics.FAULTS)
-
-DRIVEN = (topics.WAVEFORM, topics.STREAM)  # of a rig that is driven by a stream
 
 
 class RigRecorder:
@@ -83,28 +78,6 @@ class RigRecorder:
             self._info = codec.encode(self._rig.info())
             self.write(topics.INFO, self._rig.info())
         return applied
-
-
-class RecordedInProcess(InProcess):
-    """A wire to a rig in this process that is recorded."""
-
-    def __init__(self, rig: Rig, recorder: RigRecorder) -> None:
-        super().__init__(rig)
-        self._recorder = recorder
-
-    def feed(self, first: int, samples: np.ndarray) -> None:
-        """Feed the rig, and write what it was fed."""
-        rows = np.zeros(len(samples), WAVEFORM)
-        rows["value"] = samples
-        self._recorder.write(topics.WAVEFORM, Table(first * NS_PER_S // self.rate_hz + self.rig.start_ns, rows))
-        super().feed(first, samples)
-
-    def advance(self) -> Block:
-        """Advance the rig by one block, and write it."""
-        block = super().advance()
-        self._recorder.block(block)
-        self._recorder.write(topics.STREAM, self.rig.stream_state())
-        return block
 
 
 SAMPLE_S = 20

@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""What is measured of a run as a whole record, beside the live node's path: frequency response, sines, drop test.
+"""Measurements of a run as a whole record, next to the live node's path: frequency response and sines.
 
 An excerpt is a stretch of contiguous scans that is drawn, or measured as one record.
 """
@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig import topics
-from impact_rig.analysis.decay import Drop, DropTest, parse_drop, restitution_of_drops
 from impact_rig.analysis.frf import Frf, transmissibility_frf
 from impact_rig.analysis.sine import SineFit, fit_sine, fit_sine_frequency
 from impact_rig.analysis.tracker import Findings
@@ -26,7 +25,6 @@ from impact_rig.blocks import Table
 from impact_rig.errors import RecordingError
 from impact_rig.instruments.section import SCAN, channels_of
 from impact_rig.recording import Run
-from impact_rig.runs.reanalysis import remarks
 from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Status
 
@@ -220,22 +218,3 @@ def sines_of(run: Run, excerpt: Excerpt, harmonics: int = 1) -> Sines:
         measured=measure_record(excerpt.rows, calibration_rows(run), excerpt.drive_hz),
         excerpt=excerpt,
     )
-
-
-def drops_of(run: Run, u_m: float) -> tuple[list[Drop], DropTest]:
-    """Return the drops that the operator noted with a run, and the coefficient of restitution they give.
-
-    Args:
-        run: an open run.
-        u_m: standard uncertainty of each height [m].
-
-    Raises:
-        RecordingError: no remark is a drop (the message says what one looks like), or they give no restitution.
-    """
-    drops = [drop for drop in map(parse_drop, remarks(run)) if drop is not None]
-    if not drops:
-        raise RecordingError(f"{run.path} holds no remark on `notes` like {Drop(0.2, 0.0245).text()!r}")
-    found = restitution_of_drops(np.array([one.h0_m for one in drops]), np.array([one.h1_m for one in drops]), u_m, u_m)
-    if found.status is not Status.OK:
-        raise RecordingError(f"{run.path}: its {len(drops)} drops give no restitution: {found.status.value}")
-    return drops, found

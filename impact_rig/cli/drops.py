@@ -1,0 +1,51 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""`impact-rig analyze --drop`: the coefficient of restitution from the drops that were noted with a run."""
+
+from __future__ import annotations
+
+import argparse
+import math
+
+import numpy as np
+
+from impact_rig.cli.analyze import Analysis, draw_figure, prepare_figure
+from impact_rig.cli.terminal import Console, TextTable, tell_json
+from impact_rig.errors import ConfigError
+from impact_rig.recording import Run
+
+
+def _add(instead: argparse._MutuallyExclusiveGroup) -> None:
+    instead.add_argument(
+        "--drop", type=float, metavar="U_M",
+        help="coefficient of restitution from remarks like `drop h0_m=0.2 h1_m=0.0245`; U_M: standard uncertainty of a "
+        "height [m]",
+    )  # fmt: skip
+
+
+def _run(console: Console, run: Run, arguments: argparse.Namespace) -> int:
+    from impact_rig.analysis.drawings import restitution_by_drop  # noqa: PLC0415  # heavy: after the run is open
+    from impact_rig.studies.drops import drops_of  # noqa: PLC0415  # as above
+
+    if not (math.isfinite(arguments.drop) and arguments.drop >= 0.0):
+        raise ConfigError(f"--drop must be >= 0 m and finite, got {arguments.drop!r}")
+    prepare_figure(arguments, "drop")
+    drops, found = drops_of(run, arguments.drop)
+    each = np.array([math.sqrt(one.h1_m / one.h0_m) for one in drops])
+    if arguments.json:
+        tell_json({
+            "run": str(run.path), "restitution": found.restitution, "u_restitution": found.u_restitution,
+            "drops": [{"h0_m": one.h0_m, "h1_m": one.h1_m, "e": e} for one, e in zip(drops, each, strict=True)],
+        })  # fmt: skip
+    table = TextTable("Drop test", right=("drop", "from [m]", "back to [m]", "e"))
+    for number, (one, e) in enumerate(zip(drops, each, strict=True), 1):
+        table.add_row(str(number), f"{one.h0_m:g}", f"{one.h1_m:g}", f"{e:.4f}")
+    console.print(table)
+    console.print(f"e = {found.restitution:.4f} ± {2 * found.u_restitution:.4f} (2u) from {found.drops} drops")
+    draw_figure(
+        console, run, arguments, "drop", lambda: restitution_by_drop(each, found.restitution, found.u_restitution)
+    )
+    return 0
+
+
+DROP = Analysis("drop", _add, _run)
