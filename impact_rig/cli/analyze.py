@@ -15,7 +15,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.cli.terminal import Console, TextTable, add_json, subcommand, tell_json
+from impact_rig.cli.terminal import Console, TextTable, add_json, figure, subcommand, tell_json
 from impact_rig.errors import ConfigError
 from impact_rig.recording import Run, open_run
 from impact_rig.states import MEASURED
@@ -146,9 +146,9 @@ def _print_measurements(console: Console, rows: NDArray[np.void], *, everything:
     spec = _places(min(uncertainties[uncertainties > 0.0], default=math.nan))
     for row in shown:
         table.add_row(
-            _number(row["frequency"], ".3f"), _number(row["transmissibility"], spec),
-            _number(row["transmissibility_uncertainty"], spec), _number(math.degrees(row["phase"]), ".2f"),
-            _number(row["gap"] * 1e3, "g") or "unknown", _number(row["impacts_per_cycle"], ".2f"),
+            figure(row["frequency"], ".3f", ""), figure(row["transmissibility"], spec, ""),
+            figure(row["transmissibility_uncertainty"], spec, ""), figure(math.degrees(row["phase"]), ".2f", ""),
+            figure(row["gap"] * 1e3, "g", "unknown"), figure(row["impacts_per_cycle"], ".2f", ""),
             row["regime"].decode(), row["status"].decode(),
         )  # fmt: skip
     if table.row_count:
@@ -162,11 +162,6 @@ def _print_measurements(console: Console, rows: NDArray[np.void], *, everything:
 def _places(u: float) -> str:
     """Return the format that shows two digits of an uncertainty: three places, more where it would be shown as none."""
     return f".{min(max(3, 1 - math.floor(math.log10(u))), 12)}f" if 0.0 < u < math.inf else ".3f"
-
-
-def _number(value: float, spec: str) -> str:
-    """Return a number as text, nothing where there is none."""
-    return format(value, spec) if math.isfinite(value) else ""
 
 
 def _frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
@@ -208,9 +203,9 @@ def _frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     for line in sorted({*shown.tolist(), peak}):
         size = abs(found.h1[line])
         table.add_row(
-            f"{found.frequency_hz[line]:.3f}", f"{size:.3f}", f"{2 * size * found.u_relative[line]:.3f}",
-            f"{abs(found.h2[line]):.3f}", f"{abs(found.hv[line]):.3f}",
-            f"{math.degrees(np.angle(found.h1[line])):.2f}", f"{found.coherence[line]:.4f}",
+            f"{found.frequency_hz[line]:.3f}", figure(size, ".3f"), figure(2 * size * found.u_relative[line], ".3f"),
+            figure(abs(found.h2[line]), ".3f"), figure(abs(found.hv[line]), ".3f"),
+            figure(math.degrees(np.angle(found.h1[line])), ".2f"), figure(found.coherence[line], ".4f"),
             style="bold" if line == peak else None,
         )  # fmt: skip
     console.print(table)
@@ -278,20 +273,24 @@ def _sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
         table.add_column(heading, justify="left" if heading in {"channel", "unit"} else "right", no_wrap=True)
     for name, fit in found.fits.items():
         table.add_row(
-            name, units[name], f"{fit.amplitude:.6g}", f"{2 * fit.u_amplitudes[0]:.2g}",
-            f"{math.degrees(fit.phase_rad - reference.phase_rad):.3f}", f"{2 * math.degrees(fit.u_phases_rad[0]):.2g}",
-            f"{fit.offset:.4g}", f"{fit.residual_rms:.2g}",
+            name, units[name], figure(fit.amplitude, ".6g"), figure(2 * fit.u_amplitudes[0], ".2g"),
+            figure(math.degrees(fit.phase_rad - reference.phase_rad), ".3f"),
+            figure(2 * math.degrees(fit.u_phases_rad[0]), ".2g"), figure(fit.offset, ".4g"),
+            figure(fit.residual_rms, ".2g"),
         )  # fmt: skip
     console.print(table)
     console.print(f"{found.excerpt}; phases are those of the samples to the current's, lag and skew in them")
+    rows = found.excerpt.rows[: round(DRAWN_CYCLES / reference.frequency_hz * found.excerpt.rate_hz)]
+    draw_figure(console, run, arguments, "sine", lambda: sine_fits(rows, found.fits, units, found.excerpt.rate_hz))
+    if measured.status not in MEASURED or not math.isfinite(measured.u_transmissibility):
+        console.print(f"no DT from these scans: {measured.status.value} (docs/analysis.md explains)", style="red")
+        return 1
     phase, u_phase = math.degrees(measured.phase_rad), math.degrees(measured.u_phase_rad)
     spec = _places(measured.u_transmissibility)
     console.print(
         f"DT {measured.transmissibility:{spec}} ± {2 * measured.u_transmissibility:{spec}}, phase {phase:.2f}° ± "
         f"{2 * u_phase:.2f}°, lag and skew corrected ({measured.status.value})"
     )
-    rows = found.excerpt.rows[: round(DRAWN_CYCLES / reference.frequency_hz * found.excerpt.rate_hz)]
-    draw_figure(console, run, arguments, "sine", lambda: sine_fits(rows, found.fits, units, found.excerpt.rate_hz))
     return 0
 
 

@@ -18,7 +18,16 @@ from impact_rig.campaign.statements import Variation, Verdict, variations
 from impact_rig.campaign.store import Store
 from impact_rig.campaign.tasks import measure
 from impact_rig.cli import tasks
-from impact_rig.cli.terminal import Console, Counted, TextTable, add_json, subcommand, tell_program, tell_results
+from impact_rig.cli.terminal import (
+    Console,
+    Counted,
+    TextTable,
+    add_json,
+    figure,
+    subcommand,
+    tell_program,
+    tell_results,
+)
 from impact_rig.errors import ConfigError
 from impact_rig.system import files
 
@@ -140,11 +149,11 @@ def _print_reductions(console: Console, done: run.Finished) -> bool:
         right=("gap [mm]", "DT", "± 2u", "paper [%]", "ours [%]", "± 2u", "difference"),
     )
     u = reductions.dt_uncertainty
-    table.add_row("none", f"{reductions.dt_no_sphere:.2f}", f"{2 * u[0.0]:.2f}", "", "", "", "", end_section=True)
+    table.add_row("none", f"{reductions.dt_no_sphere:.2f}", figure(2 * u[0.0], ".2f"), "", "", "", "", end_section=True)
     for gap, value in sorted(ours.items()):
         table.add_row(
-            f"{gap * 1e3:g}", f"{reductions.dt[gap]:.2f}", f"{2 * u[gap]:.2f}",
-            f"{paper.REDUCTION_PERCENT[gap]:.1f}", f"{value:.2f}", f"{2 * spread[gap]:.2f}",
+            f"{gap * 1e3:g}", f"{reductions.dt[gap]:.2f}", figure(2 * u[gap], ".2f"),
+            f"{paper.REDUCTION_PERCENT[gap]:.1f}", f"{value:.2f}", figure(2 * spread[gap], ".2f"),
             f"{round(errors[gap], 1) + 0.0:+.1f}",
         )  # fmt: skip
     console.print(table)
@@ -181,7 +190,7 @@ def _print_margins(console: Console, varied: list[Variation]) -> None:
     )
     for one in varied:
         changed = ", ".join(f"{name.rpartition('.')[2]} {value}" for name, value in one.changed.items())
-        cells = ["" if v.result is None else f"{v.result.value:.4g} {v.word}" for v in one.verdicts]
+        cells = ["" if v.result is None else f"{figure(v.result.value, '.4g')} {v.word}" for v in one.verdicts]
         table.add_row(changed or "the rig itself", *cells)
     console.print(table)
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from impact_rig.cli.terminal import Console, TextTable, add_json, subcommand, tell_json
+from impact_rig.cli.terminal import Console, TextTable, add_json, figure, subcommand, tell_json
 from impact_rig.recording import open_run
 from impact_rig.system import files
 
@@ -99,17 +99,21 @@ def _print(console: Console, found: Comparison) -> None:
         dt, phase = one.off("transmissibility"), one.off("phase")
         row = one.measured
         gap = "?" if math.isnan(one.gap_m) else f"{1e3 * one.gap_m:g}" if one.gap_m else "no sphere"
-        cells = [gap, f"{one.frequency_hz:g}", f"{row['transmissibility']:.5g}"]
-        cells.append(f"{2 * row['transmissibility_uncertainty']:.2g}")
+        cells = [gap, f"{one.frequency_hz:g}", figure(row["transmissibility"], ".5g")]
+        cells.append(figure(2 * row["transmissibility_uncertainty"], ".2g"))
         if one.model is None:
             table.add_row(*cells, "-", "-", "-", "the model does not settle", style="yellow")
         else:
             far = max(abs(dt), abs(phase)) > FAR_OFF
-            cells += [f"{one.model['transmissibility']:.5g}", f"{dt:+.1f}", f"{phase:+.1f}"]
+            cells += [figure(one.model["transmissibility"], ".5g"), figure(dt, "+.1f"), figure(phase, "+.1f")]
             table.add_row(*cells, "differs" if far else "", style="yellow" if far else None)
     console.print(table)
-    share = float(np.std(found.residual) / np.std(found.excerpt.rows["laser"]))
-    console.print(f"{found.excerpt}: rms of measured less model {100.0 * share:.3g} % of the structure's motion")
+    motion, residual = (float(np.std(one)) for one in (found.excerpt.rows["laser"], found.residual))
+    if motion > 0.0:
+        share = f"{100.0 * residual / motion:.3g} % of the structure's motion"
+        console.print(f"{found.excerpt}: rms of measured less model {share}")
+    else:
+        console.print(f"{found.excerpt}: the structure did not move, rms of measured less model {residual:.3g} m")
     if found.constants is not None:
         print_identified(console, found.constants)
     else:

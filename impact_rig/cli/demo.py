@@ -21,7 +21,7 @@ from impact_rig.campaign import paper
 from impact_rig.campaign.job import Job
 from impact_rig.campaign.paper import DEMO_POINTS_LIMIT, Reductions
 from impact_rig.campaign.results import FILE_NAME, Statement, write_summary
-from impact_rig.cli.terminal import Console, Steps, TextTable, Words, add_json, subcommand, tell_results
+from impact_rig.cli.terminal import Console, Steps, TextTable, Words, add_json, figure, subcommand, tell_results
 from impact_rig.errors import ImpactRigError
 from impact_rig.operate.stepped_sine import SteppedSine
 from impact_rig.recording import open_run
@@ -217,8 +217,8 @@ def _print_table(console: Console, reductions: Reductions, closed_form: float) -
     )
     for gap, value in sorted(ours.items()):
         table.add_row(
-            f"{gap * 1e3:g}", f"{reductions.dt[gap]:.2f}", f"{value:.2f}", f"{2 * spread[gap]:.2f}",
-            f"{paper.REDUCTION_PERCENT[gap]:.1f}", f"{errors[gap]:+.1f}",
+            f"{gap * 1e3:g}", figure(reductions.dt[gap], ".2f"), figure(value, ".2f"), figure(2 * spread[gap], ".2f"),
+            f"{paper.REDUCTION_PERCENT[gap]:.1f}", figure(errors[gap], "+.1f"),
         )  # fmt: skip
     console.print(table)
     console.print(f"largest difference {reductions.max_abs_error():.1f} points, rms {reductions.rms_error():.1f}")

@@ -10,16 +10,19 @@ import math
 import numpy as np
 
 from impact_rig.cli.analyze import Analysis, draw_figure, prepare_figure
+from impact_rig.cli.quantities import Quantity
 from impact_rig.cli.terminal import Console, TextTable, tell_json
-from impact_rig.errors import ConfigError
+from impact_rig.config.fields import FieldInfo
 from impact_rig.recording import Run
+
+HEIGHT_UNCERTAINTY = Quantity(FieldInfo("Standard uncertainty of a height.", "m", low=0.0))
 
 
 def _add(instead: argparse._MutuallyExclusiveGroup) -> None:
     instead.add_argument(
-        "--drop", type=float, metavar="U_M",
-        help="coefficient of restitution from remarks like `drop h0_m=0.2 h1_m=0.0245`; U_M: standard uncertainty of a "
-        "height [m]",
+        "--drop", type=HEIGHT_UNCERTAINTY, metavar="LENGTH",
+        help="coefficient of restitution from remarks like `drop h0_m=0.2 h1_m=0.0245`, with this standard uncertainty "
+        "of a height, e.g. 0.5mm",
     )  # fmt: skip
 
 
@@ -27,8 +30,6 @@ def _run(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     from impact_rig.analysis.drawings import restitution_by_drop  # noqa: PLC0415  # heavy: after the run is open
     from impact_rig.studies.drops import drops_of  # noqa: PLC0415  # as above
 
-    if not (math.isfinite(arguments.drop) and arguments.drop >= 0.0):
-        raise ConfigError(f"--drop must be >= 0 m and finite, got {arguments.drop!r}")
     prepare_figure(arguments, "drop")
     drops, found = drops_of(run, arguments.drop)
     each = np.array([math.sqrt(one.h1_m / one.h0_m) for one in drops])
@@ -41,10 +42,13 @@ def _run(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     for number, (one, e) in enumerate(zip(drops, each, strict=True), 1):
         table.add_row(str(number), f"{one.h0_m:g}", f"{one.h1_m:g}", f"{e:.4f}")
     console.print(table)
-    console.print(f"e = {found.restitution:.4f} ± {2 * found.u_restitution:.4f} (2u) from {found.drops} drops")
     draw_figure(
         console, run, arguments, "drop", lambda: restitution_by_drop(each, found.restitution, found.u_restitution)
     )
+    if not math.isfinite(found.u_restitution):
+        console.print(f"no uncertainty of e from {found.drops} drops: more drops are needed", style="red")
+        return 1
+    console.print(f"e = {found.restitution:.4f} ± {2 * found.u_restitution:.4f} (2u) from {found.drops} drops")
     return 0
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import math
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -18,12 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.scans import CHANNELS
+from impact_rig.cli.quantities import GAP, positive
 from impact_rig.cli.terminal import Console, add_json, subcommand, tell_results
 from impact_rig.errors import CommandError, ConfigError, ImpactRigError, visible
 from impact_rig.operate.hardware import Hardware
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat, load
-from impact_rig.rig.gaps import NO_SPHERE
+from impact_rig.rig.gaps import NO_SPHERE, case_of, gap_values
 from impact_rig.system import files
 from impact_rig.system.endings import unhurried
 
@@ -44,9 +44,9 @@ def add_play(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     )  # fmt: skip
     parser.add_argument("file", type=Path, metavar="FILE", help="CSV, WAV, npz and others, see import; or a run")
     _add_signal(parser)
-    parser.add_argument("--seconds", type=_above_zero, metavar="S", help="no more than this")
+    parser.add_argument("--seconds", type=positive("s"), metavar="S", help="longest duration (default: all of it)")
     parser.add_argument(
-        "--clip", type=_above_zero, metavar="A", help="clip samples there (default: too large ones end it)"
+        "--clip", type=positive("A"), metavar="A", help="largest sample (default: a larger one ends the test)"
     )
     _add_words(parser, "play", FAST_HZ)
 
@@ -99,8 +99,11 @@ def add_kinds(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> Non
 
 def add_rig(parser: argparse.ArgumentParser) -> None:
     """Add the words that say which rig."""
-    parser.add_argument("--config", type=Path, metavar="FILE", help="of the rig; default: the paper's")
-    parser.add_argument("--gap", default="0.006", metavar="M", help="gap [m], or none: no sphere")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="rig configuration (default: the paper's rig)")
+    parser.add_argument(
+        "--gap", type=GAP, metavar="LENGTH",
+        help="gap with its unit, e.g. 6mm; none: no sphere (default: the configuration's)",
+    )  # fmt: skip
     parser.add_argument("--sphere-start", choices=("left", "centre", "right"), default=None)
 
 
@@ -111,24 +114,11 @@ def rig_of(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
         ConfigError: the file or a word is wrong.
     """
     config = load(arguments.config) if arguments.config else RigConfig()
-    changes: dict[str, object] = {"sphere.present": False}
-    gap = NO_SPHERE
-    if arguments.gap != "none":
-        try:
-            gap = float(arguments.gap)
-        except ValueError:
-            raise ConfigError(f"--gap must be a number of metres or none, got {arguments.gap!r}") from None
-        changes = {"sphere.present": True, "barriers.gap_m": gap}
+    changes: dict[str, object] = {} if arguments.gap is None else dict(gap_values(arguments.gap))
     if arguments.sphere_start:
         changes["sphere.start"] = arguments.sphere_start
-    return from_flat(config, changes), gap
-
-
-def _above_zero(word: str) -> float:
-    value = float(word)
-    if not 0.0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"it must be a number above 0, got {word}")
-    return value
+    config = from_flat(config, changes)
+    return config, config.barriers.gap_m if config.sphere.present else NO_SPHERE
 
 
 def _add_signal(parser: argparse.ArgumentParser) -> None:
@@ -149,7 +139,12 @@ def _add_words(parser: argparse.ArgumentParser, what: str, rate_hz: int) -> None
         "--rate", type=int, default=rate_hz, metavar="HZ", help=f"of samples and scans (default: {rate_hz})"
     )
     parser.add_argument(
-        "--abort", nargs="+", default=[], metavar="CHANNEL=X", help="end it beyond a reading, e.g. laser=0.005"
+        "--abort",
+        nargs="+",
+        type=_limit,
+        default=[],
+        metavar="CHANNEL=X",
+        help="end the test beyond a reading, e.g. laser=5mm current=2A",
     )
     parser.add_argument("--output", type=Path, metavar="DIR", help=f"of the run; default: runs/{what}_<time>")
     add_json(parser)
@@ -163,9 +158,15 @@ def _play(arguments: argparse.Namespace) -> int:
         samples = samples[: round(arguments.seconds * arguments.rate)]
     if not len(samples):
         raise ConfigError(f"--seconds {arguments.seconds:g} is less than a sample at --rate {arguments.rate}")
+    _refuse_zeros(arguments, samples)
     return _drive(
         arguments, f"Played: {visible(arguments.file.name)}", "A", lambda rig: play(rig, samples, arguments.clip)
     )
+
+
+def _refuse_zeros(arguments: argparse.Namespace, samples: NDArray[np.float64]) -> None:
+    if not samples.any():
+        raise ConfigError(f"{arguments.file}: the signal is zero throughout, so no error relative to it exists")
 
 
 def _frf(arguments: argparse.Namespace) -> int:
@@ -202,6 +203,7 @@ def _replicate(arguments: argparse.Namespace) -> int:
 
     plan = _plan(arguments, ReplicatePlan)
     asked = _history(arguments, plan.response.unit, plan.response.channel)
+    _refuse_zeros(arguments, asked)
     title = f"Replicated: {plan.response.replace('_', ' ')} of {visible(arguments.file.name)}"
     return _drive(arguments, title, plan.response.unit, lambda rig: replicate(rig, asked, plan))
 
@@ -254,7 +256,7 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work) -> 
             raise interrupted or ImpactRigError(f"{early}; the run so far: {directory}")
         told = tell(found, unit)
         figures = {"title": title, "unit": unit, "rate_hz": arguments.rate, "ended_early": early, **told.figures}
-        rig = f"gap {arguments.gap}" if config.sphere.present else "no sphere"
+        rig = case_of(config.barriers.gap_m if config.sphere.present else NO_SPHERE)
         about = [
             ("Rig", arguments.namespace if arguments.through == RUNNING else rig), ("Through", arguments.through),
             ("Rate", f"{arguments.rate} Hz"),
@@ -270,13 +272,13 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work) -> 
         tell_results(directory, figures, as_json=arguments.json)
         if interrupted:
             raise interrupted
-    return 1 if early else 0
+    return 1 if early or told.missing else 0
 
 
 @contextlib.contextmanager
 def _connected(arguments: argparse.Namespace, config: RigConfig, directory: Path) -> Iterator[Hardware]:
     """Give a rig's hardware, recorded into a directory."""
-    abort = dict(_limit(text) for text in arguments.abort)
+    abort = dict(arguments.abort)
     if arguments.through == PROCESS:
         from impact_rig.client.recorded_wire import DRIVEN, RecordedInProcess  # noqa: PLC0415
         from impact_rig.runs.in_process import RigRecorder  # noqa: PLC0415
@@ -301,10 +303,11 @@ def _connected(arguments: argparse.Namespace, config: RigConfig, directory: Path
 
 def _limit(text: str) -> tuple[str, float]:
     channel, _, value = text.partition("=")
+    if channel not in CHANNELS:
+        raise argparse.ArgumentTypeError(
+            f"must be CHANNEL=X with a channel of {', '.join(CHANNELS)}, e.g. laser=5mm, got {text!r}"
+        )
     try:
-        limit = float(value)
-    except ValueError:
-        limit = -1.0
-    if channel not in CHANNELS or not limit > 0.0:
-        raise ConfigError(f"--abort must be CHANNEL=X with X > 0 and a channel of {', '.join(CHANNELS)}, got {text!r}")
-    return channel, limit
+        return channel, positive(SI[channel].strip("()")).number(value)
+    except ConfigError as error:
+        raise argparse.ArgumentTypeError(f"{channel}: {error}") from error

@@ -12,7 +12,7 @@ from pathlib import Path
 from impact_rig.analysis.decay import REASONS, fit_decay, log_decrement
 from impact_rig.campaign import run
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT
-from impact_rig.cli.terminal import Console, TextTable, add_json, subcommand, tell_json, tell_program
+from impact_rig.cli.terminal import Console, TextTable, add_json, figure, subcommand, tell_json, tell_program
 from impact_rig.errors import ConfigError, ImpactRigError
 from impact_rig.recording import open_run
 from impact_rig.rig.config import RigConfig, dump, load
@@ -141,11 +141,11 @@ def print_identified(console: Console, found: Identified) -> None:
     table = TextTable("Constants of the rig", left=("constant",), right=("value", "± 2u"), last=("unit", ""))
     for name, unit in zip(NAMES, UNITS, strict=True):
         if found.information.determined(name):
-            table.add_row(name, f"{found.value(name):.7g}", f"{2 * found.u(name):.2g}", unit, "")
+            table.add_row(name, figure(found.value(name), ".7g"), figure(2 * found.u(name), ".2g"), unit, "")
         else:
             table.add_row(name, "-", "-", unit, "not determined by these data", style="bright_black")
     if math.isfinite(found.restitution):
-        table.add_row("e", f"{found.restitution:.5g}", f"{2 * found.u_restitution:.2g}", "-", "nominal")
+        table.add_row("e", f"{found.restitution:.5g}", figure(2 * found.u_restitution, ".2g"), "-", "nominal")
     console.print(table)
     for gap, why in found.left_out.items():
         console.print(f"the reduction at {gap * 1e3:g} mm is not used: {why}", style="yellow")
@@ -179,7 +179,7 @@ def _print_paper(console: Console, fit: paper_fit.PaperFit, base: RigConfig) -> 
     title = f"{', '.join(fit.fitted)} fitted to the paper's reductions"
     table = TextTable(title, right=("", "fit", "± u", "in the configuration"))
     for name, value in fit.fitted.items():
-        table.add_row(name, f"{value:.5g}", f"{fit.u[name]:.2g}", f"{shipped[name]:.5g}")
+        table.add_row(name, f"{value:.5g}", figure(fit.u[name], ".2g"), f"{shipped[name]:.5g}")
     console.print(table)
     reductions = ", ".join(f"{value:.1f}" for value in fit.points.values())
     rest = "" if fit.converged else "; the fit has not come to rest: a valley without a floor"

@@ -21,15 +21,18 @@ from numpy.typing import NDArray
 from impact_rig.campaign.job import Job
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCIES_HZ
 from impact_rig.cli.excite import add_kinds, add_rig, rig_of
-from impact_rig.cli.terminal import Console, TextTable, add_json, subcommand, tell_json
+from impact_rig.cli.quantities import positive
+from impact_rig.cli.terminal import Console, TextTable, add_json, figure, subcommand, tell_json
 from impact_rig.errors import ConfigError, RecordingError
-from impact_rig.operate.phase_lock import Ladder, LockPlan, LoopApparatus, Reference, Rung, climb, lock_on, mean
+from impact_rig.operate.phase_lock import FEWEST, Ladder, LockPlan, LoopApparatus, Reference, Rung, climb, lock_on, mean
 from impact_rig.operate.stepped_sine import Direction, Hold, HoldPlan, SweepState
 from impact_rig.rig.config import RigConfig, differences
+from impact_rig.rig.gaps import NO_SPHERE
 from impact_rig.simtime import NS_PER_S
 from impact_rig.studies.closed_loop import HeldSweep, ProcessLoop, hold
 from impact_rig.system import files
 
+HELD_UNITS = {Hold.BASE: "m", Hold.SUPERIOR: "m", Hold.CURRENT: "A"}
 SHOWN = 12  # looks of a lock that are printed; all of them are in the CSV
 
 
@@ -39,7 +42,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
         commands, "loop", _run,
         "closed-loop tests: hold an amplitude, lock a resonance, control random, replicate, shock",
         [
-            ("loop hold base 6e-5 --frequencies 8.8 9.1 9.4", "the base at 60 µm, at three frequencies"),
+            ("loop hold base 60um --frequencies 8.8 9.1 9.4", "the base at 60 µm, at three frequencies"),
             ("loop lock --gap none", "search the resonance without a sphere, and stay there"),
             ("loop backbone --currents 0.1 0.2 0.4", "resonance over amplitude, up and down"),
             ("loop random --gap none", "a density of the base's acceleration, 5 to 200 Hz"),
@@ -49,8 +52,8 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     )  # fmt: skip
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="KIND")
     holding = kinds.add_parser("hold", help="step the frequency with an amplitude held")
-    holding.add_argument("what", choices=[*Hold])
-    holding.add_argument("target", type=float, help="peak amplitude, m or A")
+    holding.add_argument("what", choices=[*Hold], help="quantity whose amplitude is held")
+    holding.add_argument("target", help="peak amplitude with its unit, e.g. 60um, or 0.5A for the current")
     holding.add_argument("--frequencies", type=float, nargs="+", default=FREQUENCIES_HZ, metavar="HZ")
     holding.add_argument("--direction", choices=[*Direction], default=Direction.UP)
     holding.add_argument("--tolerance", type=float, default=2e-3, help="relative error that counts as held")
@@ -77,6 +80,11 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 def _run(arguments: argparse.Namespace) -> int:
     config, gap = rig_of(arguments)
+    if arguments.kind == "hold":
+        try:
+            arguments.target = positive(HELD_UNITS[Hold(arguments.what)]).number(arguments.target)
+        except ConfigError as error:
+            raise ConfigError(f"target of {arguments.what}: {error}") from error
     if arguments.output is not None and os.path.lexists(arguments.output):
         raise RecordingError(f"{arguments.output} exists already and is not overwritten")
     if arguments.output is not None:  # what cannot be written is told before anything is measured
@@ -98,14 +106,15 @@ def _hold(arguments: argparse.Namespace, config: RigConfig, gap: float, console:
     plan = HoldPlan(hold=arguments.what, target=arguments.target, tolerance=arguments.tolerance)
     found = _held(arguments.through, job, plan)
     table = TextTable(
-        f"{arguments.what} held at {arguments.target:g}",
+        f"{arguments.what} held at {arguments.target:g} {HELD_UNITS[Hold(arguments.what)]}",
         right=("f [Hz]", "DT", "± 2u", "base [µm]", "superior [mm]", "current [A]", "error [%]", "", "regime"),
     )
     for row in found.rows:
         table.add_row(
-            f"{row['frequency']:g}", f"{row['transmissibility']:.3f}", f"{2 * row['transmissibility_uncertainty']:.3f}",
-            f"{row['base_amplitude'] * 1e6:.2f}", f"{row['laser_amplitude'] * 1e3:.3f}",
-            f"{row['current_amplitude']:.4f}", f"{100 * row['error']:+.2f}", "" if row["held"] else "NOT HELD",
+            f"{row['frequency']:g}", figure(row["transmissibility"], ".3f"),
+            figure(2 * row["transmissibility_uncertainty"], ".3f"), figure(row["base_amplitude"] * 1e6, ".2f"),
+            figure(row["laser_amplitude"] * 1e3, ".3f"), figure(row["current_amplitude"], ".4f"),
+            figure(100 * row["error"], "+.2f"), "" if row["held"] else "NOT HELD",
             row["regime"].decode(),
         )  # fmt: skip
     console.print(table)
@@ -142,23 +151,29 @@ def _lock(arguments: argparse.Namespace, config: RigConfig, _gap: float, console
     )
     for row in lock.rows[:: max(1, len(lock.rows) // SHOWN)]:
         table.add_row(
-            f"{row['time']:.1f}", f"{row['frequency']:.4f}", f"{math.degrees(row['phase']):.2f}",
-            f"{row['transmissibility']:.2f}", f"{row['laser_amplitude'] * 1e3:.3f}", "yes" if row["locked"] else "",
+            f"{row['time']:.1f}", f"{row['frequency']:.4f}", figure(math.degrees(row["phase"]), ".2f"),
+            figure(row["transmissibility"], ".2f"), figure(row["laser_amplitude"] * 1e3, ".3f"),
+            "yes" if row["locked"] else "",
         )  # fmt: skip
     console.print(table)
     _write(arguments.output, lock.rows)
+    locked_s = None if lock.locked_ns is None else lock.locked_ns / NS_PER_S
+    dwelt = lock.rows[lock.rows["time"] >= (math.inf if locked_s is None else locked_s)]
+    early, missing = "" if lock.state is SweepState.FINISHED else lock.reason, ""
+    if not early and len(dwelt) < FEWEST:
+        missing = (
+            f"locked after {locked_s:.1f} s, but {len(dwelt)} readings while locked are too few for a mean with its "
+            f"uncertainty: at least {FEWEST} are needed, use --dwell {FEWEST * lock.look_s:g} or more"
+        )
     if arguments.json:
-        early = "" if lock.state is SweepState.FINISHED else lock.reason
-        tell_json({"rows": lock.rows, "locked_ns": lock.locked_ns, "ended_early": early})
-    if lock.state is not SweepState.FINISHED:
-        console.print(f"ended early: {lock.reason}")
+        tell_json({"rows": lock.rows, "locked_ns": lock.locked_ns, "ended_early": early, "missing": missing})
+    if early or missing:
+        console.print(f"ended early: {early}" if early else missing)
         return 1
-    assert lock.locked_ns is not None
-    dwelt = lock.rows[lock.rows["time"] >= lock.locked_ns / NS_PER_S]
     found = mean(dwelt, lock.u_gain)
     slopes = [np.polyfit(dwelt["time"], dwelt[name], 1)[0] for name in ("frequency", "transmissibility")]
     console.print(
-        f"locked after {lock.locked_ns / NS_PER_S:.1f} s; {found.frequency_hz:.5f} ± "
+        f"locked after {locked_s:.1f} s; {found.frequency_hz:.5f} ± "
         f"{2 * found.u_frequency_hz:.1g} Hz, DT {found.dt:.2f} ± {2 * found.u_dt:.2g} (2u); drift a minute: "
         f"{slopes[0] * 60e3:+.2f} mHz, DT {slopes[1] * 60:+.3f}"
     )
@@ -177,9 +192,10 @@ def _backbone(arguments: argparse.Namespace, config: RigConfig, gap: float, cons
     for one in rungs:
         words = [*(["not locked"] if not one.locked else []), *(["JUMP"] if one.jumped else [])]
         table.add_row(
-            one.direction, f"{one.current_a:.4f}", f"{one.frequency_hz:.4f}", f"{2 * one.u_frequency_hz:.1g}",
-            f"{one.dt:.2f}", f"{2 * one.u_dt:.2g}",
-            f"{one.superior_m * 1e3:.3f}", f"{gap / one.superior_m:.2f}", f"{one.phase_deg:.2f}", ", ".join(words),
+            one.direction, f"{one.current_a:.4f}", figure(one.frequency_hz, ".4f"),
+            figure(2 * one.u_frequency_hz, ".1g"), figure(one.dt, ".2f"), figure(2 * one.u_dt, ".2g"),
+            figure(one.superior_m * 1e3, ".3f"), f"{gap / one.superior_m:.2f}" if gap != NO_SPHERE else "-",
+            figure(one.phase_deg, ".2f"), ", ".join(words),
         )  # fmt: skip
     console.print(table)
     _write(arguments.output, rungs)

@@ -10,12 +10,17 @@ from typing import TYPE_CHECKING
 
 import attrs
 
+from impact_rig.cli.quantities import GAP, Quantity
 from impact_rig.cli.terminal import Console, TextTable, add_json, subcommand, tell_json, tell_program
+from impact_rig.config.fields import FieldInfo
 from impact_rig.errors import ConfigError
 from impact_rig.system import files
 
 if TYPE_CHECKING:
     from impact_rig.runs.measurement import ImportedFile, Mapping
+
+FREQUENCY = Quantity(FieldInfo("Frequency of the drive.", "Hz", low=0.0), names=True)
+GAP_LABEL = attrs.evolve(GAP, names=True)
 
 
 def add_import(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -24,7 +29,7 @@ def add_import(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         commands, "import", _import, "make a run of a measurement of your own rig, or a campaign of several",
         [
             ("import test.csv --output runs/mine --dry-run", "shows what it takes the columns for, and writes nothing"),
-            ("import test.csv --output runs/mine --channel laser=ai0 mm --gap 6", "column ai0 is the laser, in mm"),
+            ("import test.csv --output runs/mine --channel laser=ai0 mm --gap 6mm", "column ai0 is the laser, in mm"),
             ("import sweep/*.mat --output runs/my_sweep --campaign", "a file a point: frequency and gap by file name"),
         ],
         "Reads CSV, Parquet, npz, WAV, universal files (dataset 58), Rattlesnake netCDF4 and MATLAB 5: "
@@ -47,8 +52,14 @@ def add_import(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         "--resample", type=int, metavar="HZ", help="bring scans to this rate that are not uniform in time"
     )
-    parser.add_argument("--frequency", metavar="HZ|SIGNAL", help="of the drive (default: file name, or the base's)")
-    parser.add_argument("--gap", metavar="MM|SIGNAL", help="label, `none` without sphere (default: by the file name)")
+    parser.add_argument(
+        "--frequency", type=FREQUENCY, metavar="HZ|SIGNAL",
+        help="drive frequency, e.g. 9.1Hz, or the signal that has it (default: by the file name, else the base's)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--gap", type=GAP_LABEL, metavar="LENGTH|SIGNAL",
+        help="gap with its unit, e.g. 6mm, none (no sphere), or the signal that has it (default: by the file name)",
+    )  # fmt: skip
     parser.add_argument(
         "--drive", type=Path, metavar="FILE", help="table of what was commanded: time, frequency, current"
     )
@@ -119,18 +130,10 @@ def _mapping(guessed: Mapping, arguments: argparse.Namespace) -> Mapping:
     told = {"rate_hz": arguments.rate, "resample_hz": arguments.resample}
     changes |= {name: value for name, value in told.items() if value is not None}
     if arguments.frequency is not None:
-        changes["frequency"] = _number(arguments.frequency)
+        changes["frequency"] = arguments.frequency
     if arguments.gap is not None:
-        gap = 0.0 if arguments.gap == "none" else _number(arguments.gap)
-        changes["gap"] = gap if isinstance(gap, str) else gap * 1e-3
+        changes["gap"] = arguments.gap
     return attrs.evolve(mapping, **changes)  # type: ignore[arg-type]  # as the fields are
-
-
-def _number(text: str) -> float | str:
-    try:
-        return float(text)
-    except ValueError:
-        return text
 
 
 def _content(found: ImportedFile) -> dict[str, object]:

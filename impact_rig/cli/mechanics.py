@@ -14,7 +14,7 @@ import numpy as np
 
 from impact_rig.campaign.tasks import Row, Runner, TaskStore
 from impact_rig.cli import tasks
-from impact_rig.cli.terminal import Console, TextTable, subcommand, tell_results
+from impact_rig.cli.terminal import Console, TextTable, figure, subcommand, tell_results
 from impact_rig.errors import ConfigError
 from impact_rig.maps import optimum, run
 from impact_rig.maps.measure import FAILED
@@ -65,7 +65,8 @@ def _map(arguments: argparse.Namespace) -> int:
     more: dict[str, object] = {"wall_s": wall_s, "measured_points": measured}
     if arguments.exponent:
         more["exponents"] = _add_exponents(done, console, tasks.runner(plans.run, address, arguments.workers))
-    if plan.search:
+    unsolved = sum(int(np.count_nonzero(values["regime"] == FAILED)) for values in done.values.values())
+    if plan.search and unsolved < plan.points:
         best = optimum.find(plan, plan.search)
         more["optimum"] = best.plain()
         _print_optimum(console, best)
@@ -77,8 +78,10 @@ def _map(arguments: argparse.Namespace) -> int:
         for drawn in heat_maps(done):
             drawn.save(folder)
     console.print(f"{plan.points} points on the mechanics, {measured} of them now; {run.CSV_FILE}, {run.JSON_FILE}")
+    if unsolved == plan.points:
+        console.print(f"none of the {plan.points} points could be resolved: there is no result", style="red")
     tell_results(directory, {"points": plan.points, **more}, as_json=arguments.json)
-    return 0
+    return 1 if unsolved == plan.points else 0
 
 
 def _add_exponents(done: run.FinishedMap, console: Console, runner: Runner[plans.StudyTask]) -> int:
@@ -112,7 +115,7 @@ def _print_optimum(console: Console, best: optimum.Optimum) -> None:
     )
     table = TextTable("What 1 % more of a value changes the reduction there", left=("value",), right=("points",))
     for name, points in best.points_per_percent.items():
-        table.add_row(name, f"{round(points, 3) + 0.0:+.3f}")
+        table.add_row(name, figure(round(points, 3) + 0.0, "+.3f"))
     console.print(table)
 
 
@@ -147,15 +150,18 @@ def _dynamics(arguments: argparse.Namespace) -> int:
         "title": plan.title, "kind": kind, "measured_on": "mechanics", "tasks": len(plan.tasks), "rows": len(rows),
         "measured_tasks": measured, "wall_s": wall_s, **_summary(plan, rows),
     }  # fmt: skip
-    files.write_text(directory / f"{kind}.json", json.dumps(told, indent=2) + "\n")
+    files.write_text(directory / f"{kind}.json", json.dumps(files.plain(told), indent=2) + "\n")
     if not arguments.no_figures:
         from impact_rig.studies.dynamics.figures import drawn  # noqa: PLC0415  # matplotlib
 
         drawn(plan, found).save(tasks.figures_folder(directory))
     _show(console, plan, rows)
     console.print(f"{len(rows)} rows on the mechanics; {kind}.csv, {kind}.json")
+    empty = _unsolved(plan, rows) == len(rows)
+    if empty:
+        console.print(f"none of the {len(rows)} rows could be resolved: there is no result", style="red")
     tell_results(directory, told, as_json=arguments.json)
-    return 0
+    return 1 if empty else 0
 
 
 def _named(plan: Plan, rows: list[Row], names: tuple[str, ...]) -> list[dict[str, object]]:
@@ -163,7 +169,7 @@ def _named(plan: Plan, rows: list[Row], names: tuple[str, ...]) -> list[dict[str
     columns = plans.COLUMNS[plan.kind]
     return [
         {
-            name: None if isinstance(cell, float) and math.isnan(cell) else cell
+            name: None if isinstance(cell, float) and not math.isfinite(cell) else cell
             for name, cell in zip(columns, row, strict=True)
             if name in names
         }
@@ -179,6 +185,12 @@ def _told(plan: Plan, rows: list[Row]) -> list[Row]:
     return [row for row in rows if row[event] != "orbit"]
 
 
+def _unsolved(plan: Plan, rows: list[Row]) -> int:
+    """Return how many rows could not be resolved."""
+    columns = plans.COLUMNS[plan.kind]
+    return sum(row[columns.index("regime")] == FAILED for row in rows) if "regime" in columns else 0
+
+
 def _summary(plan: Plan, rows: list[Row]) -> dict[str, object]:
     """Return the figures for programs."""
     if plan.kind == plans.BASIN:
@@ -187,7 +199,7 @@ def _summary(plan: Plan, rows: list[Row]) -> dict[str, object]:
         counts = Counter(motion(plan, row) for row in rows)
         return {"shares": {name: count / len(rows) for name, count in sorted(counts.items())}}
     if plan.kind == plans.BIFURCATION:
-        failed = sum(row[plans.COLUMNS[plan.kind].index("regime")] == FAILED for row in rows)
+        failed = _unsolved(plan, rows)
         return {"failed_rows": failed} if failed else {}
     if plan.kind == plans.SECTION:
         return {}

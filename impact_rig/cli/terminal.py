@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import re
 import sys
 import textwrap
@@ -35,7 +36,7 @@ from rich.text import Text
 from impact_rig.errors import visible
 from impact_rig.system.files import plain
 
-__all__ = ["Console", "Counted", "Steps", "TextTable", "Words", "tell_json", "tell_program", "tell_results"]
+__all__ = ["Console", "Counted", "Steps", "TextTable", "Words", "figure", "tell_json", "tell_program", "tell_results"]
 
 LONGEST_HEADING = 11  # characters of a heading over numbers that stay in one line
 LONGEST_WORD = 12  # characters of a word in a cell that are not parted
@@ -106,6 +107,11 @@ class TextTable(rich_table.Table):
             column.min_width = max(column.min_width or 0, longest)
         least = self.__rich_measure__(console, options.update_width(LARGEST_WIDTH)).minimum
         return super().__rich_console__(console, options.update_width(max(options.max_width, least)))
+
+
+def figure(value: float, spec: str, missing: str = "-") -> str:
+    """Format a measured value; a value that does not exist (NaN, infinite) becomes `missing`, never a number."""
+    return format(value, spec) if math.isfinite(value) else missing
 
 
 class Words(TextColumn):

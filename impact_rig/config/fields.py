@@ -66,6 +66,12 @@ class FieldInfo:
             parts.append(f"{'<' if self.high_open else '<='} {self.high:g}")
         return " and ".join(parts) or "any finite number"
 
+    def allows(self, value: float) -> bool:
+        """Whether a number is finite and in the legal range."""
+        too_low = self.low is not None and (value < self.low or (self.low_open and value == self.low))
+        too_high = self.high is not None and (value > self.high or (self.high_open and value == self.high))
+        return math.isfinite(value) and not (too_low or too_high)
+
 
 def info(attribute: attrs.Attribute[Any]) -> FieldInfo:
     """Return the `FieldInfo` of an attrs attribute made by this module."""
@@ -83,9 +89,7 @@ def _wrong(attribute: attrs.Attribute[Any], rule: str, value: object) -> ConfigE
 
 def _in_range(attribute: attrs.Attribute[Any], value: float) -> None:
     about = info(attribute)
-    too_low = about.low is not None and (value < about.low or (about.low_open and value == about.low))
-    too_high = about.high is not None and (value > about.high or (about.high_open and value == about.high))
-    if too_low or too_high or not math.isfinite(value):
+    if not about.allows(value):
         raise _wrong(attribute, about.range_text(), value)
 
 

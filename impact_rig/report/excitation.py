@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 MOST_POINTS = 4000  # of a line that is drawn
+COHERENT = 0.9  # coherence of a line that counts as measured
 SHOWN_S = 1.0  # of a played history, around its largest sample
 
 
@@ -45,12 +47,25 @@ class ResultSummary:
     figures: Mapping[str, object]  # for programs
     sentences: Sequence[str]  # for people
     draw: Callable[[], list[Drawn]]  # makes the drawings
+    missing: str = ""  # why there is no result, as a sentence; empty if there is one
 
 
 def tell(found: object, unit: str = "") -> ResultSummary:
     """Return what is said of the result of a test; `unit` is that of its response."""
     told = _TELLERS[type(found)](found, unit)
-    return attrs.evolve(told, draw=style()(told.draw))
+    lacking = [name for name, value in told.figures.items() if not _is_known(value)]
+    if lacking and not told.missing:
+        names = ", ".join(name.replace("_", " ") for name in lacking)
+        why = f"No result: {names} cannot be computed, because the signals are too short or do not change."
+        told = attrs.evolve(told, progress=f"no result yet: {names}", missing=why)
+    return attrs.evolve(told, draw=style()(told.draw), sentences=[told.missing] if told.missing else told.sentences)
+
+
+def _is_known(value: object) -> bool:
+    """Whether a figure, or every figure of a mapping, exists; tables may have gaps."""
+    if isinstance(value, Mapping):
+        return all(_is_known(one) for one in value.values())
+    return not isinstance(value, float) or math.isfinite(value)
 
 
 def document(
@@ -241,7 +256,7 @@ def _draw_played(found: Played) -> Drawn:
 
 
 def _frf(found: Frf, unit: str) -> ResultSummary:
-    good = found.excited[found.coherence[found.excited] > 0.9]
+    good = found.excited[found.coherence[found.excited] > COHERENT]
     u = found.u_relative[good]
     peak = found.excited[np.argmax(np.abs(found.h1[found.excited]))]
     figures = {
@@ -256,10 +271,18 @@ def _frf(found: Frf, unit: str) -> ResultSummary:
             "u_relative": found.u_relative[found.excited],
         },
     }  # fmt: skip
+    missing = (
+        ""
+        if len(good)
+        else (
+            f"No result: none of {len(found.excited)} excited lines has a coherence above {COHERENT}, so the "
+            "response is noise. Drive harder (--rms), or average more (--frames)."
+        )
+    )
     sentences = [
         (
-            f"{len(good)} of {len(found.excited)} excited lines have a coherence above 0.9; there u is "
-            f"{100 * float(np.median(u)) if len(u) else np.nan:.2g} % in the median. The largest response is "
+            f"{len(good)} of {len(found.excited)} excited lines have a coherence above {COHERENT}; there u is "
+            f"{100 * float(np.median(u)) if len(u) else 0.0:.2g} % in the median. The largest response is "
             f"{abs(found.h1[peak]):.4g} {unit} at {found.frequency_hz[peak]:.4g} Hz."
         ),
         (
@@ -267,7 +290,8 @@ def _frf(found: Frf, unit: str) -> ResultSummary:
             "level, and most of what lacks is distortion: other frames have another, so u covers it like noise."
         ),
     ]
-    return ResultSummary(f"{found.averages:.0f} frames", figures, sentences, lambda: [_draw_frf(found, unit)])
+    frames = f"{found.averages:.0f} frames"
+    return ResultSummary(frames, figures, sentences, lambda: [_draw_frf(found, unit)], missing)
 
 
 def _draw_frf(found: Frf, unit: str) -> Drawn:

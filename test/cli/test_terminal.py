@@ -13,7 +13,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from impact_rig.cli import main
-from impact_rig.cli.terminal import Console, TextTable, Words
+from impact_rig.cli.terminal import Console, TextTable, Words, figure
 from impact_rig.errors import visible
 
 CLI = Path(__file__).parents[2] / "impact_rig" / "cli"
@@ -25,6 +25,12 @@ def test_what_cannot_be_seen_is_shown_as_its_escape() -> None:
     assert visible(TRICKS) == SHOWN
     assert visible("gap 6 mm, ±2u, χ², 测") == "gap 6 mm, ±2u, χ², 测"
     assert visible("a\nb\x1b", lines=True) == "a\nb\\x1b"
+
+
+def test_a_value_that_does_not_exist_is_no_number() -> None:
+    assert figure(1.234, ".2f") == "1.23"
+    assert {figure(value, "+.3g") for value in (float("nan"), float("inf"), -float("inf"))} == {"-"}
+    assert figure(float("nan"), "g", "unknown") == "unknown"
 
 
 def drawn(what: object) -> str:

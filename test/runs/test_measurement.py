@@ -469,3 +469,18 @@ def test_what_an_import_leaves_out_is_told(tmp_path: Path, capsys: pytest.Captur
         "left out: dt, no rate or period: -1",
     ):
         assert line in told
+
+
+@pytest.mark.parametrize(("seconds", "laser", "reason"), [(0.3, 1e-3, "too_few_cycles"), (30.0, 0.0, "constant")])
+def test_sines_without_a_dt_say_so_and_are_no_success(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], seconds: float, laser: float, reason: str
+) -> None:
+    turn = 2.0 * np.pi * 9.1 * np.arange(round(seconds * RATE_HZ)) / RATE_HZ
+    np.savez(tmp_path / "own.npz", base=1e-4 * np.sin(turn), laser=laser * np.sin(turn))
+    words = ["--output", str(tmp_path / "run"), "--rate", str(RATE_HZ), "--frequency", "9.1"]
+    assert main(["import", str(tmp_path / "own.npz"), *words]) == 0
+    capsys.readouterr()
+    assert main(["analyze", str(tmp_path / "run"), "--sine"]) == 1
+    told = capsys.readouterr().out
+    assert f"no DT from these scans: {reason}" in told
+    assert not re.search(r"\bnan\b", told)

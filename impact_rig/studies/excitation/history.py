@@ -10,6 +10,7 @@ where the structure holds the base still. A trial begins and ends at rest and is
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import attrs
@@ -166,9 +167,9 @@ class Played:
 
     @property
     def error(self) -> float:
-        """Rms of the current less what was asked, its mean left out, over the rms of what was asked."""
-        apart = self.rows["current"] - self.asked
-        return float(apart.std() / max(self.asked.std(), 1e-300))
+        """Rms of the current less what was asked, without its mean, over the rms asked; NaN if that is 0."""
+        apart, asked = (self.rows["current"] - self.asked).std(), self.asked.std()
+        return float(apart / asked) if asked > 0.0 else math.nan
 
     def kurtosis(self, name: str) -> float:
         """Return that of a channel: 1.5 of a sine, 3 of Gaussian noise."""

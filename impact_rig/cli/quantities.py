@@ -1,0 +1,119 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Quantities on the command line: numbers with their unit, as one type for argparse."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import unicodedata
+from collections.abc import Mapping
+from decimal import Decimal
+from typing import Any  # attrs fields of any section
+
+import attrs
+
+from impact_rig.config import fields
+from impact_rig.config.fields import FieldInfo
+from impact_rig.config.sections import Barriers
+from impact_rig.errors import ConfigError
+
+__all__ = ["GAP", "NO_SPHERE_WORD", "Quantity", "positive"]
+
+LENGTH = "m"
+NO_SPHERE_WORD = "none"
+POWERS: Mapping[str, Mapping[str, int]] = {
+    LENGTH: {"m": 0, "cm": -2, "mm": -3, "um": -6, "μm": -6, "nm": -9},
+    "Hz": {"Hz": 0, "mHz": -3, "kHz": 3},
+    "A": {"A": 0, "mA": -3},
+    "s": {"s": 0, "ms": -3},
+    "m/s²": {"m/s2": 0},
+}
+"""Power of ten of each unit that may be written, by the SI unit of the option; other options take their own unit."""
+_FORM = re.compile(r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]{1,3})?)\s*([^\s0-9.,][^\s]*)?")
+
+
+@attrs.frozen(eq=False)
+class Quantity:
+    """Parser of a quantity with its unit, for `type=` of an option.
+
+    A length needs its unit: people say 6 for 6 mm, the configuration has 0.006 for the same. Any other quantity may
+    stand without one, in the SI unit.
+
+    Attributes:
+        about: unit and legal range of the value.
+        words: texts that stand for a value, such as `none`.
+        names: whether any other text is the name of a signal and is returned as it is.
+    """
+
+    about: FieldInfo
+    words: Mapping[str, float] = attrs.field(factory=dict)
+    names: bool = False
+
+    @classmethod
+    def of(cls, field: attrs.Attribute[Any], words: Mapping[str, float] | None = None) -> Quantity:
+        """Return the parser for a field of the configuration, with its unit and range."""
+        return cls(fields.info(field), words or {})
+
+    def __call__(self, text: str) -> float | str:
+        """Return the value of an option's text in the SI unit.
+
+        Raises:
+            argparse.ArgumentTypeError: the text is no such quantity; argparse adds the option's name.
+        """
+        try:
+            return self.parse(text)
+        except ConfigError as error:
+            raise argparse.ArgumentTypeError(str(error)) from error
+
+    def parse(self, text: str) -> float | str:
+        """Return the value in the SI unit, exactly as if it had been written in that unit.
+
+        Raises:
+            ConfigError: the text is no such quantity.
+        """
+        if text in self.words:
+            return self.words[text]
+        unit = self.about.unit
+        powers = POWERS.get(unit, {unit: 0})
+        match = _FORM.fullmatch(unicodedata.normalize("NFKC", text.strip()))
+        number, written = match.groups() if match else ("", None)
+        if self.names and (not match or (written and written not in powers)):
+            return text
+        if not match:
+            raise ConfigError(f"must be a number{self._with_unit()}, got {text!r}")
+        if written is None and unit == LENGTH:
+            raise ConfigError(f"a length needs its unit, e.g. 6mm or 0.006m{self._or_words()}, got {text!r}")
+        if written is not None and written not in powers:
+            raise ConfigError(f"its unit must be one of {', '.join(powers)}, got {text!r}")
+        value = float(Decimal(number).scaleb(powers[written] if written else 0))
+        if not self.about.allows(value):
+            raise ConfigError(f"must be {self.about.range_text()} {unit}, got {text!r}")
+        return value
+
+    def number(self, text: str) -> float:
+        """Return the value of a quantity that is never the name of a signal.
+
+        Raises:
+            ConfigError: the text is no such quantity.
+        """
+        value = self.parse(text)
+        assert not isinstance(value, str)
+        return value
+
+    def _with_unit(self) -> str:
+        if self.about.unit == LENGTH:
+            return f" with its unit, e.g. 6mm{self._or_words()}"
+        return f" of {self.about.unit}{self._or_words()}"
+
+    def _or_words(self) -> str:
+        return "".join(f", or {word}" for word in self.words)
+
+
+def positive(unit: str) -> Quantity:
+    """Return the parser of a quantity above zero."""
+    return Quantity(FieldInfo("", unit, low=0.0, low_open=True))
+
+
+GAP = Quantity.of(attrs.fields(Barriers).gap_m, {NO_SPHERE_WORD: 0.0})
+"""Gap of the barriers; `none`: no sphere."""
