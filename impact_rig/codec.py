@@ -62,11 +62,12 @@ _TEXT_DTYPE = np.dtype(TEXT)
 _BYTE = np.dtype("u1")
 
 
-def encode(table: Table) -> bytes:
+def encode(table: Table, frame_prefix: str = "") -> bytes:
     """Return `table` as a serialised `sensor_msgs/PointCloud2`.
 
     Args:
         table: columns must be 8 to 32 bit integers, f4, f8 or `blocks.TEXT`, in little-endian byte order.
+        frame_prefix: text in front of the table's frame.
 
     Raises:
         CodecError: a column's type, the stamp or the frame id has no place in a PointCloud2.
@@ -77,7 +78,7 @@ def encode(table: Table) -> bytes:
     seconds, nanoseconds = divmod(table.stamp_ns, NS_PER_S)
     if not -(2**31) <= seconds < 2**31:
         raise CodecError(f"stamp_ns must fit 32-bit seconds, got {table.stamp_ns}")
-    frame, layout = _constant_parts(rows.dtype, table.frame_id)
+    frame, layout = _constant_parts(rows.dtype, frame_prefix + table.frame_id)
     data = rows.tobytes()
     return b"".join(
         (

@@ -7,6 +7,7 @@ Examples:
     ros2 launch impact_rig rig.launch.py mode:=freewheel config:=/path/to/mine.yaml record:=false
     ros2 launch impact_rig rig.launch.py overrides:='{barriers.gap_m: 0.004, daq.seed: 7}' autostart:=false
     ros2 launch impact_rig rig.launch.py namespace:=rig2 clock:=/clock
+    ros2 launch impact_rig rig.launch.py enclave:=/rig
     ros2 launch impact_rig rig.launch.py mode:=stepped peers:=analysis,recorder,my_controller
     ros2 launch impact_rig rig.launch.py lab:=true
     ros2 launch impact_rig rig.launch.py rviz:=true
@@ -15,6 +16,7 @@ Examples:
 
 import os
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +27,9 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
+from impact_rig import graph
 from impact_rig.config.tree import flatten
+from impact_rig.errors import ConfigError
 from impact_rig.rig.config import RigConfig, from_flat, load
 from impact_rig.rig.description import ROOT, robot_description
 from impact_rig.system import budget
@@ -35,23 +39,51 @@ from impact_rig.system.files import share_dir
 LONGEST_OVERRIDES = 100_000
 
 
+PARAMETERS = {
+    "mode": "time.mode",
+    "factor": "time.factor",
+    "start_wait": "time.start_wait_s",
+    "autostart": "output.autostart",
+    "frame_prefix": "output.frame_prefix",
+    "peers": "time.peers",
+}
+"""Parameter of the rig that an argument sets."""
+ROBOT_STATE_PUBLISHER = "robot_state_publisher"
+NODES = (*(node.name for node in graph.NODES if node.name != "stepped_sine"), "lab", "rviz", ROBOT_STATE_PUBLISHER)
+
+
+def text(context: LaunchContext, name: str) -> str:
+    """Return the value of a launch argument."""
+    return LaunchConfiguration(name).perform(context)
+
+
+def number(context: LaunchContext, name: str) -> float:
+    """Return the value of a launch argument that is a number."""
+    try:
+        return float(text(context, name))
+    except ValueError:
+        raise ConfigError(f"launch argument {name}:={text(context, name)} must be a number, such as 0.5") from None
+
+
+def names_in(context: LaunchContext, name: str) -> list[str]:
+    """Return the names in a launch argument, separated by commas and possibly blanks."""
+    return [part.strip() for part in text(context, name).split(",") if part.strip()]
+
+
 def parameters_of_rig(context: LaunchContext, file: RigConfig) -> dict[str, Any]:
-    """Return what the arguments put on top of the file: only what was given."""
-
-    def word(name: str) -> str:
-        return LaunchConfiguration(name).perform(context)
-
-    given: dict[str, Any] = flatten(budget.load_yaml(word("overrides"), LONGEST_OVERRIDES) or {})
-    if word("mode"):
-        given["time.mode"] = word("mode")
-    if word("factor"):
-        given["time.factor"] = float(word("factor"))
-    if word("start_wait"):
-        given["time.start_wait_s"] = float(word("start_wait"))
-    if word("autostart"):
-        given["output.autostart"] = word("autostart") == "true"
-    given["output.frame_prefix"] = frame_prefix(context)
-    peers = names_in(word("peers"))
+    """Return the rig's parameters that differ from its file: those that the arguments give."""
+    given = overrides(context)
+    if text(context, "mode"):
+        given["time.mode"] = text(context, "mode")
+    if text(context, "factor"):
+        given["time.factor"] = number(context, "factor")
+    if text(context, "start_wait"):
+        given["time.start_wait_s"] = number(context, "start_wait")
+    if text(context, "autostart"):
+        given["output.autostart"] = text(context, "autostart") == "true"
+    if text(context, "frame_prefix") != "auto":
+        given["output.frame_prefix"] = text(context, "frame_prefix") or "/"
+    peers = names_in(context, "peers")
     if peers:
         given["time.peers"] = peers
     elif not file.time.peers and "time.peers" not in given:
@@ -60,16 +92,54 @@ def parameters_of_rig(context: LaunchContext, file: RigConfig) -> dict[str, Any]
     return given
 
 
-def names_in(text: str) -> list[str]:
-    """Return names with commas between, and perhaps blanks."""
-    return [name.strip() for name in text.split(",") if name.strip()]
+def overrides(context: LaunchContext) -> dict[str, Any]:
+    """Return the parameters in the argument `overrides`, with full names."""
+    try:
+        found: dict[str, Any] = flatten(budget.load_yaml(text(context, "overrides"), LONGEST_OVERRIDES) or {})
+    except (budget.PlainYamlError, ConfigError) as error:
+        raise ConfigError(
+            f"launch argument overrides must be a YAML mapping, such as {{barriers.gap_m: 0.004}}: {error}"
+        ) from None
+    return found
 
 
-def frame_prefix(context: LaunchContext) -> str:
-    """Return what stands before the frames: the namespace, unless something else is asked for."""
-    given = LaunchConfiguration("frame_prefix").perform(context)
-    namespace = LaunchConfiguration("namespace").perform(context).strip("/")
-    return given if given != "auto" else f"{namespace}/" if namespace else ""
+def configuration_file(context: LaunchContext) -> tuple[str, RigConfig]:
+    """Return the path of the configuration file and what it holds."""
+    path = text(context, "config")
+    try:
+        return path, load(path)
+    except ConfigError as error:
+        raise ConfigError(f"launch argument config: {error}") from None
+
+
+def configured(context: LaunchContext, file: RigConfig, given: dict[str, Any]) -> RigConfig:
+    """Return the configuration of the rig; an error names the launch argument that has to change."""
+    try:
+        return from_flat(file, given)
+    except ConfigError as error:
+        given_names = [name for name in PARAMETERS if text(context, name) not in ("", "auto")]
+        wrong = [name for name in given_names if PARAMETERS[name] in str(error)]
+        name = wrong[0] if wrong else "overrides"
+        raise ConfigError(f"launch argument {name}:={text(context, name)}: {error}") from None
+
+
+def namespace_of(context: LaunchContext) -> str:
+    """Return the namespace that the nodes get: the argument, below the groups that PushRosNamespace has made."""
+    return graph.resolve(text(context, "namespace"), context.launch_configurations.get("ros_namespace", ""))
+
+
+def required_nodes(context: LaunchContext) -> list[str]:
+    """Return the nodes whose end ends the others."""
+    names = names_in(context, "required")
+    unknown = sorted(set(names) - set(NODES))
+    if unknown:
+        raise ConfigError(f"launch argument required: no node {', '.join(unknown)}; nodes are {', '.join(NODES)}")
+    return names
+
+
+def end_with(name: str) -> Callable[[Any, LaunchContext], Shutdown | None]:
+    """Return what ends all nodes after the end of one, unless they are ending already."""
+    return lambda _event, context: None if context.is_shutdown else Shutdown(reason=f"{name} has ended")
 
 
 def rviz_file(prefix: str) -> str:
@@ -82,93 +152,63 @@ def rviz_file(prefix: str) -> str:
 
 
 def start_nodes(context: LaunchContext) -> list[Node]:
-    """Return the nodes; a file or an argument that cannot be is refused before anything starts."""
-    path = LaunchConfiguration("config").perform(context)
-    file = load(path)
+    """Return the nodes; an impossible file or argument is refused before anything starts."""
+    path, file = configuration_file(context)
     given = parameters_of_rig(context, file)
-    config = from_flat(file, given)
+    config = configured(context, file, given)
     follow_rig_time = {"use_sim_time": config.time.is_simulated}
     autostart = {"autostart": config.output.autostart}
-    required = names_in(LaunchConfiguration("required").perform(context))
-    seen = {name: LaunchConfiguration(name).perform(context) == "true" for name in ("lab", "rviz", "state_publisher")}
-    common: dict[str, Any] = {
-        "namespace": LaunchConfiguration("namespace"),
-        "output": "screen",
-        "ros_arguments": ["--log-level", LaunchConfiguration("log_level")],
-    }
-    # rig time of two rigs is two times: each namespace has its own clock
-    clock = ("/clock", LaunchConfiguration("clock"))
-    ours: dict[str, Any] = {
-        **common,
-        "package": "impact_rig",
-        "remappings": [clock],
-        "sigterm_timeout": "15",  # seconds after Ctrl-C in which a run's file is finished
-    }
+    required = required_nodes(context)
+    seen = {name: text(context, name) == "true" for name in ("lab", "rviz", "state_publisher")}
+    clock = graph.clock_remapping(text(context, "clock"))
+    prefix = graph.frame_prefix(namespace_of(context), config.output.frame_prefix)
+    enclave = text(context, "enclave")
 
-    def ends(name: str) -> dict[str, Any]:
-        return {"on_exit": Shutdown(reason=f"{name} has ended")} if name in required else {}
+    def node(name: str, remappings: tuple[tuple[str, str], ...] = (), **more: Any) -> Node:
+        ros_arguments = ["--log-level", LaunchConfiguration("log_level")]
+        if enclave:
+            ros_arguments += ["--enclave", graph.resolve(name, enclave)]
+        return Node(
+            name=name,
+            namespace=LaunchConfiguration("namespace"),
+            output="screen",
+            ros_arguments=ros_arguments,
+            remappings=[clock, *remappings],
+            **({"on_exit": end_with(name)} if name in required else {}),
+            **more,
+        )
 
+    def ours(name: str, **more: Any) -> Node:
+        # after Ctrl-C the recorder finishes the file of its run
+        return node(name, package="impact_rig", executable=f"{name}_node", sigterm_timeout="15", **more)
+
+    recording = {
+        "directory": ParameterValue(LaunchConfiguration("record_directory"), value_type=str),
+        "record": ParameterValue(LaunchConfiguration("record"), value_type=bool),
+    }
     nodes = [
-        Node(executable="rig_node", name="rig", parameters=[{"config_file": path, **given}], **ends("rig"), **ours),
-        Node(
-            executable="analysis_node",
-            name="analysis",
-            parameters=[follow_rig_time, autostart],
-            **ends("analysis"),
-            **ours,
-        ),
-        Node(
-            executable="recorder_node",
-            name="recorder",
-            parameters=[
-                follow_rig_time,
-                autostart,
-                {
-                    "directory": ParameterValue(LaunchConfiguration("record_directory"), value_type=str),
-                    "record": ParameterValue(LaunchConfiguration("record"), value_type=bool),
-                },
-            ],
-            **ends("recorder"),
-            **ours,
-        ),
+        ours("rig", parameters=[{"config_file": path, **given}]),
+        ours("analysis", parameters=[follow_rig_time, autostart]),
+        ours("recorder", parameters=[follow_rig_time, autostart, recording]),
     ]
     if seen["lab"]:
-        nodes.append(Node(executable="lab_node", name="lab", **ours))
-    prefix = config.output.frame_prefix
+        nodes.append(ours("lab"))
     if seen["rviz"] or seen["state_publisher"]:
+        description = ParameterValue(robot_description(config), value_type=str)
+        bodies = {"robot_description": description, "frame_prefix": prefix, "publish_frequency": 200.0}
         nodes.append(
-            Node(
-                package="robot_state_publisher",
-                executable="robot_state_publisher",
-                name="robot_state_publisher",
-                parameters=[
-                    follow_rig_time,
-                    {
-                        "robot_description": ParameterValue(robot_description(config), value_type=str),
-                        "frame_prefix": prefix,
-                        "publish_frequency": 200.0,
-                    },
-                ],
-                remappings=[
-                    clock,
-                    ("joint_states", "truth/joint_states"),
-                    # the rig's own follows its gap, and nobody else may say what it looks like
-                    ("robot_description", "robot_state_publisher/robot_description"),
-                ],
-                **common,
+            node(
+                ROBOT_STATE_PUBLISHER,
+                graph.STATE_PUBLISHER_REMAPPINGS,
+                package=ROBOT_STATE_PUBLISHER,
+                executable=ROBOT_STATE_PUBLISHER,
+                parameters=[follow_rig_time, bodies],
             )
         )
     if seen["rviz"]:
+        arguments = ["-d", rviz_file(prefix)]
         nodes.append(
-            Node(
-                package="rviz2",
-                executable="rviz2",
-                name="rviz",
-                arguments=["-d", rviz_file(prefix)],
-                parameters=[follow_rig_time],
-                remappings=[clock],
-                **common,
-            )
+            node("rviz", package="rviz2", executable="rviz2", arguments=arguments, parameters=[follow_rig_time])
         )
     return nodes
 
@@ -255,7 +295,12 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "frame_prefix",
                 default_value="auto",
-                description="Put before all frames; auto: the namespace and a slash.",
+                description="Text in front of all frames; auto: the namespace of the nodes and a slash.",
+            ),
+            DeclareLaunchArgument(
+                "enclave",
+                default_value="",
+                description="SROS2 enclave above those of the nodes: /rig gives /rig/analysis its own; empty: none.",
             ),
             DeclareLaunchArgument(
                 "log_level",

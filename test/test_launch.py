@@ -14,6 +14,7 @@ from xml.etree import ElementTree as ET
 import pytest
 import yaml
 from kits.launched import (
+    Context,
     GroupAction,
     IncludeLaunchDescription,
     SetEnvironmentVariable,
@@ -70,7 +71,7 @@ def test_by_default_three_nodes_start_and_scan_0_waits_for_two_of_them() -> None
     assert {node["namespace"] for node in started.values()} == {"rig"}
     rig = parameters(started["rig"])
     assert rig.pop("config_file").endswith("config/nominal.yaml")
-    assert rig == {"time.peers": ["analysis", "recorder"], "output.frame_prefix": "rig/"}
+    assert rig == {"time.peers": ["analysis", "recorder"]}
     assert parameters(started["recorder"]) == {
         "use_sim_time": False, "autostart": True, "directory": "runs", "record": True,
     }  # fmt: skip
@@ -93,7 +94,7 @@ def test_what_is_asked_for_daily_is_an_argument() -> None:
     del rig["config_file"]
     assert rig == {
         "barriers.gap_m": 0.004, "daq.seed": 7, "time.mode": "realtime", "time.factor": 0.5, "time.start_wait_s": 3.0,
-        "output.autostart": False, "output.frame_prefix": "cell/two/", "time.peers": ["analysis", "mine"],
+        "output.autostart": False, "time.peers": ["analysis", "mine"],
     }  # fmt: skip
     assert parameters(started["recorder"]) == {
         "use_sim_time": True, "autostart": False, "directory": "/data", "record": False,
@@ -114,10 +115,26 @@ def test_all_nodes_wait_for_their_lifecycle_services_where_the_rig_does() -> Non
     assert [parameters(started[name])["autostart"] for name in ("analysis", "recorder")] == [False, False]
 
 
-@pytest.mark.parametrize("arguments", [{"overrides": "{gap_m: 1}"}, {"overrides": "{barriers.gap_m: -1}"}])
-def test_an_argument_that_cannot_be_is_refused_before_anything_starts(arguments: dict[str, str]) -> None:
-    with pytest.raises(ConfigError, match="gap_m"):
-        nodes(RIG, **arguments)
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("overrides", "{gap_m: 1}"),
+        ("overrides", "{barriers.gap_m: -1}"),
+        ("overrides", "{barriers.gap_m: "),
+        ("overrides", "0.004"),
+        ("config", "/nowhere/rig.yaml"),
+        ("factor", "abc"),
+        ("factor", "-1"),
+        ("start_wait", "soon"),
+        ("start_wait", "nan"),
+        ("frame_prefix", "left-right"),
+        ("required", "rig,player"),
+    ],
+)
+def test_an_impossible_argument_is_refused_by_its_name_before_anything_starts(name: str, value: str) -> None:
+    with pytest.raises(ConfigError, match=f"^launch argument {name}\\b") as refused:
+        nodes(RIG, **{name: value})
+    assert "\n" not in str(refused.value)
 
 
 @pytest.mark.ros
@@ -142,28 +159,53 @@ def test_every_namespace_has_its_own_clock() -> None:
         assert ("/clock", "clock") in node["remappings"]
 
 
-def test_the_end_of_a_required_node_ends_all_and_all_end_with_the_launcher() -> None:
-    assert all(isinstance(node["on_exit"], Shutdown) for node in nodes(RIG).values())
+def test_the_end_of_a_required_node_ends_all_once_and_all_end_with_the_launcher() -> None:
+    """After Ctrl-C, or after another required node, a node that ends does not report that it was required."""
+    running, ending = Context({}), Context({})
+    ending.is_shutdown = True
+    for name, node in nodes(RIG).items():
+        (shutdown,) = (node["on_exit"](None, context) for context in (running,))
+        assert isinstance(shutdown, Shutdown)
+        assert name in shutdown.words["reason"]
+        assert node["on_exit"](None, ending) is None
     some = nodes(RIG, required="rig", rviz="true")
     assert [name for name, node in some.items() if "on_exit" in node] == ["rig"]
     variables = [entity.args[0] for entity in description(RIG) if isinstance(entity, SetEnvironmentVariable)]
     assert PARENT_VARIABLE in variables
 
 
+@pytest.mark.parametrize(
+    ("pushed", "namespace", "given", "prefix"),
+    [
+        ("/left", "rig", "auto", "left/rig/"),
+        ("/left", "/rig", "auto", "rig/"),
+        ("", "", "auto", ""),
+        ("/left", "", "auto", "left/"),
+        ("/left", "rig", "my/", "my/"),
+        ("/left", "rig", "", ""),
+    ],
+)
+def test_frames_follow_the_effective_namespace(pushed: str, namespace: str, given: str, prefix: str) -> None:
+    started = nodes(RIG, pushed_namespace=pushed, namespace=namespace, frame_prefix=given, state_publisher="true")
+    assert parameters(started["robot_state_publisher"])["frame_prefix"] == prefix
+    told = parameters(started["rig"]).get("output.frame_prefix")
+    assert told == {"auto": None, "": "/"}.get(given, given), "by itself the node follows its namespace"
+
+
 def test_rviz_and_tf_come_on_request_and_agree_on_frames() -> None:
     """robot_state_publisher follows the truth, and leaves the description's topic to the rig."""
-    started = nodes(RIG, rviz="true", namespace="two", overrides="{barriers.gap_m: 0.01}")
+    started = nodes(RIG, rviz="true", pushed_namespace="/cell", namespace="two", overrides="{barriers.gap_m: 0.01}")
     state = started["robot_state_publisher"]
     assert ("joint_states", "truth/joint_states") in state["remappings"]
     assert ("robot_description", "robot_state_publisher/robot_description") in state["remappings"]
-    assert parameters(state)["frame_prefix"] == parameters(started["rig"])["output.frame_prefix"] == "two/"
+    assert parameters(state)["frame_prefix"] == "cell/two/"
     links = {link.get("name") for link in ET.fromstring(parameters(state)["robot_description"]).iter("link")}
     _, file = started["rviz"]["arguments"]
     shown = yaml.safe_load(Path(file).read_text(encoding="utf-8"))["Visualization Manager"]
     fixed = shown["Global Options"]["Fixed Frame"]
-    assert fixed.removeprefix("two/") in links
+    assert fixed.removeprefix("cell/two/") in links
     (robot,) = [display for display in shown["Displays"] if display["Name"] == "Rig"]
-    assert robot["TF Prefix"] == "two"
+    assert robot["TF Prefix"] == "cell/two"
     assert robot["Description Topic"]["Value"] == "robot_description"
     assert "rviz" not in nodes(RIG, state_publisher="true")
 

@@ -5,9 +5,9 @@
 from __future__ import annotations
 
 import ast
-import runpy
 from collections.abc import Iterator
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import pytest
 
@@ -85,7 +85,53 @@ def test_what_is_started_for_the_user_is_seen_by_this_machine_only(
 
 
 @pytest.mark.ros
-def test_the_policy_allows_what_the_nodes_open_and_nothing_else() -> None:
+def test_the_policy_allows_what_the_nodes_open_and_nothing_else(tmp_path: Path) -> None:
+    """The nodes run as the launch file starts them: in a namespace, which has a clock of its own."""
     pytest.importorskip("rclpy", reason="no ROS 2 here")
-    tool = runpy.run_path(str(ROOT / "tools" / "sros2_policy.py"))
-    assert tool["policy"]() == tool["FILE"].read_text(encoding="utf-8"), "run python tools/sros2_policy.py"
+    from kits.nodes import opened_by
+
+    from impact_rig import graph
+    from tools import sros2_policy
+
+    namespace = sros2_policy.NAMESPACE
+    allowed = sros2_policy.rights()
+    optional = {graph.resolve(name, namespace, "rig") for name in graph.SIMULATION_SERVICES.values()}
+    for node, opened in opened_by(namespace, sros2_policy.CLOCK, str(tmp_path)).items():
+        for kind, names in allowed[node].items():
+            found = opened[kind]
+            assert names - optional <= found <= names, f"{node} {kind}: {sorted(names ^ found)}"
+        assert not opened["services", "request"]
+
+
+@pytest.mark.ros
+def test_policy_and_launch_file_agree() -> None:
+    """The arguments of one are the defaults of the other: namespace, clock, enclaves."""
+    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    from kits.launched import nodes
+
+    from impact_rig import graph
+    from tools import sros2_policy
+
+    started = nodes(ROOT / "launch" / "rig.launch.py", enclave="/rig", mode="freewheel")
+    enclaves = {one.get("path"): one for one in ET.fromstring(sros2_policy.policy()).iter("enclave")}
+    for name, node in started.items():
+        profile = enclaves[node["ros_arguments"][node["ros_arguments"].index("--enclave") + 1]].find("profiles/profile")
+        assert (profile.get("ns"), profile.get("node")) == (graph.resolve(node["namespace"]), name)
+        clock = graph.resolve(dict(node["remappings"])["/clock"], node["namespace"])
+        kind = "publish" if name == "rig" else "subscribe"
+        assert clock in [topic.text for topic in profile.iterfind(f"topics[@{kind}='ALLOW']/topic")]
+    assert not any("--enclave" in node["ros_arguments"] for node in nodes(ROOT / "launch" / "rig.launch.py").values())
+
+
+@pytest.mark.ros
+def test_a_policy_can_be_written_for_another_namespace_and_clock(capsys, monkeypatch) -> None:
+    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    from tools import sros2_policy
+
+    monkeypatch.setattr("sys.argv", ["sros2_policy.py", "--namespace", "left/rig", "--clock", "/clock"])
+    sros2_policy.main()
+    policy = ET.fromstring(capsys.readouterr().out)
+    assert policy.find(".//enclave[@path='/left/rig/analysis']") is not None
+    analysis = [topic.text for topic in policy.iterfind(".//profile[@node='analysis']/topics[@subscribe]/topic")]
+    assert "/left/rig/daq/scan" in analysis
+    assert "/clock" in analysis

@@ -25,10 +25,10 @@ from rclpy.parameter import parameter_dict_from_yaml_file, parameter_value_to_py
 from impact_rig.client import Client, Processes, isolated_domain
 from impact_rig.client.client import WaitTimeoutError, ros_parameters
 from impact_rig.config.tree import nested
+from impact_rig.graph import SERVICES
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.messages import TOPICS, nanoseconds
 from impact_rig.nodes.rig_node import RigNode
-from tools.generate.services import SERVICES
 
 NODES = ("rig", "analysis", "recorder")
 MODES: dict[str, dict[str, Any]] = {

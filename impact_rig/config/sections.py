@@ -248,7 +248,7 @@ class Output:
     )
     frame_prefix: str = text(
         "",
-        "Put before the frames of monitor topics, as robot_state_publisher does with its own.",
+        "Text in front of all frames, as in robot_state_publisher; empty: the namespace of the node, /: none.",
         read_only=True,
         pattern=r"[A-Za-z0-9_/]{0,100}",
         means="letters, digits, _ and /",

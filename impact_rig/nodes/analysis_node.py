@@ -75,7 +75,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         names = [name for name, _, _ in Tree(TrackerSettings).fields()]
         self._tracker = Tracker(TrackerSettings(**{name: getattr(self.settings, name) for name in names}))
         self._blockwise = [analysis() for analysis in ANALYSES]
-        self._plots = Plots(self.outputs)
+        self._plots = Plots(self.outputs, self.frame_prefix)
         self._newest = None
         self._started_s = time.time()
         self._label(_gap(self.settings), 0)
@@ -155,14 +155,15 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         assert self._tracker is not None
         self._tracker.label(gap_m, stamp_ns)
         table = settings_table(self.settings, gap_m, stamp_ns, self._started_s)
-        self.send(topics.ANALYSIS_SETTINGS, codec.encode(table))
+        self.send_table(topics.ANALYSIS_SETTINGS, table)
 
     # Messages
 
     def _on_info(self, info: Table) -> None:
         if self._tracker is not None:
             self._tracker.configure(info)
-            self._plots.configure(info)
+            self.adopt_frame(info)
+            self._plots.configure(info, self.frame_prefix)
 
     def _on_applied(self, applied: Table) -> None:
         if self._tracker is not None:
@@ -200,9 +201,9 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
 
     def _publish(self, findings: Findings) -> None:
         for table in findings.impacts:
-            self.send(topics.IMPACTS, codec.encode(table))
+            self.send_table(topics.IMPACTS, table)
         for table in findings.measurements:
-            self.send(topics.TRANSMISSIBILITY_TABLE, codec.encode(table))
+            self.send_table(topics.TRANSMISSIBILITY_TABLE, table)
             for row in table.rows:
                 if row["settled"] == 1:
                     self._latest = float(row["transmissibility"])
@@ -215,7 +216,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
             if set(analysis.needs) <= set(scan.rows.dtype.names or ()):
                 table = analysis.feed(scan)
                 if table is not None:
-                    self.send(analysis.topic, codec.encode(table))
+                    self.send_table(analysis.topic, table)
 
 
 def _gap(settings: AnalysisSettings) -> float:

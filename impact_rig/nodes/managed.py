@@ -32,8 +32,8 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
-from impact_rig import codec, states, topics
-from impact_rig.blocks import Table
+from impact_rig import codec, graph, states, topics
+from impact_rig.blocks import FRAME_DAQ, Table
 from impact_rig.config.tree import Tree
 from impact_rig.errors import CodecError, ImpactRigError, describe, in_words, visible
 from impact_rig.nodes import messages
@@ -190,7 +190,10 @@ class ManagedNode(LifecycleNode, Generic[S]):
         self.quitting = False  # whether a client asked for the end of the process
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.refusals = Refusals()
-        self.parameters = Parameters(self, tree, kwargs.get("cli_args") or sys.argv, self.MAKES_TIME)
+        self.frame_prefix = graph.frame_prefix(self.get_namespace())
+        """Text in front of the frames that the node publishes: frames of rigs in different namespaces are different."""
+        arguments = kwargs.get("cli_args") or sys.argv
+        self.parameters = Parameters(self, tree, arguments, self.MAKES_TIME, self.complete)
         self.outputs: dict[str, Publisher] = {}  # publishers by topic, made by `offer`; they end with the configuration
         self.activation = contextlib.ExitStack()
         """What ends with the activation, after `deactivate`: see `every`, `until_deactivated`."""
@@ -239,6 +242,10 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def figures(self) -> Mapping[str, object]:
         """Return the figures of diagnostics, whatever lifecycle state it is in; asked for each message."""
         return {}
+
+    def complete(self, settings: S) -> S:
+        """Return the settings at start with what follows from the node itself, such as its namespace."""
+        return settings
 
     def autostarts(self) -> bool:
         """Say whether the node configures and activates itself."""
@@ -297,6 +304,15 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def send(self, topic: topics.Topic, message: Any) -> None:
         """Publish a message, or its CDR bytes, on a topic that is offered."""
         self.outputs[topic.name].publish(message)
+
+    def send_table(self, topic: topics.Topic, table: Table) -> None:
+        """Publish a table on a topic that is offered, in a frame of this rig."""
+        self.send(topic, codec.encode(table, self.frame_prefix))
+
+    def adopt_frame(self, info: Table) -> None:
+        """Take the frame prefix from `daq/info`: results are in the frame of the scans that they were computed from."""
+        if info.frame_id.endswith(FRAME_DAQ):
+            self.frame_prefix = info.frame_id.removesuffix(FRAME_DAQ)
 
     def until_deactivated(self, *subscriptions: Any) -> None:
         """Keep subscriptions until the activation ends."""

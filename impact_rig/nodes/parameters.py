@@ -52,9 +52,17 @@ class Parameters(Generic[S]):
         tree: names, meanings and validator.
         arguments: command line, to name the parameter files in an error of the start-up values.
         makes_time: the node is where rig time comes from: it cannot follow anybody's.
+        complete: returns the start-up settings with what follows from the node itself.
     """
 
-    def __init__(self, node: Node, tree: Tree[S], arguments: Iterable[str] = (), makes_time: bool = False) -> None:
+    def __init__(
+        self,
+        node: Node,
+        tree: Tree[S],
+        arguments: Iterable[str] = (),
+        makes_time: bool = False,
+        complete: Callable[[S], S] = lambda settings: settings,
+    ) -> None:
         self._makes_time = makes_time
         self._node = node
         self._tree = tree
@@ -63,7 +71,7 @@ class Parameters(Generic[S]):
         """Why the values given at start were refused; the settings are then the defaults."""
         # rclpy has no public accessor of the overrides, and declaring them one by one would stop at the first bad one
         given = {name: parameter.value for name, parameter in node._parameter_overrides.items()}
-        self.settings = self._at_start(given, _files(arguments))
+        self.settings = self._at_start(given, _files(arguments), complete)
         if makes_time and given.get(SIM_TIME) is True:
             self.refused = ConfigError(f"{SIM_TIME} {NO_SIM_TIME}")
         for name, value in tree.to_flat(self.settings).items():
@@ -72,12 +80,12 @@ class Parameters(Generic[S]):
         about = ParameterDescriptor(description="Configuration file to start from.", read_only=True)
         node.declare_parameter(CONFIG_FILE, str(given.get(CONFIG_FILE, "")), about, ignore_override=True)
 
-    def _at_start(self, given: Mapping[str, object], files: str) -> S:
+    def _at_start(self, given: Mapping[str, object], files: str, complete: Callable[[S], S]) -> S:
         ours = {name: _from_ros(value) for name, value in given.items() if not name.startswith(_FOREIGN)}
         try:
             path = ours.pop(CONFIG_FILE, "")
             base = self._tree.load(str(path)) if path else self._tree.root()
-            return self._tree.from_flat(base, ours)
+            return complete(self._tree.from_flat(base, ours))
         except ConfigError as error:
             self.refused = ConfigError(f"{error}{files}")
             return self._tree.root()

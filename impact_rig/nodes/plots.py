@@ -26,11 +26,12 @@ class Plots:
 
     Args:
         publishers: publisher by topic name; topics without one are left out.
+        frame_prefix: text in front of the frames.
     """
 
-    def __init__(self, publishers: Mapping[str, Any]) -> None:
+    def __init__(self, publishers: Mapping[str, Any], frame_prefix: str = "") -> None:
         self._publishers = publishers
-        self._vectors = {topic.name: _vector(topic) for topic in (*ENVELOPES.values(), *_VECTORS)}
+        self._set_prefix(frame_prefix)
         self._rate_hz = 0.0
         self._intervals: Intervals | None = None
         self._pulses: tuple[HighPass, Intervals] | None = None
@@ -42,8 +43,14 @@ class Plots:
         self._listened_to: set[str] = set()
         self._until_look = 0
 
-    def configure(self, info: Table) -> None:
-        """Take the rate of the scans from daq/info."""
+    def _set_prefix(self, frame_prefix: str) -> None:
+        self._prefix = frame_prefix
+        self._vectors = {topic.name: _vector(topic, frame_prefix) for topic in (*ENVELOPES.values(), *_VECTORS)}
+
+    def configure(self, info: Table, frame_prefix: str = "") -> None:
+        """Take the rate of the scans from daq/info, and the prefix of their frame."""
+        if frame_prefix != self._prefix:
+            self._set_prefix(frame_prefix)
         rates = info.rows["rate"]
         rate = float(rates[0]) if len(rates) else 0.0
         if rate != self._rate_hz and 0.0 < rate <= MOST_HZ:
@@ -120,7 +127,7 @@ class Plots:
             frequencies, amplitudes = amplitude_spectrum(rows[channel], self._rate_hz)
             points = np.column_stack((frequencies, amplitudes, np.zeros(len(frequencies))))
             stamp = self._recent.stamp_ns(self._recent.count - 1)
-            self._publishers[topic.name].publish(codec.encode_polygon(stamp, topic.frame_id, points))
+            self._publishers[topic.name].publish(codec.encode_polygon(stamp, self._prefix + topic.frame_id, points))
 
     def _wanted(self, by_channel: Mapping[str, Topic], scan: Table) -> dict[str, Topic]:
         names = scan.rows.dtype.names or ()
@@ -144,7 +151,7 @@ _FOLLOWED = (topics.PLOT_DRIVE, topics.PLOT_PULSES, *ENVELOPES.values(), *SPECTR
 """Made only where somebody listens; the others are rare."""
 
 
-def _vector(topic: Topic) -> Template:
+def _vector(topic: Topic, frame_prefix: str) -> Template:
     message = messages.class_of(topic)()
-    message.header.frame_id = topic.frame_id
+    message.header.frame_id = frame_prefix + topic.frame_id
     return Template(message, *VECTOR)

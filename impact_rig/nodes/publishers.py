@@ -146,7 +146,7 @@ class Publishers:
         """
         assert self._monitors is not None
         made = [
-            (topic, codec.encode(table))
+            (topic, codec.encode(table, self._node.frame_prefix))
             for topic, table in block.tables()
             if topic is topics.SCAN or topic.qos.transient_local or self._heard(topic)
         ]
@@ -160,7 +160,7 @@ class Publishers:
     def stream(self, rig: Rig) -> None:
         """Publish which sample is wanted next, where the drive is a stream."""
         if rig.takes_samples:
-            self._node.send(topics.STREAM, codec.encode(rig.stream_state()))
+            self._node.send_table(topics.STREAM, rig.stream_state())
 
     def clock(self, now_ns: int) -> None:
         """Publish rig time, by a publisher made when first wanted: a clock must be offered by one node alone."""
@@ -173,7 +173,7 @@ class Publishers:
         changed = False
         for topic, tables in ((topics.JOURNAL, rig.take_journal()), (topics.APPLIED, rig.take_applied())):
             for table in tables:
-                self._node.send(topic, codec.encode(table))
+                self._node.send_table(topic, table)
             if tables:
                 self._settle(topic)
                 changed = True
@@ -184,7 +184,7 @@ class Publishers:
         info = rig.info()
         noise = dict(zip(info.rows["name"].astype(str).tolist(), info.rows["noise"].tolist(), strict=True))
         self._monitors = Monitors(rig.config, noise, self._monitors)
-        encoded = codec.encode(info)
+        encoded = codec.encode(info, self._node.frame_prefix)
         if encoded != self._info:
             self._info = encoded
             self._node.send(topics.INFO, encoded)

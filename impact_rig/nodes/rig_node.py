@@ -8,7 +8,9 @@ import functools
 import time
 from typing import Any  # rclpy messages
 
-from impact_rig import states
+import attrs
+
+from impact_rig import graph, states
 from impact_rig.nodes.managed import Level, ManagedNode, NodeState
 from impact_rig.nodes.process import DISCOVERY_S
 from impact_rig.nodes.rig_state import RigState
@@ -35,9 +37,15 @@ class RigNode(ManagedNode[RigConfig]):
     def __init__(self, discovery_s: float = 0.0, **kwargs: Any) -> None:
         self._discovered_at = time.monotonic() + discovery_s
         super().__init__("rig", TREE, **kwargs)
+        self.frame_prefix = self.settings.output.frame_prefix
         self._session = Session(self)
         self._state = RigState(self._session)
         self._standard = StandardServices(self._session)
+
+    def complete(self, settings: RigConfig) -> RigConfig:
+        """Put the namespace of the node before its frames unless the settings name another prefix."""
+        prefix = graph.frame_prefix(self.get_namespace(), settings.output.frame_prefix)
+        return attrs.evolve(settings, output=attrs.evolve(settings.output, frame_prefix=prefix))
 
     def autostarts(self) -> bool:
         """Follow `output.autostart`."""

@@ -14,19 +14,18 @@ from typing import Any  # messages of a package that may be absent
 
 from impact_rig import __version__
 from impact_rig.errors import CommandError, describe
+from impact_rig.graph import SIMULATION_PACKAGE, SIMULATION_SERVICES
 from impact_rig.nodes.managed import Done, LateService
 from impact_rig.nodes.session import Session
 from impact_rig.rig import Rig
 
-PACKAGE = "simulation_interfaces"
-OFFERS = {
-    "GetSimulatorFeatures": ("get_simulator_features", ()),
-    "GetSimulationState": ("get_simulation_state", ("SIMULATION_STATE_GETTING",)),
-    "SetSimulationState": ("set_simulation_state", ("SIMULATION_STATE_SETTING", "SIMULATION_STATE_PAUSE")),
-    "StepSimulation": ("step_simulation", ("STEP_SIMULATION_SINGLE", "STEP_SIMULATION_MULTIPLE")),
-    "ResetSimulation": ("reset_simulation", ("SIMULATION_RESET", "SIMULATION_RESET_STATE")),
+FEATURES = {
+    "GetSimulationState": ("SIMULATION_STATE_GETTING",),
+    "SetSimulationState": ("SIMULATION_STATE_SETTING", "SIMULATION_STATE_PAUSE"),
+    "StepSimulation": ("STEP_SIMULATION_SINGLE", "STEP_SIMULATION_MULTIPLE"),
+    "ResetSimulation": ("SIMULATION_RESET", "SIMULATION_RESET_STATE"),
 }
-"""Service type: its name below the node, and the features that it gives the rig."""
+"""Features that a service gives the rig, by type."""
 NOTE = f"impact_rig {__version__}; a step is step.blocks blocks; a reset begins again at scan 0, and stamps go on"
 Tell = Callable[[int, str], None]  # answers with a result code and an error text
 
@@ -38,13 +37,14 @@ class StandardServices:
         self._session, self._node = session, session.node
         self._stopped: tuple[Rig, int] | None = None  # which rig was stopped, and its next block then
         try:
-            self._messages = importlib.import_module(f"{PACKAGE}.msg")
-            services = importlib.import_module(f"{PACKAGE}.srv")
+            self._messages = importlib.import_module(f"{SIMULATION_PACKAGE}.msg")
+            services = importlib.import_module(f"{SIMULATION_PACKAGE}.srv")
         except ImportError:
             return
-        self._offered = [(getattr(services, kind), *OFFERS[kind]) for kind in OFFERS if hasattr(services, kind)]
-        for service_type, name, _features in self._offered:
-            LateService(self._node, service_type, f"~/{name}", self._guarded(service_type, name))
+        self._offered = [kind for kind in SIMULATION_SERVICES if hasattr(services, kind)]
+        for kind in self._offered:
+            service_type, name = getattr(services, kind), SIMULATION_SERVICES[kind]
+            LateService(self._node, service_type, name, self._guarded(service_type, name.removeprefix("~/")))
 
     def _guarded(self, service_type: Any, name: str) -> Callable[[Any, int, Callable[[Any], None]], None]:
         """Return what answers each request, whatever happens."""
@@ -86,7 +86,7 @@ class StandardServices:
 
     def _get_simulator_features(self, _request: Any, response: Any, tell: Tell) -> None:
         features = self._messages.SimulatorFeatures
-        names = [name for _type, _name, gives in self._offered for name in gives]
+        names = [name for kind in self._offered for name in FEATURES.get(kind, ())]
         response.features = features(features=[getattr(features, name) for name in names], custom_info=NOTE)
         tell(self._messages.Result.RESULT_OK, "")
 

@@ -297,12 +297,12 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     def _publish_curve(self, sweep: Walk) -> None:
         if isinstance(sweep, LockedSine):
             if sweep.measured:
-                self.send(topics.LOCKED, codec.encode(Table(self._began_ns, sweep.newest)))
+                self.send_table(topics.LOCKED, Table(self._began_ns, sweep.newest))
             return
         if sweep.measured:
-            self.send(topics.CURVE, codec.encode(Table(self._began_ns, sweep.rows)))
+            self.send_table(topics.CURVE, Table(self._began_ns, sweep.rows))
         if sweep.measured and isinstance(sweep, ControlledSine):
-            self.send(topics.HELD, codec.encode(Table(self._began_ns, sweep.held)))
+            self.send_table(topics.HELD, Table(self._began_ns, sweep.held))
 
     # Messages
 
@@ -318,6 +318,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
 
     def _on_info(self, info: Table) -> None:
         self._info = info
+        self.adopt_frame(info)
 
     def _on_scan(self, table: Table) -> None:
         self._scans_heard = True

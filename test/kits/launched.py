@@ -28,8 +28,10 @@ class Entity:
 class Context:
     """What substitutions are performed in: the arguments by name."""
 
-    def __init__(self, arguments: Mapping[str, str]) -> None:
+    def __init__(self, arguments: Mapping[str, str], launch_configurations: Mapping[str, str] | None = None) -> None:
         self.arguments = arguments
+        self.launch_configurations = launch_configurations or {}
+        self.is_shutdown = False
 
 
 class LaunchConfiguration(Entity):
@@ -167,10 +169,11 @@ def context_of(entities: list[Entity], arguments: Mapping[str, str]) -> Context:
     return Context(values)
 
 
-def nodes(path: Path, **arguments: str) -> dict[str, dict[str, Any]]:
-    """Return what each node would be started with, by name, after these arguments."""
+def nodes(path: Path, pushed_namespace: str = "", **arguments: str) -> dict[str, dict[str, Any]]:
+    """Return what each node would be started with, by name, after these arguments, below a pushed namespace."""
     entities = description(path)
     context = context_of(entities, arguments)
+    context.launch_configurations = {"ros_namespace": pushed_namespace} if pushed_namespace else {}
     found: dict[str, dict[str, Any]] = {}
     with stand_ins():
         for entity in entities:

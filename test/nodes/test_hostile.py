@@ -25,7 +25,7 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from std_msgs.msg import Float64, Header
 from std_srvs.srv import SetBool, Trigger
 
-from impact_rig import topics
+from impact_rig import graph, topics
 from impact_rig.client import isolated_domain
 from impact_rig.client.client import AGAIN_S
 from impact_rig.errors import ConfigError
@@ -33,7 +33,6 @@ from impact_rig.nodes import messages
 from impact_rig.nodes.messages import TOPICS
 from impact_rig.recording import open_run
 from impact_rig.rig.config import RigConfig, from_flat
-from tools.generate import services
 
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline, pytest.mark.timeout(120 + CASES)]
 QUEUE = topics.Qos.EVENT.depth
@@ -183,7 +182,7 @@ def test_parameters_of_any_name_type_and_value(attacked: Attacked) -> None:
 def test_services_in_any_order_and_state(attacked: Attacked) -> None:
     """Every answer has a message, and those without success are counted."""
     client = attacked.client
-    names = [row.name[2:] for row in services.SERVICES if row.node == "rig"]
+    names = [row.name[2:] for row in graph.SERVICES if row.node == "rig"]
     for name in names:  # DDS may lose the first answer to a client, which is asked for again
         kind = SetBool if name == "pause" else Trigger
         client.call(kind, f"rig/{name}", kind.Request(), again_s=AGAIN_S)

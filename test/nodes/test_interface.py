@@ -19,9 +19,10 @@ from rcl_interfaces.srv import DescribeParameters, ListParameters
 from std_msgs.msg import Float64, Header
 from std_srvs.srv import SetBool, Trigger
 
-from impact_rig import topics
+from impact_rig import graph, topics
 from impact_rig.client import Client, isolated_domain
 from impact_rig.client.client import ros_parameters
+from impact_rig.graph import Situation
 from impact_rig.nodes import messages
 from impact_rig.nodes.__main__ import NODES, show_help
 from impact_rig.nodes.analysis_node import AnalysisNode
@@ -29,17 +30,9 @@ from impact_rig.nodes.messages import TOPICS, by_name
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
 from impact_rig.nodes.stepped_sine_node import SteppedSineNode
-from tools.generate import figures, interface, services
-from tools.generate.services import Situation
+from tools.generate import figures, interface
 
 pytestmark = pytest.mark.ros
-
-OF_ROS = {
-    "change_state", "get_state", "get_available_states", "get_available_transitions", "get_transition_graph",
-    "describe_parameters", "get_parameter_types", "get_parameters", "list_parameters", "set_parameters",
-    "set_parameters_atomically", "get_type_description",
-}  # fmt: skip
-"""Services that every lifecycle node of ROS has."""
 
 
 @pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
@@ -63,7 +56,7 @@ def test_every_field_of_a_message_has_unit_and_meaning_and_exists(topic: topics.
 
 
 @pytest.fixture(scope="module")
-def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Client, dict[str, object]]]:
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Client, dict[str, object]]]:
     """All three nodes, running, after a step with impacts and a fault."""
     directory = tmp_path_factory.mktemp("runs")
     with isolated_domain() as domain_id, Client(domain_id) as client:
@@ -78,18 +71,19 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Client, di
         yield client, nodes
 
 
-def test_services_of_the_graph_are_those_of_the_page(graph) -> None:
-    client, nodes = graph
+def test_services_of_the_graph_are_those_of_the_page(running) -> None:
+    client, nodes = running
     for name in nodes:
         found = dict(client.node.get_service_names_and_types_by_node(name, "/"))
-        own = {key.removeprefix(f"/{name}/"): types for key, types in found.items()}
-        expected = {row.name[2:]: [row.type_name] for row in services.SERVICES if row.node == name}
-        assert {key: types for key, types in own.items() if key not in OF_ROS} == expected, name
+        own = {f"~/{key.removeprefix(f'/{name}/')}": types for key, types in found.items()}
+        expected = {row.name: [row.type_name] for row in graph.SERVICES if row.node == name}
+        elsewhere = {*graph.ROS_SERVICES, *graph.SIMULATION_SERVICES.values()}  # those of a package, if it is there
+        assert {key: types for key, types in own.items() if key not in elsewhere} == expected, name
 
 
-def test_parameters_of_the_graph_are_those_of_the_page_with_unit_and_range(graph) -> None:
+def test_parameters_of_the_graph_are_those_of_the_page_with_unit_and_range(running) -> None:
     """What `ros2 param list` and `ros2 param describe` show."""
-    client, nodes = graph
+    client, nodes = running
     for node in nodes:
         listed = client.call(ListParameters, f"{node}/list_parameters", ListParameters.Request()).result.names
         own = [n for n in listed if not n.startswith(("qos_overrides", "use_sim_time", "start_type", "config_file"))]
@@ -113,8 +107,8 @@ def _pattern(figure: figures.Figure) -> str:
     return re.sub(r"<\w+>", r"[\\w/]+", figure.key.replace(".", r"\."))
 
 
-def test_figures_of_the_diagnostics_are_those_of_the_page(graph) -> None:
-    client, nodes = graph
+def test_figures_of_the_diagnostics_are_those_of_the_page(running) -> None:
+    client, nodes = running
     client.diagnostics.clear()
     for name, node in nodes.items():
         node.report_now()
@@ -205,9 +199,9 @@ def situated(situation: Situation, mortal, finalized) -> Iterator[tuple[Client, 
 
 
 @pytest.mark.parametrize("situation", Situation)
-@pytest.mark.parametrize("row", [row for row in services.SERVICES if row.node == "rig"], ids=lambda row: row.name)
+@pytest.mark.parametrize("row", [row for row in graph.SERVICES if row.node == "rig"], ids=lambda row: row.name)
 def test_a_service_is_taken_or_refused_with_a_message_as_the_page_says(
-    situated, situation: Situation, row: services.Input
+    situated, situation: Situation, row: graph.Input
 ) -> None:
     client, node = situated
     before = node.refusals.counts.total()
@@ -221,8 +215,8 @@ def test_a_service_is_taken_or_refused_with_a_message_as_the_page_says(
 
 
 @pytest.mark.parametrize("situation", Situation)
-@pytest.mark.parametrize("row", services.COMMANDS, ids=lambda row: row.name)
-def test_a_command_is_taken_or_refused_as_the_page_says(situated, situation: Situation, row: services.Input) -> None:
+@pytest.mark.parametrize("row", graph.COMMANDS, ids=lambda row: row.name)
+def test_a_command_is_taken_or_refused_as_the_page_says(situated, situation: Situation, row: graph.Input) -> None:
     client, node = situated
     before, applied = node.refusals.counts.total(), len(client.applied)
     client.publish(by_name(row.name), Float64(data=10.0))

@@ -3,8 +3,8 @@
 """Write every page and file that is made from the code: `make generate` rewrites them, a test compares them.
 
 In the pages of docs/ the parts between `<!-- generated: NAME -->` and `<!-- end -->` are generated, each by the
-function that `TABLES` names; `config/nominal.yaml`, `interface.json`, the URDF and the pictures of layers and nodes are
-generated whole.
+function that `TABLES` names; `config/nominal.yaml`, `interface.json`, the SROS2 policy, the URDF and the pictures of
+layers and nodes are generated whole.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from impact_rig.cli.interface import DOCUMENT
 from impact_rig.physics.contact import LAWS
 from impact_rig.rig.config import RigConfig
 from impact_rig.rig.description import robot_description
+from tools import sros2_policy
 from tools.generate import graph, interface, layers
 from tools.generate.markdown import table
 from tools.generate.nominal import nominal
@@ -56,5 +57,6 @@ def generated() -> dict[Path, str]:
         ROOT / "urdf" / "impact_rig.urdf": description,
         layers.PICTURE: layers.picture(),
         graph.PICTURE: graph.picture(),
+        sros2_policy.FILE: sros2_policy.policy(),
         **pages,
     }

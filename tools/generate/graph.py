@@ -1,19 +1,18 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""The picture of the nodes and what passes between them: edges are those that the SROS2 policy found on the graph."""
+"""Picture of the nodes and the topics between them, from the description of the graph."""
 
 from __future__ import annotations
 
 import itertools
 from html import escape
 from pathlib import Path
-from xml.etree import ElementTree as ET
 
-from impact_rig.nodes.messages import by_name
+from impact_rig import graph
+from impact_rig.nodes.messages import TOPICS
 
 ROOT = Path(__file__).parents[2]
 PICTURE = ROOT / "docs" / "images" / "nodes.svg"
-POLICY = ROOT / "config" / "sros2" / "policy.xml"
 NODES = {
     "stepped_sine": (20, 24),
     "rig": (20, 300),
@@ -57,29 +56,15 @@ _HEAD = """\
 
 
 def edges() -> dict[tuple[str, str], list[str]]:
-    """Return the topics that pass from one node to another, by both names; those of ROS itself are left out."""
-    policy = ET.parse(POLICY)  # noqa: S314  # our own file
-
-    def topics(node: str, kind: str) -> set[str]:
-        found = policy.findall(f".//profile[@node='{node}']/topics[@{kind}='ALLOW']/topic")
-        return {topic.text or "" for topic in found}
-
+    """Return the topics that pass from one node to another, by the names of both; `/clock` and `/diagnostics` not."""
+    nodes = {node.name: node for node in graph.NODES}
     found: dict[tuple[str, str], list[str]] = {}
     for source, sink in itertools.permutations(NODES, 2):
-        common = topics(source, "publish") & topics(sink, "subscribe")
-        names = [name for topic in common if (name := _known(topic))]
+        common = {*nodes[source].published(TOPICS)} & {*nodes[sink].subscribed(TOPICS)}
+        names = sorted(name for name in common if not name.startswith("/"))
         if names:
-            found[source, sink] = sorted(names)
+            found[source, sink] = names
     return found
-
-
-def _known(topic: str) -> str:
-    """Return a topic's name in our table; nothing for those of ROS itself."""
-    name = topic.removeprefix("rig/").removeprefix("/rig/")
-    try:
-        return "" if by_name(name).name.startswith("/") else name
-    except KeyError:
-        return ""
 
 
 def picture() -> str:

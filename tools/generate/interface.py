@@ -12,11 +12,12 @@ from typing import Any  # settings of any node
 
 import numpy as np
 
-from impact_rig import states, topics
+from impact_rig import graph, states, topics
 from impact_rig.blocks import TEXT, Column
 from impact_rig.cli.interface import CLIENTS
 from impact_rig.config import FieldInfo
 from impact_rig.config.tree import Tree, Value
+from impact_rig.graph import Situation
 from impact_rig.instruments import section
 from impact_rig.instruments.instrument import FAULT_KINDS
 from impact_rig.nodes.analysis_node import AnalysisSettings
@@ -26,10 +27,9 @@ from impact_rig.nodes.stepped_sine_node import SteppedSineSettings
 from impact_rig.rig import takes_effect
 from impact_rig.rig.config import TREE
 from impact_rig.rig.journal import InputKind
-from tools.generate import figures, services
+from tools.generate import figures
 from tools.generate.markdown import table
 from tools.generate.nominal import scalar
-from tools.generate.services import Situation
 
 SCHEMAS: dict[str, Tree[Any]] = {
     "rig": TREE,
@@ -96,12 +96,26 @@ def _kind(code: str) -> str:
 
 
 def _services() -> str:
-    rows = ((f"`{s.node}{s.name[1:]}`", s.type_name.split("/")[-1], s.doc) for s in services.SERVICES)
+    rows = ((f"`{s.node}{s.name[1:]}`", s.type_name.split("/")[-1], s.doc) for s in graph.SERVICES)
     return table(("service", "type", "what it does"), rows)
 
 
+def _nodes() -> str:
+    """Return what each node subscribes to; what it publishes is in the table of topics."""
+
+    def listed(names: list[str]) -> str:
+        return ", ".join(f"`{name}`" for name in names) or "-"
+
+    def subscribed(node: graph.Node) -> str:
+        names = listed([*node.subscribes, *([] if node.makes_time else [topics.CLOCK.name])])
+        return f"{names}, every recorded topic" if node.subscribes_recorded else names
+
+    rows = ((f"`{n.name}`", f"`{n.program}`", subscribed(n), listed(list(n.publishes))) for n in graph.NODES)
+    return table(("node", "program", "subscribes to", "also publishes"), rows)
+
+
 def _states() -> str:
-    inputs = [row for row in (*services.COMMANDS, *services.SERVICES) if row.node == "rig"]
+    inputs = [row for row in (*graph.COMMANDS, *graph.SERVICES) if row.node == "rig"]
     shown = [situation for situation in Situation if any(situation in row.taken for row in inputs)]
     rows = ((f"`{i.name}`", *("taken" if s in i.taken else "refused" for s in shown)) for i in inputs)
     return table(("input of the rig", *(s.value for s in shown)), rows)
@@ -135,12 +149,18 @@ def document() -> str:
     """Return topics, services and parameters as JSON, a row a line, without what a row has none of."""
     content = {
         "topics": {topic.name: _topic(topic) for topic in TOPICS},
-        "services": {f"{s.node}{s.name[1:]}": {"type": s.type_name, "doc": s.doc} for s in services.SERVICES},
+        "services": {f"{s.node}{s.name[1:]}": {"type": s.type_name, "doc": s.doc} for s in graph.SERVICES},
+        "nodes": {
+            node.name: {
+                "publishes": node.published(TOPICS), "subscribes": node.subscribed(TOPICS), "services": node.services(),
+            }
+            for node in graph.NODES
+        },
         "parameters": {
             node: {name: _parameter(about, default) for name, about, default in tree.fields()}
             for node, tree in SCHEMAS.items()
         },
-    }
+    }  # fmt: skip
     return _text(content) + "\n"
 
 
@@ -198,6 +218,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "journal": lambda: table(("kind", "meaning"), ((f"`{kind.value}`", kind.doc) for kind in InputKind)),
     "faults": lambda: table(("kind", "meaning"), ((f"`{kind}`", doc) for kind, doc in FAULT_KINDS.items())),
     "services": _services,
+    "nodes": _nodes,
     "states": _states,
     "rig parameters": _parameters("rig"),
     "analysis parameters": _parameters("analysis"),
