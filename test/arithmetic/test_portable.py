@@ -47,6 +47,7 @@ ALLOWED = {
         "what kelvin_voigt returns when it lets go early is told to people",
     ),
     "physics/prediction.py": "what simulation and analysis are held against",
+    "physics/linear_response.py": "what simulation and analysis are held against",
     "instruments/sensor.py: np.prod": "the frequency response, for whoever judges readings",
     "instruments/checks.py": "judges readings and feeds none",
     "arithmetic/precise.py: sum": "of Decimals",
