@@ -121,6 +121,27 @@ def rig_of(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
     return config, config.barriers.gap_m if config.sphere.present else NO_SPHERE
 
 
+def add_way(parser: argparse.ArgumentParser, needs: str = "") -> None:
+    """Add the words that say where the rig runs."""
+    parser.add_argument(
+        "--through", choices=WAYS, default=PROCESS,
+        help=f"a rig in this process (default), behind topics, or one that runs already{needs}",
+    )  # fmt: skip
+    parser.add_argument("--namespace", default="/rig", help="namespace of the rig that runs already (default: /rig)")
+
+
+def run_directory(wanted: Path | None, what: str) -> Path:
+    """Return the directory of a new run: the one wanted, or one below `runs/` named by what it is and the time.
+
+    Raises:
+        ImpactRigError: something is there.
+    """
+    directory = (wanted or Path("runs") / time.strftime(f"{what}_%Y%m%d_%H%M%S")).resolve()
+    if directory.exists() and any(directory.iterdir()):
+        raise ImpactRigError(f"{directory} is not empty: nothing is overwritten, choose another --output")
+    return directory
+
+
 def _add_signal(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--signal", metavar="NAME", help="column of the file, channel of the run")
     parser.add_argument("--unit", default="", help="of the file's values (default: as it says, else SI)")
@@ -130,11 +151,7 @@ def _add_signal(parser: argparse.ArgumentParser) -> None:
 
 def _add_words(parser: argparse.ArgumentParser, what: str, rate_hz: int) -> None:
     add_rig(parser)
-    parser.add_argument(
-        "--through", choices=WAYS, default=PROCESS,
-        help="a rig in this process (default), behind topics, or one that runs already (drive.waveform: stream)",
-    )  # fmt: skip
-    parser.add_argument("--namespace", default="/rig", help="of the rig that runs already (default: /rig)")
+    add_way(parser, " (drive.waveform: stream)")
     parser.add_argument(
         "--rate", type=int, default=rate_hz, metavar="HZ", help=f"of samples and scans (default: {rate_hz})"
     )
@@ -236,9 +253,7 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work) -> 
             f"{arguments.config}: drive.kind must be current, as samples are amperes here, got {config.drive.kind}"
         )
     what = getattr(arguments, "kind", arguments.command) if arguments.command == "loop" else arguments.command
-    directory = (arguments.output or Path("runs") / time.strftime(f"{what}_%Y%m%d_%H%M%S")).resolve()
-    if directory.exists() and any(directory.iterdir()):
-        raise ImpactRigError(f"{directory} is not empty: nothing is overwritten, choose another --output")
+    directory = run_directory(arguments.output, what)
     console, progress = Console(quiet=arguments.json), Console(stderr=True)
     found, early, interrupted = None, "", None
     with contextlib.ExitStack() as writing:  # what follows the drive is not cut short by one more signal

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 EXIT_ERROR = 1
 PROGRAM = "impact-rig"
 COMMANDS = (
-    "lab", "demo", "campaign", "map", "dynamics", "loop", "play", "frf", "report", "identify",
+    "lab", "demo", "record", "campaign", "map", "dynamics", "loop", "play", "frf", "report", "identify",
     "info", "analyze", "compare", "verify", "replay", "recover", "import", "export", "check", "interface",
 )  # fmt: skip
 """Subcommands in the order of the help."""

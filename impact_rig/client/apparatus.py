@@ -48,6 +48,7 @@ Watch = Callable[[Job, SteppedSine | None], None]
 
 CONTROLLER = "controller"  # of the client's node: in `freewheel` and `stepped` it is among `time.peers`
 REALTIME_LEAD_S = 0.2
+SCANS_TIMEOUT_S = 30.0  # wall time in which a rig that is followed must have given scans
 _STOPS = tuple(kind.value.encode() for kind in (InputKind.TRIP, InputKind.STOP))
 
 
@@ -551,12 +552,64 @@ def over_topics(client: Client) -> Hardware:
 
 @contextlib.contextmanager
 def recorded(directory: Path, config: RigConfig, namespace: str | None = None) -> Iterator[OverTopics]:
-    """Give a wire to a rig behind topics while a recorder records it.
+    """Give a wire to a rig behind topics while a recorder records it; see `recording`."""
+    with recording(directory, config, namespace, waveform="stream") as client:
+        yield OverTopics(client)
+
+
+class MeasuredOverTopics:
+    """A driven and recorded rig behind topics, followed block by block.
+
+    Args:
+        client: connected to an active rig; where the rig waits for its peers, the client is one of them.
+    """
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+        self._scans = client.collect(topics.SCAN.name, acknowledge=True)
+        self._journal = client.collect(topics.JOURNAL.name)
+        self._before = len(self._journal)
+
+    def command(self, frequency_hz: float | None, current_a: float | None) -> None:
+        """Command frequency and current, each if it is a number, and wait until they are applied."""
+        if frequency_hz is not None or current_a is not None:
+            self._client.command(frequency_hz, current_a)
+
+    def advance(self) -> int:
+        """Wait for the next scans and return the rig time that they reach [ns].
+
+        Raises:
+            CommandError: the rig has stopped.
+            ImpactRigError: no scans arrived.
+        """
+        for table in self._journal.tables(self._before):
+            for row in table.rows[np.isin(table.rows["kind"], _STOPS)]:
+                raise CommandError(f"the rig stopped: {row['kind'].decode()} {row['key'].decode()}".rstrip())
+        what = "a block of scans"
+        self._client.wait_until(lambda: len(self._scans), what, SCANS_TIMEOUT_S, self._client.given(what))
+        newest = self._scans.last()
+        assert newest is not None
+        self._scans.clear()
+        return newest.stamp_ns
+
+
+@contextlib.contextmanager
+def recording(
+    directory: Path,
+    config: RigConfig,
+    namespace: str | None = None,
+    *,
+    waveform: str = "",
+    analysis: Mapping[str, ParameterValue] | None = None,
+) -> Iterator[Client]:
+    """Give a client of a rig behind topics while a recorder records it.
 
     Args:
         directory: of the run.
-        config: of the rig that is started, as fast as recorder and client follow.
+        config: of the rig that is started, as fast as recorder, client and analysis follow.
         namespace: of a rig that runs already, in this environment's domain, and is driven instead; None: there is none.
+        waveform: that a rig that runs already must have; empty: any.
+        analysis: parameters of an analysis that is started with the rig; None: there is none.
     """
     with contextlib.ExitStack() as stack:
         running = namespace is not None
@@ -566,18 +619,20 @@ def recorded(directory: Path, config: RigConfig, namespace: str | None = None) -
         recorder = "stream_recorder" if running else "recorder"
         values = {"directory": str(directory.parent), "name": directory.name}
         if not running:
-            freely = {"time.mode": "freewheel", "time.peers": [CONTROLLER, recorder]}
-            processes.start("rig", {**differences(config), **freely})
+            peers = [CONTROLLER, recorder, *(["analysis"] if analysis is not None else [])]
+            processes.start("rig", {**differences(config), "time.mode": "freewheel", "time.peers": peers})
+            if analysis is not None:
+                processes.start("analysis", analysis)
         client = stack.enter_context(Client(domain_id, namespace or "", processes=processes, name=CONTROLLER))
         if running:
             client.wait_active("rig")
-            if client.get_parameters("rig", ["drive.waveform"])["drive.waveform"] != "stream":
-                raise ConfigError("the rig that runs must have drive.waveform: stream")
+            if waveform and client.get_parameters("rig", ["drive.waveform"])["drive.waveform"] != waveform:
+                raise ConfigError(f"the rig that runs must have drive.waveform: {waveform}")
         processes.start("recorder", values, name=recorder)
         client.wait_active("rig", recorder)
         client.wait_until(lambda: client.status(recorder).message == "recording", "the recorder")
         try:
-            yield OverTopics(client)
+            yield client
         finally:
             with contextlib.suppress(ImpactRigError):
                 client.trigger(f"{recorder}/stop")

@@ -80,8 +80,49 @@ class RigRecorder:
         return applied
 
 
-SAMPLE_S = 20
 ANALYSED = (topics.IMPACTS, topics.TRANSMISSIBILITY_TABLE, topics.ANALYSIS_SETTINGS)
+
+
+class MeasuredRig:
+    """A rig and its analysis in this process, recorded into a run; a context that ends the run.
+
+    Args:
+        directory: of the run.
+        config: of the rig.
+        gap_m: the operator's label: gap, or `NO_SPHERE`.
+
+    Attributes:
+        rig: takes commands between blocks.
+    """
+
+    def __init__(self, directory: Path, config: RigConfig, gap_m: float) -> None:
+        settings = TrackerSettings()
+        self.rig = Rig(config)
+        self._tracker = Tracker(settings)
+        self._tracker.configure(self.rig.info())
+        self._tracker.label(gap_m, 0)
+        self._recorder = RigRecorder(directory, self.rig, ANALYSED)
+        self._recorder.write(topics.ANALYSIS_SETTINGS, settings_table(settings, gap_m, 0))
+
+    def __enter__(self) -> MeasuredRig:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._recorder.__exit__(*exception)
+
+    def advance(self) -> list[Table]:
+        """Advance by one block, write it, and return the measurements that it completed."""
+        for table in self._recorder.changes():
+            self._tracker.on_applied(table)
+        block = self.rig.advance(self.rig.block_end_ns(1))[0]
+        self._recorder.block(block)
+        found = self._tracker.feed(block.scan)
+        self._recorder.write(topics.IMPACTS, *found.impacts)
+        self._recorder.write(topics.TRANSMISSIBILITY_TABLE, *found.measurements)
+        return list(found.measurements)
+
+
+SAMPLE_S = 20
 SAMPLE_TOPICS = tuple(topic.name for topic in (*PUBLISHED, *ANALYSED))
 GAP_M = 6e-3
 
@@ -90,30 +131,19 @@ def make_sample(directory: Path) -> Path:
     """Return the directory of a short run to look at when there is no other, made if there is none."""
     if directory.is_dir():
         try:
-            with open_run(directory) as run:
-                whole = {f"/rig/{name}" for name in SAMPLE_TOPICS} <= set(run.topics)
+            with open_run(directory) as found:
+                whole = {f"/rig/{name}" for name in SAMPLE_TOPICS} <= set(found.topics)
         except OSError:
             whole = False
         if whole:
             return directory
         shutil.rmtree(directory)  # cut short, or of an earlier version
-    rig, settings = Rig(RigConfig()), TrackerSettings()
-    tracker = Tracker(settings)
-    tracker.configure(rig.info())
-    tracker.label(GAP_M, 0)
     half = directory.with_name(f"{directory.name}.part")
     shutil.rmtree(half, ignore_errors=True)
-    with RigRecorder(half, rig, ANALYSED) as recorder:
-        recorder.write(topics.ANALYSIS_SETTINGS, settings_table(settings, GAP_M, 0))
-        while rig.frontier_ns < SAMPLE_S * NS_PER_S:
-            if rig.next_block_ns == NS_PER_S:
-                rig.accept(frequency_hz=9.1, amplitude=0.52)
-            for table in recorder.changes():
-                tracker.on_applied(table)
-            block = rig.advance(rig.block_end_ns(1))[0]
-            recorder.block(block)
-            found = tracker.feed(block.scan)
-            recorder.write(topics.IMPACTS, *found.impacts)
-            recorder.write(topics.TRANSMISSIBILITY_TABLE, *found.measurements)
+    with MeasuredRig(half, RigConfig(), GAP_M) as run:
+        while run.rig.frontier_ns < SAMPLE_S * NS_PER_S:
+            if run.rig.next_block_ns == NS_PER_S:
+                run.rig.accept(frequency_hz=9.1, amplitude=0.52)
+            run.advance()
     half.rename(directory)
     return directory

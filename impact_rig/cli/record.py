@@ -1,0 +1,239 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""`impact-rig record`: one recorded run at one frequency and current, with its transmissibility."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import math
+from collections.abc import Generator
+from pathlib import Path
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.cli.excite import PROCESS, RUNNING, add_rig, add_way, rig_of, run_directory
+from impact_rig.cli.quantities import Quantity, positive
+from impact_rig.cli.terminal import Console, Counted, TextTable, add_json, figure, subcommand, tell_results
+from impact_rig.config import Drive, FieldInfo
+from impact_rig.errors import CommandError, ConfigError, ImpactRigError
+from impact_rig.recording import open_run
+from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.rig.gaps import NO_SPHERE, case_of
+from impact_rig.simtime import NS_PER_S
+from impact_rig.system.endings import unhurried
+
+SECONDS = 60.0
+FREQUENCY_HZ, CURRENT_A = 9.1, 0.52  # of the paper
+CURRENT = Quantity(FieldInfo("Peak current.", "A", low=0.0))
+NEGLIGIBLE = 1e-6  # share of the variance below which a line of the budget is not printed
+OF_THE_RIG = ("config", "gap", "sphere_start", "seed", "rate")
+
+
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register the subcommand."""
+    parser = subcommand(
+        commands, "record", _run, "record one run at one frequency and current, and measure its DT",
+        [
+            ("record --frequency 9.1 --current 0.52 --gap 6mm", "60 s of rig time, in this process"),
+            ("record --gap none --seconds 30 --output runs/no_sphere", "without the sphere"),
+            ("record --through running --namespace /rig --seconds 20", "a rig that runs already, driven as it is"),
+        ],
+        "The last line is the directory of the run. Exit code 0: DT was measured; 1: not, with the reason.",
+    )  # fmt: skip
+    parser.add_argument(
+        "--frequency", type=Quantity.of(attrs.fields(Drive).frequency_hz), metavar="HZ",
+        help=f"drive frequency (default: {FREQUENCY_HZ}Hz; of a running rig: as it is)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--current", type=CURRENT, metavar="A", help=f"peak current (default: {CURRENT_A}A; of a running rig: as it is)"
+    )
+    parser.add_argument(
+        "--seconds", type=positive("s"), default=SECONDS, metavar="S", help=f"rig time (default: {SECONDS:g})"
+    )
+    add_rig(parser)
+    parser.add_argument("--seed", type=int, metavar="N", help="seed of noise and calibration errors")
+    parser.add_argument("--rate", type=int, metavar="HZ", help="scans per second")
+    add_way(parser)
+    parser.add_argument("--output", type=Path, metavar="DIR", help="directory of the run (default: runs/record_<time>)")
+    add_json(parser)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    config, gap_m = _config(arguments)
+    directory = run_directory(arguments.output, "record")
+    console = Console(quiet=arguments.json)
+    done_s, early, interrupted = 0.0, "", None
+    running = arguments.through == RUNNING
+    what = f"the rig in {arguments.namespace}" if running else case_of(gap_m)
+    with contextlib.ExitStack() as ending:  # what follows the run is not cut short by one more signal
+        with Counted(Console(stderr=True), "seconds", math.ceil(arguments.seconds)) as shown:
+            steps = _in_process if arguments.through == PROCESS else _over_topics
+            try:
+                with contextlib.closing(steps(arguments, config, gap_m, directory)) as passed:
+                    for done_s, dt in passed:
+                        state = f"{what}, DT {dt:.2f}" if math.isfinite(dt) else what
+                        shown.show(math.floor(min(done_s, arguments.seconds)), state)
+            except CommandError as error:
+                early = str(error)
+            except KeyboardInterrupt as error:
+                early, interrupted = "interrupted", error
+            ending.enter_context(unhurried())
+            shown.end = early or "done"
+        if not directory.exists():
+            raise interrupted or ImpactRigError(early)
+        found = _measured(directory)
+        missing = "" if found.rows.size else _why_nothing(found, done_s)
+        if found.rows.size:
+            _print(console, found)
+        for line in [missing, f"ended early: {early}" if early else ""]:
+            if line:
+                console.print(line, style="red")
+        content = {"ended_early": early, "missing": missing, **_content(found)}
+        tell_results(directory, content, as_json=arguments.json)
+        if interrupted:
+            raise interrupted
+    return 1 if early or missing else 0
+
+
+def _config(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
+    """Return the rig that is started and its gap; of a running rig nothing but the drive can be chosen.
+
+    Raises:
+        ConfigError: an option does not fit.
+    """
+    if arguments.through == RUNNING:
+        for name in OF_THE_RIG:
+            if getattr(arguments, name) is not None:
+                option = f"--{name.replace('_', '-')}"
+                raise ConfigError(f"{option} belongs to a rig that is started; a running rig keeps its configuration")
+        return RigConfig(), NO_SPHERE
+    config, gap_m = rig_of(arguments)
+    rate = (
+        {} if arguments.rate is None else {"daq.rate_hz": arguments.rate, "daq.block_scans": arguments.rate // 100 or 1}
+    )
+    seed = {} if arguments.seed is None else {"daq.seed": arguments.seed}
+    config = from_flat(config, {**rate, **seed})
+    if config.drive.kind != "current" or config.drive.waveform != "sine":
+        raise ConfigError(
+            f"{arguments.config}: drive.kind must be current and drive.waveform sine to record at a frequency and a "
+            f"current, got {config.drive.kind} and {config.drive.waveform}"
+        )
+    arguments.frequency = FREQUENCY_HZ if arguments.frequency is None else arguments.frequency
+    arguments.current = CURRENT_A if arguments.current is None else arguments.current
+    Rig(config).accept(frequency_hz=arguments.frequency, amplitude=arguments.current)  # refused before anything is made
+    return config, gap_m
+
+
+Passed = Generator[tuple[float, float], None, None]
+"""Rig time recorded so far [s], and the newest DT; NaN before the first."""
+
+
+def _in_process(arguments: argparse.Namespace, config: RigConfig, gap_m: float, directory: Path) -> Passed:
+    from impact_rig.runs.in_process import MeasuredRig  # noqa: PLC0415  # heavy: after the signals are taken
+
+    dt = math.nan
+    with MeasuredRig(directory, config, gap_m) as run:
+        run.rig.accept(frequency_hz=arguments.frequency, amplitude=arguments.current)
+        while run.rig.frontier_ns < arguments.seconds * NS_PER_S:
+            for table in run.advance():
+                dt = float(table.rows["transmissibility"][-1])
+            if run.rig.latched is not None:
+                raise CommandError(f"the rig tripped: {run.rig.latched}")
+            yield run.rig.frontier_ns / NS_PER_S, dt
+
+
+def _over_topics(arguments: argparse.Namespace, config: RigConfig, gap_m: float, directory: Path) -> Passed:
+    from impact_rig.client.apparatus import MeasuredOverTopics, recording  # noqa: PLC0415  # needs rclpy
+
+    running = arguments.through == RUNNING
+    namespace = arguments.namespace if running else None
+    driven = arguments.frequency is not None or arguments.current is not None
+    waveform = "sine" if driven else ""
+    analysis = None if running else {"gap_m": gap_m}
+    with recording(directory, config, namespace, waveform=waveform, analysis=analysis) as client:
+        rig = MeasuredOverTopics(client)
+        rig.command(arguments.frequency, arguments.current)
+        began_ns = rig.advance()
+        done_s = 0.0
+        while done_s < arguments.seconds:
+            done_s = (rig.advance() - began_ns) / NS_PER_S
+            yield done_s, math.nan
+        if running and arguments.current is not None:
+            rig.command(None, 0.0)
+
+
+@attrs.frozen(eq=False)
+class Found:
+    """Measurements of a run, as its analysis makes them."""
+
+    everything: NDArray[np.void]  # rows of `transmissibility/table`
+    rows: NDArray[np.void]  # the settled ones at the last frequency and gap
+    info: NDArray[np.void]  # rows of `daq/info`
+
+
+def _measured(directory: Path) -> Found:
+    from impact_rig.runs import reanalysis  # noqa: PLC0415  # as above
+    from impact_rig.runs.wholes import calibration_rows  # noqa: PLC0415
+
+    with open_run(directory) as run:
+        rows = reanalysis.rows(reanalysis.measurements(reanalysis.analyze(run)))
+        settled = rows[(rows["settled"] == 1.0) & np.isfinite(rows["transmissibility_uncertainty"])]
+        if len(settled):
+            last = settled[-1]
+            same_gap = (settled["gap"] == last["gap"]) | (np.isnan(settled["gap"]) & np.isnan(last["gap"]))
+            settled = settled[(settled["frequency"] == last["frequency"]) & same_gap]
+        return Found(rows, settled, calibration_rows(run))
+
+
+def _why_nothing(found: Found, seconds: float) -> str:
+    if not len(found.everything):
+        return f"no DT: {seconds:.3g} s are too short for one measurement; use a longer --seconds"
+    words, counts = np.unique(found.everything["status"], return_counts=True)
+    why = ", ".join(f"{count} {word.decode()}" for word, count in zip(words, counts, strict=True))
+    return f"no DT: none of {len(found.everything)} measurements is settled ({why}); use a longer --seconds"
+
+
+def _print(console: Console, found: Found) -> None:
+    from impact_rig.analysis.calibration import Calibration  # noqa: PLC0415  # as above
+    from impact_rig.analysis.reduction import budget  # noqa: PLC0415
+
+    whole = budget(found.rows, Calibration.from_info(found.info))
+    relative = whole.u_transmissibility / whole.transmissibility
+    table = TextTable(
+        f"Uncertainty budget of DT, mean of {len(found.rows)} settled measurements",
+        left=("source", "error", "type"), right=("u/DT [%]", "u(DT)", "share [%]"),
+    )  # fmt: skip
+    for part in whole.parts:
+        if whole.share(part) < NEGLIGIBLE:
+            continue
+        table.add_row(
+            part.source, part.what, part.evaluation, figure(100.0 * part.u_relative, ".2g"),
+            figure(part.u_relative * whole.transmissibility, ".2g"), figure(100.0 * whole.share(part), ".1f"),
+        )  # fmt: skip
+    table.add_row("combined", "", "", f"{100.0 * relative:.2g}", f"{whole.u_transmissibility:.2g}", "100")
+    console.print(table)
+    last = found.rows[-1]
+    gap = "gap unknown" if math.isnan(last["gap"]) else case_of(float(last["gap"]))
+    console.print(
+        f"DT {whole.transmissibility:.3f} ± {2.0 * whole.u_transmissibility:.3f} (2u) at {last['frequency']:g} Hz, "
+        f"{gap}, {last['regime'].decode()}"
+    )
+
+
+def _content(found: Found) -> dict[str, object]:
+    from impact_rig.analysis.calibration import Calibration  # noqa: PLC0415  # as above
+    from impact_rig.analysis.reduction import budget  # noqa: PLC0415
+
+    if not len(found.rows):
+        return {"transmissibility": None}
+    whole, last = budget(found.rows, Calibration.from_info(found.info)), found.rows[-1]
+    return {
+        "frequency_hz": last["frequency"], "gap_m": last["gap"], "regime": last["regime"],
+        "transmissibility": whole.transmissibility, "u_transmissibility": whole.u_transmissibility,
+        "phase_rad": last["phase"], "settled_measurements": len(found.rows),
+        "current_amplitude_a": last["current_amplitude"], "budget": [attrs.asdict(part) for part in whole.parts],
+    }  # fmt: skip

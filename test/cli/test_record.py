@@ -1,0 +1,116 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""`impact-rig record`: one run that verifies, with its DT and budget, however it ends."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from impact_rig.cli.main import main
+from impact_rig.recording import open_run
+from impact_rig.runs import info, reanalysis
+from impact_rig.runs.verification import verify
+
+PROGRAM = [sys.executable, "-c", "from impact_rig.cli import main; raise SystemExit(main())"]
+RATE = ("--rate", "2000")
+
+
+def check(directory: Path) -> None:
+    """Re-simulate a run and analyse it again: both agree with what was recorded."""
+    with open_run(directory) as run:
+        assert verify(run).identical
+        found = reanalysis.measurements(reanalysis.analyze(run))
+        assert reanalysis.compare(run, found).same is not False
+
+
+def test_a_run_with_its_dt_and_its_budget(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--frequency", "9.1Hz", "--current", "520mA", "--gap", "6mm", "--seconds", "25", "--seed", "3", *RATE]
+    assert main(["record", *words, "--output", str(tmp_path / "run")]) == 0
+    told = capsys.readouterr()
+    assert told.out.splitlines()[-1] == str(tmp_path / "run")
+    assert "(2u) at 9.1 Hz, gap 6 mm, periodic" in told.out
+    assert "combined" in told.out
+    assert "seconds 25 of 25: gap 6 mm, DT 6" in told.err
+    check(tmp_path / "run")
+    assert main(["record", *words, "--output", str(tmp_path / "again"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["directory"] == str(tmp_path / "again")
+    assert found["transmissibility"] == pytest.approx(63.6, rel=0.02)
+    assert 0.0 < found["u_transmissibility"] < 0.02 * found["transmissibility"]
+    squares = sum(part["u_relative"] ** 2 for part in found["budget"])
+    assert squares == pytest.approx((found["u_transmissibility"] / found["transmissibility"]) ** 2, rel=1e-6)
+    assert f"DT {found['transmissibility']:.3f} ± " in told.out, "the same seed gives the same run"
+
+
+def test_a_run_too_short_for_a_measurement_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["record", "--seconds", "2", *RATE, "--gap", "none", "--output", str(tmp_path / "run"), "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert found["transmissibility"] is None
+    assert "2 s are too short for one measurement" in found["missing"]
+    check(tmp_path / "run")
+
+
+def test_a_trip_ends_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["record", "--current", "12", *RATE, "--output", str(tmp_path / "run")]) == 1
+    assert "ended early: the rig tripped: over_travel" in " ".join(capsys.readouterr().out.split())
+    check(tmp_path / "run")
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--current", "30"), "current must be >= 0 and <= 21.21 A peak"),
+        (("--config", "stream.yaml"), "drive.waveform sine"),
+        (("--through", "running", "--gap", "6mm"), "--gap belongs to a rig that is started"),
+        (("--through", "running", "--seed", "2"), "--seed belongs to a rig that is started"),
+    ],
+)
+def test_what_cannot_be_recorded_is_refused_before_anything_is_made(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], says: str
+) -> None:
+    (tmp_path / "stream.yaml").write_text("{drive: {waveform: stream}}")
+    words = tuple(str(tmp_path / word) if word.endswith(".yaml") else word for word in words)
+    assert main(["record", *words, "--output", str(tmp_path / "run")]) == 1
+    assert says in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "own.txt").write_text("mine")
+    assert main(["record", "--seconds", "1", "--output", str(tmp_path / "run")]) == 1
+    assert "nothing is overwritten" in capsys.readouterr().err
+
+
+def test_ctrl_c_leaves_a_readable_run(tmp_path: Path) -> None:
+    words = ["record", "--seconds", "100000", "--output", str(tmp_path / "run")]
+    with subprocess.Popen([*PROGRAM, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        assert "seconds 0 of" in process.stderr.readline()
+        process.send_signal(signal.SIGINT)
+        told, _ = process.communicate(timeout=120)
+    assert process.returncode == 128 + signal.SIGINT
+    assert told.splitlines()[-1] == str(tmp_path / "run")
+    assert "ended early: interrupted" in told
+    assert info(tmp_path / "run").intact
+    check(tmp_path / "run")
+
+
+@pytest.mark.ros
+def test_through_the_graph_it_is_the_same_measurement(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    words = ["record", "--gap", "none", "--seconds", "25", *RATE, "--json"]
+    found = []
+    for way in ("process", "ros"):
+        assert main([*words, "--through", way, "--output", str(tmp_path / way)]) == 0
+        found.append(json.loads(capsys.readouterr().out))
+        check(tmp_path / way)
+    process, ros = found
+    assert ros["transmissibility"] == pytest.approx(process["transmissibility"], abs=2 * process["u_transmissibility"])
+    assert [part["what"] for part in ros["budget"]] == [part["what"] for part in process["budget"]]
