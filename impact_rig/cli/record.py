@@ -167,7 +167,7 @@ def _over_topics(arguments: argparse.Namespace, config: RigConfig, gap_m: float,
 
 
 @attrs.frozen(eq=False)
-class Found:
+class RunMeasurements:
     """Measurements of a run, as its analysis makes them."""
 
     everything: NDArray[np.void]  # rows of `transmissibility/table`
@@ -175,7 +175,7 @@ class Found:
     info: NDArray[np.void]  # rows of `daq/info`
 
 
-def _measured(directory: Path) -> Found:
+def _measured(directory: Path) -> RunMeasurements:
     from impact_rig.runs import reanalysis  # noqa: PLC0415  # as above
     from impact_rig.runs.wholes import calibration_rows  # noqa: PLC0415
 
@@ -186,10 +186,10 @@ def _measured(directory: Path) -> Found:
             last = settled[-1]
             same_gap = (settled["gap"] == last["gap"]) | (np.isnan(settled["gap"]) & np.isnan(last["gap"]))
             settled = settled[(settled["frequency"] == last["frequency"]) & same_gap]
-        return Found(rows, settled, calibration_rows(run))
+        return RunMeasurements(rows, settled, calibration_rows(run))
 
 
-def _why_nothing(found: Found, seconds: float) -> str:
+def _why_nothing(found: RunMeasurements, seconds: float) -> str:
     if not len(found.everything):
         return f"no DT: {seconds:.3g} s are too short for one measurement; use a longer --seconds"
     words, counts = np.unique(found.everything["status"], return_counts=True)
@@ -197,7 +197,7 @@ def _why_nothing(found: Found, seconds: float) -> str:
     return f"no DT: none of {len(found.everything)} measurements is settled ({why}); use a longer --seconds"
 
 
-def _print(console: Console, found: Found) -> None:
+def _print(console: Console, found: RunMeasurements) -> None:
     from impact_rig.analysis.calibration import Calibration  # noqa: PLC0415  # as above
     from impact_rig.analysis.reduction import budget  # noqa: PLC0415
 
@@ -224,7 +224,7 @@ def _print(console: Console, found: Found) -> None:
     )
 
 
-def _content(found: Found) -> dict[str, object]:
+def _content(found: RunMeasurements) -> dict[str, object]:
     from impact_rig.analysis.calibration import Calibration  # noqa: PLC0415  # as above
     from impact_rig.analysis.reduction import budget  # noqa: PLC0415
 
