@@ -88,7 +88,7 @@ def test_what_is_started_for_the_user_is_seen_by_this_machine_only(
 def test_the_policy_allows_what_the_nodes_open_and_nothing_else(tmp_path: Path) -> None:
     """The nodes run as the launch file starts them: in a namespace, which has a clock of its own."""
     pytest.importorskip("rclpy", reason="no ROS 2 here")
-    from kits.nodes import opened_by
+    from kits.opened import opened_by
 
     from impact_rig import graph
     from tools import sros2_policy

@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""What rows of one session say together: the reduction of the transmissibility, and what its uncertainty is made of.
+"""Reduction of the transmissibility by a damper, from the settled rows of one session, and its uncertainty.
 
 Reduction, 100 (1 − DT / DT_0), both measured with the same instruments. A transmissibility is measured as
 DT' = DT (1 + g_1 + b_1(A_1) − g_b − b_b(A_b) + ε) with laser (1) and base sensor (b):
@@ -18,28 +18,18 @@ every amplitude, but the same in all rows of one (column `steps_uncertainty`). u
 row leaves when sensitivities and steps are taken out; n rows that follow each other have n errors ε of their own (a
 transient's remnant dies from row to row), so their mean has √Σu²(ε) / n. Zero errors do not act on the amplitude of a
 sine.
-
-Budget of one transmissibility; u(ε) is again what the other parts leave of the stated whole, so they add up to it:
-
-    u²(DT)/DT² = u²(ε) + Σ over laser, base: u²(S) + [(1.5 − 1.875 a²) (L/R) u(c_3)]² + (Re ∂lnL/∂ln τ · u_τ)² + u_Q²
-
-u(S): sensitivity without the slope of the sensor's curve; the bracket: that curve at the amplitude a·R of the vibration
-(`calibration`); then the sensor's lag, and the steps of sensor and converter.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.analysis.calibration import U_CUBIC, Calibration
-from impact_rig.analysis.scans import BASE, CHANNELS, LASER
-
-AMPLITUDES = ((LASER, "laser_amplitude"), (BASE, "base_amplitude"))
+from impact_rig.analysis.calibration import Calibration
+from impact_rig.analysis.uncertainty_budget import AMPLITUDES
 
 
 @attrs.frozen
@@ -66,14 +56,6 @@ def reduction(without: NDArray[np.void], rows: NDArray[np.void], calibration: Ca
     steps = _steps(without) + _steps(rows)
     points = 100.0 * quotient
     return Reduction(100.0 * (1.0 - quotient), points * math.sqrt(variance), points * math.sqrt(steps))
-
-
-def combined(rows: NDArray[np.void]) -> float:
-    """Return the standard uncertainty of the mean transmissibility itself; repetitions hardly lessen it.
-
-    What dominates it are the sensitivities, whose errors are the same in all rows.
-    """
-    return math.sqrt(float(np.mean(rows["transmissibility_uncertainty"] ** 2)))
 
 
 def repeatability(rows: NDArray[np.void], calibration: Calibration) -> float:
@@ -136,64 +118,3 @@ def damper(without: NDArray[np.void], rows: NDArray[np.void], calibration: Calib
 
 def _phase_u(rows: NDArray[np.void]) -> float:
     return math.sqrt(float(np.sum(rows["phase_uncertainty"] ** 2))) / len(rows)
-
-
-@attrs.frozen
-class Contribution:
-    """One line of the budget."""
-
-    source: str  # channel, or `measurement`
-    what: str  # the error it stands for
-    evaluation: str  # A (statistics of this measurement) or B (certificate), as the GUM calls them
-    u_relative: float  # relative standard uncertainty of DT by it
-
-
-@attrs.frozen
-class Budget:
-    """All lines, and their sum."""
-
-    transmissibility: float  # mean of the rows
-    u_transmissibility: float  # its stated standard uncertainty
-    parts: Sequence[Contribution]  # the lines; their squares add up to (u/DT)²
-
-    def share(self, part: Contribution) -> float:
-        """Return a line's share of the variance, 0 to 1."""
-        whole = (self.u_transmissibility / self.transmissibility) ** 2
-        return part.u_relative**2 / whole if whole else 0.0
-
-
-def budget(rows: NDArray[np.void], calibration: Calibration, lag_uncertainty: float = 0.0) -> Budget:
-    """Return the budget of the mean transmissibility.
-
-    The rows are settled ones of `transmissibility/table` of one setting, shape (n,), n >= 1.
-    """
-    dt, u = float(np.mean(rows["transmissibility"])), combined(rows)
-    frequency_hz = float(rows["frequency"][0])
-    parts: list[Contribution] = []
-    for channel, column in AMPLITUDES:
-        amplitude = float(np.mean(rows[column]))
-        curve = _curve(calibration, channel, amplitude)
-        gain = math.sqrt(max(calibration.gain_uncertainty_at(channel, amplitude) ** 2 - curve**2, 0.0))
-        lag = abs(calibration.lag_sensitivity(channel, frequency_hz).real) * lag_uncertainty
-        parts += [
-            Contribution(CHANNELS[channel], "sensitivity", "B", gain),
-            Contribution(CHANNELS[channel], "linearity at this amplitude", "B", curve),
-            Contribution(CHANNELS[channel], "lag", "B", lag),
-            Contribution(CHANNELS[channel], "steps", "B", _steps_at(calibration, channel, amplitude, frequency_hz)),
-        ]
-    rest = (u / dt) ** 2 - sum(part.u_relative**2 for part in parts)
-    parts.append(Contribution("measurement", "noise, scatter, remnant", "A", math.sqrt(max(rest, 0.0))))
-    return Budget(dt, u, parts)
-
-
-def _steps_at(calibration: Calibration, channel: int, amplitude: float, frequency_hz: float) -> float:
-    """Return what the steps of sensor and converter contribute, relative."""
-    read = amplitude * abs(complex(calibration.response(channel, frequency_hz)))
-    return calibration.steps_uncertainty(channel, read) / read
-
-
-def _curve(calibration: Calibration, channel: int, amplitude: float) -> float:
-    """Return what the departure of a sensor's curve from a straight line adds to the gain at an amplitude."""
-    half_range = float(calibration.high[channel] - calibration.low[channel]) / 2.0
-    share = amplitude / half_range
-    return abs(1.5 - 1.875 * share**2) * float(calibration.linearity[channel]) / half_range * U_CUBIC

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.calibration import Calibration
-from impact_rig.analysis.reduction import combined, reduction
+from impact_rig.analysis.reduction import reduction
+from impact_rig.analysis.uncertainty_budget import combined
 from impact_rig.rig.gaps import NO_SPHERE
 
 TITLE = "Modeling of an impact damper submitted to forced vibration from a nonlinear contact force model"

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import impact_rig
-from impact_rig.analysis.reduction import combined
+from impact_rig.analysis.uncertainty_budget import combined
 from impact_rig.campaign.job import Outcome
 from impact_rig.campaign.paper import REDUCTION_PERCENT, Reductions
 from impact_rig.campaign.plan import RESET, Planned

@@ -7,7 +7,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TypeVar
@@ -17,17 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.scans import CHANNELS
-from impact_rig.cli.quantities import GAP, positive
+from impact_rig.cli.quantities import positive
+from impact_rig.cli.rig_options import PROCESS, RUNNING, add_rig, add_way, rig_of, run_directory
 from impact_rig.cli.terminal import Console, add_json, subcommand, tell_results
 from impact_rig.errors import CommandError, ConfigError, ImpactRigError, visible
 from impact_rig.operate.hardware import Hardware
 from impact_rig.rig import Rig
-from impact_rig.rig.config import RigConfig, from_flat, load
-from impact_rig.rig.gaps import NO_SPHERE, case_of, gap_values
+from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.rig.gaps import NO_SPHERE, case_of
 from impact_rig.system import files
 from impact_rig.system.endings import unhurried
 
-PROCESS, ROS, RUNNING = WAYS = ("process", "ros", "running")
 RATE_HZ, FAST_HZ = 2_000, 10_000  # of samples and scans where nothing else is asked: what 200 Hz and what a shock needs
 P = TypeVar("P", bound=attrs.AttrsInstance)
 Work = Callable[[Hardware], Iterator[object]]  # drives the rig, and yields what it has reached, again and again
@@ -95,51 +94,6 @@ def add_kinds(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> Non
     one.add_argument("plan", nargs="?", type=Path, metavar="FILE", help="e.g. config/excitation/shock.yaml")
     _add_words(one, "shock", FAST_HZ)
     one.set_defaults(run=_shock)
-
-
-def add_rig(parser: argparse.ArgumentParser) -> None:
-    """Add the words that say which rig."""
-    parser.add_argument("--config", type=Path, metavar="FILE", help="rig configuration (default: the paper's rig)")
-    parser.add_argument(
-        "--gap", type=GAP, metavar="LENGTH",
-        help="gap with its unit, e.g. 6mm; none: no sphere (default: the configuration's)",
-    )  # fmt: skip
-    parser.add_argument("--sphere-start", choices=("left", "centre", "right"), default=None)
-
-
-def rig_of(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
-    """Return the rig and its gap.
-
-    Raises:
-        ConfigError: the file or a word is wrong.
-    """
-    config = load(arguments.config) if arguments.config else RigConfig()
-    changes: dict[str, object] = {} if arguments.gap is None else dict(gap_values(arguments.gap))
-    if arguments.sphere_start:
-        changes["sphere.start"] = arguments.sphere_start
-    config = from_flat(config, changes)
-    return config, config.barriers.gap_m if config.sphere.present else NO_SPHERE
-
-
-def add_way(parser: argparse.ArgumentParser, needs: str = "") -> None:
-    """Add the words that say where the rig runs."""
-    parser.add_argument(
-        "--through", choices=WAYS, default=PROCESS,
-        help=f"a rig in this process (default), behind topics, or one that runs already{needs}",
-    )  # fmt: skip
-    parser.add_argument("--namespace", default="/rig", help="namespace of the rig that runs already (default: /rig)")
-
-
-def run_directory(wanted: Path | None, what: str) -> Path:
-    """Return the directory of a new run: the one wanted, or one below `runs/` named by what it is and the time.
-
-    Raises:
-        ImpactRigError: something is there.
-    """
-    directory = (wanted or Path("runs") / time.strftime(f"{what}_%Y%m%d_%H%M%S")).resolve()
-    if directory.exists() and any(directory.iterdir()):
-        raise ImpactRigError(f"{directory} is not empty: nothing is overwritten, choose another --output")
-    return directory
 
 
 def _add_signal(parser: argparse.ArgumentParser) -> None:
@@ -302,7 +256,7 @@ def _connected(arguments: argparse.Namespace, config: RigConfig, directory: Path
         with RigRecorder(directory, rig, DRIVEN) as recorder:
             yield Hardware(RecordedInProcess(rig, recorder), abort)
         return
-    from impact_rig.client.apparatus import recorded  # noqa: PLC0415  # needs rclpy
+    from impact_rig.client.over_topics import recorded  # noqa: PLC0415  # needs rclpy
 
     namespace = arguments.namespace if arguments.through == RUNNING else None
     if namespace is not None:

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from impact_rig.campaign.job import Job
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCIES_HZ
-from impact_rig.cli.excite import add_kinds, add_rig, rig_of
+from impact_rig.cli.excite import add_kinds
 from impact_rig.cli.quantities import positive
+from impact_rig.cli.rig_options import add_rig, rig_of
 from impact_rig.cli.terminal import Console, TextTable, add_json, figure, subcommand, tell_json
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.operate.phase_lock import FEWEST, Ladder, LockPlan, LoopApparatus, Reference, Rung, climb, lock_on, mean

@@ -14,8 +14,8 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.cli.excite import PROCESS, RUNNING, add_rig, add_way, rig_of, run_directory
 from impact_rig.cli.quantities import Quantity, positive
+from impact_rig.cli.rig_options import PROCESS, RUNNING, add_rig, add_way, rig_of, run_directory
 from impact_rig.cli.terminal import Console, Counted, TextTable, add_json, figure, subcommand, tell_results
 from impact_rig.config import Drive, FieldInfo
 from impact_rig.errors import CommandError, ConfigError, ImpactRigError
@@ -147,7 +147,7 @@ def _in_process(arguments: argparse.Namespace, config: RigConfig, gap_m: float, 
 
 
 def _over_topics(arguments: argparse.Namespace, config: RigConfig, gap_m: float, directory: Path) -> Passed:
-    from impact_rig.client.apparatus import MeasuredOverTopics, recording  # noqa: PLC0415  # needs rclpy
+    from impact_rig.client.over_topics import MeasuredOverTopics, recording  # noqa: PLC0415  # needs rclpy
 
     running = arguments.through == RUNNING
     namespace = arguments.namespace if running else None
@@ -199,7 +199,7 @@ def _why_nothing(found: RunMeasurements, seconds: float) -> str:
 
 def _print(console: Console, found: RunMeasurements) -> None:
     from impact_rig.analysis.calibration import Calibration  # noqa: PLC0415  # as above
-    from impact_rig.analysis.reduction import budget  # noqa: PLC0415
+    from impact_rig.analysis.uncertainty_budget import budget  # noqa: PLC0415
 
     whole = budget(found.rows, Calibration.from_info(found.info))
     relative = whole.u_transmissibility / whole.transmissibility
@@ -226,7 +226,7 @@ def _print(console: Console, found: RunMeasurements) -> None:
 
 def _content(found: RunMeasurements) -> dict[str, object]:
     from impact_rig.analysis.calibration import Calibration  # noqa: PLC0415  # as above
-    from impact_rig.analysis.reduction import budget  # noqa: PLC0415
+    from impact_rig.analysis.uncertainty_budget import budget  # noqa: PLC0415
 
     if not len(found.rows):
         return {"transmissibility": None}

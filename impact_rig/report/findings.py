@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from impact_rig.analysis.reduction import budget
+from impact_rig.analysis.uncertainty_budget import budget
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCY_HZ, REDUCTION_PERCENT
 from impact_rig.campaign.results import Point
 from impact_rig.campaign.run import Finished

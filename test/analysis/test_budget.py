@@ -11,8 +11,8 @@ import pytest
 from kits.records import info_rows
 
 from impact_rig.analysis.calibration import Calibration
-from impact_rig.analysis.reduction import budget
 from impact_rig.analysis.scans import BASE, LASER
+from impact_rig.analysis.uncertainty_budget import budget
 from impact_rig.blocks import TRANSMISSIBILITY
 
 GAIN_U, NOISE, LAG_U = 2e-3, 4e-4, 0.05

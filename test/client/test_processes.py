@@ -162,7 +162,7 @@ def test_a_domain_of_the_environment_that_is_no_number_is_refused_in_words(
     value: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("rclpy", reason="no ROS 2 here")
-    from impact_rig.client.apparatus import recorded
+    from impact_rig.client.over_topics import recorded
     from impact_rig.rig.config import RigConfig
 
     monkeypatch.setenv("ROS_DOMAIN_ID", value)

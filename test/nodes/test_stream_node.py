@@ -25,9 +25,9 @@ from std_srvs.srv import Trigger
 
 from impact_rig import codec, topics
 from impact_rig.blocks import WAVEFORM, Table
-from impact_rig.client import Client, Collector, ProcessDiedError, ServiceFailedError, apparatus
-from impact_rig.client.apparatus import over_topics
+from impact_rig.client import Client, Collector, ProcessDiedError, ServiceFailedError
 from impact_rig.client.client import ros_parameters
+from impact_rig.client.over_topics import OverTopics, over_topics
 from impact_rig.errors import CommandError
 from impact_rig.nodes import session
 from impact_rig.nodes.recorder_node import RecorderNode
@@ -322,11 +322,11 @@ def test_a_stop_while_a_controller_looks_for_readers_is_not_overlooked(
     client.wait_active("rig")
     stop = client.node.create_client(Trigger, "rig/stop")
 
-    def is_stopped(wire: apparatus.OverTopics) -> bool:
+    def is_stopped(wire: OverTopics) -> bool:
         stop.call_async(Trigger.Request())
         return b"stop" in wire._journal.rows()["kind"]
 
-    monkeypatch.setattr(apparatus.OverTopics, "_finds_readers", is_stopped)
-    wire = apparatus.OverTopics(client)
+    monkeypatch.setattr(OverTopics, "_finds_readers", is_stopped)
+    wire = OverTopics(client)
     with pytest.raises(CommandError, match=r"^the rig stopped: stop$"):
         wire.feed(wire.wanted().sample, WAVE[:100])

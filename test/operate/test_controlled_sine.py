@@ -8,7 +8,7 @@ import attrs
 import numpy as np
 import pytest
 
-from impact_rig.analysis.reduction import combined
+from impact_rig.analysis.uncertainty_budget import combined
 from impact_rig.blocks import TRANSMISSIBILITY
 from impact_rig.campaign.job import execute
 from impact_rig.errors import ConfigError

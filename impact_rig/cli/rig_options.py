@@ -1,0 +1,61 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Options of commands that drive a rig: which rig, where it runs, and the directory of its run."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+from impact_rig.cli.quantities import GAP
+from impact_rig.errors import ImpactRigError
+from impact_rig.rig.config import RigConfig, from_flat, load
+from impact_rig.rig.gaps import NO_SPHERE, gap_values
+
+PROCESS, ROS, RUNNING = WAYS = ("process", "ros", "running")
+
+
+def add_rig(parser: argparse.ArgumentParser) -> None:
+    """Add the words that say which rig."""
+    parser.add_argument("--config", type=Path, metavar="FILE", help="rig configuration (default: the paper's rig)")
+    parser.add_argument(
+        "--gap", type=GAP, metavar="LENGTH",
+        help="gap with its unit, e.g. 6mm; none: no sphere (default: the configuration's)",
+    )  # fmt: skip
+    parser.add_argument("--sphere-start", choices=("left", "centre", "right"), default=None)
+
+
+def rig_of(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
+    """Return the rig and its gap.
+
+    Raises:
+        ConfigError: the file or a word is wrong.
+    """
+    config = load(arguments.config) if arguments.config else RigConfig()
+    changes: dict[str, object] = {} if arguments.gap is None else dict(gap_values(arguments.gap))
+    if arguments.sphere_start:
+        changes["sphere.start"] = arguments.sphere_start
+    config = from_flat(config, changes)
+    return config, config.barriers.gap_m if config.sphere.present else NO_SPHERE
+
+
+def add_way(parser: argparse.ArgumentParser, needs: str = "") -> None:
+    """Add the words that say where the rig runs."""
+    parser.add_argument(
+        "--through", choices=WAYS, default=PROCESS,
+        help=f"a rig in this process (default), behind topics, or one that runs already{needs}",
+    )  # fmt: skip
+    parser.add_argument("--namespace", default="/rig", help="namespace of the rig that runs already (default: /rig)")
+
+
+def run_directory(wanted: Path | None, what: str) -> Path:
+    """Return the directory of a new run: the one wanted, or one below `runs/` named by what it is and the time.
+
+    Raises:
+        ImpactRigError: something is there.
+    """
+    directory = (wanted or Path("runs") / time.strftime(f"{what}_%Y%m%d_%H%M%S")).resolve()
+    if directory.exists() and any(directory.iterdir()):
+        raise ImpactRigError(f"{directory} is not empty: nothing is overwritten, choose another --output")
+    return directory
