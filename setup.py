@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Build with colcon (`ament_python`) or pip; name, version, licence and description are those of package.xml."""
+"""Build with colcon (`ament_python`) or pip; package.xml has name, version, licence, addresses and description."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ HERE = Path(__file__).parent
 PACKAGE = ET.parse(HERE / "package.xml").getroot()  # noqa: S314  # our own file
 NAME = PACKAGE.findtext("name")
 MAINTAINER = PACKAGE.find("maintainer")
+URL = PACKAGE.findtext("url[@type='repository']")
 EXAMPLES = [
     "examples",
     "examples/c",
@@ -49,6 +50,7 @@ setup(
     description=" ".join(PACKAGE.findtext("description").split()),
     maintainer=MAINTAINER.text,
     maintainer_email=MAINTAINER.get("email"),
+    url=URL,
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={
         NAME: ["py.typed", "interface.json", "kernels/library.c", "lab/static/*", "lab/words.json", "report/style.css"]

@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import ast
 import pkgutil
+import re
+import runpy
 import subprocess
 import sys
 from collections import Counter
@@ -15,6 +17,8 @@ from xml.etree import ElementTree as ET
 import pytest
 
 import impact_rig
+from impact_rig.kernels.build import NUMBA
+from tools import release
 
 ROOT = Path(__file__).parent.parent
 WITHOUT_ROS = sorted(
@@ -71,7 +75,49 @@ def test_there_is_one_version():
     in_package_xml = ET.parse(ROOT / "package.xml").findtext("version")
     assert in_package_xml == impact_rig.__version__
     assert f"\nversion: {in_package_xml}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
-    assert f"\n{in_package_xml} (" in (ROOT / "CHANGELOG.rst").read_text(encoding="utf-8")
+    headings = re.findall(r"^(.+)\n-+$", (ROOT / "CHANGELOG.rst").read_text(encoding="utf-8"), re.MULTILINE)
+    # as catkin_pkg reads them: what is to come, or a version with its date
+    assert headings[0] == "Forthcoming" or headings[0].startswith(f"{in_package_xml} (")
+    assert all(re.fullmatch(r"Forthcoming|\d+\.\d+\.\d+ \(\d{4}-\d{2}-\d{2}\)", heading) for heading in headings)
+    assert not headings[1:].count("Forthcoming")
+
+
+KEYS = {"attrs": "python3-attrs", "mcap": "mcap-ros2-support", "PyYAML": "python3-yaml"}
+"""Keys of rosdistro that are not python3- and the name of the distribution."""
+WITHOUT_KEY = {"uplot-python"}
+
+
+def test_package_xml_names_every_dependency_that_has_a_key(monkeypatch):
+    """`rosdep install` once left a package that could not import mcap."""
+    given = {}
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setattr("setuptools.setup", lambda **arguments: given.update(arguments))
+    runpy.run_path("setup.py")
+    extras = [one for extra in ("jit", "lab", "completion") for one in given["extras_require"][extra]]
+    needed = [*given["install_requires"], *extras]
+    names = {re.match(r"[\w-]+", requirement)[0] for requirement in needed} - WITHOUT_KEY
+    declared = {one.text for one in ET.parse(ROOT / "package.xml").iter("exec_depend")}
+    assert {KEYS.get(name, f"python3-{name}") for name in names} <= declared
+    assert given["url"] == ET.parse(ROOT / "package.xml").findtext("url")
+
+
+def test_a_release_needs_a_maintainer_and_an_address(tmp_path):
+    text = (ROOT / "package.xml").read_text(encoding="utf-8")
+    package = tmp_path / "package.xml"
+    package.write_text(text.replace("example.org", release.PLACEHOLDER), encoding="utf-8")
+    assert release.placeholders(package) == ["maintainer", "url"]
+    package.write_text(text.replace("example.org", "rig-lab.edu"), encoding="utf-8")
+    assert release.placeholders(package) == []
+
+
+def test_instructions_to_build_kernels_name_the_version_of_numba():
+    """Kernels are built by one exact Numba: with another one a workspace has none, and nodes compile at run time."""
+    for name in ("docs/first_node.md", ".github/workflows/ci.yaml", "pyproject.toml", "requirements/kernels.txt"):
+        text = (ROOT / name).read_text(encoding="utf-8")
+        versions = re.findall(r"numba==([\d.]+)", text)
+        assert versions, name
+        assert set(versions) == {NUMBA}, name
+        assert not re.search(r"pip install .*\bnumba(?!==)", text), name
 
 
 def test_one_word_names_one_class():

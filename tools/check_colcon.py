@@ -99,8 +99,23 @@ def tests_run() -> int:
     return int(suite.attrib["tests"]) - int(suite.attrib["skipped"])
 
 
+def check_changelog() -> None:
+    """Let catkin_pkg, which colcon needs too, read the changelog as a release does.
+
+    Raises:
+        SystemExit: it finds neither a version nor what is to come.
+    """
+    read = (
+        "from catkin_pkg import changelog, package_version; log = changelog.get_changelog_from_path('.'); "
+        "print(*log.foreach_version(), package_version.get_forthcoming_label(log.rst) or '')"
+    )
+    if not run(sys.executable, "-c", read, where=ROOT).strip():
+        raise SystemExit("catkin_pkg finds no section in CHANGELOG.rst")
+
+
 def main() -> None:
     """Do it all, and say what was done."""
+    check_changelog()
     shutil.rmtree(WORKSPACE, ignore_errors=True)
     WORKSPACE.mkdir(parents=True)
     listed = colcon("list", "--paths", ".")

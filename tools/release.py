@@ -22,6 +22,7 @@ import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 from impact_rig.kernels.build import HEADER, OUTPUT
 
@@ -32,6 +33,7 @@ IN_WHEEL = ("config", "launch", "resource", "rviz", "urdf", "package.xml")
 EXTRAS = "[wheels,lab]"
 TRIED = ("test/physics", "test/instruments", "test/analysis", "test/test_codec.py")
 """Tests that look at the installed package, not at the repository around them."""
+PLACEHOLDER = "example.org"
 PATIENCE_S = 600.0
 END_S = 60.0
 DOMAIN = "74"
@@ -106,6 +108,12 @@ def differences(sdist: Path, wheel: Path) -> list[str]:
     return said + [f"{wheel.name} holds {name}" for name in sorted(there - wanted)]
 
 
+def placeholders(package: Path = ROOT / "package.xml") -> list[str]:
+    """Return the elements of package.xml that a release must fill in: those with an address of example.org."""
+    elements = ET.parse(package).getroot().iter()  # noqa: S314  # our own file
+    return [one.tag for one in elements if PLACEHOLDER in " ".join((one.text or "", *one.attrib.values()))]
+
+
 @contextmanager
 def page(command: list[str | Path], directory: Path, environment: Mapping[str, str]) -> Iterator[bytes]:
     """Start a lab, yield the page it serves, and end it with Ctrl-C."""
@@ -176,6 +184,9 @@ def main() -> None:
     if "--try" in sys.argv:
         use(sdist, wheel)
         print("the wheel works in an empty environment")  # noqa: T201  # as above
+    unfilled = placeholders()
+    if unfilled:
+        raise SystemExit(f"not a release: {', '.join(unfilled)} in package.xml still name {PLACEHOLDER}; fill them in")
 
 
 if __name__ == "__main__":
