@@ -25,8 +25,13 @@ from typing import IO, TYPE_CHECKING
 import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis.internal.conjecture import providers
+from package_under_test import prefer_installed
 
-from impact_rig.client.processes import remove_litter
+prefer_installed()  # before anything imports the package
+
+import impact_rig  # noqa: E402  # see above
+from impact_rig import kernels  # noqa: E402
+from impact_rig.client.processes import remove_litter  # noqa: E402
 
 if TYPE_CHECKING:
     from kits.browser import Browser
@@ -70,6 +75,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--changed", nargs="?", const="HEAD", metavar="COMMIT", help="run what a change since a commit (HEAD) can reach"
     )
+
+
+def pytest_report_header() -> str:
+    return f"impact_rig: {Path(impact_rig.__file__).parent}, kernels: {kernels.MODE}"
 
 
 def pytest_configure(config: pytest.Config) -> None:

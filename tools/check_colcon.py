@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Build and test the package with colcon from nothing, look at what it installs, and start it: see `make colcon`.
 
-Stands in for a workspace on an apt-installed Jazzy, whose colcon is the same program. Arguments go to pytest, beside
-the names of some quick tests.
+Stands in for a workspace on an apt-installed Jazzy, whose colcon is the same program. The workspace holds a copy of
+what git knows, so nothing that `make` built can help. Arguments go to pytest, in addition to the names of some quick
+tests, which must run on the installed package and its library of kernels.
 """
 
 from __future__ import annotations
@@ -20,17 +21,24 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))  # not in the environment: what is started must find what is installed
 
 from impact_rig.client import Client, Processes, isolated_domain  # noqa: E402  # found by the line above
+from tools.release import tracked  # noqa: E402
 
 WORKSPACE = ROOT / "build" / "colcon"
+SOURCE = WORKSPACE / "src" / "impact_rig"
+"""Copy of what git knows: a checkout in which nothing was built."""
 PREFIX = WORKSPACE / "install" / "impact_rig"
 SHARE = PREFIX / "share" / "impact_rig"
 PROGRAMS = PREFIX / "lib" / "impact_rig"
 MARKER = PREFIX / "share" / "ament_index" / "resource_index" / "packages" / "impact_rig"
 NODES = ("rig", "analysis", "recorder", "stepped_sine")
-QUICK = ("test/test_codec.py", "test/test_config.py", "test/test_launch.py", "test/nodes/test_convert.py")
+QUICK = (
+    "test/test_codec.py", "test/test_config.py", "test/test_launch.py", "test/nodes/test_convert.py",
+    "test/nodes/test_frames.py", "test/nodes/test_interface.py", "test/nodes/test_managed.py",
+    "test/nodes/test_rig_node.py", "test/nodes/test_standard_services.py",
+)  # fmt: skip
 BUILD_TYPE = "(ros.ament_python)"
 START_TIMEOUT_S = 120.0
-"""The first start compiles."""
+"""The first start imports all that was just installed."""
 
 
 def run(*command: str | Path, where: Path, more: Mapping[str, str] | None = None) -> str:
@@ -48,7 +56,7 @@ def run(*command: str | Path, where: Path, more: Mapping[str, str] | None = None
 
 def colcon(verb: str, *arguments: str) -> str:
     """Run colcon; it writes into the workspace only."""
-    return run(sys.executable, "-m", "colcon", "--log-base", str(WORKSPACE / "log"), verb, *arguments, where=ROOT)
+    return run(sys.executable, "-m", "colcon", "--log-base", str(WORKSPACE / "log"), verb, *arguments, where=WORKSPACE)
 
 
 def absent() -> Iterator[Path]:
@@ -93,6 +101,18 @@ def start_everything() -> None:
         raise SystemExit(f"nodes ended with {codes}, see {logs}")
 
 
+def check_package_under_test() -> None:
+    """Look at what the tests imported.
+
+    Raises:
+        SystemExit: it was not the installed package with its library of kernels.
+    """
+    said = (WORKSPACE / "log" / "latest_test" / "impact_rig" / "stdout.log").read_text(encoding="utf-8")
+    found = next((line for line in said.splitlines() if line.startswith("impact_rig: ")), "nothing")
+    if not found.startswith(f"impact_rig: {PREFIX}/") or not found.endswith("kernels: library"):
+        raise SystemExit(f"colcon test tested {found}; expected the library below {PREFIX}")
+
+
 def tests_run() -> int:
     """Return how many tests `colcon test` has run."""
     (suite,) = ET.parse(WORKSPACE / "build" / "impact_rig" / "pytest.xml").getroot()  # noqa: S314  # pytest's own
@@ -117,11 +137,13 @@ def main() -> None:
     """Do it all, and say what was done."""
     check_changelog()
     shutil.rmtree(WORKSPACE, ignore_errors=True)
-    WORKSPACE.mkdir(parents=True)
-    listed = colcon("list", "--paths", ".")
+    for name in tracked():
+        (SOURCE / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(ROOT / name, SOURCE / name)
+    listed = colcon("list", "--paths", str(SOURCE))
     if not listed.strip().endswith(BUILD_TYPE):
         raise SystemExit(f"colcon takes the package for another kind than {BUILD_TYPE}: {listed}")
-    places = ("--paths", ".", "--packages-select", "impact_rig", "--build-base", str(WORKSPACE / "build"))
+    places = ("--paths", str(SOURCE), "--packages-select", "impact_rig", "--build-base", str(WORKSPACE / "build"))
     places = (*places, "--install-base", str(WORKSPACE / "install"))
     colcon("build", *places)
     missing = [str(path) for path in absent()]
@@ -130,6 +152,7 @@ def main() -> None:
     start_everything()
     chosen = [f" {argument}" for argument in (*sys.argv[1:], *QUICK)]  # the blank keeps colcon from reading options
     colcon("test", *places, "--return-code-on-test-failure", "--pytest-args", *chosen)
+    check_package_under_test()
     tests = tests_run()
     if not tests:
         raise SystemExit("colcon test ran no test")

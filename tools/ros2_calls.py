@@ -106,7 +106,8 @@ def parameters(calls: Calls, client: Client, node: str, directory: Path) -> None
     paths = [directory / f"{node}_{number}.yaml" for number in range(2)]
     _dump(client, node, names, paths[0])
     calls.hold(f"ros2 param dump {node}", paths[0].stat().st_size)
-    sent = list(parameter_dict_from_yaml_file(str(paths[0])).values())
+    written = list(yaml.safe_load(paths[0].read_text(encoding="utf-8")))
+    sent = list(parameter_dict_from_yaml_file(str(paths[0]), target_nodes=written).values())
     results = client.call(SetParameters, f"{node}/set_parameters", SetParameters.Request(parameters=sent)).results
     refused = [result.reason for result in results if not result.successful]
     calls.hold(f"ros2 param load {node}", not refused, refused)

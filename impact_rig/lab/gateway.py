@@ -14,6 +14,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import functools
+import itertools
 import time
 from collections.abc import Awaitable, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -34,6 +35,7 @@ from impact_rig.lab.protocol import Request
 from impact_rig.lab.record import RigView
 from impact_rig.lab.state import DEAD_S, Answer, Seen
 from impact_rig.nodes import messages
+from impact_rig.nodes.rclpy_internals import take_messages
 from impact_rig.nodes.session import EXPIRES_S
 from impact_rig.rig.config import RigConfig, fields, from_flat, parameters_in, to_flat
 from impact_rig.rig.gaps import case_of, gap_values
@@ -163,13 +165,7 @@ class Gateway:
         """Take what has come since the last time; return whether anything has."""
         came = False
         for topic, subscription in self._looks.items():
-            found: list[bytes] = []
-            with subscription.handle:
-                while len(found) < MOST_PER_LOOK:
-                    one = subscription.handle.take_message(subscription.msg_type, True)
-                    if one is None:
-                        break
-                    found.append(one[0])
+            found = list(itertools.islice(take_messages(subscription, raw=True), MOST_PER_LOOK))
             came = came or bool(found)
             if self.record.since_ns() > self.record.start_ns:
                 continue  # of a rig whose scan 0 is not known yet: it would go on where the one before has ended

@@ -36,7 +36,7 @@ from impact_rig import codec, graph, states, topics
 from impact_rig.blocks import FRAME_DAQ, Table
 from impact_rig.config.tree import Tree
 from impact_rig.errors import CodecError, ImpactRigError, describe, in_words, visible
-from impact_rig.nodes import messages
+from impact_rig.nodes import messages, rclpy_internals
 from impact_rig.nodes.parameters import Parameters, Proposal, set_one_by_one
 
 Report = Callable[[str, str], None]  # what to do with a failure: (where, message)
@@ -268,7 +268,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
     @property
     def state(self) -> str:
         """Label of the lifecycle state."""
-        return str(self._state_machine.current_state[1])
+        return rclpy_internals.lifecycle_state(self)
 
     @property
     def active(self) -> bool:
@@ -453,9 +453,9 @@ class ManagedNode(LifecycleNode, Generic[S]):
         self.get_logger().info("ended")
 
     def destroy_node(self) -> None:
-        """Destroy the node with its state machine, which rclpy forgets: that would keep the node in the graph."""
+        """Destroy the node with its state machine."""
         super().destroy_node()
-        self._state_machine.destroy_when_not_in_use()
+        rclpy_internals.destroy_state_machine(self)
 
     def _stop(self) -> None:
         try:
@@ -489,20 +489,25 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return TransitionCallbackReturn.FAILURE
 
     def _guard_transitions(self) -> None:
-        """Answer an invalid transition request with `success = False`; rclpy would raise and end the process."""
-        service = self._service_change_state
+        """Answer an invalid transition request with `success = False`, and count it.
+
+        rclpy of Jazzy would raise and end the process; that of Kilted answers likewise.
+        """
+        service = rclpy_internals.change_state_service(self)
         original = service.callback
 
         def on_change_state(request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
+            wanted = request.transition.label or str(request.transition.id)
             try:
-                return original(request, response)
+                if rclpy_internals.is_possible(self, request.transition):
+                    return original(request, response)
+                self.refuse("transition", f"{wanted!r} is not possible in state {self.state!r}")
             except Exception as error:  # rclpy raises RCLError, which is not exported
-                wanted = request.transition.label or str(request.transition.id)
-                self.refuse("transition", f"{wanted!r} is not possible in state {self.state!r} ({error})")
-                response.success = False
-                return response
+                self.refuse("transition", f"{wanted!r} failed in state {self.state!r} ({error})")
             finally:
                 self.report_change()
+            response.success = False
+            return response
 
         service.callback = on_change_state
 

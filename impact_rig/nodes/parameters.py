@@ -23,6 +23,7 @@ from rclpy.parameter import Parameter
 from impact_rig.config import FieldInfo
 from impact_rig.config.tree import Tree, Value
 from impact_rig.errors import ConfigError, describe
+from impact_rig.nodes.rclpy_internals import parameter_overrides
 
 S = TypeVar("S", bound=attrs.AttrsInstance)
 Attempt = Callable[[list[Parameter]], SetParametersResult]  # sets some parameters together, or says why not
@@ -69,8 +70,7 @@ class Parameters(Generic[S]):
         self._infos = {name: about for name, about, _ in tree.fields()}
         self.refused: ConfigError | None = None
         """Why the values given at start were refused; the settings are then the defaults."""
-        # rclpy has no public accessor of the overrides, and declaring them one by one would stop at the first bad one
-        given = {name: parameter.value for name, parameter in node._parameter_overrides.items()}
+        given = parameter_overrides(node)
         self.settings = self._at_start(given, _files(arguments), complete)
         if makes_time and given.get(SIM_TIME) is True:
             self.refused = ConfigError(f"{SIM_TIME} {NO_SIM_TIME}")

@@ -25,6 +25,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from impact_rig.errors import describe
+from impact_rig.nodes import rclpy_internals
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.system import segments
 from impact_rig.system.endings import SIGNALS, Ending, held
@@ -43,12 +44,10 @@ def make_executor(context: Any = None) -> Any:
     if os.environ.get(EXECUTOR_VARIABLE, "") != "default":
         handlers = {number: signal.getsignal(number) for number in SIGNALS}
         try:
-            from impact_rig.nodes.events import LookingExecutor  # noqa: PLC0415  # absent before rclpy 7.1.2
-
             with contextlib.redirect_stderr(sys.__stderr__):  # it wants a file behind it, which a test may have changed
-                return LookingExecutor(rclpy.get_default_context() if context is None else context)
-        except ImportError:
-            pass
+                executor = rclpy_internals.events_executor(rclpy.get_default_context() if context is None else context)
+            if executor is not None:
+                return executor
         finally:
             if threading.current_thread() is threading.main_thread():
                 for number, handler in handlers.items():

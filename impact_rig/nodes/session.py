@@ -34,6 +34,7 @@ from impact_rig.nodes.acknowledgements import AckWindow, Readers
 from impact_rig.nodes.managed import Done, ManagedNode, NodeState
 from impact_rig.nodes.pacing import Pacer, WorkTimer
 from impact_rig.nodes.publishers import Publishers
+from impact_rig.nodes.rclpy_internals import take_messages
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
@@ -306,9 +307,8 @@ class Session:
         timing = config.time
         self.absent = ", ".join(self.readers.missing()) if self.is_realtime else ""
         for subscription in self._commands:  # given to no rig, or to the one before
-            with subscription.handle:
-                while subscription.handle.take_message(subscription.msg_type, False) is not None:
-                    self.node.refuse("inactive", f"{subscription.topic_name}: it came before this rig began")
+            for _message in take_messages(subscription):
+                self.node.refuse("inactive", f"{subscription.topic_name}: it came before this rig began")
         self.clock_offset_ns = time.time_ns() - time.monotonic_ns()
         self._base_ns = time.time_ns() if self.is_realtime else 0
         self.pacer = Pacer(time.monotonic_ns, timing.factor)  # beside the stamp: both mean the same instant

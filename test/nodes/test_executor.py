@@ -2,27 +2,33 @@
 # SPDX-License-Identifier: Apache-2.0
 """What came before an executor listened, and was never told to it, is handed over all the same.
 
-The middleware has a hole of a microsecond: see `impact_rig.nodes.events`. Here it is as wide as it must be: all is told
-to one executor, which never runs again, and another one takes the node over.
+The middleware has a hole of a microsecond: see `impact_rig.nodes.rclpy_internals`. Here it is as wide as it must be:
+all is told to one executor, which never runs again, and another one takes the node over.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
+from kits.nodes import host_rig
 from rclpy.context import Context
 from rclpy.duration import Duration
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from impact_rig.client import isolated_domain
+import impact_rig
+from impact_rig.client import Client, isolated_domain
+from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.process import make_executor
 
 pytestmark = pytest.mark.ros
@@ -169,3 +175,30 @@ def test_requests_and_answers_that_were_never_told_are_handed_over(
     heard.add_node(asking)
     run(heard)
     assert future.result().message == "here"
+
+
+PRIVATE = re.compile(
+    r"rclpy\.impl|rclpy\.experimental|_rclpy|\._parameter_overrides|\._state_machine|\._service_change_state"
+    r"|\._callback_type|\.handle\b|take_message\("
+)
+
+
+def test_private_parts_of_rclpy_are_used_in_one_module() -> None:
+    package = Path(impact_rig.__file__).parent
+    texts = {path.relative_to(package): path.read_text(encoding="utf-8") for path in package.rglob("*.py")}
+    assert [str(path) for path, text in texts.items() if PRIVATE.search(text)] == ["nodes/rclpy_internals.py"]
+
+
+def test_with_another_rclpy_the_public_executor_runs_the_nodes(client: Client, monkeypatch) -> None:
+    monkeypatch.setattr("importlib.metadata.version", lambda _name: "10.0.0")
+    executor = make_executor(client.context)
+    assert type(executor) is SingleThreadedExecutor
+    executor.shutdown()
+    with Client(client.context.get_domain_id(), namespace="/other") as other:
+        assert type(other.executor) is SingleThreadedExecutor
+        host_rig(other)
+        other.host(AnalysisNode)
+        scans = other.collect("daq/scan")
+        other.wait_active("rig", "analysis")
+        other.step(3)
+        other.wait_until(lambda: len(scans) == 3, "the blocks")

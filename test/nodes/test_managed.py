@@ -14,6 +14,8 @@ import pytest
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
 from builtin_interfaces.msg import Time
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters, SetParametersAtomically
@@ -144,6 +146,10 @@ def test_a_node_survives_invalid_transitions_and_can_be_restarted(user: Client) 
     for transition in ("deactivate", "cleanup", "configure", "activate"):
         assert user.change_state("small", transition)
     assert node.refusals.counts["transition"] == 3
+    request = ChangeState.Request(transition=Transition(label="no_such_transition"))
+    assert not user.call(ChangeState, "small/change_state", request).success
+    assert node.refusals.counts["transition"] == 4
+    assert node.refusals.last["transition"] == "'no_such_transition' is not possible in state 'active'"
 
 
 def test_a_failed_configure_leaves_an_unconfigured_node_that_can_be_repaired(client: Client) -> None:

@@ -89,7 +89,8 @@ def dump(client: Client, node: str, path: Path) -> dict[str, Any]:
 
 def load(client: Client, node: str, path: Path) -> list[str]:
     """What `ros2 param load` does; returns the refusals."""
-    parameters = list(parameter_dict_from_yaml_file(str(path)).values())
+    written = list(yaml.safe_load(path.read_text(encoding="utf-8")))  # Kilted wants the name of the node
+    parameters = list(parameter_dict_from_yaml_file(str(path), target_nodes=written).values())
     request = SetParameters.Request(parameters=parameters)
     results = client.call(SetParameters, f"{node}/set_parameters", request).results
     assert len(results) == len(parameters)

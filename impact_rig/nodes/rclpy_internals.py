@@ -1,35 +1,88 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""rclpy's events executor, which looks once for itself at whatever is new to it.
+"""Every use of private parts of rclpy, and the events executor that is built from them.
 
-It runs callbacks when the middleware tells it that something has come, and never looks by itself. rmw_fastrtps counts
-what a new reader holds, and from then on tells of every message; but what comes between the two is told with the next
-one only (since https://github.com/ros2/rmw_fastrtps/pull/657). Mostly that takes less than a microsecond, and
-milliseconds where the thread has to wait for a core. Of what comes once, such as the calibration, there is no next.
+rclpy has no public access to the start-up overrides of parameters, to the state machine of a lifecycle node, to what a
+subscription holds, or to the events executor's base class. The accessors here serve rclpy of Jazzy (7) and Kilted (9).
+With any other version the public executor runs: see `events_executor`.
+
+The events executor of rclpy runs callbacks when the middleware tells it that something has come, and never looks by
+itself. rmw_fastrtps counts what a new reader holds, and from then on tells of every message; but what comes between the
+two is told with the next one only (since https://github.com/ros2/rmw_fastrtps/pull/657). Mostly that takes less than a
+microsecond, and milliseconds where the thread has to wait for a core. Of what comes once, such as the calibration,
+there is no next. So the one here looks once for itself at whatever is new to it.
 """
 
 from __future__ import annotations
 
+import contextlib
 import faulthandler
+import importlib.metadata
 import traceback
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any  # rclpy is untyped
 
-import rclpy.experimental.events_executor  # noqa: F401  # absent before rclpy 7.1.2
 from rclpy.client import Client
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import get_logger
 from rclpy.qos import HistoryPolicy
 from rclpy.subscription import Subscription
 
-EventsExecutor: Any = rclpy_implementation.EventsExecutor
+KNOWN = ("7.", "9.")
+"""Versions of rclpy whose private parts are those of this module: Jazzy and Kilted."""
+EventsExecutor: Any = getattr(rclpy_implementation, "EventsExecutor", object)  # absent before rclpy 7.1.2
 InvalidHandle: Any = rclpy_implementation.InvalidHandle
 WITH_INFO = Subscription.CallbackType.WithMessageInfo
 MOST = 1000  # things handed over at once by a look, where a queue has no end
 
 
-class LookingExecutor(EventsExecutor):
+def parameter_overrides(node: Any) -> dict[str, Any]:
+    """Return the values that a node was given at start, by parameter name.
+
+    To declare the parameters one by one would stop at the first bad value.
+    """
+    return {name: parameter.value for name, parameter in node._parameter_overrides.items()}
+
+
+def lifecycle_state(node: Any) -> str:
+    """Return the label of a node's lifecycle state."""
+    return str(node._state_machine.current_state[1])
+
+
+def is_possible(node: Any, transition: Any) -> bool:
+    """Return whether a requested transition, by label or else by number, starts in the node's present state."""
+    available = [(number, label) for number, label, *_states in node._state_machine.available_transitions]
+    wanted = transition.label or transition.id
+    return any(wanted in one for one in available)
+
+
+def change_state_service(node: Any) -> Any:
+    """Return the service that takes requests of transitions."""
+    return node._service_change_state
+
+
+def destroy_state_machine(node: Any) -> None:
+    """Destroy the state machine of a destroyed node; rclpy forgets it, which keeps the node in the graph."""
+    node._state_machine.destroy_when_not_in_use()
+
+
+def take_messages(subscription: Any, raw: bool = False) -> Iterator[Any]:
+    """Take what a subscription holds and yield the messages, or their CDR bytes if `raw`."""
+    with contextlib.suppress(InvalidHandle), subscription.handle:
+        while (taken := subscription.handle.take_message(subscription.msg_type, raw)) is not None:
+            yield taken[0]
+
+
+def events_executor(context: Any) -> Any:
+    """Return a new events executor, or None if this rclpy has none or is not one of the known versions."""
+    version = importlib.metadata.version("rclpy")
+    if EventsExecutor is object or not version.startswith(KNOWN):
+        return None
+    return LookingExecutor(context)
+
+
+class LookingExecutor(EventsExecutor):  # type: ignore[misc]  # rclpy is untyped
     """An events executor that misses nothing of what comes while it begins to listen."""
 
     def __init__(self, context: Any) -> None:
