@@ -331,9 +331,18 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def subscribe(
         self, topic: topics.Topic, callback: Callable[..., None], raw: bool = False, depth: int | None = None
     ) -> Any:
-        """Create a guarded subscription to a row of the topics table, perhaps deeper; `raw` gives CDR bytes."""
-        profile = messages.profile(topic.qos, depth)
-        return self.create_subscription(messages.class_of(topic), topic.name, callback, profile, raw=raw)
+        """Create a guarded subscription to a row of the topics table, perhaps deeper; `raw` gives CDR bytes.
+
+        `qos_overrides` apply.
+        """
+        return self.create_subscription(
+            messages.class_of(topic),
+            topic.name,
+            callback,
+            messages.profile(topic.qos, depth),
+            raw=raw,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
 
     def subscribe_table(self, topic: topics.Topic, callback: Callable[[Table], None]) -> Any:
         """Create a guarded subscription to a table; what is none, or what `callback` refuses, is told and counted."""

@@ -82,7 +82,7 @@ def events_executor(context: Any) -> Any:
     return LookingExecutor(context)
 
 
-class LookingExecutor(EventsExecutor):  # type: ignore[misc]  # rclpy is untyped
+class LookingExecutor(EventsExecutor):
     """An events executor that misses nothing of what comes while it begins to listen."""
 
     def __init__(self, context: Any) -> None:

@@ -143,9 +143,12 @@ class StandardServices:
             self._session.step(request.steps, self._done(tell, failed))
 
     def _reset_simulation(self, request: Any, _response: Any, tell: Tell) -> None:
-        kinds, codes = type(request), self._messages.Result
-        if request.scope not in {kinds.SCOPE_DEFAULT, kinds.SCOPE_STATE, kinds.SCOPE_ALL}:
-            tell(codes.RESULT_FEATURE_UNSUPPORTED, "only the state is reset: time goes on, and nothing is spawned")
+        scopes, codes = type(request), self._messages.Result
+        # a bit field, of which every bit must be supported; the default is the same as all
+        wanted = scopes.SCOPE_ALL if request.scope == scopes.SCOPE_DEFAULT else request.scope
+        if wanted & ~scopes.SCOPE_STATE:
+            reason = f"only the state is reset (scope {scopes.SCOPE_STATE}): time goes on, and nothing is spawned"
+            tell(codes.RESULT_FEATURE_UNSUPPORTED, reason)
             return
         self._reset_rig(stop=self._state() == self._messages.SimulationState.STATE_STOPPED)
         tell(codes.RESULT_OK, "")

@@ -9,10 +9,13 @@ import pytest
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
 from kits.nodes import DRIVEN, TICK, host_rig
+from rclpy.qos import ReliabilityPolicy
 
 from impact_rig import codec
 from impact_rig.client import Client
+from impact_rig.client.client import ros_parameters
 from impact_rig.errors import SimulationError
+from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig, from_flat, load
@@ -107,12 +110,21 @@ def test_the_published_configuration_is_a_file_that_loads_again(client: Client, 
     assert load(path) == expected
 
 
-def test_qos_can_be_overridden(client: Client) -> None:
-    host_rig(client, **{"qos_overrides./daq/scan.publisher.depth": 7})
-    client.wait_active("rig")
-    assert client.get_parameters("rig", ["qos_overrides./daq/scan.publisher.depth"]) == {
-        "qos_overrides./daq/scan.publisher.depth": 7
-    }
+def test_qos_of_publishers_and_subscriptions_can_be_overridden(client: Client) -> None:
+    depth, reliability = (
+        "qos_overrides./daq/scan.publisher.depth",
+        "qos_overrides./shaker/current.subscription.reliability",
+    )
+    host_rig(client, **{depth: 7, reliability: "best_effort"})
+    client.host(AnalysisNode, parameter_overrides=ros_parameters({"qos_overrides./daq/scan.subscription.depth": 5}))
+    client.wait_active("rig", "analysis")
+    assert client.get_parameters("rig", [depth, reliability]) == {depth: 7, reliability: "best_effort"}
+    (command,) = [
+        info for info in client.node.get_subscriptions_info_by_topic("/shaker/current") if info.node_name == "rig"
+    ]
+    assert command.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+    scans = "qos_overrides./daq/scan.subscription.depth"
+    assert client.get_parameters("analysis", [scans]) == {scans: 5}
 
 
 @pytest.mark.parametrize("mode", ["realtime", "freewheel"])
