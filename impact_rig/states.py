@@ -97,9 +97,10 @@ BY_NODE: dict[str, type[RigWord | AnalysisWord | RecorderWord | SteppedSineWord]
 
 
 class Status(Word):
-    """What a row of `transmissibility/table` is. Only the first five carry numbers; the others have NaN instead."""
+    """What a row of `transmissibility/table` is. Only the first six carry numbers; the others have NaN instead."""
 
     OK = "ok", "A measurement."
+    NO_IMPACTS = "no_impacts", "A measurement without impacts: a sphere slower than was waited for could still strike."
     ACCELEROMETER_OVER_RANGE = "accelerometer_over_range", "The displacements are sound, the impacts may not be."
     ACCELEROMETER_UNSOUND = "accelerometer_unsound", "Dead, or contradicts the laser: the displacements are sound."
     CURRENT_UNSOUND = "current_unsound", "Dead, disturbed, or changed alone: the displacements are sound."
@@ -129,7 +130,14 @@ class Status(Word):
     NO_FIT = "no_fit", "A fit did not converge, or to something unphysical."
 
 
-SETTLED = (Status.OK, Status.ACCELEROMETER_OVER_RANGE, Status.ACCELEROMETER_UNSOUND, Status.CURRENT_UNSOUND)
+SETTLED = (
+    Status.OK,
+    Status.NO_IMPACTS,
+    Status.ACCELEROMETER_OVER_RANGE,
+    Status.ACCELEROMETER_UNSOUND,
+    Status.CURRENT_UNSOUND,
+)
+"""The statuses of a response that has settled."""
 MEASURED = frozenset({*SETTLED, Status.NOT_SETTLED})
 """The statuses whose rows carry numbers."""
 
@@ -140,7 +148,7 @@ class Regime(Word):
     PERIODIC = "periodic", "The response repeats after whole drive cycles."
     MODULATED = "modulated", "The response has a few spectral lines beside the drive."
     CHAOTIC = "chaotic", "The response has a continuous spectrum; DT is its coherent mean."
-    INTERMITTENT = "intermittent", "Impacts came and stay away: the sphere may be drifting towards the next."
+    INTERMITTENT = "intermittent", "Impacts stay away for seconds and come again: the sphere drifts between the walls."
     UNKNOWN = "unknown", "There are too few cycles to tell, or an unsound accelerometer tells no impacts."
 
 

@@ -88,7 +88,7 @@ def tracker_errs(config: RigConfig, frequency_hz: float) -> tuple[int, int]:
     settings, motions = TrackerSettings(), driven(config, frequency_hz, WATCHED_S, AFTER_S)
     struck, speed = strikes(motions)
     heard = struck[(struck < WATCHED_S) & (speed > FAST)]
-    if np.diff(heard, prepend=0.0, append=WATCHED_S).max() < config.barriers.gap_m / settings.slowest_speed:
+    if np.diff(heard, prepend=0.0, append=WATCHED_S).max() < settings.wait_limit_s:
         return 0, 0  # never long enough for a row without impacts
     ends = ends_of_rest(config, frequency_hz, motions[0], settings)
     return len(ends), sum(bool(np.any((struck > end) & (struck <= end + AFTER_S))) for end in ends)

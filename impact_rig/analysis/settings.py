@@ -40,7 +40,7 @@ class TrackerSettings:
     slowest_speed: float = quantity(
         1e-4,
         "m/s",
-        "Slowest drift that is waited for: a sphere without impacts rests once it would have crossed the gap so.",
+        "Slowest sphere that is waited for, at most for `wait_limit_s`, before a row without impacts is given.",
         above=0,
         at_most=10,
     )

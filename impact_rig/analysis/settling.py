@@ -16,8 +16,9 @@ Three ways to a row, tried in this order after each window once enough windows h
 3. the bound `wait_limit_s` is reached: numbers as they are, status `not_settled`.
 
 A sphere that drifts from wall to wall leaves the structure as steady as if there were none, for as long as it takes. So
-windows without impacts are no measurement until none has come for as long as the slowest sphere that is waited for
-takes across the gap (`Quiet`); and one with few, whose instants do not repeat, is none of 8 windows but of the long
+a row without impacts is held back until none has come for as long as the slowest sphere that is waited for takes across
+the gap, or for `wait_limit_s` where that is less (`Quiet`). Silence does not prove that the sphere never strikes, so
+that row has the status `no_impacts`. A motion with few impacts, whose instants do not repeat, is measured over the long
 record.
 """
 
@@ -114,21 +115,38 @@ def window_cycles(frequency_hz: float, settings: TrackerSettings) -> int:
     return CYCLE_MULTIPLE * max(1, math.ceil(settings.window_s * frequency_hz / CYCLE_MULTIPLE))
 
 
-@attrs.frozen
-class Progress:
-    """How far a first measurement is."""
-
-    windows: int  # taken since the last change
-    needed: int  # how many it takes, as far as that is known: the count grows while the transient does not die
-    remnant: float  # of the transient, over the transmissibility; NaN: not known yet
+NOTICED_S, NOTICED_CYCLES = 0.5, 2.0
+"""Time without impacts, in seconds and in cycles, from which on the next impact is waited for."""
 
 
 @attrs.frozen
 class Quiet:
-    """How long there has been no impact, and how long that must be until it means that none will come."""
+    """How long there has been no impact, and how long a row without impacts is held back."""
 
-    since_s: float = 0.0  # from the last impact, or from when the sphere was put in; 0 where neither is known
-    bound_s: float = 0.0  # from which on no impact is expected; 0 where there is no sphere, or none was ever noticed
+    since_s: float = 0.0  # since the last impact under drive, or since the gap was set or the drive began
+    bound_s: float = 0.0  # time without impacts from which on a row is given; 0: no sphere, or none was ever noticed
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether the sphere may still strike within the time that it is waited for."""
+        return self.since_s < self.bound_s
+
+
+@attrs.frozen
+class Progress:
+    """How far a first measurement is."""
+
+    windows: int  # taken since the last change; at most `needed`
+    needed: int  # how many it takes, as far as that is known: the count grows while no row can be given
+    remnant: float  # of the transient, over the transmissibility; NaN: not known yet
+    quiet: Quiet = Quiet()  # of a sphere that is waited for; without a bound if there is none
+
+    @property
+    def reason(self) -> str:
+        """Why there is no row yet, beyond the transient: a sphere that is waited for; otherwise empty."""
+        if not self.quiet.is_waiting:
+            return ""
+        return f"waiting up to {self.quiet.bound_s:.3g} s for a sphere that may still strike"
 
 
 class Judge:
@@ -136,7 +154,7 @@ class Judge:
 
     def __init__(self, calibration: Calibration, frequency_hz: float, settings: TrackerSettings) -> None:
         self._calibration = calibration
-        self._frequency_hz = frequency_hz
+        self._frequency_hz = self.frequency_hz = frequency_hz
         self._settings = settings
         self._windows: deque[Cycles] = deque(maxlen=settings.long_windows)
         self._ratios: deque[complex] = deque(maxlen=settings.long_windows)
@@ -149,6 +167,8 @@ class Judge:
         self._window_s = window_cycles(frequency_hz, settings) / frequency_hz
         self._broken: Status | None = None
         self._quiet = Quiet()
+        self._held: Measurement | None = None  # the row of the newest windows, while the sphere may still strike
+        self._stayed_away = False  # whether a row since the newest was held back because the sphere may still strike
         self._whole = 0  # windows since the change of the drive, or since the last broken one
         self._reference: Amplitudes | None = None  # of the newest good row of this setting
         self._due: int | None = None  # of them, before the first measurement
@@ -177,9 +197,25 @@ class Judge:
         short = self._settings.windows
         if len(self._windows) < short or (self._reported and self._since_row < short):
             return None
-        found = self._steady() or self._stationary() or self._overdue()
+        found = self._steady() or self._stationary()
+        tells_impacts = found is not None and found.status in MEASURED and not math.isnan(found.impacts_per_cycle)
+        if tells_impacts and self._quiet.is_waiting and not self._struck():
+            self._stayed_away, self._held = True, found
+            return None
+        return self._given(found or self._overdue())
+
+    def finish(self) -> Measurement | None:
+        """End the record: return the row that was held back for a sphere that has not struck, if there is one."""
+        return self._given(self._held)
+
+    def _given(self, found: Measurement | None) -> Measurement | None:
+        """Return a measurement as the next row; None: there is none."""
+        self._held = None
         if found:
-            self._span = max(short, found.cycles // len(window))
+            silent = found.status is Status.OK and found.impacts_per_cycle == 0.0 and self._quiet.bound_s > 0.0
+            found = attrs.evolve(found, status=Status.NO_IMPACTS) if silent else found
+            self._stayed_away = False
+            self._span = max(self._settings.windows, found.cycles // len(self._windows[-1]))
             found = self._compared(found)
             self._since_row, self._waited_windows, self._reported = 0, 0, True
         return found
@@ -202,9 +238,7 @@ class Judge:
             return Progress(self._since_row, self._since_row + 1, self._remnant)
         if self._reported:
             return Progress(needed, needed, self._remnant)
-        if self._due is None and self._whole >= needed:
-            needed = self._whole + 1  # the transient is still there: at least one more
-        return Progress(self._whole, needed, self._remnant)
+        return Progress(self._whole, max(needed, self._whole + 1), self._remnant)  # no row yet: at least one more
 
     def _compared(self, found: Measurement) -> Measurement:
         """Refuse a measurement in which one channel has changed by itself since the last good one of this setting."""
@@ -240,6 +274,7 @@ class Judge:
         self._windows.clear()
         self._ratios.clear()
         self._whole, self._due, self._remnant, self._waited_windows = 0, None, math.nan, 0
+        self._held, self._stayed_away = None, False
         if status is self._broken and self._since_row < self._settings.windows:
             return None
         self._broken, self._since_row = status, 0
@@ -261,12 +296,11 @@ class Judge:
         found = self._measure(self._settings.windows, bias)
         if found.status not in MEASURED:
             return found
-        return found if found.steady and not self._sparse(found) and not self._may_drift() else None
+        return found if found.steady and not self._sparse(found) else None
 
-    def _may_drift(self) -> bool:
-        """Return whether the newest windows hold no impact while one may still come."""
-        struck = any(np.nansum(window.impacts) > 0 for window in list(self._windows)[-self._settings.windows :])
-        return self._quiet.since_s < self._quiet.bound_s and not struck
+    def _struck(self) -> bool:
+        """Return whether the newest windows hold an impact."""
+        return any(np.nansum(window.impacts) > 0 for window in list(self._windows)[-self._settings.windows :])
 
     def _sparse(self, found: Measurement) -> bool:
         """Return whether impacts are few and do not repeat: then more of the motion must be seen."""
@@ -276,17 +310,20 @@ class Judge:
         long = self._settings.long_windows
         if len(self._windows) < long or (self._reported and self._since_row < long):
             return None
-        if self._may_drift() or not is_stationary(np.array(self._ratios)):
+        if not is_stationary(np.array(self._ratios)):
             return None
         return self._measure(long, 0j)
 
     def _overdue(self) -> Measurement | None:
-        if self._waited_windows * self._window_s < self._settings.wait_limit_s:
+        limit_s = self._settings.wait_limit_s
+        if self._stayed_away and not self._struck():
+            limit_s *= 2.0  # it was only the sphere that was waited for, which takes `limit_s` more at most
+        if self._waited_windows * self._window_s < limit_s:
             return None
         found = self._measure(self._settings.windows, self._bias(), worst=math.inf)
         if found.status not in MEASURED:
             return found
-        regime = Regime.INTERMITTENT if self._may_drift() else found.regime
+        regime = Regime.INTERMITTENT if self._stayed_away else found.regime
         return attrs.evolve(found, status=Status.NOT_SETTLED, regime=regime)
 
     def _bias(self) -> complex:

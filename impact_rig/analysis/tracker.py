@@ -24,7 +24,7 @@ from impact_rig.analysis.cycles import Accumulator, Cycles, usable_harmonics
 from impact_rig.analysis.impacts import NO_IMPACTS, ImpactDetector, counted, impact_tables
 from impact_rig.analysis.scans import SCAN, ScanBuffer, first_scan_at, need_columns, scan_index
 from impact_rig.analysis.settings import GapLabel, ImpactSettings, TrackerSettings
-from impact_rig.analysis.settling import Judge, Progress, Quiet, window_cycles
+from impact_rig.analysis.settling import NOTICED_CYCLES, NOTICED_S, Judge, Progress, Quiet, window_cycles
 from impact_rig.analysis.transmissibility import Measurement, counts_impacts, measurement_table
 from impact_rig.blocks import APPLIED, DAQ_INFO, LONGEST_S, Table, joined
 from impact_rig.errors import ConfigError
@@ -105,6 +105,7 @@ class Tracker:
         self._taken: tuple[object, ...] = ()  # type of the rows of the newest block, and the channels it may lack
         self._started = False
         self._last_block = -1
+        self._judged = 0  # last scan of the newest window
         self._measured = 0  # index of the next scan to measure
         self._changed = 0  # index of the last change of the drive
         self._events: list[tuple[int, int, int, _Event]] = []  # instant, place among the kinds, number, what
@@ -115,7 +116,7 @@ class Tracker:
         self._window = 0
         self._impacts_ahead: list[NDArray[np.void]] = []  # as `ImpactDetector.find` returns them
         self._struck = math.nan  # scan of the last impact before what was reported last
-        self._placed = 0  # scan from which the label holds
+        self._placed = 0  # scan from which the label holds, or the present drive began
         self._rows: list[Table] = []
         self._state = TrackerState(AnalysisWord.NO_SCANS)
 
@@ -220,7 +221,13 @@ class Tracker:
     @property
     def progress(self) -> Progress | None:
         """How far the first measurement since the last change is; None: nothing is measured."""
-        return self._judge.progress if self._accumulator is not None else None
+        if self._accumulator is None:
+            return None
+        progress, quiet = self._judge.progress, self._quiet(self._measured - 1)
+        noticed_s = max(NOTICED_S, NOTICED_CYCLES / self._judge.frequency_hz)
+        if self._state.word != AnalysisWord.SETTLING or quiet.since_s < noticed_s:
+            return progress
+        return attrs.evolve(progress, quiet=quiet)
 
     @property
     def state(self) -> TrackerState:
@@ -228,9 +235,12 @@ class Tracker:
         return self._state
 
     def flush(self) -> Findings:
-        """Measure what is still held back: at the end of a record."""
+        """Measure what is still held back, and no longer wait for a sphere that may still strike: the record ends."""
         if self._started:
             self._advance(self._buffer.end)
+            held = self._judge.finish() if self._accumulator is not None else None
+            if held:
+                self._emit(held, self._judged)
         measurements, self._rows = tuple(self._rows), []
         return Findings(measurements)
 
@@ -344,6 +354,8 @@ class Tracker:
                 if event == self._command:
                     return
                 self._interrupt(Status.COMMAND_CHANGED)
+                if self._command is None or self._command.current == 0.0:
+                    self._placed = index  # silence at rest tells nothing: slow impacts are not heard
                 self._command = event
             case GapLabel(gap_m):
                 if gap_m == self._gap_m or (math.isnan(gap_m) and math.isnan(self._gap_m)):
@@ -397,6 +409,7 @@ class Tracker:
         while accumulator.pending_cycles >= self._window:
             window = self._counted(accumulator.take(self._window), accumulator)
             last = int(window.first[-1] + window.samples[-1]) - 1
+            self._judged = last
             found = self._judge.add(window, self._quiet(last))
             if found:
                 self._emit(found, last)
@@ -414,16 +427,16 @@ class Tracker:
     def _quiet(self, scan: int) -> Quiet:
         """Return for how long there has been no impact at a scan, and for how long one may stay away.
 
-        Without a label there is a sphere if there was an impact; how far it flies is not known then, and `wait_limit_s`
-        is waited for. Where nothing detects impacts, none is missed.
+        Without a label there is a sphere if there was an impact; how far it flies is not known then. Where nothing
+        detects impacts, none is missed.
         """
         assert self._calibration is not None
-        never = math.isnan(self._struck)
-        if self._gap_m == 0.0 or (never and math.isnan(self._gap_m)) or not counts_impacts(self._calibration):
+        never, unknown = math.isnan(self._struck), math.isnan(self._gap_m)
+        if self._gap_m == 0.0 or (never and unknown) or not counts_impacts(self._calibration):
             return Quiet()
-        since = (scan + 1 - (self._placed if never else self._struck)) / self._calibration.rate_hz
-        unknown = math.isnan(self._gap_m)
-        return Quiet(since, self._settings.wait_limit_s if unknown else self._gap_m / self._settings.slowest_speed)
+        since = (scan + 1 - (self._placed if never else max(self._placed, self._struck))) / self._calibration.rate_hz
+        limit_s = self._settings.wait_limit_s
+        return Quiet(since, limit_s if unknown else min(limit_s, self._gap_m / self._settings.slowest_speed))
 
     def _report_no_frequency(self, until: int) -> None:
         while until - self._origin >= self._rate:

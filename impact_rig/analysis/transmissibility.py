@@ -317,6 +317,18 @@ def _rounding(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> 
     return parts
 
 
+def note_on(row: np.void | NDArray[np.void]) -> str:
+    """Return what a row of `transmissibility/table` leaves open, for people; empty unless its status is `no_impacts`.
+
+    The time without impacts is the shorter of `impact_age` and `waited`: before, the drive was another one.
+    """
+    if row["status"] != Status.NO_IMPACTS.value.encode():
+        return ""
+    quiet_s = float(np.fmin(row["waited"], row["impact_age"]))
+    slow = f"a sphere slower than {1e3 * row['gap'] / quiet_s:.2g} mm/s" if row["gap"] > 0.0 else "a slower sphere"
+    return f"no impacts for {quiet_s:.0f} s; {slow} could still strike"
+
+
 def measurement_table(found: Measurement, stamp_ns: int, gap_m: float, waited_s: float) -> Table:
     """Return one row of `transmissibility/table`; the stamp is that of the last scan in it."""
     row = np.zeros(1, dtype=TRANSMISSIBILITY)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import impact_rig
+from impact_rig.analysis.transmissibility import note_on
 from impact_rig.analysis.uncertainty_budget import combined
 from impact_rig.campaign.job import Outcome
 from impact_rig.campaign.paper import REDUCTION_PERCENT, Reductions
@@ -97,6 +98,11 @@ class Point:
     def status(self) -> str:
         """The last row's status, or why there is none."""
         return self.failure or str(self.rows["status"][-1].decode())
+
+    @property
+    def note(self) -> str:
+        """What its last row leaves open: a sphere that did not strike may be a slow one; otherwise empty."""
+        return note_on(self.rows[-1]) if len(self.rows) else ""
 
     @property
     def label(self) -> str:

@@ -15,6 +15,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig.analysis.transmissibility import note_on
 from impact_rig.cli.terminal import Console, TextTable, add_json, figure, subcommand, tell_json
 from impact_rig.errors import ConfigError
 from impact_rig.recording import Run, open_run
@@ -133,6 +134,8 @@ def _print_last(console: Console, rows: NDArray[np.void]) -> None:
         f"{math.degrees(row['phase']):.2f}°, at {row['frequency']:g} Hz: the last of {len(settled)} settled "
         "measurements"
     )
+    if note := note_on(row):
+        console.print(note, style="yellow")
 
 
 def _print_measurements(console: Console, rows: NDArray[np.void], *, everything: bool) -> None:

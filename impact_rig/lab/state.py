@@ -131,14 +131,19 @@ def judge(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> tuple[str, s
         why = f"the analysis is gone ({analysis.gone})" if analysis.gone else "there is no analysis"
         return "driving", f"Nobody measures: {why}."
     if analysis.state == states.AnalysisWord.SETTLING:
-        return "settling", "Waiting until the transient has died."
+        return "settling", f"{capitalised(analysis.reason or 'waiting until the transient has died')}."
     if analysis.state != states.AnalysisWord.MEASURING:
         why = MEASURING.get(states.AnalysisWord(analysis.state), "") if analysis.state else "the analysis says no state"
         why = why.format(reason=plain(analysis.reason) or "it does not say why")
-        return "driving", f"{why[:1].upper()}{why[1:]}."
+        return "driving", f"{capitalised(why)}."
     if doubts:
         return "driving", f"The analysis calls it measured, but {'; '.join(doubts)}."
     return "measured", "The measurement holds."
+
+
+def capitalised(text: str) -> str:
+    """Return a text with its first letter as a capital and the others as they are."""
+    return text[:1].upper() + text[1:]
 
 
 class Pace:
@@ -207,6 +212,7 @@ def present(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> dict[str, 
         "state": known, "holds": known == states.AnalysisWord.MEASURING and not doubts,
         "reason": plain(analysis.reason) if known else "", "done": figure(figures.get("settling_windows")),
         "of": figure(figures.get("settling_windows_needed")), "rest": figure(figures.get("settling_remnant")),
+        "quiet": figure(figures.get("no_impact_s")), "quiet_of": figure(figures.get("no_impact_limit_s")),
     }  # fmt: skip
 
 

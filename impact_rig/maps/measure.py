@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.cycles import PHASE_BINS
+from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.spread import LONGEST_PERIOD, Behaviour, classify
 from impact_rig.blocks import joined
 from impact_rig.config.fields import integer, quantity
@@ -33,7 +34,8 @@ _FIRST = 2 * CHUNK  # cycles before it is looked for the first time: hardly a re
 _ROUNDING = 1e-9  # relative change of a cycle that is none
 WEAK = 0.02
 """Impacts slower than this share of the fastest one are bounces that settle: not counted, no part of the regime."""
-NEAR_S = 60.0  # a sphere that flies towards a wall and will strike it within this time has not come to rest
+NEAR_S = TrackerSettings().wait_limit_s
+"""A sphere that will strike a wall within this time has not come to rest: a measurement waits for it as long."""
 FAILED = "failed"  # the regime of a place whose motion could not be resolved
 
 
@@ -63,7 +65,7 @@ class Reading(NamedTuple):
     """What was found at one place."""
 
     regime: str
-    """Periodic, modulated, chaotic, intermittent (impacts came, stay away, and will come again), or `FAILED`."""
+    """Periodic, modulated, chaotic, intermittent (impacts stay away, and will come again), or `FAILED`."""
     dt: float  # |X_1| / |X_b| of the fundamentals
     reduction_percent: float  # 100 (1 − DT / DT without the sphere, in closed form)
     phase_rad: float  # of X_1 / X_b

@@ -122,7 +122,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         if silent_s > SILENCE_S:
             return NodeState(words.NO_SCANS, f"none for {SILENCE_S:g} s")
         found = self._tracker.state
-        return NodeState(words(found.word), found.reason, found.since_ns)
+        return NodeState(words(found.word), found.reason or self._waiting(), found.since_ns)
 
     def health(self) -> tuple[Level, str]:
         """Return whether scans come, all of them."""
@@ -132,7 +132,8 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
             return Level.OK, "waiting for daq/scan"
         if self._tracker.counters.lost_scans:
             return Level.WARN, "scans were lost"
-        return Level.OK, self._tracker.state.word.replace("_", " ")
+        why = self._waiting()
+        return Level.OK, self._tracker.state.word.replace("_", " ") + (f": {why}" if why else "")
 
     def figures(self) -> dict[str, object]:
         """Return the tracker's counters and the latest value."""
@@ -147,8 +148,15 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
                 "settling_windows": progress.windows,
                 "settling_windows_needed": progress.needed,
                 "settling_remnant": progress.remnant,
+                "no_impact_s": progress.quiet.since_s if progress.reason else 0.0,
+                "no_impact_limit_s": progress.quiet.bound_s if progress.reason else 0.0,
             }
         return values
+
+    def _waiting(self) -> str:
+        """Return what a row is held back for, for people; empty: nothing, or the transient."""
+        progress = None if self._tracker is None else self._tracker.progress
+        return "" if progress is None else progress.reason
 
     def _label(self, gap_m: float, stamp_ns: int) -> None:
         """Label the scans from `stamp_ns` on, and tell whoever records them."""

@@ -8,6 +8,7 @@ Theory without simulation stands beside it where there is one: two impacts per c
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import attrs
 import numpy as np
@@ -36,6 +37,8 @@ AXIS_NAMES = {
 }
 OF_INSTRUMENTS = ("daq.", "instruments.", "time.", "step.", "output.", "pluck.")
 """Beginnings of values that the mechanics do not know."""
+OPEN: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 5.0, "markerfacecolor": "white", "zorder": 3}
+"""How a point is drawn whose sphere did not strike."""
 MOST_LINES = 2 * len(SERIES)  # the second half is dashed
 
 
@@ -81,8 +84,13 @@ def study_figures(
         bars = COVERAGE * np.array(u)
         shown = "reduction_percent" if relative else "transmissibility"
         place = [float(places[id(p)][along]) for p in ordered]
-        numbers.append(Line(label, {along: place, shown: list(y), "expanded_uncertainty": bars.tolist()}))
+        quiet = np.array([bool(p.note) for p in ordered])
+        shown_columns = {along: place, shown: list(y), "expanded_uncertainty": bars.tolist()}
+        numbers.append(Line(label, {**shown_columns, "no_impacts": quiet.astype(float).tolist()}))
         axis.errorbar(x, y, bars, color=shade, linestyle=style, marker="o", markersize=3.0, linewidth=1.0, label=label)
+        if quiet.any():
+            at = np.flatnonzero(quiet)
+            axis.plot(np.array(x)[at], np.array(y)[at], color=shade, **OPEN)
     axis.set(
         xlabel=f"{name} ({unit})" if unit else name,
         ylabel="reduction of DT (%)" if relative else "transmissibility",
@@ -94,7 +102,10 @@ def study_figures(
         numbers.append(theory)
     if len(numbers) > 1:
         legend_below(axis, 2)
-    yield Drawn(f"study_{study}", figure, f"Study “{study}”: {len(settled)} settled points, ± 2u.", numbers)
+    caption = f"Study “{study}”: {len(settled)} settled points, ± 2u."
+    if notes := [point.note for point in settled if point.note]:
+        caption += f" Open circles: the sphere did not strike ({notes[0]})."
+    yield Drawn(f"study_{study}", figure, caption, numbers)
 
 
 def _place(point: Point) -> dict[str, float | str]:

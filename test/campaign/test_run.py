@@ -221,6 +221,18 @@ def test_a_command_that_fails_before_its_first_result_leaves_no_directory(tmp_pa
     assert not [path for path in tmp_path.iterdir() if path.is_dir()]
 
 
+def test_a_point_without_impacts_is_measured_and_passes_the_check(tmp_path, capsys):
+    """Two minutes of silence were asked for at 12 mm, and the bound of one minute made the point a failure."""
+    file = tmp_path / "quiet.yaml"
+    file.write_text("studies: {quiet: {frequencies_hz: 9.1, gaps_m: [none, 0.012], starts: [centre]}}")
+    assert main(["campaign", str(file), "--output", str(tmp_path / "out"), "--check", "--workers", "1"]) == 0
+    assert "1 of 2 points: the sphere did not strike (no impacts for 6" in " ".join(capsys.readouterr().out.split())
+    rows = (tmp_path / "out" / run.CSV_FILE).read_text().splitlines()
+    columns = dict(zip(rows[0].split(","), rows[2].split(","), strict=True))
+    assert (columns["status"], columns["settled"], columns["regime"]) == ("no_impacts", "1", "periodic")
+    assert float(columns["transmissibility_uncertainty"]) > 0.0
+
+
 def start(file, directory, *more, environment=None):
     """Start the command with two workers in a process of its own: they and what watches them end with it."""
     command = [sys.executable, "-c", "import sys; from impact_rig.cli import main; sys.exit(main())", "campaign"]

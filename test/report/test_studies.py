@@ -21,6 +21,7 @@ studies:
   reference: {{frequencies_hz: 9.1, gaps_m: none}}
   restitution: {{frequencies_hz: 9.1, gaps_m: [0.004, 0.008], restitutions: {list(RESTITUTIONS)}}}
   sweep: {{frequencies_hz: [8.9, 9.0, 9.1], gaps_m: [none, 0.006]}}
+  quiet: {{frequencies_hz: 9.1, gaps_m: [0.002, 0.012, 0.014], starts: [centre]}}
   pair: {{frequencies_hz: [9.0, 9.1], gaps_m: none}}
 """
 
@@ -68,6 +69,15 @@ def test_transmissibility_is_drawn_over_the_frequency(drawn):
     assert [text.get_text() for text in axis.get_legend().get_texts()] == ["no sphere", "gap 6 mm"]
     for gap, (line, *_) in zip((0.0, 0.006), axis.containers, strict=True):
         np.testing.assert_allclose(line.get_ydata(orig=False), [point.dt for point in points if point.gap_m == gap])
+
+
+def test_points_whose_sphere_did_not_strike_are_drawn_open_and_named(drawn):
+    points, axis, caption = drawn("quiet")
+    assert [point.status for point in points] == ["ok", "no_impacts", "no_impacts"]
+    (marked,) = [line for line in axis.lines if line.get_markerfacecolor() == "white"]
+    np.testing.assert_allclose(marked.get_xdata(orig=False), [12.0, 14.0])
+    assert "Open circles: the sphere did not strike (no impacts for 6" in caption
+    assert caption.endswith("s; a sphere slower than 0.2 mm/s could still strike).")
 
 
 def test_two_points_are_no_figure(done):

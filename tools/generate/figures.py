@@ -69,6 +69,8 @@ ANALYSIS = (
     Figure("settling_windows", "-", "Windows taken since the last change; none while no frequency is commanded."),
     Figure("settling_windows_needed", "-", "Windows the first measurement takes; grows while the transient lasts."),
     Figure("settling_remnant", "-", "What is left of the transient, over the transmissibility."),
+    Figure("no_impact_s", "s", "Time without impacts while a sphere is waited for that may still strike; otherwise 0."),
+    Figure("no_impact_limit_s", "s", "Time without impacts after which the row is given all the same; otherwise 0."),
     Figure("<counter>", "-", "Counters of the tracker: scans, lost_scans, measurements, impacts and others."),
 )
 

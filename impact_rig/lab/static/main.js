@@ -245,19 +245,22 @@ function showDt() {
   setText("dt-u", u ? `${u} (2u)` : "");
   byId("settling").hidden = !settles;
   if (settles) {
-    const done = present.done ?? 0, of = present.of ?? 8;
-    byId("settling-bar").value = of ? Math.min(1, done / of) : 0;
+    const done = present.done ?? 0, of = present.of ?? 8, quiet = present.quiet_of ? present.quiet / present.quiet_of : 1;
+    byId("settling-bar").value = of ? Math.min(1, done / of, quiet) : 0;
     const rest = typeof present.rest === "number" ? `, transient ${fixed(100 * present.rest, 1)} %` : "";
-    setText("settling-text", now.mode === "playback" ? "settling" : `settling: window ${fixed(done, 0)} of ${fixed(of, 0)}${rest}`);
+    const windows = `settling: window ${fixed(done, 0)} of ${fixed(of, 0)}${rest}`;
+    const sphere = `no impact for ${fixed(present.quiet ?? 0, 0)} s; ${present.reason}`;
+    setText("settling-text", now.mode === "playback" ? "settling" : present.quiet_of ? sphere : windows);
   }
-  const why = ["unable", "lost scans", "settling"].includes(plain(present.state)) && present.reason ? `not measured: ${present.reason}` : "";
+  const waits = settles && Boolean(present.quiet_of);
+  const why = ["unable", "lost scans", "settling"].includes(plain(present.state)) && present.reason && !waits ? `not measured: ${present.reason}` : "";
   byId("dt-why").hidden = !(old || why);
   setText("dt-why", why || (old && !settles ? "the last value; it does not hold now" : ""));
-  const none = row && !settles && row.ipc === 0 && row.gap ? "no impacts at this gap" : "";
+  const none = row && row.ipc === 0 && row.gap ? "no impacts" : "";
   const more = row && !settles ? {
     [old ? "last, at" : "at"]: `${fixed(row.f, 3)} Hz`, phase: `${fixed(row.phase, 1)}°`, regime: none || row.regime,
     "impacts per cycle": fixed(row.ipc, 2), "|X₁|": `${fixed(row.x1 * 1e3, 3)} mm`, "|X_b|": `${fixed(row.xb * 1e6, 1)} µm`,
-    ...(row.status ? { status: row.status } : {}),
+    ...(row.status ? { status: row.note || row.status } : {}),
   } : {};
   const list = byId("dt-more");
   const words = JSON.stringify(more);
