@@ -19,7 +19,7 @@ from impact_rig.cli.terminal import Console, subcommand
 from impact_rig.errors import ImpactRigError
 from impact_rig.system import files
 
-SAMPLE = Path("build") / "lab_sample"
+SAMPLE = "lab_sample"
 FOUND = "?"
 LOOK_MS = 1000
 """Time between two looks at signals: one that comes in the very moment when a wait begins does not interrupt it."""
@@ -111,7 +111,7 @@ def _source(arguments: argparse.Namespace, stack: contextlib.ExitStack) -> Any:
         if not arguments.runs:
             from impact_rig.runs.in_process import make_sample  # noqa: PLC0415
 
-            arguments.runs = [make_sample(SAMPLE)]
+            arguments.runs = [make_sample(files.state_dir("") / SAMPLE)]
         return PlaybackSource(arguments.runs)
     from impact_rig.client.processes import Processes, domain_of_environment  # noqa: PLC0415
     from impact_rig.lab.live import LiveSource  # noqa: PLC0415
@@ -128,7 +128,7 @@ def _source(arguments: argparse.Namespace, stack: contextlib.ExitStack) -> Any:
     parameters = node_parameters(arguments)
     from_flat(RigConfig(), parameters["rig"])  # what a rig refuses is refused here, where somebody reads it
     _take_place(domain, namespace, stack)
-    logs = Path("build" if Path("build").is_dir() else ".") / "lab_logs"
+    logs = files.state_dir("lab_logs") / files.place(domain, namespace)
     processes = stack.enter_context(Processes(domain, logs, namespace=namespace))
     return LiveSource(domain, namespace, Own(processes, parameters))
 

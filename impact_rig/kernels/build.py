@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import json
+import math
 import os
 import re
 import shlex
@@ -40,7 +41,7 @@ PARTS = {
 CPU = "x86-64"
 NUMBA = "0.68.1"
 """The build uses parts of it that other versions may not have."""
-TELL_S = 2.0
+TELL_S = 5.0
 
 
 def sources() -> list[Path]:
@@ -102,13 +103,13 @@ def _translate_all(work: Path) -> None:
         part: subprocess.Popen([*command, part, str(work)], env=environment)  # noqa: S603  # ourselves
         for part in PARTS
     }
-    told = 0.0
+    shown, shown_s = "", -math.inf
     while any(process.poll() is None for process in running.values()):
         time.sleep(0.1)
-        if time.monotonic() - told > TELL_S:
-            told = time.monotonic()
-            done = {part: _read(work / f"{part}.progress") for part in PARTS}
-            words = ", ".join(f"{part} {text or 'starts'}" for part, text in done.items())
+        done = {part: _read(work / f"{part}.progress") for part in PARTS}
+        words = ", ".join(f"{part} {text or 'starts'}" for part, text in done.items())
+        if words != shown and time.monotonic() - shown_s > TELL_S:
+            shown, shown_s = words, time.monotonic()
             print(f"building kernels: {words}", flush=True)  # noqa: T201
     failed = [part for part, process in running.items() if process.returncode]
     if failed:

@@ -73,7 +73,7 @@ def main() -> None:
             (work / f"{part}.progress").write_text(f"{done} of {len(wanted)}")
             _collect(_translated(context, name, one), libraries)
         names = [name for name, _ in wanted]
-        (work / f"{part}.progress").write_text("optimised")
+        (work / f"{part}.progress").write_text("optimising")
         (work / f"{part}.o").write_bytes(_object(context, libraries.values(), set(names)))
     (work / f"{part}.h").write_text(header(entries), encoding="utf-8")
     (work / f"{part}.names").write_text("\n".join(names))

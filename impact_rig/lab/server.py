@@ -35,6 +35,7 @@ from impact_rig.lab.protocol import FrameKind, Request, RequestError
 from impact_rig.lab.scope import Scope, Trace, spectrum
 from impact_rig.lab.state import Source
 from impact_rig.lab.theory import be_gentle
+from impact_rig.system import files
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 STATIC = Path(__file__).parent / "static"
@@ -94,15 +95,13 @@ def plotter_files() -> Path:
 
 def kept_token() -> str:
     """Return this user's token, made once: an open page finds its lab again after it was started anew."""
-    base = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
-    path = Path(base) / "impact_rig" / "lab_token"
+    path = files.state_dir("") / "lab_token"
     with contextlib.suppress(OSError, UnicodeDecodeError):
         found = path.read_text(encoding="ascii").strip()
         if len(found) >= 32 and found.isalnum() and path.stat().st_mode & 0o077 == 0:
             return found
     token = secrets.token_hex(24)
     with contextlib.suppress(OSError):  # then it holds for this start only
-        path.parent.mkdir(parents=True, exist_ok=True)
         path.unlink(missing_ok=True)
         handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         with os.fdopen(handle, "w", encoding="ascii") as file:

@@ -188,6 +188,21 @@ def make_folder(path: Path) -> None:
         raise OSError(errno.ELOOP, "it is a link, and nothing is written through one", str(path))
 
 
+def state_dir(name: str) -> Path:
+    """Return a folder for what the program keeps for this user between runs, made if it is missing.
+
+    Where the user's folder of states (`XDG_STATE_HOME`, else `~/.local/state`) cannot be written, it is a new temporary
+    one.
+    """
+    base = os.environ.get("XDG_STATE_HOME")
+    with contextlib.suppress(OSError, RuntimeError):  # no home at all
+        folder = (Path(base) if base else Path.home() / ".local" / "state") / "impact_rig" / name
+        folder.mkdir(parents=True, exist_ok=True)
+        if os.access(folder, os.W_OK | os.X_OK):
+            return folder
+    return Path(tempfile.mkdtemp(prefix="impact_rig_"))
+
+
 def refuse_foreign(directory: Path) -> None:
     """Refuse a directory, or a link to one, that belongs to somebody else: the owner can change what is in it.
 

@@ -140,3 +140,16 @@ def test_what_the_system_refuses_is_told_in_words_and_what_has_words_keeps_them(
         (tmp_path / "nothing").read_bytes()
     with pytest.raises(RecordingError, match=r"^no room$"), files.errors_as("there"):
         raise RecordingError("no room")
+
+
+def test_state_is_kept_in_the_users_folder_else_in_a_temporary_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    assert files.state_dir("logs") == tmp_path / "state" / "impact_rig" / "logs"
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "file"))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    found = files.state_dir("logs")
+    assert found.parent == tmp_path
+    assert found.is_dir()
