@@ -119,7 +119,14 @@ SERVICES = (
         "Begin again with the present configuration: scan 0, everything at rest; stamps go on, a new journal begins.",
         _ACTIVE - {Situation.LATCHED},
     ),
-    Input("~/stop", TRIGGER, "rig", "Emergency stop: ramp to zero within `shaker.ramp_s`, and latch.", _ACTIVE),
+    Input(
+        "~/stop",
+        TRIGGER,
+        "rig",
+        "Emergency stop: ramp to zero within `shaker.stop_ramp_s`, and latch until `~/clear_trip`, also across "
+        "deactivation.",
+        _ACTIVE,
+    ),
     Input(
         "~/clear_trip",
         TRIGGER,

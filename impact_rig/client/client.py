@@ -156,8 +156,8 @@ class Activation:
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
         self._instance = ""
-        self._heard_at = -math.inf
-        self._from_ns = 0
+        self._heard_at = self._changed_at = -math.inf
+        self._previous = ""
         self._is_there = self._is_gone = False
 
     @property
@@ -165,19 +165,30 @@ class Activation:
         """Whether a rig that was heard has not been heard for a while."""
         return self._is_there and self._clock() - self._heard_at > DIAGNOSTICS_PERIOD_S
 
-    def heard(self, instance: str, sent_ns: int) -> None:
-        """Take the instance in a rig's diagnostics, and when they were sent (system time)."""
-        if sent_ns >= self._from_ns:
-            self._instance, self._heard_at = instance, self._clock()
-            self._is_there, self._is_gone = True, False
+    @property
+    def _is_changing(self) -> bool:
+        """Whether diagnostics of the previous rig may still be under way."""
+        return self._clock() - self._changed_at <= LOOK_S
+
+    def heard(self, instance: str) -> None:
+        """Take the instance in a rig's diagnostics, as they are received.
+
+        Diagnostics of the previous rig that follow `changed` immediately are outdated: they were under way.
+        """
+        self._heard_at = self._clock()
+        self._is_there, self._is_gone = True, False
+        if instance != self._previous or not self._is_changing:
+            self._instance = instance
 
     def changed(self) -> None:
         """Take the next rig that is heard for the one that is meant: the user has just seen that it is there."""
-        self._instance, self._from_ns = "", time.time_ns()
+        self._previous, self._instance, self._changed_at = self._instance or self._previous, "", self._clock()
         self._is_there, self._is_gone = True, False
 
     def given(self, what: str, silence_s: float = GONE_S) -> Check:
         """Return what raises once the rig that is there now is gone, or has been silent for so long [s]."""
+        if not self._is_changing and self._heard_at >= self._changed_at:
+            self._instance = self._instance or self._previous  # it was the same one after all
         instance, since = self._instance, self._clock()
 
         def check() -> None:
@@ -363,6 +374,8 @@ class Client:
     def _address(self, node: str) -> None:
         """Speak to whatever rig has this name now."""
         if node in self._rigs:
+            received = self.executor.create_task(lambda: None)  # runs after everything that has been received by now
+            self.wait_until(received.done, "the executor")
             self._rigs[node].changed()
             self._heard.clear()
 
@@ -672,7 +685,7 @@ class Client:
             raise CommandError(words)
         return None
 
-    def _on_diagnostics(self, message: Any, info: dict[str, Any]) -> None:
+    def _on_diagnostics(self, message: Any, _info: dict[str, Any]) -> None:
         namespace = self.node.get_namespace().rstrip("/")
         for status in message.status:
             name, _, component = status.name.partition(":")
@@ -681,7 +694,7 @@ class Client:
             if component.strip() == RIG:
                 instance = next((value.value for value in status.values if value.key == "instance"), "")
                 activation = self._rigs.setdefault(name, Activation(self._spinner.waited_s))
-                activation.heard(instance, int(info["source_timestamp"]))
+                activation.heard(instance)
 
     def _troubles(self) -> str:
         """Return what nodes that are not well say: most waits in vain have their reason there."""

@@ -77,6 +77,9 @@ class Shaker:
     ramp_s: float = quantity(
         0.1, "s", "Time in which the amplitude moves linearly to a new command.", at_least=0, at_most=60
     )
+    stop_ramp_s: float = quantity(
+        0.1, "s", "Time in which a stop or a trip takes the amplitude to zero.", at_least=0, at_most=0.3
+    )
 
 
 @attrs.frozen(kw_only=True)

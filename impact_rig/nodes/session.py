@@ -128,8 +128,14 @@ SLICE_S = 0.02
 one subscription for as long as there are any would never come to services and timers."""
 AWAY_S = 1.0  # a gap this long between two calls of the work timer: this process was suspended, not the peers
 EXPIRES_S = 2.0
-"""How long a command may wait for its rig: what was sent longer ago than this when a suspended rig goes on is not done,
-and who sent it was told so."""
+"""After a suspension this long the commands that were queued meanwhile are dropped: their senders have already received
+an error."""
+BUSY_SHARE = 0.25  # of a processor: a process that used more between two calls of the work timer was not suspended
+REPEATED_S, RECEIVED_S = 10.0, 3.25
+"""For so long after a suspension commands are checked: Fast DDS repeats what a suspended reader has missed with later
+heartbeats, which are 3 s apart. Within the first time a command is refused that was sent before the rig resumed. Where
+clocks have been set, or differ, stamps tell nothing: every command received within the second time is refused."""
+STEP_NS = 100_000_000  # two clocks differ, or one was set, where more than this lies between them
 IDLE_S = 1.0  # who steps in turns asks more often than this: a rig between two steps of a series is not paused
 RATE_WINDOW_S = 2.0
 COUNTED_TOGETHER = 32  # blocks
@@ -196,6 +202,7 @@ class Session:
         self.node = node
         self.lock = NamespaceLock(node)
         self.rig: Rig | None = None  # the device; None before it has begun
+        self._latched: str | None = None  # why the next rig begins latched: so was the one before
         self.pacer = Pacer(time.monotonic_ns)
         self.window = AckWindow((), 1, NS_PER_S, time.monotonic_ns)
         self.counts = Counts()
@@ -211,8 +218,10 @@ class Session:
         self._base_ns = 0
         self._history_settled = self._active = False
         self._timer = WorkTimer(node, self._on_timer)
-        self._worked_at = self._slice_began = 0.0
-        self._back_ns = 0  # system time at which this process last went on after it was suspended
+        self._worked_at = self._used_s = self._slice_began = 0.0
+        self._resumed_at, self._resumed_ns = -math.inf, 0  # when this process last resumed: monotonic, system time
+        self._epoch_ns = time.time_ns() - time.monotonic_ns()
+        self._clock_is_set = False  # whether the system clock was set during that suspension or soon after it
         self._commands = [
             node.subscribe(topic, functools.partial(self._on_command, topic.name, key))
             for topic, key in ((topics.FREQUENCY, "frequency_hz"), (topics.CURRENT, "amplitude"))
@@ -227,7 +236,7 @@ class Session:
             ("clear_trip", Rig.clear_trip, "latch released; current stays zero until the next command"),
             ("pluck", self._pluck, "base locked, structure released; ~/reset unlocks"),
         ):
-            in_time = None if name == "stop" else self._check_sent
+            in_time = None if name == "stop" else self.refuse_backlog
             node.service(Trigger, f"~/{name}", functools.partial(self._act, act, said), in_time)
 
     @property
@@ -313,6 +322,9 @@ class Session:
         self._base_ns = time.time_ns() if self.is_realtime else 0
         self.pacer = Pacer(time.monotonic_ns, timing.factor)  # beside the stamp: both mean the same instant
         self.rig = Rig(config, self._base_ns)
+        if self._latched is not None:
+            self.rig.stop(self._latched)
+            self._latched = None
         timeout_ns = round(timing.peer_timeout_s * NS_PER_S)
         self.window = AckWindow(timing.peers, timing.ack_window, timeout_ns, time.monotonic_ns)
         self.publishers.changes(self.rig)
@@ -323,11 +335,14 @@ class Session:
         self._start_timer(config)
 
     def deactivate(self) -> None:
-        """End the rig; what was not published is dropped, and whoever waits is told why."""
+        """End the rig; what was not published is dropped, and those who wait get the reason. A latch stays."""
         self._timer.stop()
+        if self.rig is not None:
+            self._latched = self.rig.latched
         self.rig, self._active = None, False
         self.lock.leave()
         self.paused = self._is_still = False
+        self._worked_at, self._resumed_at = 0.0, -math.inf
         self._end_steps("the rig was deactivated")
         _answer(self._pausing, False, "the rig was deactivated")
 
@@ -391,24 +406,38 @@ class Session:
 
     def _notice_absence(self) -> float:
         """Return the present time [s]; notice whether this process was suspended since the last call."""
-        now = time.monotonic()
+        now, used_s = time.monotonic(), time.process_time()
+        before_ns, self._epoch_ns = self._epoch_ns, time.time_ns() - time.monotonic_ns()
+        self._clock_is_set |= abs(self._epoch_ns - before_ns) > STEP_NS
         if self._worked_at and now - self._worked_at > AWAY_S:
             self.window.excuse()
             if self._starved_at is not None:
                 self._starved_at = now
-            self._back_ns = time.time_ns()
-        self._worked_at = now
+            is_busy = used_s - self._used_s > BUSY_SHARE * (now - self._worked_at)  # a new law is compiled, for one
+            if now - self._worked_at > EXPIRES_S and not is_busy:
+                self._resumed_at, self._resumed_ns = now, time.time_ns()
+        elif now - self._resumed_at > REPEATED_S:
+            self._clock_is_set = False
+        self._worked_at, self._used_s = now, used_s
         return now
 
-    def _check_sent(self, sent_ns: int) -> None:
-        """Refuse what was sent while this process was suspended.
+    def refuse_backlog(self, sent_ns: int) -> None:
+        """Refuse a command that was queued while this process was suspended.
+
+        Args:
+            sent_ns: when it was sent, by the system clock of its sender.
 
         Raises:
-            CommandError: says how long before.
+            CommandError: it was.
         """
-        self._notice_absence()
-        late_s = (self._back_ns - sent_ns) / NS_PER_S
-        if late_s > EXPIRES_S:
+        since_s = self._notice_absence() - self._resumed_at
+        if since_s > REPEATED_S:
+            return
+        late_s = (self._resumed_ns - sent_ns) / NS_PER_S
+        if self._clock_is_set or sent_ns > time.time_ns() + STEP_NS:
+            if since_s < RECEIVED_S:
+                raise CommandError("it may have been sent before this rig, which was suspended, went on: send it again")
+        elif late_s > 0.0:
             raise CommandError(f"it was sent {late_s:.1f} s before this rig, which was suspended, went on")
 
     def _catch_up(self, rig: Rig, deadline: float) -> None:
@@ -565,7 +594,7 @@ class Session:
             return
         was_driven = self.rig.target_amplitude != 0.0
         try:
-            self._check_sent(int(info["source_timestamp"]))
+            self.refuse_backlog(int(info["source_timestamp"]))
             self.rig.accept(**{key: message.data})
         except CommandError as error:
             self.node.refuse(name, str(error))

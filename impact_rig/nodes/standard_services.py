@@ -51,7 +51,7 @@ class StandardServices:
         handle = getattr(self, f"_{name}")
         codes = self._messages.Result
 
-        def serve(request: Any, _sent_ns: int, send: Callable[[Any], None]) -> None:
+        def serve(request: Any, sent_ns: int, send: Callable[[Any], None]) -> None:
             response = service_type.Response()
 
             def tell(code: int, text: str = "") -> None:
@@ -62,6 +62,8 @@ class StandardServices:
                 send(response)
 
             try:
+                if not name.startswith("get_"):
+                    self._session.refuse_backlog(sent_ns)
                 handle(request, response, tell)
             except CommandError as error:
                 tell(codes.RESULT_OPERATION_FAILED, str(error))

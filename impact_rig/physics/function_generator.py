@@ -86,6 +86,7 @@ class FunctionGenerator:
         self._tick_s = tick_s
         self._ramp_ticks = math.ceil(shaker.ramp_s / tick_s - 1e-9)
         self.tick = 0
+        self._reached = 0.0  # amplitude at the end of the ticks generated so far
         self.frequency_hz = drive.frequency_hz
         self._anchor_tick, self._anchor_phase = 0, 0.0
         amplitude = drive.amplitude if self._ramp_ticks == 0 else 0.0
@@ -129,24 +130,44 @@ class FunctionGenerator:
     def set_amplitude(self, amplitude: float) -> None:
         """Ramp to another amplitude (A, m or V by drive; peak, or rms for random drive) from the next tick.
 
-        A stream is stopped: what is buffered of it is forgotten.
+        A stream takes zero only: it is stopped, and its buffered samples are dropped.
         """
         if not (math.isfinite(amplitude) and amplitude >= 0.0):
             raise CommandError(f"amplitude must be >= 0, got {amplitude!r}")
-        if self.stream is not None:
-            self.stream.stop()
-            return
-        present = self.amplitude if self._ramp_ticks else amplitude
-        self._ramp = Ramp(self.tick, present, amplitude, self._ramp_ticks)
+        self._ramp_to(amplitude, self._ramp_ticks)
+
+    def stop(self, ramp_s: float) -> None:
+        """Ramp to zero within `ramp_s`, whatever the ramp of other commands is; drop the samples of a stream."""
+        self._ramp_to(0.0, self._ticks_of(ramp_s))
 
     def set_ramp(self, ramp_s: float) -> None:
-        """Ramp later amplitude changes within another time; a ramp under way starts again with it."""
+        """Ramp later amplitude changes within another time; a ramp under way starts again with it.
+
+        A ramp to zero becomes shorter only, see `_ramp_to`.
+        """
+        self._ramp_ticks = self._ticks_of(ramp_s)
         if self.stream is not None:
             self.stream.set_ramp(ramp_s)
-            return
-        present, target = self.amplitude, self.target_amplitude
-        self._ramp_ticks = math.ceil(ramp_s / self._tick_s - 1e-9)
-        self._ramp = Ramp(self.tick, present if self._ramp_ticks else target, target, self._ramp_ticks)
+        else:
+            self._ramp_to(self.target_amplitude, self._ramp_ticks)
+
+    def _ticks_of(self, ramp_s: float) -> int:
+        return math.ceil(ramp_s / self._tick_s - 1e-9)
+
+    def _ramp_to(self, target: float, ticks: int) -> None:
+        """Ramp from the present amplitude to another one.
+
+        No command makes a ramp to zero end later: a stop stays as quick as it was, whatever follows it.
+        """
+        present = self._reached
+        if self.stream is not None:
+            stopped = self.stream.stop(self.tick)
+            present += stopped
+            is_ending = stopped == 0.0
+        else:
+            is_ending = target == self._ramp.target == 0.0
+        if not is_ending or self.tick + ticks < self._ramp.first_tick + self._ramp.ticks:
+            self._ramp = Ramp(self.tick, present if ticks else target, target, ticks)
 
     def set_tick(self, tick_s: float) -> None:
         """Go on with ticks of another duration: the scan clock's error has changed. The phase does not jump."""
@@ -163,10 +184,13 @@ class FunctionGenerator:
 
     def segments(self, count: int) -> NDArray[np.void]:
         """Return the drive segments of the next `count` ticks, dtype `SEGMENT`: one each, of a stream more."""
+        segments: NDArray[np.void]
         if self.stream is not None:
-            self.tick += count
-            return self.stream.segments(self.tick - count, count, self._tick_s)
-        segments: NDArray[np.void] = room(count, SEGMENT)
+            segments = self.stream.segments(self.tick, count, self._tick_s)
+            self._add_ramp(segments, count)
+            self._pass(count)
+            return segments
+        segments = room(count, SEGMENT)
         if self._noise is not None:
             amplitudes = [amplitude_at(self._ramp, tick) for tick in range(self.tick, self.tick + count + 1)]
             fill_lines(segments, self._noise.numbers(self.tick, count + 1) * amplitudes, self._tick_s)
@@ -175,8 +199,22 @@ class FunctionGenerator:
             fill_sine(segments, self.tick, self._ramp, self._tick_s, self.frequency_hz, ticks_since, self._anchor_phase)
         if self._drive.waveform == "chirp":
             self._fill_chirp(segments)
-        self.tick += count
+        self._pass(count)
         return segments
+
+    def _pass(self, count: int) -> None:
+        self.tick += count
+        self._reached = self.amplitude
+
+    def _add_ramp(self, segments: NDArray[np.void], count: int) -> None:
+        """Add the ramp from where a stream was stopped; the samples of the stream itself are zero from there on."""
+        if self.tick >= self._ramp.first_tick + self._ramp.ticks:
+            return
+        amplitudes = np.array([amplitude_at(self._ramp, tick) for tick in range(self.tick, self.tick + count + 1)])
+        growths = np.diff(amplitudes) / self._tick_s
+        tick = np.cumsum(segments["begin"] == 0.0) - 1
+        segments["amplitude"] += amplitudes[tick] + growths[tick] * segments["begin"]
+        segments["growth"] += growths[tick]
 
     def _fill_chirp(self, segments: NDArray[np.void]) -> None:
         drive = self._drive

@@ -175,14 +175,27 @@ class Stream:
             self.state = StreamState.OVER
         return late
 
-    def stop(self) -> None:
-        """Play nothing more of what is buffered, and ramp to zero."""
+    def stop(self, tick: int) -> float:
+        """Drop all samples, in effect or buffered, and return the value at the start of `tick`, the next one.
+
+        The stream itself is zero from there on: its samples may be a second apart, which is no way to ramp down.
+        """
+        value = self._value_at(tick)
         self.buffer.clear()
+        self._recent = np.zeros(2)
+        self._last_value, self._ramps_down = 0.0, True
         self._end_reason = STOPPED
         if self.state is not StreamState.PLAYING:
             self.state = StreamState.OVER
-        if not self._ramps_down:  # it holds a value for want of others
-            self._ramped, self._ramps_down = 0, True
+        return value
+
+    def _value_at(self, tick: int) -> float:
+        """Return the value at the start of the next tick, coming from the one before."""
+        before, last = map(float, self._recent)
+        if not self._linear or self.played == 0:
+            return last
+        at_ns, start_ns, end_ns = tick * COMMAND_GRID_NS, self.time_ns(self.played - 2), self.time_ns(self.played - 1)
+        return last if end_ns <= at_ns else before + (last - before) * ((at_ns - start_ns) / (end_ns - start_ns))
 
     def buffered(self) -> int:
         """Return how many samples are there that follow each other from the next one wanted on."""

@@ -156,6 +156,7 @@ class Rig:
         self.take_journal = self._journal.take  # returns the new rows of the journal and forgets them
         self._applied: list[Table] = []
         self._latched: str | None = None
+        self._tripped: frozenset[str] = frozenset()  # reasons of the interlock since the shaker was last free
         self._begin(InputKind.START, start_ns)
 
     # State
@@ -483,16 +484,19 @@ class Rig:
         self._journal_row(InputKind.PLUCK, value=displacement_m)
         self._add_applied()
 
-    def stop(self) -> None:
-        """Ramp the shaker to zero and latch it until `clear_trip`: the emergency stop."""
+    def stop(self, reason: str = EMERGENCY) -> None:
+        """Ramp the shaker to zero within `shaker.stop_ramp_s` and latch it until `clear_trip`: the emergency stop.
+
+        A rig that has not simulated anything yet never begins to move.
+        """
         self._journal_row(InputKind.STOP)
-        self._latch(EMERGENCY)
+        self._latch(reason)
 
     def clear_trip(self) -> None:
         """Release the latch, if there is one; the amplitude stays zero until the next command."""
         self._journal_row(InputKind.CLEAR_TRIP)
         if self._latched is not None:
-            self._latched = None
+            self._latched, self._tripped = None, frozenset()
             self._interlock.reset()
 
     def inject(self, fault: Fault) -> int:
@@ -533,7 +537,7 @@ class Rig:
         self._ticks = 0
         self._next_scan = 0
         self._blocks = 0
-        self._latched = None
+        self._latched, self._tripped = None, frozenset()
         self._last_command_tick = 0
         self._timed_out = False
         self._late_samples = self._refused_blocks = 0
@@ -556,17 +560,18 @@ class Rig:
             raise CommandError("the base is locked after a pluck: ~/reset first")
 
     def _watch(self, motion: Motion, tick_s: float) -> Trip | None:
-        if self.plucked or self._latched is not None:
+        if self.plucked:
             return None
-        return self._interlock.watch(motion, tick_s, self._drive, self.config.shaker)
+        return self._interlock.watch(motion, tick_s, self._drive, self.config.shaker, self._tripped)
 
     def _trip(self, trip: Trip) -> None:
         self._journal_row(InputKind.TRIP, trip.reason, trip.measured)
+        self._tripped |= {trip.reason}
         self._latch(trip.message())
 
     def _latch(self, reason: str) -> None:
         self._latched = reason
-        self._generator.set_amplitude(0.0)
+        self._generator.stop(self.config.shaker.stop_ramp_s)
         self._add_applied()
 
     def _timeout_tick(self) -> int | None:

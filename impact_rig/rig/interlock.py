@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Container
 
 import attrs
 import numpy as np
@@ -69,8 +70,18 @@ class Interlock:
         twin._mean_square = self._mean_square
         return twin
 
-    def watch(self, motion: Motion, tick_s: float, drive: Drive, shaker: Shaker) -> Trip | None:
-        """Return the first trip in simulated ticks, or None; remembers the current up to there."""
+    def watch(
+        self, motion: Motion, tick_s: float, drive: Drive, shaker: Shaker, known: Container[str] = ()
+    ) -> Trip | None:
+        """Return the first trip in simulated ticks, or None; remembers the current up to there.
+
+        Args:
+            motion: simulated ticks, of `tick_s` seconds each.
+            tick_s: duration of a tick.
+            drive: drive that moved the base.
+            shaker: shaker with its limits.
+            known: reasons that have tripped already and do not trip again.
+        """
         if drive.kind == "prescribed":
             return None
         ticks = motion.last_tick - motion.first_tick + 1
@@ -85,9 +96,9 @@ class Interlock:
         limit, limit_rms = shaker.travel_limit_m, shaker.current_limit_a_rms
         for tick, (travel, current_square) in enumerate(found.tolist()):
             self._mean_square += gain * (current_square - self._mean_square)
-            if travel > limit:
+            if travel > limit and OVER_TRAVEL not in known:
                 return Trip(tick, OVER_TRAVEL, travel, limit)
-            if math.sqrt(self._mean_square) > OVER_CURRENT_MARGIN * limit_rms:
+            if math.sqrt(self._mean_square) > OVER_CURRENT_MARGIN * limit_rms and OVER_CURRENT not in known:
                 return Trip(tick, OVER_CURRENT, math.sqrt(self._mean_square), limit_rms)
         return None
 

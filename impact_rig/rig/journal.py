@@ -335,7 +335,7 @@ def _full_name(key: str) -> tuple[str, Value]:
 MECHANICAL_SECTIONS = ("structure.", "shaker.", "sphere.", "barriers.", "contact.")
 LIMITS = frozenset({
     "shaker.travel_limit_m", "shaker.current_limit_a_rms", "shaker.frequency_min_hz", "shaker.frequency_max_hz",
-    "shaker.ramp_s",
+    "shaker.ramp_s", "shaker.stop_ramp_s",
 })  # fmt: skip
 """Values in the mechanics' sections that stand in no equation of motion: a change of them leaves the state as it is."""
 INSTRUMENT_SECTIONS = ("instruments.", "daq.")

@@ -168,6 +168,7 @@ def bring_into(client: Client, situation: Situation) -> None:
 
 def bring_back(client: Client) -> None:
     if client.state("rig") == "active":
+        client.trigger("rig/clear_trip")  # a latch outlives the active state
         assert client.change_state("rig", "deactivate")
     if client.state("rig") == "inactive":
         assert client.change_state("rig", "cleanup")

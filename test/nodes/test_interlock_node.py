@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from pathlib import Path
 
 import pytest
@@ -15,6 +17,7 @@ from kits.nodes import host_rig
 from impact_rig.client import Client, ServiceFailedError
 from impact_rig.client.client import ros_parameters
 from impact_rig.errors import CommandError
+from impact_rig.nodes import session
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
 from impact_rig.recording import open_run
@@ -57,3 +60,69 @@ def test_a_recorded_trip_latches_until_cleared_and_verifies_bit_for_bit(client: 
         assert kinds[-4:] == ["command", "trip", "clear_trip", "command"]
         verdict = verify(run)
     assert (verdict.identical, verdict.scans) == (True, 45_000), verdict
+
+
+@pytest.mark.parametrize("by", ["stop", "over_travel"])
+@pytest.mark.parametrize("through", ["inactive", "unconfigured"])
+def test_a_latch_survives_leaving_the_active_state(client: Client, by: str, through: str) -> None:
+    """The next rig begins latched and at rest, though its configuration drives it from the start."""
+    node = host_rig(client, drive__frequency_hz=8.0, drive__amplitude=8.0, shaker__ramp_s=0.0)
+    client.wait_active("rig")
+    if by == "stop":
+        client.trigger("rig/stop")
+    else:
+        client.step(300)
+    assert told(client, node)["latched"].startswith("emergency" if by == "stop" else by)
+    steps = ["deactivate", "cleanup", "configure", "activate"]
+    for transition in steps if through == "unconfigured" else (steps[0], steps[-1]):
+        assert client.change_state("rig", transition)
+    journal = client.collect("rig/journal")
+    applied = client.collect("shaker/applied")
+    client.step(100)
+    assert told(client, node)["latched"].startswith("emergency" if by == "stop" else by)
+    client.wait_until(lambda: len(journal.rows()) and b"stop" in journal.rows()["kind"], "the stop in the journal")
+    client.wait_until(lambda: len(applied.rows()) and applied.rows()["current"][-1] == 0.0, "the amplitude zero")
+    assert abs(float(node._session.rig.simulation.stored_energy())) < 1e-12
+    with pytest.raises(CommandError, match="clear_trip"):
+        client.command(current_a=0.1)
+    client.trigger("rig/clear_trip")
+    client.command(current_a=0.1)
+
+
+@pytest.mark.parametrize("step_s", [3_600, -3_600])
+def test_no_step_of_the_system_clock_decides_about_commands_after_a_suspension(
+    client: Client, monkeypatch: pytest.MonkeyPatch, step_s: int
+) -> None:
+    """It is set while the process is suspended, and set back after that: what is received later is accepted."""
+    node = host_rig(client, "realtime")
+    client.wait_active("rig")
+    client.command(current_a=0.1)
+    client.trigger("rig/stop")
+    system_ns = time.time_ns
+    monkeypatch.setattr(session, "RECEIVED_S", 1.5)
+    with monkeypatch.context() as patch:
+        patch.setattr(session, "AWAY_S", -1.0)
+        patch.setattr(session, "EXPIRES_S", -1.0)
+        patch.setattr(session, "BUSY_SHARE", math.inf)
+        patch.setattr(session.time, "time_ns", lambda: system_ns() + step_s * 10**9)
+        client.wait_until(lambda: node._session._resumed_ns, "a call of the timer")
+    for name in ("clear_trip", "pluck", "reset"):
+        with pytest.raises(ServiceFailedError, match="it may have been sent before this rig, which was suspended"):
+            client.trigger(f"rig/{name}")
+    client.trigger("rig/stop")
+    resumed = node._session._resumed_at
+    client.wait_until(lambda: time.monotonic() - resumed > session.RECEIVED_S, "the end of what may have been queued")
+    for name in ("clear_trip", "reset"):
+        client.trigger(f"rig/{name}")
+    assert client.command(current_a=0.2)["current"] == 0.2
+
+
+def test_what_is_sent_after_a_suspension_is_accepted_at_once(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    node = host_rig(client, "realtime")
+    client.wait_active("rig")
+    with monkeypatch.context() as patch:
+        patch.setattr(session, "AWAY_S", -1.0)
+        patch.setattr(session, "EXPIRES_S", -1.0)
+        patch.setattr(session, "BUSY_SHARE", math.inf)
+        client.wait_until(lambda: node._session._resumed_ns, "a call of the timer")
+    assert client.command(current_a=0.2)["current"] == 0.2

@@ -4,12 +4,16 @@
 
 from __future__ import annotations
 
+import contextlib
+import random
+from collections.abc import Callable, Iterable
+
 import numpy as np
 import pytest
-from kits.rig import TICK, config, resimulated, samples
+from kits.rig import TICK, config, paper_rig, resimulated, samples
 
 from impact_rig.blocks import Table
-from impact_rig.errors import CommandError
+from impact_rig.errors import CommandError, ImpactRigError
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig
 from impact_rig.rig.journal import InputKind, read
@@ -21,7 +25,7 @@ def test_the_emergency_stop_ramps_and_latches() -> None:
     rig.stop()
     current = samples(rig.advance(60 * TICK))["current"]
     assert np.abs(current[:500]).max() > 0.2, "a ramp, not a cut"
-    assert np.abs(current[1000:]).max() == 0, "zero after shaker.ramp_s"
+    assert np.abs(current[1000:]).max() == 0, "zero after shaker.stop_ramp_s"
     for refused in ({"amplitude": 0.1}, {"frequency_hz": 9.0}):
         with pytest.raises(CommandError, match="clear_trip"):
             rig.accept(**refused)
@@ -84,3 +88,152 @@ def test_a_trip_for_current_is_cleared_at_once() -> None:
     rig.clear_trip()
     rig.advance(700 * TICK)
     assert rig.latched is None
+
+
+AT_REST_TICKS = 50  # after the first stop or trip
+QUIET = {
+    "sphere__present": False,
+    "instruments__ideal": True,
+    "daq__rate_hz": 1000,
+    "daq__block_scans": 10,
+    "output__truth_scan": True,
+}
+STREAM = {"drive__waveform": "stream", "drive__on_underrun": "hold", "drive__stream_buffer_s": 10.0}
+DRIVES: list[dict[str, object]] = [
+    {"drive__amplitude": 3.0},
+    {"drive__kind": "prescribed", "drive__amplitude": 1e-3},
+    {"drive__waveform": "random", "drive__amplitude": 1.0},
+    {"drive__waveform": "chirp", "drive__amplitude": 1.0},
+    {**STREAM, "drive__stream_rate_hz": 1},
+    {**STREAM, "drive__stream_rate_hz": 1, "drive__stream_hold": "zero_order"},
+    {**STREAM, "drive__stream_rate_hz": 997},
+]
+
+
+def driven(blocks: Iterable[Block], quantity: str = "current") -> np.ndarray:
+    """What the drive prescribes, at every scan of the blocks."""
+    return np.concatenate([block.truth.rows[quantity] for block in blocks])
+
+
+def feed(rig: Rig, value: float, samples: int = 8) -> None:
+    rig.feed(rig.stream.played + rig.stream.buffered(), [value] * samples)
+
+
+@pytest.mark.parametrize("again", ["stop", "pluck", "ramp", "trip"])
+def test_nothing_after_a_stop_prolongs_it(again: str) -> None:
+    """However long the ramp of ordinary commands is, and whatever comes while the shaker is latched."""
+    rig = Rig(paper_rig(**QUIET, drive__amplitude=3.0, shaker__ramp_s=60.0))
+    rig.configure({"shaker.ramp_s": 0.0})
+    rig.accept(amplitude=3.0)
+    rig.configure({"shaker.ramp_s": 60.0})
+    rig.advance(100 * TICK)
+    rig.stop()
+    blocks = []
+    for _ in range(30):
+        if again == "stop":
+            rig.stop()
+        elif again == "ramp":
+            rig.configure({"shaker.ramp_s": 100.0 - rig.config.shaker.ramp_s})
+        elif again == "trip":
+            rig.configure({"shaker.travel_limit_m": 1e-6})
+        elif not rig.plucked:
+            rig.pluck(1e-3)
+        blocks += rig.advance(rig.frontier_ns + TICK)
+    current = driven(blocks)
+    assert np.abs(current[:90]).max() > 0.0 or again == "pluck"  # a locked base carries no current at all
+    assert np.abs(current[100:]).max() == 0.0
+
+
+def test_a_stop_has_its_own_ramp_and_ends_a_longer_one_to_zero() -> None:
+    rig = Rig(paper_rig(**QUIET, shaker__ramp_s=0.0, shaker__stop_ramp_s=0.3))
+    rig.accept(amplitude=3.0)
+    rig.advance(50 * TICK)
+    rig.configure({"shaker.ramp_s": 60.0})
+    rig.accept(amplitude=0.0)
+    rig.advance(70 * TICK)
+    rig.stop()
+    current = np.abs(driven(rig.advance(120 * TICK)))
+    assert current[150:290].max() > 0.3
+    assert current[300:].max() == 0.0
+
+
+@pytest.mark.parametrize("ramp_s", [0.0, 0.1])
+def test_a_rig_that_is_stopped_before_its_first_tick_never_moves(ramp_s: float) -> None:
+    rig = Rig(paper_rig(**QUIET, drive__amplitude=3.0, shaker__ramp_s=ramp_s))
+    rig.stop("what stopped the one before")
+    blocks = rig.advance(100 * TICK)
+    assert not driven(blocks).any()
+    assert rig.latched == "what stopped the one before"
+    resimulated(blocks, rig.take_journal())
+
+
+def test_the_interlock_watches_a_latched_shaker_and_reports_each_reason_once() -> None:
+    rig = Rig(paper_rig(drive__amplitude=5.0, drive__frequency_hz=8.0))
+    rig.advance(100 * TICK)
+    rig.stop()
+    rig.configure({"shaker.travel_limit_m": 1e-4})
+    blocks = rig.advance(200 * TICK)
+    trips = [row.key for row in read(rig.take_journal()) if row.kind is InputKind.TRIP]
+    assert trips == ["over_travel"]
+    assert (rig.latched or "").startswith("over_travel")
+    assert blocks
+
+
+@pytest.mark.parametrize("hold", ["first_order", "zero_order"])
+@pytest.mark.parametrize("when", ["playing", "holding", "ramping"])
+def test_a_stream_of_slow_samples_stops_as_quickly(hold: str, when: str) -> None:
+    """Samples may be a second apart: neither the next of them nor a ramp in samples is waited for."""
+    rig = Rig(
+        paper_rig(**{
+            **QUIET, **STREAM, "drive__stream_rate_hz": 1, "drive__stream_hold": hold, "shaker__ramp_s": 60.0,
+            "drive__on_underrun": "hold" if when == "holding" else "ramp",
+        })
+    )  # fmt: skip
+    feed(rig, 2.0, 2 if when != "playing" else 8)
+    before = driven(rig.advance(355 * TICK))
+    rig.stop()
+    after = np.abs(driven(rig.advance(600 * TICK)))
+    assert abs(before[-1]) > 1.0
+    assert abs(abs(before[-1]) - after[0]) < 0.05, "no jump"
+    assert after[:90].min() > 0.0
+    assert after[100:].max() == 0.0
+
+
+def sequence(seed: int) -> None:
+    """Drive a rig by a random sequence of inputs; check that it is at rest in time and stays there."""
+    chance = random.Random(seed)
+    rig = Rig(paper_rig(**QUIET, **DRIVES[seed % len(DRIVES)], shaker__ramp_s=chance.choice([0.0, 0.1, 60.0])))
+    is_stream, quantity = rig.takes_samples, "x_b" if rig.config.drive.kind == "prescribed" else "current"
+    inputs: list[Callable[[], object]] = [
+        rig.stop,
+        lambda: rig.configure({"shaker.travel_limit_m": chance.choice([1e-6, 0.1])}),
+        lambda: rig.configure({"shaker.current_limit_a_rms": chance.choice([0.01, 15.0])}),
+        lambda: rig.configure({"shaker.ramp_s": chance.choice([0.0, 0.05, 60.0])}),
+        lambda: rig.configure({"shaker.stop_ramp_s": chance.choice([0.0, 0.1, 0.3])}),
+        lambda: rig.configure({"daq.clock_error_ppm": chance.uniform(-100.0, 100.0)}),
+        lambda: rig.pluck(1e-3),
+        rig.reset,
+        lambda: feed(rig, chance.uniform(-3.0, 3.0)) if is_stream else rig.accept(amplitude=1e-3),
+        rig.clear_trip,
+    ]
+    stopped_at = None
+    for _ in range(30):
+        with contextlib.suppress(ImpactRigError):
+            chance.choice(inputs)()
+        for _ in range(chance.choice([0, 1, 3, 20])):
+            stopped_at = None if rig.latched is None else stopped_at or rig.frontier_ns
+            blocks = rig.advance(rig.frontier_ns + TICK)
+            if stopped_at is not None and rig.frontier_ns > stopped_at + AT_REST_TICKS * TICK:
+                assert not driven(blocks, quantity).any(), f"seed {seed}, {rig.latched}"
+
+
+@pytest.mark.parametrize("first", range(0, 140, 35))
+def test_whatever_follows_a_stop_the_drive_is_zero_half_a_second_later_until_it_is_cleared(first: int) -> None:
+    for seed in range(first, first + 35):
+        sequence(seed)
+
+
+@pytest.mark.slow
+def test_of_two_thousand_sequences_none_drives_a_stopped_shaker() -> None:
+    for seed in range(2000):
+        sequence(seed)
