@@ -3,14 +3,15 @@
 # Every target first makes what it needs, once: its part of a virtual environment in .venv, from the exact versions in
 # requirements/. What runs the rig is the smallest part; tests, then website and notebook, add to it.
 #   make PYTHON=python3.11 ...     use this interpreter instead of the first supported one
+#   make test ROS=kilted           run the tests of the nodes on ROS 2 Kilted, in an environment of its own in build/
 
-VENV := .venv
+VENV := $(if $(filter kilted,$(ROS)),build/kilted-venv,.venv)
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 
-# --- Which ROS 2: a sourced Jazzy whose rclpy works, else the PyPI wheels --------------------------------------------
-ifeq ($(ROS_DISTRO),jazzy)
+# --- Which ROS 2: that of ROS=kilted, or a sourced Jazzy whose rclpy works, else the PyPI wheels ----------------------
+ifeq ($(filter kilted,$(ROS))$(ROS_DISTRO),jazzy)
 # an rclpy inside somebody's activated virtual environment is not a sourced one
 SOURCED := $(shell $(or $(PYTHON),python3) -c 'import rclpy, sys; \
     sys.exit(sys.prefix != sys.base_prefix and rclpy.__file__.startswith(sys.prefix))' 2>/dev/null && echo yes)
@@ -22,7 +23,11 @@ ROS := sourced
 export PYTEST_DISABLE_PLUGIN_AUTOLOAD := 1
 PYTEST_PLUGINS_USED := -p pytest_timeout -p pytest_rerunfailures -p xdist.plugin -p _hypothesis_pytestplugin
 else
+ifeq ($(ROS),kilted)
+ARGS ?= test/nodes
+else
 ROS := wheels
+endif
 export AMENT_PREFIX_PATH := $(CURDIR)/$(VENV)
 # of another environment, or of another ROS, that make was called from
 unexport PYTHONPATH PYTHONHOME RMW_IMPLEMENTATION CMAKE_PREFIX_PATH COLCON_PREFIX_PATH

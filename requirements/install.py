@@ -1,6 +1,8 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Install what is missing of the locked versions, and say how far it is: `install.py wheels|sourced run [test] [docs]`.
+"""Install what is missing of the locked versions, and say how far it is.
+
+    install.py wheels|sourced|kilted run [test] [docs]
 
 Run by the environment that is to be completed; with the standard library alone. A distribution counts as there when pip
 has written the last line about it: what an interrupted run has left half done is installed again, the rest is kept.
@@ -23,7 +25,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 LOG = Path(sys.prefix) / "install.log"
 SITE = sysconfig.get_path("purelib")
-ON_DISK_MB = {"run": 250, "wheels": 170, "sourced": 60, "kernels": 190, "test": 320, "docs": 180}
+ON_DISK_MB = {"run": 250, "wheels": 170, "kilted": 170, "sourced": 60, "kernels": 190, "test": 320, "docs": 180}
 """What each part takes, rounded up; a test compares it with what is installed. Downloads are a third of it."""
 TELL_S = 3.0
 _PIN = re.compile(r"(?P<name>[\w.-]+)==(?P<version>[\w.]+)(?: ; python_version in \"(?P<pythons>[\d. ]+)\")?")
@@ -128,7 +130,9 @@ def main() -> int:
         return 0
     begin = time.monotonic()
     cost = sum(ON_DISK_MB[part] for part in parts if not pins(part).keys() <= there.keys())
-    source = "ROS 2 from PyPI wheels" if ros == "wheels" else "the sourced ROS 2"
+    source = {"wheels": "ROS 2 from PyPI wheels", "kilted": "ROS 2 Kilted from PyPI wheels"}.get(
+        ros, "the sourced ROS 2"
+    )
     say(
         f"{Path(sys.prefix).name}: installing {len(missing)} of {len(wanted)} packages ({', '.join(tiers)}) for Python "
         f"{platform.python_version()} and {source}: up to {cost} MB on disk, a third of it to download, a minute or two"

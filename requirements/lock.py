@@ -16,6 +16,7 @@ import json
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,8 @@ HERE = Path(__file__).parent
 PYTHONS = ("3.11.0", "3.11.2", "3.12.0", "3.12.3", "3.13.0", "3.14.0")
 """The first patch release of each supported Python, and the ones of Debian 12 and Ubuntu 24.04."""
 SECTIONS = ("run", "wheels", "kernels", "test", "docs")
+KILTED = "kilted"
+"""Section that takes the place of `wheels` in an environment with ROS 2 Kilted."""
 SOURCE_ONLY = "empy"  # pure Python
 OF_ROS = {"empy", "lark", "lark-parser", "numpy"}
 """An apt-installed Jazzy brings its own of these: its message classes are compiled against numpy 1.26."""
@@ -116,9 +119,10 @@ def unconditional(requirement: Requirement) -> Requirement:
     return Requirement(f"{requirement.name}{extras}{requirement.specifier}")
 
 
-def choose() -> dict[str, dict[str, str]]:
-    """Return section -> name -> the line that pins it."""
+def choose(ros: str = "wheels") -> dict[str, dict[str, str]]:
+    """Return section -> name -> the line that pins it, with the ROS 2 of one section."""
     sections = direct()
+    sections = {name: sections[name] for name in (*SECTIONS, KILTED) if name == ros or name not in ("wheels", KILTED)}
     asked = [requirement for section in sections.values() for requirement in section]
     with tempfile.TemporaryDirectory() as directory:
         while True:
@@ -135,10 +139,10 @@ def choose() -> dict[str, dict[str, str]]:
                 break
             asked += map(unconditional, left_out.values())
     pins: dict[str, dict[str, str]] = {}
-    for section in SECTIONS:
-        begin = [*sections["run"], *(sections["wheels"] if section == "wheels" else ()), *sections[section]]
+    for section in sections:
+        begin = [*sections["run"], *sections[section]]
         names = set().union(*(needed(begin, known, python) for python in PYTHONS))
-        names -= OF_ROS if section == "run" else {*pins["run"], *pins.get("wheels", ())}
+        names -= OF_ROS if section == "run" else {*pins["run"], *pins.get(ros, ())}
         pins[section] = {name: pin(name, chosen[name]) for name in names}
     return pins
 
@@ -152,13 +156,13 @@ def pin(name: str, metadata: dict[str, Any]) -> str:
     return f"{name}=={metadata['version']}{marker}  # Python {asked or 'any'}"
 
 
-def check() -> None:
-    """Ask the package index for every pin, for every supported Python.
+def check(parts: Sequence[str]) -> None:
+    """Ask the package index for every pin of some parts, for every supported Python.
 
     Raises:
         SystemExit: a pin cannot be installed on one of them; pip has said which.
     """
-    lines = [line for part in SECTIONS for line in (HERE / f"{part}.txt").read_text(encoding="utf-8").splitlines()]
+    lines = [line for part in parts for line in (HERE / f"{part}.txt").read_text(encoding="utf-8").splitlines()]
     pins = [Requirement(line.partition("  #")[0]) for line in lines if "==" in line]
     for python in PYTHONS:
         served = [str(unconditional(pin)) for pin in pins if not pin.marker or pin.marker.evaluate(environment(python))]
@@ -172,10 +176,11 @@ def check() -> None:
 def main() -> None:
     """Write the files unless they are only to be checked, and check them."""
     if sys.argv[1:] != ["--check"]:
-        for section, lines in choose().items():
+        for section, lines in {**choose(), KILTED: choose(KILTED)[KILTED]}.items():
             text = "".join(f"{lines[name]}\n" for name in sorted(lines))
             (HERE / f"{section}.txt").write_text(HEADER + text, encoding="utf-8")
-    check()
+    check(SECTIONS)
+    check((KILTED,))
 
 
 if __name__ == "__main__":

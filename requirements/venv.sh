@@ -3,6 +3,7 @@
 #
 #   requirements/venv.sh wheels DIRECTORY run [test] [docs]    ROS 2 from PyPI wheels
 #   requirements/venv.sh sourced DIRECTORY run [test] [docs]   ROS 2 from the sourced, apt-installed Jazzy
+#   requirements/venv.sh kilted DIRECTORY run [test] [docs]    ROS 2 Kilted from PyPI wheels
 #
 # PYTHON names the interpreter to use; by default the first that serves. An environment that is there is kept, unless it
 # was moved or is for another ROS or another interpreter than PYTHON.
@@ -42,6 +43,7 @@ unset PIP_USER PIP_TARGET PIP_PREFIX PIP_REQUIRE_VIRTUALENV PIP_REQUIREMENT PIP_
 [ "$mode" = sourced ] || [ "$(uname -sm)" = "Linux x86_64" ] ||
     fail "the ROS 2 wheels exist for Linux x86-64 only, this is $(uname -sm): install ROS 2 Jazzy and source its setup.bash"
 
+mkdir -p "$(dirname "$venv")"
 directory=$(cd "$(dirname "$venv")" && pwd)
 kept=$("$venv/bin/python" -c "$identity" 2>/dev/null) || kept=
 if [ -n "${PYTHON:-}" ]; then
@@ -50,7 +52,7 @@ if [ -n "${PYTHON:-}" ]; then
 fi
 if [ -z "$kept" ] || [ ! -e "$venv/ready-$mode" ] || [ "$(cat "$venv/made-in")" != "$directory" ]; then
     python=$(find_python)
-    [ "$mode" = wheels ] && site= || site=--system-site-packages
+    [ "$mode" = sourced ] && site=--system-site-packages || site=
     # shellcheck disable=SC2086  # no option at all when empty
     "$python" -m venv --clear $site "$venv" ||
         fail "$python cannot make a virtual environment; on Debian and Ubuntu: sudo apt install python3-venv"
