@@ -22,6 +22,7 @@ import attrs
 
 from impact_rig import states
 from impact_rig.instruments.instrument import BOARD_KINDS, FAULT_KINDS
+from impact_rig.instruments.registry import INSTRUMENTS
 from impact_rig.instruments.section import CHANNELS
 from impact_rig.lab.protocol import Request
 from impact_rig.lab.record import RigView, guard, plain
@@ -131,7 +132,8 @@ def judge(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> tuple[str, s
         why = f"the analysis is gone ({analysis.gone})" if analysis.gone else "there is no analysis"
         return "driving", f"Nobody measures: {why}."
     if analysis.state == states.AnalysisWord.SETTLING:
-        return "settling", f"{capitalised(analysis.reason or 'waiting until the transient has died')}."
+        waits = bool(figure(analysis.figures.get("no_impact_limit_s")))  # for a sphere: the reason says so
+        return "settling", f"{capitalised(analysis.reason if waits else 'waiting until the transient has died')}."
     if analysis.state != states.AnalysisWord.MEASURING:
         why = MEASURING.get(states.AnalysisWord(analysis.state), "") if analysis.state else "the analysis says no state"
         why = why.format(reason=plain(analysis.reason) or "it does not say why")
@@ -187,9 +189,35 @@ def choices() -> dict[str, Any]:
     return {
         "law": list(about["contact.law"].choices),
         "start": list(about["sphere.start"].choices),
-        "faults": {kind: [words, kind in BOARD_KINDS] for kind, words in FAULT_KINDS.items()},
+        "faults": {kind: _fault_form(kind) for kind in FAULT_KINDS},
         "channels": list(CHANNELS),
     }
+
+
+SIZES = {"accelerometer": 5.0, "laser": 1e-3, "base": 1e-4, "current": 0.1}
+"""What the fault form proposes for a fault on a channel, in the unit of the channel: it shows, and is no emergency."""
+NOISE = 0.1  # the same for the rms of noise, as a part of that
+
+
+def _fault_form(kind: str) -> dict[str, Any]:
+    """Return what the form asks for a fault of a kind: words, whether it has a channel, a rate, and a size by channel.
+
+    A kind without `value` has no sizes; the channel of a fault of the whole board is empty.
+    """
+    words = FAULT_KINDS[kind]
+    sizes: dict[str, dict[str, Any]] = {}
+    if kind == "clock_drift":
+        sizes[""] = {"name": "drift", "unit": "ppm", "default": 100.0}
+    elif "`value`" in words:
+        for name, instrument in INSTRUMENTS.items():
+            unit, size = instrument.unit, SIZES.get(name, 1.0)
+            sizes[name] = {
+                "gain_error": {"name": "fraction", "unit": "", "default": 0.02},
+                "added_noise": {"name": "rms", "unit": unit, "default": NOISE * size},
+                "saturation": {"name": "limit ±", "unit": unit, "default": size},
+                "spike_train": {"name": "height ±", "unit": unit, "default": size},
+            }.get(kind, {"name": "step", "unit": unit, "default": size})
+    return {"words": words, "board": kind in BOARD_KINDS, "rate": "`rate_hz`" in words, "sizes": sizes}
 
 
 def figure(value: str | None) -> float | None:

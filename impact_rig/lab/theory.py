@@ -100,8 +100,8 @@ def contradiction(prediction: Mapping[str, Any], impacts_per_cycle: float) -> st
     if wanted is None or not abs(impacts_per_cycle - wanted) > OTHER_MOTION:
         return ""
     return (
-        f"Measured: {impacts_per_cycle:.2f} impacts per cycle. The predicted motion, with {wanted:g}, "
-        "is not the one that is here."
+        f"Measured: {impacts_per_cycle:.2f} impacts per cycle. The prediction is for a motion with {wanted:g} and does "
+        "not apply here."
     )
 
 

@@ -122,7 +122,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         if silent_s > SILENCE_S:
             return NodeState(words.NO_SCANS, f"none for {SILENCE_S:g} s")
         found = self._tracker.state
-        return NodeState(words(found.word), found.reason or self._waiting(), found.since_ns)
+        return NodeState(words(found.word), self._waiting() or found.reason, found.since_ns)
 
     def health(self) -> tuple[Level, str]:
         """Return whether scans come, all of them."""

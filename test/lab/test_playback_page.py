@@ -66,6 +66,10 @@ def test_play_pause_jump_and_step_to_the_next_impact(
     at(page, 15.0)
     page.wait("Math.abs(lab.scope.trace.now - 15) < 0.02", "traces of that instant")
     page.wait("document.getElementById('dt-number').textContent !== '–'", "the measurement of before")
+    shown_lines = "document.querySelectorAll('#journal-list li').length"
+    page.wait(
+        f"{shown_lines} === lab.now.journal.filter(([time]) => time <= 15).length", "a journal without the future"
+    )
     page.wait("lab.now.playback.read === 1 && lab.now.impact_marks.some(n => n)", "the marks")
     page.click("#next-impact")
     page.wait("lab.now.playback.now > 15", "the next impact")

@@ -17,6 +17,7 @@ from impact_rig import states, topics
 from impact_rig.blocks import Table
 from impact_rig.codec import encode, encode_joint_state, joint_state
 from impact_rig.errors import CodecError, RecordingError
+from impact_rig.instruments.fault import Fault
 from impact_rig.instruments.instrument import FAULT_KINDS
 from impact_rig.lab.protocol import FrameKind, RequestError, json_frame, parse
 from impact_rig.lab.record import Curve, Faults, MotionBuffer, RigHistory, RigView, plain, scan_rate
@@ -29,6 +30,7 @@ from impact_rig.lab.state import (
     Pace,
     Seen,
     Snapshot,
+    choices,
     glossary,
     judge,
     present,
@@ -89,6 +91,31 @@ def test_progress_is_that_of_an_analysis_that_lives() -> None:
         found = present(seen("rig", "driving"), analysis)
         assert (found["state"], found["done"]) == (state, 15.0 if state else None)
         assert judge(seen("rig", "driving"), analysis)[0] == (state or "driving")
+
+
+def test_a_sphere_that_is_waited_for_is_the_reason() -> None:
+    """It was called a transient of 0.0 % for two minutes."""
+    why = "waiting up to 60 s for a sphere that may still strike"
+    figures = {"state": "settling", "reason": why, "no_impact_s": "12.5", "no_impact_limit_s": "60.0"}
+    analysis = Seen.of("analysis", figures, 0.1)
+    assert judge(seen("rig", "driving"), analysis) == ("settling", f"{why.capitalize()}.")
+    found = present(seen("rig", "driving"), analysis)
+    assert (found["reason"], found["quiet"], found["quiet_of"]) == (why, 12.5, 60.0)
+
+
+def test_the_form_of_a_fault_asks_for_what_its_kind_uses() -> None:
+    """One default, 0.001, stood for all kinds, without a unit, and a rate for faults that have none."""
+    forms = choices()["faults"]
+    assert set(forms) == set(FAULT_KINDS)
+    assert [kind for kind, form in forms.items() if form["rate"]] == ["spike_train"]
+    assert {kind for kind, form in forms.items() if not form["sizes"]} == {"dropout", "stuck", "lost_block"}
+    assert forms["clock_drift"]["sizes"] == {"": {"name": "drift", "unit": "ppm", "default": 100.0}}
+    units = {name: size["unit"] for name, size in forms["offset_step"]["sizes"].items()}
+    assert units == {"accelerometer": "m/s^2", "laser": "m", "base": "m", "current": "A"}
+    assert all(size["unit"] == "" for size in forms["gain_error"]["sizes"].values())
+    for kind, form in forms.items():
+        for channel, size in form["sizes"].items():
+            Fault(kind=kind, channel=channel, value=size["default"])  # a rig takes what the form proposes
 
 
 def test_every_state_of_a_rig_and_an_analysis_has_words() -> None:

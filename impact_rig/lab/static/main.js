@@ -27,7 +27,8 @@ const slow = { factor: 1, time: NaN };
 const drawn = { trace: null, number: 0, other: null, beside: null, epoch: -1, pictures: 0, script: 0, last: 0, phaseAt: 0, rigAt: 0 };
 const calm = matchMedia("(prefers-reduced-motion: reduce)");
 
-let answeredAt = 0;
+const LOST_S = 5; // how long a loss is news, in rig time
+let answeredAt = 0, lastLost = { words: "", at: 0 };
 const link = new Link(onFrame, onConnection);
 const act = (what, values = {}) => {
   const { id, answer } = link.ask(what, values);
@@ -132,8 +133,8 @@ const SHOW = {
     byId("record").disabled = now.mode !== "live" || !recorder.lives;
   },
   lost: (lost) => {
-    const names = Object.keys(lost ?? {});
-    say("lost", lost ? names.map((name) => `${lost[name]} ${name}`).join(", ") || "0" : "–", names.length);
+    const names = Object.keys(lost ?? {}), words = names.map((name) => `${lost[name]} ${name}`).join(", ");
+    if (words !== lastLost.words) lastLost = { words, at: now.rig?.time ?? 0 };
   },
   faults: (faults) => say("faults", faults ? faults.join(", ") || "none" : "–", faults?.length),
   health: (health) => {
@@ -175,7 +176,10 @@ const SHOW = {
 
 // What is shown
 
-function showPlayer() { if (now.playback) player.show(now.playback, now.journal, now.impact_marks); }
+function showPlayer() {
+  if (now.playback && now.journal) showJournal(now.journal);
+  if (now.playback) player.show(now.playback, now.journal, now.impact_marks);
+}
 
 function showStatus() {
   const said = status(link.connected, now.rig);
@@ -191,6 +195,7 @@ function showStatus() {
     if (byId("answer").classList.contains("bad") && Date.now() - answeredAt > 1000) setText("answer", "");
     showDt();
   }
+  showLost();
   setText("time", said.stale || rig.time === null ? "–" : clock(now.playback ? now.playback.now : rig.time));
   setText("speed", said.stale || rig.speed === undefined ? "–" : `× ${fixed(rig.speed, rig.speed >= 10 ? 0 : 2)}`);
   byId("pause").setAttribute("aria-pressed", String(said.word === "paused"));
@@ -231,6 +236,13 @@ function showNotice(said) {
   return true;
 }
 
+/** Show what was lost: in words while it is new, then as a count that leaves room for the sentence. */
+function showLost() {
+  const { words, at } = lastLost, isNew = words !== "" && (now.rig?.time ?? 0) - at < LOST_S;
+  say("lost", now.lost ? (isNew ? words : words && `earlier: ${Object.values(now.lost)[0]}`) || "0" : "–", isNew);
+  byId("lost").title = words;
+}
+
 const plain = (word) => String(word ?? "").replaceAll("_", " ");
 const gapNow = () => (now.knobs?.["sphere.present"] ? now.knobs["barriers.gap_m"] : now.knobs ? 0 : null);
 
@@ -257,8 +269,11 @@ function showDt() {
   byId("dt-why").hidden = !(old || why);
   setText("dt-why", why || (old && !settles ? "the last value; it does not hold now" : ""));
   const none = row && row.ipc === 0 && row.gap ? "no impacts" : "";
+  const without = row?.gap ? rows.findLast((one) => one.gap === 0 && one.settled && one.f === row.f) : undefined;
+  const reduction = without ? `${fixed(100 * (1 - row.dt / without.dt), 1)} %` : row?.gap ? "measure none at this frequency" : "";
   const more = row && !settles ? {
     [old ? "last, at" : "at"]: `${fixed(row.f, 3)} Hz`, phase: `${fixed(row.phase, 1)}°`, regime: none || row.regime,
+    ...(reduction ? { "reduction against none": reduction } : {}),
     "impacts per cycle": fixed(row.ipc, 2), "|X₁|": `${fixed(row.x1 * 1e3, 3)} mm`, "|X_b|": `${fixed(row.xb * 1e6, 1)} µm`,
     ...(row.status ? { status: row.note || row.status } : {}),
   } : {};
@@ -299,8 +314,11 @@ function fillWords() {
   byId("sheet-words").replaceChildren(...Object.entries(now.help ?? {}).flatMap(explained));
 }
 
-function showJournal(lines) {
-  const list = byId("journal-list");
+function showJournal(all) {
+  const list = byId("journal-list"), at = now.playback?.now ?? Infinity; // what comes later has not happened yet
+  const lines = (all ?? []).filter(([time]) => time <= at);
+  if (list.dataset.shown === `${all?.length} ${lines.length}`) return;
+  list.dataset.shown = `${all?.length} ${lines.length}`;
   const bottom = list.scrollHeight - list.scrollTop - list.clientHeight < 30;
   list.replaceChildren(...lines.slice(-120).map(([time, kind, key, words]) => {
     const item = element("li", {}, element("time", { textContent: clock(time) }),
@@ -371,9 +389,16 @@ function look() {
 // What people do
 
 function showFault() {
-  const [words, board] = now.choices?.faults?.[byId("fault-kind").value] ?? ["", false];
-  setText("fault-text", words);
-  byId("fault-channel").disabled = board;
+  const about = now.choices?.faults?.[byId("fault-kind").value];
+  if (!about) return;
+  setText("fault-text", about.words);
+  byId("fault-channel").disabled = about.board;
+  byId("fault-rate-label").hidden = !about.rate;
+  const size = about.sizes[about.board ? "" : byId("fault-channel").value];
+  byId("fault-value-label").hidden = !size;
+  setText("fault-value-name", size?.name ?? "");
+  setText("fault-unit", size?.unit ?? "");
+  byId("fault-value").value = String(size?.default ?? 0);
 }
 
 const token = new URLSearchParams(location.search).get("token") ?? "";
@@ -479,7 +504,7 @@ byId("recorded").addEventListener("toggle", listRuns);
 onClick("run-play", () => {
   window.open(`/?${new URLSearchParams([["token", token], ...chosenRuns().map((name) => ["run", name])])}`, "_blank", "noopener");
 });
-byId("fault-kind").addEventListener("change", showFault);
+for (const id of ["fault-kind", "fault-channel"]) byId(id).addEventListener("change", showFault);
 for (const id of ["span", "trigger", "spectrum-channel", "spectrum-top"]) byId(id).addEventListener("change", look);
 byId("spectrum-db").addEventListener("change", () => { spectrum.db = byId("spectrum-db").checked; spectrum.make(); });
 byId("hold").addEventListener("change", () => setText("scope-note", byId("hold").checked ? "held" : ""));

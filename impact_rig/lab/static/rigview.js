@@ -7,6 +7,8 @@ const BASE_ENLARGED = 20;
 const SPHERE_M = 6.35e-3;
 export const GLOW_S = 0.06;
 
+const READINGS_WIDE = 96, READINGS_HIGH = 62; // corner of the picture that holds x₁, x_b and x₂
+
 /**
  * Draw one instant.
  * @param {HTMLCanvasElement} canvas
@@ -59,7 +61,9 @@ export function drawRig(canvas, at, knobs, flash, pace = 1) {
       g.fillRect(wall < 0 ? x - thick : x, deck - high, thick, high);
       g.font = "600 12px system-ui, sans-serif";
       g.textAlign = wall < 0 ? "right" : "left";
-      g.fillText(engineering(hit.force, "N"), x + wall * (thick + 6), deck - high + 10);
+      const words = engineering(hit.force, "N"), beside = x + wall * (thick + 6);
+      const reaches = wall < 0 ? beside - g.measureText(words).width < READINGS_WIDE : beside > w - READINGS_WIDE;
+      g.fillText(words, beside, reaches ? Math.max(deck - high + 10, READINGS_HIGH) : deck - high + 10);
       g.globalAlpha = 1;
     }
   }
