@@ -94,7 +94,7 @@ def recording(
     qos: str = "",
     listed: int = 1,
     count: int = 3,
-    end_ns: int = 0,
+    end_ns: int = 20_000_000,
     channels: int = 1,
 ) -> Path:
     """Write a recording with one chunk, given in pieces, which its index lists as often as one likes.

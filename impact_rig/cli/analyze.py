@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.transmissibility import note_on
-from impact_rig.cli.terminal import Console, TextTable, add_json, figure, subcommand, tell_json
+from impact_rig.cli.terminal import Console, TextTable, add_json, add_run, figure, subcommand, tell_json
 from impact_rig.errors import ConfigError
 from impact_rig.recording import Run, open_run
 from impact_rig.states import MEASURED
@@ -61,7 +61,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     )  # fmt: skip
     add_json(parser)
     parser.add_argument("--all", action="store_true", help="also rows without a measurement, with the reason")
-    parser.add_argument("path", type=Path, metavar="RUN", help="run directory or .mcap file")
+    add_run(parser)
     instead = parser.add_argument_group("instead").add_mutually_exclusive_group()
     for analysis in _analyses():
         analysis.add(instead)
@@ -87,7 +87,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 def _run(arguments: argparse.Namespace) -> int:
     console = Console(quiet=arguments.json)
-    with open_run(arguments.path) as run:
+    with open_run(arguments.path, arguments.rig) as run:
         for analysis in _analyses():
             if getattr(arguments, analysis.name) not in (None, False):
                 return analysis.run(console, run, arguments)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from impact_rig.cli.terminal import Console, TextTable, add_json, figure, subcommand, tell_json
+from impact_rig.cli.terminal import Console, TextTable, add_json, add_run, figure, subcommand, tell_json
 from impact_rig.recording import open_run
 from impact_rig.system import files
 
@@ -32,7 +32,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
         "Takes recorded and imported runs: docs/own_measurement.md.",
     )  # fmt: skip
     add_json(parser)
-    parser.add_argument("path", type=Path, metavar="RUN", help="run directory or .mcap file")
+    add_run(parser)
     parser.add_argument("--config", type=Path, metavar="FILE", help="the model (default: the run's own configuration)")
     parser.add_argument(
         "--drive", choices=("current", "base"), help="what drives the model (default: the current if it was measured)"
@@ -49,7 +49,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if arguments.figure:
         files.make_folder(arguments.figure)
     known = load(arguments.config) if arguments.config else None
-    with open_run(arguments.path) as run:
+    with open_run(arguments.path, arguments.rig) as run:
         found = compare(
             run, known, arguments.drive, fits=not arguments.no_fit, on_step=lambda what: console.print(f"{what} ...")
         )

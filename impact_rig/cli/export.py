@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.cli.terminal import Console, subcommand
+from impact_rig.cli.terminal import Console, add_run, subcommand
 from impact_rig.errors import ConfigError
 from impact_rig.recording import open_run
 from impact_rig.runs import export
@@ -42,7 +42,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
             ("export runs/campaign_paper points curves.uff", "curves as a universal file (dataset 58)"),
         ],
     )  # fmt: skip
-    parser.add_argument("path", type=Path, metavar="RUN", help="a run, or the directory of a campaign or a map")
+    add_run(parser, "a run, or the directory of a campaign or a map")
     parser.add_argument("topic", help="e.g. transmissibility/table; points: of a campaign or a map")
     parser.add_argument("target", type=Path, metavar="FILE", help="its suffix chooses the format")
     parser.add_argument("--format", choices=FORMATS, help="instead of a suffix, which is then appended")
@@ -59,7 +59,7 @@ def _run(arguments: argparse.Namespace) -> int:
         columns = points(target.suffix)
         written = write_columns(lambda: iter([columns]), target)
     else:
-        with open_run(path) as run:
+        with open_run(path, arguments.rig) as run:
             written = export(run, arguments.topic, target)
     Console().print(str(written))
     return 0

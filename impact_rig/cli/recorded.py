@@ -12,7 +12,7 @@ from pathlib import Path
 import attrs
 from rich.progress import BarColumn, Progress, TimeRemainingColumn
 
-from impact_rig.cli.terminal import Console, Steps, TextTable, Words, add_json, subcommand, tell_json
+from impact_rig.cli.terminal import Console, Steps, TextTable, Words, add_json, add_run, subcommand, tell_json
 from impact_rig.errors import ImpactRigError
 from impact_rig.recording import Run, open_run
 from impact_rig.runs import RecoverReport, RunInfo, info, recover
@@ -43,7 +43,10 @@ def _info(arguments: argparse.Namespace) -> int:
     style = "green" if proven else "yellow" if found.intact else "red"
     console.print(f"{found.path}: {found.verdict}", style=style)
     size = sum(size for _, size in found.files)
-    console.print(f"{found.duration_s:.3f} s of rig time, files: {len(found.files)}, {size / 1e6:.2f} MB")
+    rig = "no scans" if found.rig_s is None else f"{found.rig_s:.3f} s of rig time"
+    console.print(f"{rig}, log times span {found.log_s:.3f} s, files: {len(found.files)}, {size / 1e6:.2f} MB")
+    if len(found.rigs) > 1:
+        console.print(f"rigs: {', '.join(found.rigs)}")
     if found.recovered is not None:
         console.print(f"recovered from {found.recovered.source}")
     for key, value in found.provenance.items():
@@ -66,6 +69,10 @@ def _info_content(found: RunInfo) -> dict[str, object]:
         "intact": found.intact,
         "verdict": found.verdict,
         "duration_s": found.duration_s,
+        "rig_s": found.rig_s,
+        "log_s": found.log_s,
+        "rigs": list(found.rigs),
+        "checksums": attrs.asdict(found.checksums),
         "files": dict(found.files),
         "provenance": dict(found.provenance),
         "recovered_from": None if found.recovered is None else found.recovered.source,
@@ -86,12 +93,12 @@ def add_verify(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         [("verify runs/demo/gap_6mm", "says `identical`, or names the first difference; then topic by topic")],
         "Exit code 0: identical; 1: different, or not verifiable.",
     )  # fmt: skip
-    parser.add_argument("path", type=Path, metavar="RUN", help="run directory or .mcap file")
+    add_run(parser)
     add_json(parser)
 
 
 def _verify(arguments: argparse.Namespace) -> int:
-    with open_run(arguments.path) as run:
+    with open_run(arguments.path, arguments.rig) as run:
         from impact_rig.runs.verification import verify  # noqa: PLC0415
 
         found = verify(run)
@@ -203,7 +210,7 @@ def add_replay(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
             ("replay runs/demo/gap_6mm --rate max --peers analysis", "as fast as the analysis follows"),
         ],
     )  # fmt: skip
-    parser.add_argument("path", type=Path, metavar="RUN", help="run directory or .mcap file")
+    add_run(parser)
     parser.add_argument(
         "--rate", type=_rate, default=1.0, metavar="X", help="times real time, or max: as the peers follow (default: 1)"
     )
@@ -218,7 +225,7 @@ def add_replay(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def _replay(arguments: argparse.Namespace) -> int:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    with open_run(arguments.path) as opened:
+    with open_run(arguments.path, arguments.rig) as opened:
         return _play(opened, arguments)
 
 

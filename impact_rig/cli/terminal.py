@@ -34,6 +34,7 @@ from rich.progress import (
 from rich.text import Text
 
 from impact_rig.errors import visible
+from impact_rig.recording.rigs import OPTION
 from impact_rig.system.files import plain
 
 __all__ = ["Console", "Counted", "Steps", "TextTable", "Words", "figure", "tell_json", "tell_program", "tell_results"]
@@ -188,6 +189,14 @@ def tell_program(path: Path) -> None:
 
 
 WIDTH = 78  # of help pages: they are made for a terminal of 80 columns
+
+
+def add_run(parser: argparse.ArgumentParser, what: str = "run directory or .mcap file") -> None:
+    """Add the arguments that choose a recorded run and, where it holds several, its rig."""
+    parser.add_argument("path", type=Path, metavar="RUN", help=what)
+    parser.add_argument(
+        OPTION, dest="rig", metavar="NAMESPACE", help="rig to read (default: the only one in the recording)"
+    )
 
 
 def subcommand(

@@ -16,12 +16,13 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any  # what goes to JSON
 
-from impact_rig import states
+from impact_rig import states, topics
 from impact_rig.instruments.section import CHANNELS
 from impact_rig.lab import state
 from impact_rig.lab.record import LAST_NS, RigView
 from impact_rig.lab.state import KNOBS, STANDING, Pace, Seen, Source, figure
 from impact_rig.lab.theory import be_gentle, closed_form
+from impact_rig.recording.rigs import namespace, prefix_of, prefixes
 from impact_rig.topics import SCAN
 
 if TYPE_CHECKING:
@@ -159,11 +160,13 @@ class LiveSource(Source):
             self._gateway.watch()
 
     def _discover(self) -> None:
-        found = sorted(
-            name.removesuffix("/daq/scan") or "/"
-            for name, _ in self._client.node.get_topic_names_and_types()
-            if name.endswith("/daq/scan") and self._client.node.count_publishers(name)
-        )
+        node = self._client.node
+        scans = [
+            name
+            for name, types in node.get_topic_names_and_types()
+            if topics.TABLE in types and prefix_of(name, topics.SCAN) is not None and node.count_publishers(name)
+        ]
+        found = sorted(namespace(prefix) for prefix in prefixes(dict.fromkeys(scans, topics.TABLE)))
         if len(found) == 1:
             self._namespace = found[0]
             return

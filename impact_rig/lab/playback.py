@@ -78,11 +78,8 @@ class RunPlayer:
         self._stack = contextlib.ExitStack()
         with contextlib.ExitStack() as stack:
             self._run = stack.enter_context(self._open(path, stack))
-            self._topics: dict[str, topics.Topic] = {}
-            # the longest names first: what is left of `truth/impacts` is no `impacts`
-            for topic in sorted({*DRAWN, *RARE, topics.INFO}, key=lambda topic: -len(topic.name)):
-                with contextlib.suppress(RecordingError):
-                    self._topics.setdefault(self._run.resolve(topic.name), topic)
+            known = {self._run.name(topic): topic for topic in (*DRAWN, *RARE, topics.INFO)}
+            self._topics = {name: topic for name, topic in known.items() if name in self._run.topics}
             info = next(self._messages([topics.INFO]), None)
             if info is None:
                 raise RecordingError(f"{path} has no calibration (daq/info)")
@@ -459,8 +456,9 @@ class PlaybackSource(Source):
             "stream": record.stream_part,
             "lost": lambda: {"blocks missing in the recording": lost} if lost else {},
             "playback": lambda: {
-                "begin": self._begin_s, "end": self._end_s, "now": round(self.now_s, 3), "playing": self._playing,
-                "speed": self._speed, "read": 1.0 if run.whole else round(run.read_s / max(self._end_s, 1e-3), 2),
+                "begin": self._begin_s, "end": round(self._end_s, 3), "now": round(self.now_s, 3),
+                "playing": self._playing, "speed": self._speed,
+                "read": 1.0 if run.whole else round(run.read_s / max(self._end_s, 1e-3), 2),
                 "names": [one.path.name for one in self._runs], "aligned": self._aligned,
             },
         }, then.values)  # fmt: skip

@@ -30,12 +30,11 @@ from impact_rig.nodes.messages import TOPICS
 from impact_rig.nodes.pacing import Pacer
 from impact_rig.nodes.process import make_executor, patient_threads
 from impact_rig.recording import RecordedTopic, Run
-from impact_rig.recording.description import matches
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 from impact_rig.system.endings import unhurried
 
-MADE_HERE = (topics.CLOCK.name, topics.ACK.name)
-"""Never replayed: the player makes the clock, and today's peers acknowledge."""
+MADE_HERE = (topics.CLOCK.name, topics.CLOCK.name.lstrip("/"), topics.ACK.name)
+"""Never replayed: the player makes the clock, remapped or not, and today's peers acknowledge."""
 SPIN_S = 0.05
 LAST_NS = (2**31 - 1) * NS_PER_S  # builtin_interfaces/Time counts seconds in 32 bits
 LONGEST_PAUSE_NS = 3600 * NS_PER_S
@@ -45,6 +44,13 @@ PEER_TIMEOUT_S = 10.0
 AWAY_S = 1.0  # a gap this long between two rests: this process was suspended, or busy, not the peers
 DELIVERY = Duration(seconds=1.0)
 LAST_WORDS_S = 0.3
+
+
+def _is_of(name: str, prefixes: Collection[str]) -> bool:
+    """Return whether a topic belongs to one of the rigs with these prefixes."""
+    return any(name.startswith(prefix) for prefix in prefixes)
+
+
 Spin = Callable[[float], None]  # lets callbacks run, for at most so many seconds
 
 
@@ -94,7 +100,7 @@ class Player:
         chosen: Sequence[str] = (),
         paused: bool = False,
     ) -> None:
-        if peers and chosen and not any(matches(topics.SCAN.name, name) for name in chosen):
+        if peers and chosen and run.name(topics.SCAN) not in map(run.name, chosen):
             raise ImpactRigError(f"peers acknowledge {topics.SCAN.name}: choose it as well")
         if factor is None and not peers:
             raise ImpactRigError("the highest rate needs peers that acknowledge: without them messages would be lost")
@@ -103,8 +109,10 @@ class Player:
         self._run, self._node, self._spin = run, node, spin
         self._factor = factor
         self._scan = run.resolve(topics.SCAN.name)
-        wanted = [run.resolve(name) for name in chosen] if chosen else sorted(run.topics)
-        self._names = [name for name in wanted if not any(matches(name, made) for made in MADE_HERE)]
+        others = [prefix for prefix in run.prefixes if prefix != run.prefix]
+        everything = [name for name in sorted(run.topics) if run.relative(name) is not None or not _is_of(name, others)]
+        wanted = [run.resolve(name) for name in chosen] if chosen else everything
+        self._names = [name for name in wanted if name not in MADE_HERE and run.relative(name) not in MADE_HERE]
         self._publishers = {name: self._publisher(run.topics[name]) for name in self._names}
         self._clock = node.create_publisher(Clock, topics.CLOCK.name, messages.profile(topics.CLOCK.qos))
         self._readers = Readers(node, self._publishers[self._scan]) if peers else None
@@ -114,7 +122,7 @@ class Player:
         self._window = self._new_window()
         self._rested_at = 0.0
         self._pacer = Pacer(time.monotonic_ns, factor or 1.0)
-        ack = self._scan.removesuffix(topics.SCAN.name) + topics.ACK.name
+        ack = run.name(topics.ACK)
         node.create_subscription(Header, ack, self._on_ack, messages.profile(topics.ACK.qos))
         node.create_service(SetBool, "~/pause", self._on_pause)
         self.paused = paused
@@ -184,7 +192,8 @@ class Player:
     def _publisher(self, recorded: RecordedTopic) -> Any:
         topic = recorded.topic
         offered = [qos for qos in topic.offered_qos_yaml() if isinstance(qos, dict)]
-        known = next((row for row in TOPICS if matches(topic.name, row.name)), None)
+        relative = self._run.relative(topic.name)
+        known = next((row for row in TOPICS if row.name in (topic.name, relative)), None)
         latched = any(qos.get("durability") == "transient_local" for qos in offered)
         profile = messages.profile(known.qos if known else topics.Qos.DATA)
         profile.durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE

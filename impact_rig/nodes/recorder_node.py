@@ -285,7 +285,6 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             clock=time.monotonic,
             compression=settings.compression,
             max_file_bytes=settings.max_file_mb * 1_000_000,
-            rig_start_ns=None if mode in ("realtime", "unknown") else 0,
             tail=True,
         )
 

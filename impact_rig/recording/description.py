@@ -26,6 +26,7 @@ from pathlib import Path
 
 import attrs
 import yaml
+from mcap.records import Channel, Schema
 
 from impact_rig.arithmetic import ARITHMETIC
 from impact_rig.errors import RecordingError
@@ -88,6 +89,7 @@ class TopicDescription:
         default=attrs.Factory(lambda self: dump_yaml([qos.to_yaml() for qos in self.offered_qos]), takes_self=True)
     )
     """The YAML list as it stands in a file; filled by readers, derived from `offered_qos` otherwise."""
+    encoding: str = SERIALIZATION  # of its messages
 
     def offered_qos_yaml(self) -> list[QosYaml]:
         """Return the offered profiles as `metadata.yaml` holds them; a text that is no plain list counts as none."""
@@ -98,14 +100,15 @@ class TopicDescription:
         return {"offered_qos_profiles": self.offered_qos_text, "topic_type_hash": self.type_hash}
 
     @classmethod
-    def from_channel(cls, name: str, type_name: str, schema: str, metadata: Mapping[str, str]) -> TopicDescription:
-        """Return the topic that a channel and its schema describe."""
+    def from_channel(cls, channel: Channel, schema: Schema | None) -> TopicDescription:
+        """Return the topic that a channel and its schema describe; without a schema its type has no name."""
         return cls(
-            name=name,
-            type_name=type_name,
-            schema=schema,
-            type_hash=metadata.get("topic_type_hash", ""),
-            offered_qos_text=metadata.get("offered_qos_profiles", ""),
+            name=channel.topic,
+            type_name="" if schema is None else schema.name,
+            schema="" if schema is None else str(schema.data, "utf-8", "replace"),
+            type_hash=channel.metadata.get("topic_type_hash", ""),
+            offered_qos_text=channel.metadata.get("offered_qos_profiles", ""),
+            encoding=channel.message_encoding,
         )
 
 
@@ -128,32 +131,6 @@ def _profile(found: Mapping[object, object]) -> QosYaml:
         elif isinstance(value, dict):
             profile[name] = {unit: int(value[unit]) for unit in ("sec", "nsec") if isinstance(value.get(unit), int)}
     return profile
-
-
-def matches(name: str, wanted: str) -> bool:
-    """Return whether the fully qualified topic `name` is `wanted`, or ends with it after a namespace."""
-    relative = wanted.lstrip("/")
-    return name.lstrip("/") == relative or name.endswith("/" + relative)
-
-
-def resolve(wanted: str, names: list[str]) -> str:
-    """Return the one of `names` that `wanted` means: the name itself, or the only one with the shortest namespace.
-
-    So `impacts` is `/rig/impacts` and not `/rig/truth/impacts`; of two rigs in one recording neither is guessed.
-
-    Raises:
-        RecordingError: none or several of `names` match.
-    """
-    if wanted in names:
-        return wanted
-    candidates = [name for name in names if matches(name, wanted)]
-    depth = min((name.count("/") for name in candidates), default=0)
-    found = [name for name in candidates if name.count("/") == depth]
-    if len(found) == 1:
-        return found[0]
-    if found:
-        raise RecordingError(f"topic {wanted!r} is ambiguous: {', '.join(sorted(found))}")
-    raise RecordingError(f"no topic {wanted!r} in this recording; there are: {', '.join(sorted(names)) or 'none'}")
 
 
 class _Dumper(yaml.SafeDumper):
@@ -224,6 +201,8 @@ def schema_text(type_name: str) -> str:
 
 def starts_with_header(type_name: str, schema: str) -> bool:
     """Return whether messages of this type begin with a `std_msgs/Header`, or are one."""
+    if not type_name:
+        return False
     if _short_name(type_name) == "std_msgs/Header":
         return True
     first = _FIELD.search(schema)
@@ -336,7 +315,7 @@ def bag_information(
                 "topic_metadata": {
                     "name": topic.name,
                     "type": topic.type_name,
-                    "serialization_format": SERIALIZATION,
+                    "serialization_format": topic.encoding,
                     "offered_qos_profiles": topic.offered_qos_yaml(),
                     "type_description_hash": topic.type_hash,
                 },

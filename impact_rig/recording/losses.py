@@ -21,9 +21,10 @@ import numpy as np
 
 from impact_rig.blocks import Table
 from impact_rig.recording.records import DamageError
-from impact_rig.simtime import NS_PER_S
+from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 
 RECORD_NAME = "impact_rig/losses"  # metadata record with what was received and lost, written when a file is finished
+_LONGEST_BLOCK_S = 1e6  # a `time` beyond this (or NaN) is no instant of a block
 MAX_STREAMS = 64  # streams kept per topic: of publishers that come and go for days only the last ones can still speak
 
 Publishers = Callable[[str], Mapping[str, str]]
@@ -177,7 +178,11 @@ class Contiguity:
 
 
 def check_contiguity(
-    blocks: Iterable[tuple[int, int]], rate_hz: int, start_ns: int | None = None, starts: Iterable[int] = ()
+    blocks: Iterable[tuple[int, int]],
+    rate_hz: int,
+    start_ns: int | None = None,
+    starts: Iterable[int] = (),
+    resets: Iterable[int] = (),
 ) -> Contiguity:
     """Check that blocks follow each other.
 
@@ -189,6 +194,8 @@ def check_contiguity(
             nanoseconds a stamp may be off by the one nanosecond that its unknown index leaves open.
         starts: rig times of scan 0 of further rigs: between the last block of one and that of the next nothing is
             missing.
+        resets: rig times of scan 0 after each reset. A reset drops the scans that do not fill a block: fewer than a
+            block and a tick of commands.
     """
     period_exact = NS_PER_S % rate_hz == 0
     slack = 0 if start_ns is not None or period_exact else 1
@@ -196,10 +203,18 @@ def check_contiguity(
     gaps: list[Gap] = []
     anchor_ns = start_ns
     index = before = 0  # of the next scan, counted from the anchor; scans of the block before
-    begins, newest = deque(sorted(starts)), 0
+    dropped = dict.fromkeys(starts, True) | dict.fromkeys(resets, False)
+    begins, newest = deque(sorted(dropped)), 0
     for stamp, length in blocks:
         while begins and begins[0] <= stamp:
             if (begin := begins.popleft()) > newest and count:
+                if not dropped[begin] and anchor_ns is not None:
+                    expected = anchor_ns + index * NS_PER_S // rate_hz
+                    missing = (begin - expected) * rate_hz // NS_PER_S
+                    if missing >= before + -(-COMMAND_GRID_NS * rate_hz // NS_PER_S):
+                        gaps.append(Gap(count, expected, begin, missing))
+                        lost_scans += missing
+                        lost_blocks += missing // max(before, 1)
                 anchor_ns, index = begin, 0
         newest = stamp
         if anchor_ns is None:
@@ -226,6 +241,14 @@ def check_contiguity(
 def has_times(table: Table) -> bool:
     """Return whether a table, which may be anybody's, has a column `time` of numbers."""
     return "time" in (table.rows.dtype.names or ()) and table.rows.dtype["time"].kind in "iuf"
+
+
+def last_scan_ns(table: Table) -> int:
+    """Return the stamp of the last scan of a block [ns]; that of the block where its `time` column says nothing."""
+    if not len(table.rows) or not has_times(table):
+        return table.stamp_ns
+    last_s = float(table.rows["time"][-1])
+    return table.stamp_ns + (round(last_s * NS_PER_S) if abs(last_s) < _LONGEST_BLOCK_S else 0)
 
 
 def scan_rate_hz(table: Table) -> int | None:

@@ -30,13 +30,22 @@ from mcap.summary import Summary
 from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, RecordingError
-from impact_rig.recording import description, records
-from impact_rig.recording.description import RECORD_NAME, Attachment, TopicDescription, matches, resolve, verify
+from impact_rig.recording import description, records, rigs
+from impact_rig.recording.description import RECORD_NAME, Attachment, TopicDescription, verify
 from impact_rig.recording.records import DamageError
 from impact_rig.system import budget, files
 from impact_rig.system.budget import BudgetError, Spending
 from impact_rig.topics import Topic
 
+DATA_END_BYTES = records.RECORD_HEAD.size + 4
+SEGMENT_BYTES = budget.MIB
+"""How much of a file without chunks is read at once."""
+SQLITE_MAGIC = b"SQLite format 3\0"
+CONVERT = (
+    "convert it with ROS 2 (printf 'output_bags: [{uri: NEW, storage_id: mcap, all: true}]' > new.yaml; "
+    "ros2 bag convert -i BAG -o new.yaml) or without (pip install rosbags; "
+    "rosbags-convert --src BAG --dst NEW --dst-storage mcap)"
+)
 LEAST_AHEAD, AHEAD_BYTES = 2, 4 * budget.MIB
 """Chunks that are read before the first of them is needed: at least so many, and as many as are together no larger."""
 _TRAILING_NUMBER = re.compile(r"_(\d+)$")
@@ -62,11 +71,31 @@ class RecordedTopic:
 
 
 @attrs.frozen
+class Segment:
+    """A part of a file that is read at once: a chunk, or messages that follow each other outside chunks."""
+
+    offset: int
+    length: int
+    first_ns: int  # least log time of its messages
+    last_ns: int
+    size: int  # bytes of its records, decompressed
+    channels: frozenset[int]  # ids of the channels that its messages are of; empty: not known
+    chunk: ChunkIndex | None  # None: outside chunks
+
+    @classmethod
+    def of_chunk(cls, index: ChunkIndex) -> Segment:
+        """Return the segment that is a chunk."""
+        times = index.message_start_time, index.message_end_time
+        channels = frozenset(index.message_index_offsets)
+        return cls(index.chunk_start_offset, index.chunk_length, *times, index.uncompressed_size, channels, chunk=index)
+
+
+@attrs.frozen
 class _Place:
-    """A chunk of one of the files."""
+    """A segment of one of the files."""
 
     source: McapSource
-    index: ChunkIndex
+    segment: Segment
 
 
 _Item = tuple[int, int, int, Message]  # log time, running number of the chunk, of the message: a total order
@@ -75,21 +104,30 @@ _Item = tuple[int, int, int, Message]  # log time, running number of the chunk, 
 class Run:
     """A recorded run, opened for reading; a context manager.
 
+    Attributes:
+        topics: what was recorded, by full name.
+        prefixes: what stands in front of the relative names of each rig.
+
     Args:
         path: a run directory or an MCAP file.
+        rig: namespace of the rig that relative names mean; None: the only one.
 
     Raises:
-        RecordingError: there is no recording, it is not finished, or its index is damaged.
+        RecordingError: there is no recording, it is not finished, its index is damaged, or it holds no such rig.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, rig: str | None = None) -> None:
         self.path = path
+        self._rig = rig
         self.sources: list[McapSource] = []
         try:
             for file in run_files(path):
                 self.sources.append(McapSource(file))
             self.topics = self._merge_topics()
             self._refuse_excess()
+            self.prefixes = rigs.prefixes({name: one.topic.type_name for name, one in self.topics.items()})
+            if rig is not None:
+                rigs.choose(self.prefixes, rig, path)
         except BaseException:
             self.close()
             raise
@@ -156,13 +194,54 @@ class Run:
                 found.setdefault(one.name, one.data)
         return found
 
-    def resolve(self, wanted: str) -> str:
-        """Return the full name of the topic `wanted`, which may lack its namespace.
+    @property
+    def rigs(self) -> tuple[str, ...]:
+        """Namespaces of the rigs in this recording."""
+        return tuple(map(rigs.namespace, self.prefixes))
+
+    @property
+    def prefix(self) -> str:
+        """What stands in front of the relative names of this run's rig: its namespace and a slash.
 
         Raises:
-            RecordingError: there is no such topic, or more than one.
+            RecordingError: there are several rigs, and none was chosen.
         """
-        return resolve(wanted, list(self.topics))
+        return rigs.choose(self.prefixes, self._rig, self.path)
+
+    def name(self, wanted: str | Topic) -> str:
+        """Return the full name of a topic, recorded or not: an absolute name as it is, others in the rig's namespace.
+
+        Raises:
+            RecordingError: there are several rigs, and none was chosen.
+        """
+        text = wanted if isinstance(wanted, str) else wanted.name
+        if text.startswith("/"):
+            return text
+        name = self.prefix + text
+        return text if text in self.topics and name not in self.topics else name  # names without any slash are legal
+
+    def relative(self, name: str) -> str | None:
+        """Return the name of a recorded topic relative to this run's rig; None if it is not of this rig.
+
+        Raises:
+            RecordingError: there are several rigs, and none was chosen.
+        """
+        others = [one for one in self.prefixes if len(one) > len(self.prefix) and name.startswith(one)]
+        return name.removeprefix(self.prefix) if name.startswith(self.prefix) and not others else None
+
+    def resolve(self, wanted: str | Topic) -> str:
+        """Return the full name of a recorded topic: see `name`.
+
+        Raises:
+            RecordingError: it was not recorded; or there are several rigs, and none was chosen.
+        """
+        name = self.name(wanted)
+        if name not in self.topics:
+            there = ", ".join(sorted(self.topics)) or "none"
+            raise RecordingError(
+                f"no topic {wanted if isinstance(wanted, str) else wanted.name!r} in this recording; there are: {there}"
+            )
+        return name
 
     def messages(
         self,
@@ -175,7 +254,7 @@ class Run:
         """Yield messages in log-time order; equal times in the order they were recorded.
 
         Args:
-            topics: only these, with or without namespace; None: all.
+            topics: only these, by absolute names or relative to the rig's namespace; None: all.
             start_ns: only messages at or after this log time.
             end_ns: only messages before this log time.
             recorded_order: yield them as they arrived at the recorder instead.
@@ -187,8 +266,12 @@ class Run:
         return self._merge(names, start_ns, end_ns, recorded_order=recorded_order)
 
     def holds(self, topic: str | Topic) -> bool:
-        """Return whether a topic was recorded, under whatever namespace."""
-        return any(matches(name, topic if isinstance(topic, str) else topic.name) for name in self.topics)
+        """Return whether a topic of this run's rig was recorded.
+
+        Raises:
+            RecordingError: there are several rigs, and none was chosen.
+        """
+        return self.name(topic) in self.topics
 
     def tables(self, topic: str | Topic, *, recorded_order: bool = False) -> Iterator[Table]:
         """Yield the tables of a PointCloud2 topic in log-time order, or as they arrived.
@@ -201,7 +284,7 @@ class Run:
             RecordingError: the topic is not there, carries no tables, or is damaged; or tables are none of the topic.
         """
         known = None if isinstance(topic, str) else topic
-        name = self._table_topic(topic if isinstance(topic, str) else topic.name)
+        name = self._table_topic(topic)
         return (self.table(message, known) for message in self.messages([name], recorded_order=recorded_order))
 
     def table(self, message: Message, topic: Topic | None = None, needs: tuple[str, ...] = ()) -> Table:
@@ -226,7 +309,7 @@ class Run:
         name = self._table_topic(topic)
         return ((message.publish_time, self.table(message)) for message in self.messages([name]))
 
-    def _table_topic(self, topic: str) -> str:
+    def _table_topic(self, topic: str | Topic) -> str:
         name = self.resolve(topic)
         type_name = self.topics[name].topic.type_name
         if type_name != topics.TABLE:
@@ -241,8 +324,8 @@ class Run:
         account = self._account()
         with _named(self.path):
             for source in self.sources:
-                for index in source.summary.chunk_indexes:
-                    account.chunk(index.uncompressed_size)
+                for segment in source.segments:
+                    account.chunk(segment.size)
             budget.allow("topics", len(self.topics), budget.TOPICS)
             texts = sum(len(recorded.topic.offered_qos_text) for recorded in self.topics.values())
             budget.allow("characters of QoS profiles", texts, budget.QOS_CHARACTERS)
@@ -263,17 +346,17 @@ class Run:
         self, names: frozenset[str] | None, start_ns: int | None, end_ns: int | None, *, recorded_order: bool
     ) -> Generator[Message, None, None]:
         places = [
-            _Place(source, index)
+            _Place(source, segment)
             for source in self.sources
-            for index in source.summary.chunk_indexes
-            if _wanted(source, index, names)
-            and (start_ns is None or index.message_end_time >= start_ns)
-            and (end_ns is None or index.message_start_time < end_ns)
+            for segment in source.segments
+            if _wanted(source, segment, names)
+            and (start_ns is None or segment.last_ns >= start_ns)
+            and (end_ns is None or segment.first_ns < end_ns)
         ]
         recorded = list(places)
         running_number = {id(place): number for number, place in enumerate(recorded)}
         if not recorded_order:
-            places.sort(key=lambda place: place.index.message_start_time)
+            places.sort(key=lambda place: place.segment.first_ns)
         pending: list[_Item] = []
         account, most = self._account(), round(budget.HELD_BYTES // budget.MESSAGE_BYTES * budget.factor())
         coming, ahead = deque(places), deque[tuple[_Place, Future[memoryview]]]()
@@ -284,19 +367,19 @@ class Run:
                     if len(in_memory) > LEAST_AHEAD and _size(*in_memory) > AHEAD_BYTES:
                         break
                     self._refuse_hoard(pending, recorded, in_memory)
-                    ahead.append((coming[0], pool.submit(coming[0].source.chunk, coming[0].index)))
+                    ahead.append((coming[0], pool.submit(coming[0].source.content, coming[0].segment)))
                     coming.popleft()
                 place, reading = ahead.popleft()
                 content = reading.result()
-                place.source.refuse_if_closed(place.index)  # it may have been read before
+                place.source.refuse_if_closed(place.segment.offset)  # it may have been read before
                 with _named(self.path):  # counted before any record becomes an object
                     account.records(records.count(content, most))
-                pending += _items(place, content, names, running_number[id(place)])
+                pending += _items(place, content, names, running_number[id(place)], account)
                 cut = len(pending)
                 if not recorded_order:
                     pending.sort()
                     if ahead:  # nothing in the chunks to come is earlier than the next one's start
-                        cut = bisect.bisect_left(pending, (ahead[0][0].index.message_start_time,))
+                        cut = bisect.bisect_left(pending, (ahead[0][0].segment.first_ns,))
                 for log_time, _, _, message in pending[:cut]:
                     if (start_ns is None or log_time >= start_ns) and (end_ns is None or log_time < end_ns):
                         yield message
@@ -320,12 +403,12 @@ def _named(path: Path) -> Iterator[None]:
 
 
 def _size(*places: _Place) -> int:
-    return sum(place.index.uncompressed_size for place in places)
+    return sum(place.segment.size for place in places)
 
 
-def open_run(path: Path | str) -> Run:
+def open_run(path: Path | str, rig: str | None = None) -> Run:
     """Open a run directory or an MCAP file; see `Run`."""
-    return Run(Path(path))
+    return Run(Path(path), rig)
 
 
 def run_files(path: Path) -> list[Path]:
@@ -338,13 +421,21 @@ def run_files(path: Path) -> list[Path]:
         return [path]
     if not path.is_dir():
         raise RecordingError(f"{path} is neither a run directory nor an MCAP file")
-    files = mcap_files(path)
-    missing = set(_listed_files(path)) - {file.name for file in files}
+    listed = [_listed(path, name) for name in _listed_files(path)]
+    missing = [file.name for file in listed if not file.exists()]
     if missing:
         raise RecordingError(f"{path}: {', '.join(sorted(missing))} is missing ({description.METADATA_FILE} lists it)")
-    if not files:
+    found = listed or mcap_files(path) or sorted(path.glob("*.db3")) or sorted(path.glob("*.mcap.zstd"))
+    if not found:
         raise RecordingError(f"{path} holds no *.mcap file")
-    return files
+    return found
+
+
+def _listed(directory: Path, name: str) -> Path:
+    """Return a file that `metadata.yaml` lists: older versions write the folder in front; it may have been unpacked."""
+    file = directory / Path(name).name
+    unpacked = file.with_suffix("") if file.suffix == ".zstd" else file
+    return unpacked if unpacked.exists() else file
 
 
 def mcap_files(directory: Path) -> list[Path]:
@@ -373,24 +464,31 @@ def _listed_files(directory: Path) -> list[str]:
         raise RecordingError(f"{path} cannot be understood: {error}") from error
 
 
-def _wanted(source: McapSource, index: ChunkIndex, names: frozenset[str] | None) -> bool:
-    if names is None or not index.message_index_offsets:  # no message index: the chunk may hold anything
+def _wanted(source: McapSource, segment: Segment, names: frozenset[str] | None) -> bool:
+    if names is None or not segment.channels:  # it may hold anything
         return True
-    return any(source.topics[i].name in names for i in index.message_index_offsets if i in source.topics)
+    return any(source.topics[i].name in names for i in segment.channels if i in source.topics)
 
 
-def _items(place: _Place, content: memoryview, names: frozenset[str] | None, chunk_number: int) -> list[_Item]:
-    """Return the wanted messages of a chunk, each with its sort key."""
+def _items(
+    place: _Place, content: memoryview, names: frozenset[str] | None, number_of_place: int, account: Spending
+) -> list[_Item]:
+    """Return the wanted messages of a segment, each with its sort key."""
     topics = place.source.topics
     wanted = None if names is None else frozenset(i for i, topic in topics.items() if topic.name in names)
     items = []
     try:
         for number, raw in enumerate(records.messages(content, wanted)):
-            topic = topics[raw.channel_id]
-            message = Message(topic.name, topic.type_name, raw.log_time, raw.publish_time, raw.sequence, raw.data)
-            items.append((raw.log_time, chunk_number, number, message))
+            topic, data = topics[raw.channel_id], raw.data
+            if topic.encoding == description.SERIALIZATION and bytes(data[:4]) == records.ZSTD_MAGIC:
+                data = records.plain_message(data, budget.CHUNK_BYTES)
+                account.chunk(len(data))
+            message = Message(topic.name, topic.type_name, raw.log_time, raw.publish_time, raw.sequence, data)
+            items.append((raw.log_time, number_of_place, number, message))
     except KeyError as error:
         raise DamageError(f"{place.source.path}: a message belongs to the unknown channel {error}") from error
+    except BudgetError as error:
+        raise BudgetError(f"{place.source.path}: {error}") from error
     return items
 
 
@@ -418,12 +516,16 @@ class McapSource:
             assert self.summary.statistics is not None
             self.statistics = self.summary.statistics
             self.topics = topics_of(self.summary)
+            self.segments = self._segments()
         except DamageError as error:
             being_written = self._is_being_written()
             self.close()
             if being_written:
                 raise RecordingError(f"{path}: {_BEING_WRITTEN}") from error
             raise DamageError(f"{path}: {error}; {_REMEDY}") from error
+        except ForeignBagError as error:
+            self.close()
+            raise ForeignBagError(f"{path}: {error}") from error
         except BudgetError as error:
             self.close()
             raise BudgetError(f"{path}: {error}") from error
@@ -437,14 +539,14 @@ class McapSource:
             os.close(self._fd)
             self._fd = -1
 
-    def refuse_if_closed(self, index: ChunkIndex) -> None:
-        """Refuse to go on with a chunk of a file that has been closed.
+    def refuse_if_closed(self, offset: int) -> None:
+        """Refuse to go on with a segment of a file that has been closed.
 
         Raises:
             RecordingError: it has.
         """
         if self._fd < 0:
-            raise RecordingError(f"{self.path} cannot be read at byte {index.chunk_start_offset}: it has been closed")
+            raise RecordingError(f"{self.path} cannot be read at byte {offset}: it has been closed")
 
     def _is_being_written(self) -> bool:
         """Return whether the process lives that writes the file: it holds a lock on it."""
@@ -457,19 +559,57 @@ class McapSource:
         fcntl.flock(self._fd, fcntl.LOCK_UN)
         return False
 
-    def chunk(self, index: ChunkIndex) -> memoryview:
-        """Return the records of a chunk, decompressed and checked.
+    def _segments(self) -> list[Segment]:
+        """Return the parts that hold messages, in the order of the file."""
+        chunks = [Segment.of_chunk(index) for index in self.summary.chunk_indexes]
+        return chunks if chunks or not self.statistics.message_count else list(self._outside_chunks())
+
+    def _outside_chunks(self) -> Iterator[Segment]:
+        """Walk the records of a file without chunks, and yield the messages that follow each other."""
+        position, view, base = len(records.MAGIC), b"", 0
+        begun = ended = 0
+        times: list[int] = []
+        channels: set[int] = set()
+        while True:
+            if position + records.MESSAGE_HEAD.size > base + len(view):
+                base, view = position, os.pread(self._fd, SEGMENT_BYTES, position)
+            if len(view) - (position - base) < records.RECORD_HEAD.size:
+                raise DamageError("its data section has no end")
+            opcode, length = records.RECORD_HEAD.unpack_from(view, position - base)
+            end = position + records.RECORD_HEAD.size + length
+            if end > self.size:
+                raise DamageError(f"the record at byte {position} claims {length} bytes of a file of {self.size}")
+            if times and (opcode == records.DATA_END or end - begun > SEGMENT_BYTES):
+                size = ended - begun
+                yield Segment(begun, size, min(times), max(times), size, frozenset(channels), chunk=None)
+                times, channels = [], set()
+            if opcode == records.DATA_END:
+                return
+            if opcode == records.MESSAGE:
+                if length < records.MESSAGE_HEAD.size - records.RECORD_HEAD.size:
+                    raise DamageError(f"the message at byte {position} is too short")
+                _, _, channel, _, log_time, _ = records.MESSAGE_HEAD.unpack_from(view, position - base)
+                begun, ended = begun if times else position, end
+                times.append(log_time)
+                channels.add(channel)
+            position = end
+
+    def content(self, segment: Segment) -> memoryview:
+        """Return the records of a segment, decompressed and checked where they carry a checksum.
 
         Raises:
-            RecordingError: the chunk is damaged.
+            RecordingError: it is damaged.
         """
+        if segment.chunk is None:
+            with files.errors_as(f"{self.path} cannot be read at byte {segment.offset}"):
+                return memoryview(os.pread(self._fd, segment.length, segment.offset))
         try:
-            chunk = records.parse(mcap_records.Chunk, self._record(index, records.CHUNK))
-            if chunk.uncompressed_size != index.uncompressed_size:
+            chunk = records.parse(mcap_records.Chunk, self._record(segment.chunk, records.CHUNK))
+            if chunk.uncompressed_size != segment.size:
                 raise DamageError("its size is not that in the index")  # noqa: TRY301  (one place words both kinds)
             return records.decompress(chunk)
         except DamageError as error:
-            where = f"{self.path}: the chunk at byte {index.chunk_start_offset} is damaged"
+            where = f"{self.path}: the chunk at byte {segment.offset} is damaged"
             raise DamageError(f"{where}: {error}; {_REMEDY}") from error
 
     def attachments(self) -> list[Attachment]:
@@ -478,16 +618,28 @@ class McapSource:
         Raises:
             RecordingError: one is damaged.
         """
+        return [attachment for attachment, _ in self._attachments()]
+
+    def attachment_crcs(self) -> list[bool]:
+        """Return for each attachment whether it carries a checksum, which then fits.
+
+        Raises:
+            RecordingError: one is damaged.
+        """
+        return [is_checked for _, is_checked in self._attachments()]
+
+    def _attachments(self) -> list[tuple[Attachment, bool]]:
         found = []
         for index in self.summary.attachment_indexes:
             try:
                 content = self._record(index, records.ATTACHMENT)
                 attachment = records.parse(mcap_records.Attachment, content)
-                if not records.attachment_is_intact(content):
+                fits = records.attachment_crc(content)
+                if fits is False:
                     raise DamageError("its checksum does not fit")  # noqa: TRY301  (one place words both kinds of damage)
             except DamageError as error:
                 raise DamageError(f"{self.path}: the attachment at byte {index.offset} is damaged: {error}") from error
-            found.append(Attachment(attachment.name, bytes(attachment.data), attachment.media_type))
+            found.append((Attachment(attachment.name, bytes(attachment.data), attachment.media_type), fits is not None))
         return found
 
     def metadata(self) -> list[tuple[str, dict[str, str]]]:
@@ -507,13 +659,53 @@ class McapSource:
             found.append((record.name, record.metadata))
         return found
 
+    @property
+    def fd(self) -> int:
+        """Descriptor of the open file."""
+        return self._fd
+
+    def crc(self, segment: Segment) -> int:
+        """Return the checksum that the head of a chunk holds; 0: it carries none.
+
+        Raises:
+            RecordingError: it cannot be read.
+        """
+        head = records.RECORD_HEAD.size + records.CHUNK_HEAD.size
+        with files.errors_as(f"{self.path} cannot be read at byte {segment.offset}"):
+            data = os.pread(self._fd, head, segment.offset)
+        return int(records.CHUNK_HEAD.unpack_from(data, records.RECORD_HEAD.size)[-1]) if len(data) == head else 0
+
+    def data_end(self) -> int:
+        """Return where the record is that ends the data section.
+
+        Raises:
+            DamageError: it is not in front of the summary.
+        """
+        tail_bytes = records.FOOTER_BYTES + len(records.MAGIC)
+        tail = os.pread(self._fd, tail_bytes, self.size - tail_bytes)
+        _, content, _ = records.split(memoryview(tail), 0, end=records.FOOTER_BYTES)
+        return records.parse(mcap_records.Footer, content).summary_start - DATA_END_BYTES
+
+    def record_at(self, offset: int, opcode: int) -> memoryview:
+        """Return the content of the record at a place.
+
+        Raises:
+            DamageError: there is none of this kind.
+        """
+        with files.errors_as(f"{self.path} cannot be read at byte {offset}"):
+            head = os.pread(self._fd, records.RECORD_HEAD.size, offset)
+        if len(head) < records.RECORD_HEAD.size:
+            raise DamageError("the file is shorter than its index says")
+        return self._read_record(offset, len(head) + records.RECORD_HEAD.unpack(head)[1], opcode)
+
     def _record(
         self, index: ChunkIndex | mcap_records.AttachmentIndex | mcap_records.MetadataIndex, opcode: int
     ) -> memoryview:
         if isinstance(index, ChunkIndex):
-            offset, length = index.chunk_start_offset, index.chunk_length
-        else:
-            offset, length = index.offset, index.length
+            return self._read_record(index.chunk_start_offset, index.chunk_length, opcode)
+        return self._read_record(index.offset, index.length, opcode)
+
+    def _read_record(self, offset: int, length: int, opcode: int) -> memoryview:
         if length > self.size - offset:
             raise DamageError(f"it claims {length} bytes of a file of {self.size}")
         budget.allow("bytes in a record", length, budget.CHUNK_BYTES + budget.MIB)
@@ -527,6 +719,25 @@ class McapSource:
         return content
 
 
+class ForeignBagError(RecordingError):
+    """A recording in another format than MCAP."""
+
+
+def refuse_foreign(fd: int) -> None:
+    """Refuse a bag of rosbag2 in another format, with a command that converts it.
+
+    Raises:
+        ForeignBagError: the file is in SQLite, or compressed as a whole.
+    """
+    begin = os.pread(fd, len(SQLITE_MAGIC), 0)
+    if begin.startswith(SQLITE_MAGIC):
+        raise ForeignBagError(f"it is a bag in SQLite, only MCAP is read; {CONVERT}")
+    if begin.startswith(records.ZSTD_MAGIC):
+        raise ForeignBagError(
+            f"it is compressed as a whole (compression_mode: file); unpack it (zstd -d), or {CONVERT}"
+        )
+
+
 def read_summary(fd: int, size: int) -> Summary:
     """Read and check the summary of an open MCAP file of `size` bytes.
 
@@ -534,6 +745,7 @@ def read_summary(fd: int, size: int) -> Summary:
         DamageError: the file is no finished MCAP file, or the summary is damaged.
     """
     magic, tail_bytes = len(records.MAGIC), records.FOOTER_BYTES + len(records.MAGIC)
+    refuse_foreign(fd)
     if os.pread(fd, magic, 0) != records.MAGIC:
         raise DamageError("it does not begin like an MCAP file")
     tail = os.pread(fd, tail_bytes, max(0, size - tail_bytes))
@@ -586,8 +798,6 @@ def parse_summary(section: memoryview) -> Summary:
         raise DamageError("it has no statistics")
     if statistics.chunk_count != len(chunks):
         raise DamageError(f"its index lists {len(chunks)} of {statistics.chunk_count} chunks")
-    if statistics.message_count and not chunks:
-        raise DamageError("its messages are not in chunks, which alone carry checksums")
     _refuse_shared_bytes(chunks)
     return found
 
@@ -613,8 +823,7 @@ def topics_of(summary: Summary) -> dict[int, TopicDescription]:
     topics = {}
     for channel in summary.channels.values():
         schema = summary.schemas.get(channel.schema_id)
-        if schema is None:
+        if schema is None and channel.schema_id:
             raise DamageError(f"topic {channel.topic} has no schema")
-        text = str(schema.data, "utf-8", "replace")
-        topics[channel.id] = TopicDescription.from_channel(channel.topic, schema.name, text, channel.metadata)
+        topics[channel.id] = TopicDescription.from_channel(channel, schema)
     return topics

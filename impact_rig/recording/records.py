@@ -38,6 +38,10 @@ class DamageError(RecordingError):
     """Bytes are not the record they claim to be."""
 
 
+class UncheckedError(DamageError):
+    """Bytes carry no checksum, and one was wanted."""
+
+
 class RawMessage(NamedTuple):
     """A message inside a chunk; `data` is a view of the chunk."""
 
@@ -87,9 +91,10 @@ def parse(kind: type[Record], content: memoryview) -> Record:
     return record
 
 
-def attachment_is_intact(content: memoryview) -> bool:
-    """Return whether the checksum of an attachment fits; 0 counts as none, so as not intact."""
-    return zlib.crc32(content[:-4]) == int.from_bytes(content[-4:], "little")
+def attachment_crc(content: memoryview) -> bool | None:
+    """Return whether the checksum of an attachment fits; None if it carries none (0)."""
+    crc = int.from_bytes(content[-4:], "little")
+    return zlib.crc32(content[:-4]) == crc if crc else None
 
 
 def split(view: memoryview, offset: int, *, end: int | None = None) -> tuple[int, memoryview, int]:
@@ -123,10 +128,36 @@ def decompress(chunk: mcap_records.Chunk, *, need_crc: bool = False) -> memoryvi
     if len(data) != size:
         raise DamageError(f"a chunk holds {len(data)} bytes instead of {size}")
     if chunk.uncompressed_crc == 0 and need_crc:
-        raise DamageError("a chunk carries no checksum")
+        raise UncheckedError("a chunk carries no checksum")
     if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
         raise DamageError("the checksum of a chunk does not fit its content")
     return memoryview(data)
+
+
+ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
+"""First bytes of a zstd frame; a CDR message begins with 00."""
+
+
+def plain_message(data: memoryview, most: int) -> memoryview:
+    """Return the CDR bytes of a message, decompressed if its recorder compressed each message by itself with zstd.
+
+    Args:
+        data: of a message in CDR, or a zstd frame with one.
+        most: largest size to decompress to [bytes].
+
+    Raises:
+        DamageError: it cannot be decompressed, or is larger.
+    """
+    if bytes(data[:4]) != ZSTD_MAGIC:
+        return data
+    try:
+        claimed = zstandard.get_frame_parameters(data).content_size
+        if claimed != zstandard.CONTENTSIZE_UNKNOWN and claimed > most:
+            raise DamageError(f"a compressed message claims {claimed} bytes, more than {most}")
+        content = zstandard.ZstdDecompressor().decompress(data, max_output_size=most)
+    except zstandard.ZstdError as error:
+        raise DamageError(f"a compressed message cannot be decompressed: {error}") from error
+    return memoryview(content)
 
 
 def messages(records: memoryview, wanted: frozenset[int] | None) -> Iterator[RawMessage]:
@@ -149,6 +180,23 @@ def messages(records: memoryview, wanted: frozenset[int] | None) -> Iterator[Raw
             offset = end
         else:
             _, _, offset = split(records, offset)
+
+
+def positions(records: memoryview) -> Iterator[tuple[int, int, int]]:
+    """Yield channel, log time and place of each message in decompressed chunk content, as a message index has them.
+
+    Raises:
+        DamageError: the content is not a sequence of records.
+    """
+    offset = 0
+    while offset < len(records):
+        opcode, content, end = split(records, offset)
+        if opcode == MESSAGE:
+            if len(content) < MESSAGE_HEAD.size - RECORD_HEAD.size:
+                raise DamageError(f"the message at byte {offset} of a chunk is too short")
+            _, _, channel_id, _, log_time, _ = MESSAGE_HEAD.unpack_from(records, offset)
+            yield channel_id, log_time, offset
+        offset = end
 
 
 def count(records: memoryview, most: int) -> int:

@@ -38,20 +38,18 @@ from impact_rig.recording.description import (
     ENCODING,
     INFINITE_NS,
     RECORD_NAME,
-    SERIALIZATION,
     TOPIC_RECORD_NAME,
     Attachment,
     FileSpan,
     Provenance,
     TopicDescription,
-    matches,
     protect,
     starts_with_header,
 )
 from impact_rig.recording.losses import RECORD_NAME as LOSSES_RECORD_NAME
 from impact_rig.recording.losses import Account
 from impact_rig.recording.records import CHUNK, CHUNK_HEAD, MESSAGE, MESSAGE_HEAD, RECORD_HEAD
-from impact_rig.simtime import NS_PER_S
+from impact_rig.recording.rigs import prefix_of
 from impact_rig.system import files
 from impact_rig.system.files import NEW_FILE
 
@@ -88,7 +86,6 @@ class RunWriter:
         chunk_bytes: see `CHUNK_BYTES`.
         max_file_bytes: begin a new file beyond this size; 0: one file.
         max_file_duration_ns: begin a new file when a message is later than this after the file's first; 0: one file.
-        rig_start_ns: log time of header-less messages before any stamp is known; None: their publish time.
         tail: keep what the open chunk holds in a second file, so that `secure` can promise it.
         ros_distro: for `metadata.yaml`.
 
@@ -109,7 +106,6 @@ class RunWriter:
         chunk_bytes: int = CHUNK_BYTES,
         max_file_bytes: int = 0,
         max_file_duration_ns: int = 0,
-        rig_start_ns: int | None = None,
         tail: bool = False,
         ros_distro: str = "jazzy",
     ) -> None:
@@ -124,7 +120,9 @@ class RunWriter:
         self._max_file_bytes = max_file_bytes
         self._max_file_duration_ns = max_file_duration_ns
         self._ros_distro = ros_distro
-        self._log_time = LogTime(rig_start_ns)
+        self._clock_ns = LogClock()
+        self._early: list[_Early] = []
+        self._early_bytes = 0
         self._channels: dict[str, _Channel] = {}
         self._spans: list[FileSpan] = []
         self._bytes_before = 0
@@ -144,7 +142,7 @@ class RunWriter:
     @property
     def message_count(self) -> int:
         """Messages accepted so far."""
-        return sum(span.count for span in self._spans)
+        return sum(span.count for span in self._spans) + len(self._early)
 
     @property
     def bytes_written(self) -> int:
@@ -165,9 +163,7 @@ class RunWriter:
         self._refuse_if_closed()
         known = self._channels.get(topic.name)
         if known is None:
-            has_header = starts_with_header(topic.type_name, topic.schema)
-            is_ahead = matches(topic.name, topics.WAVEFORM.name)  # its stamp is when it will act, or whatever is sent
-            channel = _Channel(topic, has_header and not is_ahead, matches(topic.name, topics.SCAN.name))
+            channel = _Channel(topic, starts_with_header(topic.type_name, topic.schema), _carries_scans(topic))
             with _StoppingOnError(self):
                 self._file.close_chunk()  # the tail of the open one knows only the topics of its beginning
                 self._commit()
@@ -197,8 +193,42 @@ class RunWriter:
         channel = self._channels.get(topic_name)
         if channel is None:
             raise RecordingError(f"topic {topic_name} has not been added to the recording")
-        log_time = self._log_time.of(data, publish_time_ns, channel.has_header, channel.is_scan, table)
-        self._write(channel, data, log_time, publish_time_ns, sequence, counted=True)
+        self._refuse_if_closed()
+        if channel.is_scan:
+            scans = _block(data, table)
+            if scans is not None:
+                log_time = self._clock_ns.begin_block(*scans)
+                self._write_early()
+                self._write(channel, data, log_time, publish_time_ns, sequence, counted=True)
+                self._clock_ns.end_block()
+                return
+        if self._clock_ns.now_ns is None:
+            self._early.append(_Early(channel, data, publish_time_ns, sequence))
+            self._early_bytes += len(data)
+            if len(self._early) >= MOST_EARLY or self._early_bytes >= MOST_EARLY_BYTES:
+                self._begin_without_scans()
+            return
+        self._write(channel, data, self._clock_ns.now_ns, publish_time_ns, sequence, counted=True)
+
+    def _begin_without_scans(self) -> None:
+        """Write what came before any scan: at its newest stamp, or where nothing is stamped at its publish times."""
+        stamps = [_stamp(one.data) for one in self._early if one.channel.has_header]
+        newest_ns = max(stamps, default=0)
+        for one in self._early:
+            self._clock_ns.go_on(newest_ns or one.publish_time_ns)
+            self._write_one(one)
+        self._early, self._early_bytes = [], 0
+
+    def _write_early(self) -> None:
+        """Write what came before the first scan, at the time of that."""
+        for one in self._early:
+            self._write_one(one)
+        self._early, self._early_bytes = [], 0
+
+    def _write_one(self, one: _Early) -> None:
+        now_ns = self._clock_ns.now_ns
+        assert now_ns is not None
+        self._write(one.channel, one.data, now_ns, one.publish_time_ns, one.sequence, counted=True)
 
     def write_at(self, topic_name: str, data: bytes, log_time_ns: int, publish_time_ns: int, sequence: int = 0) -> None:
         """Record one message at a log time that is known already, without account; otherwise like `write`."""
@@ -279,6 +309,7 @@ class RunWriter:
             RecordingError: there is no room for index or `metadata.yaml`; the messages on disk are whole.
         """
         if not self._closed:
+            self._begin_without_scans()
             self._closed = True
             self._finish_file()
             description.write_metadata(self.directory, self._information())
@@ -313,7 +344,13 @@ class RunWriter:
     def _register(self, channel: _Channel) -> None:
         topic = channel.topic
         channel.id = self._file.add_topic(topic)
-        repeated = {"id": str(channel.id), "name": topic.name, "type_name": topic.type_name, "schema": topic.schema}
+        repeated = {
+            "id": str(channel.id),
+            "name": topic.name,
+            "type_name": topic.type_name,
+            "schema": topic.schema,
+            "encoding": topic.encoding,
+        }
         self._file.add_metadata(TOPIC_RECORD_NAME, protect(repeated | topic.channel_metadata()))
 
     def _write_attachment(self, attachment: Attachment) -> None:
@@ -412,37 +449,57 @@ class _StoppingOnError:
             self._writer.stop(error)
 
 
-_LONGEST_BLOCK_S = 1e6  # a `time` beyond this (or none at all, or NaN) is no instant of a block
+MOST_EARLY, MOST_EARLY_BYTES = 20_000, 16 * 2**20
+"""Messages, and bytes of them, that wait for the first scan, which says at what rig time they were received."""
 
 
-class LogTime:
-    """Follows rig time through the stamps of the messages; reads no clock.
+@attrs.frozen
+class _Early:
+    """A message received before the first scan."""
 
-    Args:
-        rig_start_ns: rig time before any stamp is known; None: the message's publish time is taken until then.
+    channel: _Channel
+    data: bytes
+    publish_time_ns: int
+    sequence: int
+
+
+class LogClock:
+    """Log time of a recording: the rig time at which a message is received, by the scans received until then.
+
+    It never goes back. Where stamps do (a rig that was restarted), it goes on from where it was, at their rate.
     """
 
-    def __init__(self, rig_start_ns: int | None = None) -> None:
-        self._newest_ns = rig_start_ns
-        self._scans_seen = False
+    def __init__(self) -> None:
+        self.now_ns: int | None = None  # None: not known yet
+        self._end_ns = 0  # of the block that is being logged
+        self._offset_ns = 0  # from the stamps of a restarted rig to log times
 
-    def of(self, data: bytes, publish_time_ns: int, has_header: bool, is_scan: bool, table: Table | None) -> int:
-        """Return the log time [ns, not negative] of a message received now.
+    def go_on(self, now_ns: int) -> None:
+        """Go on to a time."""
+        self.now_ns = max(_clamp(now_ns), self.now_ns or 0)
 
-        A stamp of zero is a header nobody filled in (or the first instant of a rig that starts at 0, where the fallback
-        is zero as well), and bytes too short for a header have none: both are logged like header-less messages.
+    def begin_block(self, first_ns: int, last_ns: int) -> int:
+        """Return the log time of a block: that of its first scan.
+
+        Args:
+            first_ns: stamp of its first scan.
+            last_ns: stamp of its last scan.
         """
-        block = _block(data, table) if is_scan else None
-        if block is not None:
-            stamp, self._newest_ns = block
-            self._scans_seen = True
-            return _clamp(stamp)
-        stamp = _stamp(data) if has_header else 0
-        if stamp > 0:
-            if not self._scans_seen:
-                self._newest_ns = max(stamp, self._newest_ns or 0)
-            return stamp
-        return _clamp(publish_time_ns if self._newest_ns is None else self._newest_ns)
+        now_ns = _clamp(first_ns) if self.now_ns is None else self.now_ns
+        if first_ns < now_ns and first_ns + self._offset_ns < now_ns:
+            self._offset_ns = now_ns - first_ns
+        log_time = _clamp(first_ns if first_ns >= now_ns else first_ns + self._offset_ns)
+        self._end_ns = _clamp(log_time + max(0, last_ns - first_ns))
+        self.now_ns = log_time
+        return log_time
+
+    def end_block(self) -> None:
+        """Go on to the last scan of the block that began."""
+        self.now_ns = self._end_ns
+
+
+def _carries_scans(topic: TopicDescription) -> bool:
+    return topic.type_name == topics.TABLE and prefix_of(topic.name, topics.SCAN) is not None
 
 
 def _clamp(time_ns: int) -> int:
@@ -458,15 +515,12 @@ def _stamp(data: bytes) -> int:
 
 
 def _block(data: bytes, table: Table | None) -> tuple[int, int] | None:
-    """Return the times of a block's first and last scan, or None if it is no table with a sound `time` column."""
+    """Return the times of a block's first and last scan, or None if it is no table with scans."""
     try:
         table = table or codec.decode(data)
     except CodecError:
         return None
-    if not len(table.rows) or not losses.has_times(table):
-        return None
-    last_s = float(table.rows["time"][-1])
-    return (table.stamp_ns, table.stamp_ns + round(last_s * NS_PER_S)) if abs(last_s) < _LONGEST_BLOCK_S else None
+    return (table.stamp_ns, losses.last_scan_ns(table)) if len(table.rows) and losses.has_times(table) else None
 
 
 def make_room(directory: Path) -> None:
@@ -572,6 +626,8 @@ class McapFile:
 
     def add_topic(self, topic: TopicDescription) -> int:
         """Register `topic` and return its channel id: 1 for the first, 2 for the next."""
+        if not topic.type_name:
+            self._schema_ids[""] = 0  # a channel without a schema
         if topic.type_name not in self._schema_ids:
             data = topic.schema.encode()
             self._index_bytes += len(data) + len(topic.type_name) + 64
@@ -584,8 +640,8 @@ class McapFile:
             _CLOSING_BYTES_PER_TOPIC + len(topic.name) + sum(len(k) + len(v) for k, v in metadata.items()) + 64
         )
         schema = self._schema_ids[topic.type_name]
-        number = self._writer.register_channel(topic.name, SERIALIZATION, schema, metadata)
-        self._open_bytes += _length(Channel(number, topic.name, SERIALIZATION, metadata, schema))
+        number = self._writer.register_channel(topic.name, topic.encoding, schema, metadata)
+        self._open_bytes += _length(Channel(number, topic.name, topic.encoding, metadata, schema))
         return number
 
     def add_message(self, channel: int, log_time: int, data: bytes, publish_time: int, sequence: int) -> bool:

@@ -40,7 +40,6 @@ class RigRecorder:
             ),
             attachments=(Attachment(CONFIGURATION, dump(rig.config).encode(), "application/yaml"),),
             clock=time.monotonic,
-            rig_start_ns=0,
         )  # fmt: skip
         for topic in (*PUBLISHED, topics.JOINT_STATES, *more):
             self._writer.add_topic(TopicDescription(name=f"/rig/{topic.name}", type_name=topic.type_name))

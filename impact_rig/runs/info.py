@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 from impact_rig import codec, topics
 from impact_rig.errors import CodecError
 from impact_rig.recording import description, losses
-from impact_rig.recording.description import CONFIGURATION, matches
+from impact_rig.recording.description import CONFIGURATION
 from impact_rig.recording.losses import Contiguity, check_contiguity, scan_rate_hz
 from impact_rig.recording.reader import Message, Run, open_run
 from impact_rig.recording.records import DamageError
+from impact_rig.recording.rigs import prefix_of
 from impact_rig.recording.writer import CONTINUES_RECORD_NAME
 from impact_rig.rig.journal import InputKind
-from impact_rig.runs import recovery
+from impact_rig.runs import recovery, structure
 from impact_rig.runs.recovery import Recovered
 from impact_rig.simtime import NS_PER_S
 
@@ -58,6 +59,7 @@ class RunInfo:
     topics: tuple[TopicInfo, ...]  # in the order they were registered
     rate_hz: int | None  # scans per second of `daq/scan`, of the first where there are two; None without it
     last_block_s: float  # how long the newest block of it is [s]; 0 where that is not known
+    rig_s: float | None  # rig time spanned by the stamps of the scans [s], of the rig with most; None without scans
     scans: Contiguity | None  # whether its blocks follow each other; None without it
     provenance: Mapping[str, str]  # version, seed, wall_start_ns, ...; empty for other recorders' files
     attachments: Mapping[str, int]
@@ -65,20 +67,20 @@ class RunInfo:
     lost: Mapping[str, int]  # messages that never reached the recorder, by topic; only topics that lack any
     accounted: bool
     recovered: Recovered | None  # what a recovery has left out; None: this is the run as it was recorded
-    intact: bool  # whether every checksum fits and nothing is known to be missing
+    intact: bool  # whether every checksum there is fits and nothing is known to be missing
     verdict: str
+    checksums: structure.Checksums
+    rigs: tuple[str, ...]  # namespaces
+
+    @property
+    def log_s(self) -> float:
+        """Time from the earliest to the latest log time [s]."""
+        return (self.end_ns - self.start_ns) / NS_PER_S
 
     @property
     def duration_s(self) -> float:
-        """Rig time from the first block of daq/scan to the end of the last [s]; of all messages where there is none.
-
-        What was published before (journal, calibration) keeps its stamp, which may be hours older.
-        """
-        scans = [topic for topic in self.topics if matches(topic.name, topics.SCAN.name)]
-        if not scans:
-            return (self.end_ns - self.start_ns) / NS_PER_S
-        begins_ns, ends_ns = min(topic.first_ns for topic in scans), max(topic.last_ns for topic in scans)
-        return (ends_ns - begins_ns) / NS_PER_S + self.last_block_s
+        """Rig time that the stamps of `daq/scan` span, first scan to end of the last [s]; `log_s` without scans."""
+        return self.log_s if self.rig_s is None else self.rig_s
 
     @property
     def messages(self) -> int:
@@ -108,6 +110,7 @@ def info(path: Path | str) -> RunInfo:
         attachments: Mapping[str, bytes] = {}
         account: Mapping[str, list[losses.PublisherStream]] = {}
         recovered: Recovered | None = None
+        checked = structure.Checksums()
         try:
             provenance = run.provenance
             attachments = run.attachments()
@@ -115,6 +118,8 @@ def info(path: Path | str) -> RunInfo:
             recovered = recovery.read_record(run.record(recovery.RECORD_NAME))
             for message in run.messages(recorded_order=True):
                 tally.add(message)
+            checked = structure.checksums(run)
+            problem = "; ".join(structure.contradictions(run))
         except DamageError as error:
             problem = str(error)
         rigs = list(tally.rigs.values())
@@ -133,6 +138,7 @@ def info(path: Path | str) -> RunInfo:
             topics=tally.topics(),
             rate_hz=rate_hz,
             last_block_s=max((rig.last_block_s for rig in rigs), default=0.0),
+            rig_s=max((rig.span_s for rig in rigs if rig.blocks), default=None),
             scans=scans,
             provenance=provenance,
             attachments={name: len(data) for name, data in attachments.items()},
@@ -142,13 +148,23 @@ def info(path: Path | str) -> RunInfo:
             recovered=recovered,
             intact=not problem and not missing,
             verdict=problem
-            or _verdict(tally, scans, missing, accounted=bool(account), recovered=recovered is not None),
+            or _verdict(tally, scans, missing, checked, accounted=bool(account), recovered=recovered is not None),
+            checksums=checked,
+            rigs=run.rigs,
         )
 
 
-def _verdict(tally: _Tally, scans: Contiguity | None, missing: list[str], *, accounted: bool, recovered: bool) -> str:
+def _verdict(
+    tally: _Tally,
+    scans: Contiguity | None,
+    missing: list[str],
+    checked: structure.Checksums,
+    *,
+    accounted: bool,
+    recovered: bool,
+) -> str:
     """Return the sentence; only a run whose recorder kept account and missed nothing is called whole."""
-    begin = "recovered: every checksum fits" if recovered else "every checksum fits"
+    begin = f"recovered: {checked}" if recovered else str(checked)
     if missing:
         return f"{begin}, but {'; '.join(missing)}"
     found = f"there is no {topics.SCAN.name}"
@@ -159,7 +175,8 @@ def _verdict(tally: _Tally, scans: Contiguity | None, missing: list[str], *, acc
         return f"{begin}, {found}; what the recorder had missed is not known"
     if not accounted:
         return f"{begin}, {found}; its recorder kept no account of lost messages"
-    return f"whole: {begin}, {found}, no message lost on any topic"
+    whole = "whole: " if checked.complete else ""
+    return f"{whole}{begin}, {found}, no message lost on any topic"
 
 
 def _judged(rigs: Sequence[_RigScans]) -> Contiguity | None:
@@ -167,7 +184,9 @@ def _judged(rigs: Sequence[_RigScans]) -> Contiguity | None:
 
     Of several rigs in one recording the blocks come in turn, and follow those of their own rig only.
     """
-    found = [check_contiguity(rig.blocks, rig.rate_hz, starts=rig.starts) for rig in rigs if rig.rate_hz]
+    found = [
+        check_contiguity(rig.blocks, rig.rate_hz, starts=rig.starts, resets=rig.resets) for rig in rigs if rig.rate_hz
+    ]
     if not found or any(rig.blocks and not rig.rate_hz for rig in rigs):
         return None
     return Contiguity(
@@ -263,7 +282,8 @@ class _RigScans:
     """What one rig says of its scans."""
 
     blocks: list[tuple[int, int]] = attrs.field(factory=list)
-    starts: list[int] = attrs.field(factory=list)  # scan 0 as often as the journal tells of it [ns]
+    starts: list[int] = attrs.field(factory=list)  # scan 0 of each start in the journal [ns]
+    resets: list[int] = attrs.field(factory=list)  # scan 0 of each reset in the journal [ns]
     rates: list[int] = attrs.field(factory=list)  # by the calibration
     from_times: int | None = None
 
@@ -278,6 +298,17 @@ class _RigScans:
         return found
 
     @property
+    def span_s(self) -> float:
+        """Rig time from the first scan to the end of the last [s]; where stamps go back, a further stretch begins."""
+        total_ns = begin_ns = end_ns = 0
+        for number, (stamp_ns, length) in enumerate(self.blocks):
+            if number == 0 or stamp_ns < begin_ns:
+                total_ns, begin_ns, end_ns = total_ns + end_ns - begin_ns, stamp_ns, stamp_ns
+            scans_ns = round(length * NS_PER_S / self.rate_hz) if self.rate_hz else 0
+            end_ns = max(end_ns, stamp_ns + scans_ns)
+        return (total_ns + end_ns - begin_ns) / NS_PER_S
+
+    @property
     def last_block_s(self) -> float:
         """How long the newest block is [s]; 0 where that is not known."""
         return max(self.blocks)[1] / self.rate_hz if self.rate_hz and self.blocks else 0.0
@@ -289,9 +320,10 @@ class _Tally:
     def __init__(self, run: Run) -> None:
         self._types = {name: recorded.topic.type_name for name, recorded in run.topics.items()}
         self._counts = {name: _Count() for name in run.topics}
-        self._scan_topics = {name for name in run.topics if matches(name, topics.SCAN.name)}
-        self._journals = {name for name in run.topics if matches(name, topics.JOURNAL.name)}
-        self._info_topics = {name for name in run.topics if matches(name, topics.INFO.name)}
+        prefixes = run.prefixes
+        self._scan_topics = {prefix + topics.SCAN.name for prefix in prefixes}
+        self._journals = {prefix + topics.JOURNAL.name for prefix in prefixes}
+        self._info_topics = {prefix + topics.INFO.name for prefix in prefixes}
         self.rigs: defaultdict[str, _RigScans] = defaultdict(_RigScans)  # by namespace
         self.sequences = {name: array("Q") for name in run.topics}
         """Numbers of the messages of every topic as their publishers gave them."""
@@ -313,12 +345,17 @@ class _Tally:
         elif message.topic in self._journals:
             with contextlib.suppress(CodecError):
                 table = codec.decode(message.data, topics.JOURNAL)
+                rig = self._rig(message, topics.JOURNAL)
                 if InputKind.START.value.encode() in table.rows["kind"]:
-                    self._rig(message, topics.JOURNAL).starts.append(table.stamp_ns)
+                    rig.starts.append(table.stamp_ns)
+                if InputKind.RESET.value.encode() in table.rows["kind"]:
+                    rig.resets.append(table.stamp_ns)
 
     def _rig(self, message: Message, topic: topics.Topic) -> _RigScans:
         """Return the rig whose topic a message is of."""
-        return self.rigs[message.topic.removesuffix(topic.name)]
+        prefix = prefix_of(message.topic, topic)
+        assert prefix is not None
+        return self.rigs[prefix]
 
     def _add_block(self, message: Message) -> None:
         try:

@@ -601,9 +601,7 @@ def write(found: ImportedFile, directory: Path, clock_ns: int | None = None) -> 
     if directory.is_dir() and any(directory.iterdir()):
         raise RecordingError(f"{directory} is not empty: nothing is overwritten")
     numbers: dict[str, int] = {}
-    with RunWriter(
-        directory, provenance=provenance, attachments=(kept,), clock=time.monotonic, rig_start_ns=found.start_ns
-    ) as writer:
+    with RunWriter(directory, provenance=provenance, attachments=(kept,), clock=time.monotonic) as writer:
         for topic in WRITTEN:
             writer.add_topic(TopicDescription(name=f"/{topic.name}", type_name=topic.type_name))
 

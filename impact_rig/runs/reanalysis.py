@@ -8,6 +8,7 @@ from the first change on that both saw; before it, one of them has seen more, an
 
 from __future__ import annotations
 
+import contextlib
 import heapq
 import itertools
 import math
@@ -21,9 +22,10 @@ from impact_rig import topics
 from impact_rig.analysis.settings import GapLabel, TrackerSettings, machine_of, parse_label, read_settings, started_of
 from impact_rig.analysis.tracker import Findings, Tracker
 from impact_rig.blocks import TRANSMISSIBILITY, Table
+from impact_rig.config.tree import parameters_in
 from impact_rig.errors import ConfigError, RecordingError
-from impact_rig.recording import Message, Run, is_measured
-from impact_rig.recording.losses import check_contiguity
+from impact_rig.recording import CONFIGURATION, Message, Run, is_measured
+from impact_rig.recording.losses import check_contiguity, last_scan_ns
 from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Status
 from impact_rig.system.machine import fingerprint
@@ -125,7 +127,7 @@ def _settings_told(run: Run) -> list[_Told]:
     refused = []
     heard: set[float | None] = set()
     came_ns = 0
-    for message in run.messages([run.resolve(topic.name)], recorded_order=True):
+    for number, message in enumerate(run.messages([topic.name], recorded_order=True)):
         try:
             table = run.table(message, topic)
             read_settings(table)
@@ -135,7 +137,7 @@ def _settings_told(run: Run) -> list[_Told]:
         another = bool(found) and started_of(table) != started_of(found[-1].table)
         again = another and message.publish_time > begun_ns
         if again:
-            came_ns = message.log_time
+            came_ns = _received_ns(run, topic, number)
         elif another:
             found.clear()
         found.append(_Told(max(table.stamp_ns, came_ns), table, again, another and started_of(table) in heard))
@@ -143,6 +145,20 @@ def _settings_told(run: Run) -> list[_Told]:
     if refused and not found:
         raise RecordingError(f"{run.path}: {refused[0]}") from refused[0]
     return found
+
+
+def _received_ns(run: Run, topic: topics.Topic, number: int) -> int:
+    """Return the rig time at which a message of a topic was received: the stamp of the newest scan before it."""
+    name, scan = run.resolve(topic), run.resolve(topics.SCAN)
+    newest_ns, count = 0, 0
+    for message in run.messages([name, scan], recorded_order=True):
+        if message.topic == scan:
+            newest_ns = last_scan_ns(run.table(message, topics.SCAN))
+        elif count == number:
+            break
+        else:
+            count += 1
+    return newest_ns
 
 
 def remarks(run: Run) -> list[str]:
@@ -183,9 +199,10 @@ def _text(cdr: bytes | memoryview) -> str:
 TOLERANCE = 1e-9  # relative, between machines that differ in the last bits
 ABSOLUTE = frozenset({"phase", "phase_uncertainty", "frequency_deviation", "thd", "spread"})
 """Columns that can be near zero beside what they were computed from: compared to 1e-9 of their unit."""
+DEFAULT_AHEAD, MOST_AHEAD = 16, 1000  # blocks that a rig may run ahead of its peers (time.ack_window)
 EDGE = 2  # measurements by which two topics of one analysis may differ at the begin and the end of a recording
-LAST_WORDS_S = 1.0
-"""A recorder that stops first may miss what the analysis said of this last stretch, and of what it holds back."""
+LAG_S = 1.0
+"""Topics overtake each other: what was published of this last stretch may not have reached a recorder that stops."""
 
 _TABLE = topics.TRANSMISSIBILITY_TABLE
 
@@ -308,15 +325,32 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
         )
     machines = {machine for one in settings if (machine := machine_of(one.table)) is not None}
     elsewhere = machines != {fingerprint()} if machines else None
-    late = data_end - round((TrackerSettings().hold_s + LAST_WORDS_S) * rate_hz)
+    longest_s = max(length for _, length in blocks) / rate_hz
+    late = data_end - round((TrackerSettings().hold_s + lag_s(run, longest_s)) * rate_hz)
     reason, identical = _difference(theirs, found, late, exact=elsewhere is False)
     others = [_plotted(run, live)]
     if impacts is not None:
         ends = [int(one.begin) for one in (*our_blind[1:], *live_blind[1:]) if one.begin > data_begin]
-        span = max(data_begin, int(live_blind[0].end)) + round(LAST_WORDS_S * rate_hz), min([late, live_end, *ends])
+        span = max(data_begin, int(live_blind[0].end)) + round(LAG_S * rate_hz), min([late, live_end, *ends])
         others.append(_impacts(run, impacts, rate_hz, span))
     reason = reason or next((str(one) for one in others if one.difference), "")
     return Agreement(not reason, identical and not reason, len(theirs), elsewhere, reason, left_out, tuple(others))
+
+
+def lag_s(run: Run, block_s: float) -> float:
+    """Return how far other topics may lag behind the scans at the end of a recording [s].
+
+    A rig that is not paced runs ahead of its peers by `time.ack_window` blocks.
+
+    Args:
+        run: an open run.
+        block_s: duration of a block [s].
+    """
+    window: object = None
+    with contextlib.suppress(ConfigError, UnicodeDecodeError):
+        window = parameters_in(run.attachments().get(CONFIGURATION, b"").decode()).get("time.ack_window")
+    blocks = window if isinstance(window, int) and 0 < window <= MOST_AHEAD else DEFAULT_AHEAD
+    return max(LAG_S, (blocks + 1) * block_s)
 
 
 def _recorded(run: Run) -> tuple[list[tuple[int, int]], list[Table]]:

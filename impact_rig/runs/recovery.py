@@ -29,12 +29,14 @@ from mcap import records as mcap_records
 from mcap.records import Statistics
 
 from impact_rig import codec, topics
+from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, RecordingError
 from impact_rig.recording import description, losses, reader, records
-from impact_rig.recording.description import Attachment, Provenance, TopicDescription, matches
+from impact_rig.recording.description import Attachment, Provenance, TopicDescription
 from impact_rig.recording.losses import check_contiguity, scan_rate_hz
 from impact_rig.recording.reader import mcap_files, run_files
-from impact_rig.recording.records import RECORD_HEAD, DamageError, RawMessage
+from impact_rig.recording.records import RECORD_HEAD, DamageError, RawMessage, UncheckedError
+from impact_rig.recording.rigs import prefix_of
 from impact_rig.recording.writer import FOLLOWS, TAIL_RECORD_NAME, TAIL_SUFFIX, RunWriter, tail_of
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system import budget, files
@@ -89,6 +91,11 @@ class DamagedFile:
         with files.errors_as(f"{path} cannot be opened"):
             self.fd = files.open_regular(path)
             self.size = os.fstat(self.fd).st_size
+        try:
+            reader.refuse_foreign(self.fd)
+        except RecordingError as error:
+            os.close(self.fd)
+            raise RecordingError(f"{path}: {error}") from error
 
     def __enter__(self) -> DamagedFile:
         return self
@@ -96,9 +103,13 @@ class DamagedFile:
     def __exit__(self, *_: object) -> None:
         os.close(self.fd)
 
+    def read(self, found: Found) -> bytes:
+        """Return a record with its head."""
+        return self._read(found.offset, found.length)
+
     def content(self, found: Found) -> memoryview:
         """Return the content of a record."""
-        return memoryview(self._read(found.offset, found.length))[RECORD_HEAD.size :]
+        return memoryview(self.read(found))[RECORD_HEAD.size :]
 
     def walk(self) -> Iterator[Found | Damage]:
         """Yield the records of the data section, and what lies between them where they do not follow each other."""
@@ -209,6 +220,30 @@ _CHECKS: Mapping[int, Callable[[memoryview], object]] = {
 
 
 _MAX_LISTED = 1000
+ACCEPT = "--accept-unchecked"
+
+
+@attrs.define
+class _Blocks:
+    """Blocks of one rig that are given back."""
+
+    _found: list[tuple[int, int]] = attrs.field(factory=list)  # stamp [ns] and number of scans
+    _rate_hz: int | None = None
+
+    def add(self, table: Table) -> None:
+        """Count a block."""
+        self._found.append((table.stamp_ns, len(table.rows)))
+        self._rate_hz = self._rate_hz or scan_rate_hz(table)
+
+    @property
+    def seconds(self) -> float:
+        """Duration of the scans [s]; 0 if their rate is not known."""
+        return sum(length for _, length in self._found) / self._rate_hz if self._rate_hz else 0.0
+
+    @property
+    def missing_s(self) -> float:
+        """Duration of the scans missing between the blocks [s]."""
+        return check_contiguity(self._found, self._rate_hz).lost_scans / self._rate_hz if self._rate_hz else 0.0
 
 
 @attrs.define
@@ -221,8 +256,7 @@ class FileReport:
     chunks: int = 0  # whole chunks they came from
     expected: Statistics | None = None  # what the file's index counts; None: it has none that can be believed
     lost_bytes: int = 0  # bytes that are left out
-    _blocks: list[tuple[int, int]] = attrs.field(factory=list)
-    _rate_hz: int | None = None
+    _scans: dict[str, _Blocks] = attrs.field(factory=dict)  # of each rig, by topic
     _first_ns: int | None = None
     _last_ns: int = 0
 
@@ -232,13 +266,9 @@ class FileReport:
         time_ns = message.log_time
         self._first_ns = time_ns if self._first_ns is None else min(self._first_ns, time_ns)
         self._last_ns = max(self._last_ns, time_ns)
-        if matches(topic.name, topics.SCAN.name):
-            try:
-                table = codec.decode(message.data)
-            except CodecError:
-                return
-            self._blocks.append((table.stamp_ns, len(table.rows)))
-            self._rate_hz = self._rate_hz or scan_rate_hz(table)
+        if prefix_of(topic.name, topics.SCAN) is not None:
+            with contextlib.suppress(CodecError):
+                self._scans.setdefault(topic.name, _Blocks()).add(codec.decode(message.data))
 
     @property
     def missing_messages(self) -> int | None:
@@ -247,8 +277,8 @@ class FileReport:
 
     @property
     def given_s(self) -> float:
-        """Scans given back [s of rig time]."""
-        return sum(length for _, length in self._blocks) / self._rate_hz if self._rate_hz else 0.0
+        """Scans given back [s of rig time], of the rig with most."""
+        return max((one.seconds for one in self._scans.values()), default=0.0)
 
     @property
     def missing_s(self) -> float | None:
@@ -258,7 +288,7 @@ class FileReport:
         if self._first_ns is None:
             return (self.expected.message_end_time - self.expected.message_start_time) / NS_PER_S
         outside = self._first_ns - self.expected.message_start_time + self.expected.message_end_time - self._last_ns
-        inside = check_contiguity(self._blocks, self._rate_hz).lost_scans / self._rate_hz if self._rate_hz else 0.0
+        inside = max((one.missing_s for one in self._scans.values()), default=0.0)
         return inside + max(0, outside) / NS_PER_S
 
 
@@ -501,8 +531,12 @@ class _Salvage:
                     self._take_attachment(file, found)
                 elif found.opcode == records.METADATA:
                     self._take_metadata(file, found)
-                elif found.opcode == records.MESSAGE:
-                    report.note(self._damage(found, "a message outside a chunk carries no checksum"))
+                elif found.opcode in (records.SCHEMA, records.CHANNEL) and accept_unchecked:
+                    for definition in records.definitions(memoryview(file.read(found))):
+                        self._define(definition)
+                elif found.opcode == records.MESSAGE and not accept_unchecked:
+                    reason = f"a message outside a chunk carries no checksum ({ACCEPT} takes it)"
+                    report.note(self._damage(found, reason))
 
     def introduce_topics(self, writer: RunWriter) -> None:
         """Make all topics that are known so far known to `writer`, in the order they were registered."""
@@ -534,6 +568,8 @@ class _Salvage:
                         yield topic, message
                     if self.figures.chunks > chunks:
                         last, newest = found.offset, set(held)
+                elif isinstance(found, Found) and found.opcode == records.MESSAGE and self._accept_unchecked:
+                    yield from self._unpack(found, memoryview(file.read(found)))
         if has_tail:
             yield from self._open_chunk(last, newest)
 
@@ -581,16 +617,26 @@ class _Salvage:
             self._report.account.records(records.count(content, most=len(content)))
             for definition in records.definitions(content):
                 self._define(definition)
-            messages = list(records.messages(content, None))
+            known = list(self._unpack(found, content))
         except (DamageError, BudgetError) as error:
-            self._report.note(self._damage(found, str(error)))
+            unchecked = isinstance(error, UncheckedError)
+            self._report.note(self._damage(found, f"{error} ({ACCEPT} takes it)" if unchecked else str(error)))
             return
         self.figures.chunks += 1
+        yield from known
+
+    def _unpack(self, found: Found, content: memoryview) -> Iterator[tuple[TopicDescription, records.RawMessage]]:
+        """Yield the messages in the records of a chunk, or in one outside chunks, decompressed."""
         unknown = 0
-        for message in messages:
+        for message in records.messages(content, None):
             topic = self._topics.get(message.channel_id)
             if topic is None:
                 unknown += 1
+                continue
+            if topic.encoding == description.SERIALIZATION and bytes(message.data[:4]) == records.ZSTD_MAGIC:
+                data = records.plain_message(message.data, budget.CHUNK_BYTES)
+                self._report.account.chunk(len(data))
+                yield topic, message._replace(data=data)
             else:
                 yield topic, message
         if unknown:
@@ -610,11 +656,8 @@ class _Salvage:
             self._schemas[definition.id] = definition
             return
         schema = self._schemas.get(definition.schema_id)
-        if schema is not None:
-            text = str(schema.data, "utf-8", "replace")
-            self._know(
-                definition.id, TopicDescription.from_channel(definition.topic, schema.name, text, definition.metadata)
-            )
+        if schema is not None or definition.schema_id == 0:
+            self._know(definition.id, TopicDescription.from_channel(definition, schema))
 
     def _know(self, channel_id: int, topic: TopicDescription) -> None:
         """Remember the topic of a channel."""
@@ -625,10 +668,12 @@ class _Salvage:
     def _take_attachment(self, file: DamagedFile, found: Found) -> None:
         content = file.content(found)
         attachment = records.parse(mcap_records.Attachment, content)
-        if records.attachment_is_intact(content):
+        fits = records.attachment_crc(content)
+        if fits or (fits is None and self._accept_unchecked):
             self.attachments.append(Attachment(attachment.name, bytes(attachment.data), attachment.media_type))
         else:
-            self._report.note(self._damage(found, f"the attachment {attachment.name!r} does not fit its checksum"))
+            reason = f"carries no checksum ({ACCEPT} takes it)" if fits is None else "does not fit its checksum"
+            self._report.note(self._damage(found, f"the attachment {attachment.name!r} {reason}"))
 
     def _take_metadata(self, file: DamagedFile, found: Found) -> None:
         record = records.parse(mcap_records.Metadata, file.content(found))
@@ -655,8 +700,11 @@ class _Salvage:
 
     def _take_topic(self, found: Found, record: dict[str, str]) -> None:
         try:
-            topic = TopicDescription.from_channel(record["name"], record["type_name"], record["schema"], record)
             channel_id = int(record["id"])
+            encoding = record.get("encoding", description.SERIALIZATION)
+            channel = mcap_records.Channel(channel_id, record["name"], encoding, record, int(bool(record["type_name"])))
+            schema = mcap_records.Schema(1, record["schema"].encode(), description.ENCODING, record["type_name"])
+            topic = TopicDescription.from_channel(channel, schema)
             self._know(channel_id, self._topics.get(channel_id, topic))
         except (KeyError, ValueError, BudgetError) as error:
             self._report.note(self._damage(found, f"the definition of a topic cannot be taken: {error}"))

@@ -28,7 +28,8 @@ from impact_rig.errors import CodecError, CommandError, ConfigError, RecordingEr
 from impact_rig.instruments.instrument import Instrument
 from impact_rig.instruments.registry import INSTRUMENTS
 from impact_rig.recording import CONFIGURATION, Message, Run, arithmetic_of, is_measured
-from impact_rig.recording.description import matches, members
+from impact_rig.recording.description import members
+from impact_rig.recording.losses import last_scan_ns
 from impact_rig.rig import Block, InputKind
 from impact_rig.rig.config import RigConfig, from_flat, parse, to_flat
 from impact_rig.rig.description import joints, robot_description
@@ -36,13 +37,11 @@ from impact_rig.rig.journal import PLANNED, JournalRow, deciding_samples, read
 from impact_rig.rig.monitors import HALF_PERIODS, AntiAlias, Smoothed
 from impact_rig.rig.resimulation import Resimulation, Sent
 from impact_rig.rig.truth import monitor_step
-from impact_rig.runs.reanalysis import Compared, texts
+from impact_rig.runs.reanalysis import Compared, lag_s, texts
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, stamp_ns
 
 _BEGINS = (InputKind.START.value.encode(), InputKind.RESET.value.encode())
 _NO_JOURNAL = (ConfigError, CommandError, SimulationError)  # what a journal raises that is incomplete, or no rig's
-_LAST_WORDS_NS = NS_PER_S
-"""Topics overtake each other: what was published in this last stretch may not have reached the recorder."""
 _NOT_COMPARED = {
     topics.CLOCK.name: "rig time, which the stamps hold",
     topics.STREAM.name: "how far ahead a controller was, which no sample depends on",
@@ -52,7 +51,10 @@ _NOT_COMPARED = {
     "every node": "what nodes say about themselves",
 }
 """Why a topic is not compared, by its name or publisher."""
-_FOREIGN = "not of a rig"
+_FAMILIES = {topics.envelope("", "").name.rstrip("/"): "analysis", topics.spectrum("", "").name.rstrip("/"): "analysis"}
+"""Publisher of the topics that exist for each channel, by what their names begin with."""
+_FOREIGN = "not of this rig"
+_UNKNOWN = "no topic of a rig"
 
 
 @attrs.frozen
@@ -127,15 +129,17 @@ def _journals(run: Run) -> tuple[list[list[Table]], list[list[Sent]], int, int]:
     scan, journal = run.resolve(topics.SCAN.name), run.resolve(topics.JOURNAL.name)
     waveform = run.resolve(topics.WAVEFORM.name) if run.holds(topics.WAVEFORM) else ""
     sent: list[list[Sent]] = [[]]
-    begun, foreign, scans_seen, problem = 0, 0, False, None
+    begun, foreign, scans_seen, problem, received_ns = 0, 0, False, None, 0
     for message in run.messages([scan, journal, *([waveform] if waveform else [])], recorded_order=True):
         if message.topic == scan:
             scans_seen = True
+            if waveform:  # what is received is received at the time of the newest scan
+                received_ns = last_scan_ns(run.table(message, topics.SCAN))
             continue
         if message.topic == waveform:
             with contextlib.suppress(RecordingError):  # what is no table was refused by the rig, too
                 table = run.table(message, topics.WAVEFORM)
-                sent[-1].append(Sent(table.stamp_ns, table.rows["value"].astype(float), message.log_time))
+                sent[-1].append(Sent(table.stamp_ns, table.rows["value"].astype(float), received_ns))
             continue
         try:
             table = run.table(message, topics.JOURNAL)
@@ -178,8 +182,8 @@ def _verify(
     compared = 0
     try:
         again = beside.begin(journal)
-        block = next(again.blocks)
         for table in scans:
+            block = next(again.blocks)
             while block.scan.stamp_ns < table.stamp_ns:  # the recorder came later than the rig's first block
                 if compared and not block.lost:
                     return _missing(block, compared), None
@@ -190,17 +194,32 @@ def _verify(
                 return Verification(False, compared, f"{topics.SCAN.name}{difference}"), None
             beside.take(block)
             compared += len(table.rows)
-            block = next(again.blocks)
-        rest = block
-        by_reset = following is not None and following.rows["kind"][0] == InputKind.RESET.value.encode()
-        reset_ns = following.stamp_ns if following is not None and by_reset else None
-        while reset_ns is not None and rest.lost and rest.end_ns <= reset_ns:  # withheld to the end
-            beside.take(rest)
-            rest = next(again.blocks)
+        # nothing is simulated beyond the recorded scans, which the rig may never have reached: only up to a reset
+        rest = None
+        reset_ns = _reset_ns(following)
+        if reset_ns is not None:
+            rest = _next(again)
+            while rest is not None and rest.lost and rest.end_ns <= reset_ns:  # withheld to the end
+                beside.take(rest)
+                rest = _next(again)
         beside.end(reset_ns, last=following is None)
     except _NO_JOURNAL as error:
         return Verification(None, compared, str(error)), None
     return Verification(True, compared), rest
+
+
+def _reset_ns(following: Table | None) -> int | None:
+    """Return the instant of the reset that ends a journal; None if something else ends it."""
+    by_reset = following is not None and following.rows["kind"][0] == InputKind.RESET.value.encode()
+    return following.stamp_ns if following is not None and by_reset else None
+
+
+def _next(again: Resimulation) -> Block | None:
+    """Return the next block; None where the recording lacks what it needs, since it may lie behind a reset."""
+    try:
+        return next(again.blocks)
+    except ConfigError:
+        return None
 
 
 def _is_missing(block: Block, reset_ns: int) -> bool:
@@ -308,17 +327,17 @@ class _Recorded:
         self._last_ns = stamp
         self._step()
 
-    def end(self, end_ns: int, *, anew: bool, last: bool) -> None:
+    def end(self, end_ns: int, *, anew: bool, lag_ns: int) -> None:
         """The scans of a journal end at an instant: what is of before it and was not compared is nobody's.
 
         Args:
             end_ns: the instant.
             anew: another rig comes, with stamps that go back: what comes may be of that.
-            last: the recording ends here.
+            lag_ns: what was published in this last stretch may not have reached the recorder.
         """
         if not anew and self.coming is not None and self.count and self._last_ns <= self.coming[0] < end_ns:
             self.compare(None)
-        if self._absent_ns is not None and self._absent_ns < end_ns - _LAST_WORDS_NS * last:
+        if self._absent_ns is not None and self._absent_ns < end_ns - lag_ns:
             self._differs(f" at {_s(self._absent_ns)} s: the message is missing")
         self._absent_ns = None
 
@@ -458,9 +477,13 @@ class _Beside:
         if last and self._filters:  # of the last instants a monitor weighs scans that nobody has recorded
             monitored_ns += -self._filters[-1].half * NS_PER_S // self._again.rig.rate_hz
         ends_ns = {one.recorded: monitored_ns for one in self._monitors}
+        rig = self._again.rig
+        lag_ns = round(lag_s(self._run, rig.config.daq.block_scans / rig.rate_hz) * NS_PER_S)
         for recorded in self._ordered():
-            recorded.end(ends_ns.get(recorded, self._end_ns), anew=not last and reset_ns is None, last=last)
-        self._compare_journal(reset_ns is not None)
+            recorded.end(
+                ends_ns.get(recorded, self._end_ns), anew=not last and reset_ns is None, lag_ns=lag_ns if last else 0
+            )
+        self._compare_journal(reset_ns is not None, lag_ns)
         for config in self._again.configurations:
             self._configurations.append(_deciding(config))
             self._descriptions.add(robot_description(config))
@@ -477,11 +500,15 @@ class _Beside:
         known |= {topics.CONFIGURATION.name, topics.ROBOT_DESCRIPTION.name}
         by_name = {topic.name: topic for topic in topics.COMMON}
         for name in self._run.topics:
-            relative = next((one for one in [*by_name, *known] if name == one or name.endswith(f"/{one}")), "")
-            if relative not in known:
-                publisher = by_name[relative].publisher if relative else ""
-                why = _NOT_COMPARED.get(relative, _NOT_COMPARED.get(publisher, _FOREIGN))
-                yield Compared(relative or name, left_out=why)
+            relative = name if name in by_name else self._run.relative(name)
+            if relative is None:
+                yield Compared(name, left_out=_FOREIGN)
+            elif relative not in known:
+                topic = by_name.get(relative)
+                family = relative.rpartition("/")[0]
+                publisher = topic.publisher if topic else _FAMILIES.get(family, "")
+                why = _NOT_COMPARED.get(relative, _NOT_COMPARED.get(publisher, _UNKNOWN))
+                yield Compared(relative, left_out=why)
 
     def close(self) -> None:
         """Read no more."""
@@ -505,7 +532,7 @@ class _Beside:
         self._calibrations = len(self._again.calibrations)
         self._made += [JournalRow.of(table, row) for table in rig.take_journal() for row in table.rows]
 
-    def _compare_journal(self, whole: bool) -> None:
+    def _compare_journal(self, whole: bool, lag_ns: int) -> None:
         """Compare the rows that were recorded with those the re-simulation wrote; the first names version and kind."""
         end = self._end_ns
         # ordered ahead of its scan, a fault is compared only if the re-simulation has come to it
@@ -523,7 +550,7 @@ class _Beside:
                 f"row {extra.sequence} at {_s(extra.stamp_ns)} s: no rig with this journal has written "
                 f"{extra.kind.value} {extra.key} {extra.value!r}"
             )
-        elif len(self._made) > len(self._entries) and self._made[len(self._entries)].stamp_ns < end - _LAST_WORDS_NS:
+        elif len(self._made) > len(self._entries) and self._made[len(self._entries)].stamp_ns < end - lag_ns:
             missing = self._made[len(self._entries)]
             self._journal_differs(f"the row {missing.kind.value} {missing.key} at {_s(missing.stamp_ns)} s is missing")
         else:
@@ -593,7 +620,7 @@ class _Monitor:
         topic = INSTRUMENTS[channel].monitor
         assert topic is not None
         self.channel = channel
-        schema = next((one.topic.schema for name, one in run.topics.items() if matches(name, topic.name)), "")
+        schema = run.topics[run.resolve(topic)].topic.schema if run.holds(topic) else ""
         layout = members(schema) if schema else []
 
         def read(message: Message) -> tuple[int, dict[str, Any]]:

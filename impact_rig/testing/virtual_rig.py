@@ -332,9 +332,7 @@ class VirtualRig(SteppedRig):
         configuration = Attachment(CONFIGURATION, dump(self.config).encode(), "application/yaml")
         if directory.exists():
             raise RecordingError(f"{directory} exists: nothing is overwritten")
-        with RunWriter(
-            directory, provenance=provenance, attachments=(configuration,), clock=time.monotonic, rig_start_ns=0
-        ) as writer:
+        with RunWriter(directory, provenance=provenance, attachments=(configuration,), clock=time.monotonic) as writer:
             for topic in TOPICS:
                 writer.add_topic(TopicDescription(name=f"/{topic}", type_name=topics.TABLE, schema=schema))
             for topic, table in (*self._early, *self._order):

@@ -165,7 +165,6 @@ def record(directory: Path, found: Iterable[tuple[str, Any]], provenance: Proven
         directory,
         provenance=provenance,
         clock=time.monotonic,
-        rig_start_ns=0,
     )
     with writer:
         for name in sorted({name for name, _ in found}):

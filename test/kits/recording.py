@@ -145,7 +145,7 @@ def fill(
         last = stamp + 9_900_000
         send(SCAN_TOPIC, scan_block(number), stamp)
         if APPLIED_TOPIC in topics and number % 5 == 0:
-            send(APPLIED_TOPIC, applied_row(stamp + 5_000_000, 9.1), stamp + 5_000_000)
+            send(APPLIED_TOPIC, applied_row(stamp + 5_000_000, 9.1), last)
             send(FREQUENCY_TOPIC, float64(9.1), last)
             send(NOTES_TOPIC, string(f"gap {number} mm"), last)
             send(ACK_TOPIC, header(last, "analysis"), last)

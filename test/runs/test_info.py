@@ -21,6 +21,7 @@ from kits.recording import (
     RATE_HZ,
     SCAN_TOPIC,
     START_NS,
+    applied_row,
     fill,
     scan_block,
     string,
@@ -101,13 +102,19 @@ def test_a_run_of_a_rig_that_has_told_its_rate_and_no_scans(record):
     assert (found.rate_hz, found.duration_s, found.last_block_s) == (RATE_HZ, 0.0, 0.0)
 
 
-def test_the_start_of_rig_time_may_be_given(record):
-    with record(rig_start_ns=0) as writer:
+def test_what_comes_before_the_first_scan_is_logged_with_it(record):
+    with record() as writer:
+        writer.add_topic(APPLIED_TOPIC)
+        writer.write(APPLIED_TOPIC.name, applied_row(5, 9.1), 5)  # latched, of long before
         writer.add_topic(NOTES_TOPIC)
         writer.write(NOTES_TOPIC.name, string("before the first scan"), START_NS)
         fill(writer, 3)
     with open_run(writer.directory) as run:
-        assert [m.log_time for m in run.messages(["notes"])] == [0, START_NS + 9_900_000]
+        times = [m.log_time for m in run.messages()]
+        assert times[:3] == [START_NS] * 3
+        assert [m.log_time for m in run.messages(["notes"])] == [START_NS, START_NS + 9_900_000]
+        assert run.start_ns == START_NS
+        assert next(run.tables("shaker/applied")).stamp_ns == 5, "its stamp is its own"
 
 
 def test_messages_too_short_for_a_header_are_kept(record):

@@ -78,9 +78,9 @@ def chunk_ends(path):
     """Where each chunk ends in the file, and how many messages the file holds up to there."""
     ends, count = [], 0
     with open_run(path) as run:
-        for index in run.sources[0].summary.chunk_indexes:
-            count += sum(1 for _ in records.messages(run.sources[0].chunk(index), None))
-            ends.append((index.chunk_start_offset + index.chunk_length, count))
+        for segment in run.sources[0].segments:
+            count += sum(1 for _ in records.messages(run.sources[0].content(segment), None))
+            ends.append((segment.offset + segment.length, count))
     return ends
 
 
@@ -255,7 +255,7 @@ def test_a_chunk_is_found_wherever_the_damage_before_it_ends(tmp_path, monkeypat
 def test_records_that_are_cut_anywhere_are_damage(tmp_path):
     path = small_run(tmp_path / "run", "none")
     with open_run(path) as run:
-        content = bytes(run.sources[0].chunk(run.sources[0].summary.chunk_indexes[0]))
+        content = bytes(run.sources[0].content(run.sources[0].segments[0]))
     edges = [0]
     while edges[-1] < len(content):
         edges.append(records.split(memoryview(content), edges[-1])[2])
@@ -402,12 +402,13 @@ def test_chunks_without_checksum_are_taken_only_on_request(tmp_path):
     assert recover(tmp_path / "bag.mcap", tmp_path / "out", accept_unchecked=True).messages == 3
 
 
-def test_messages_outside_chunks_are_refused_with_the_reason(tmp_path):
+def test_messages_outside_chunks_are_recovered_on_request_only(tmp_path):
     foreign_file(tmp_path / "bag.mcap", chunked=False)
-    with pytest.raises(RecordingError, match="its messages are not in chunks"):
-        open_run(tmp_path / "bag.mcap")
-    with pytest.raises(RecordingError, match="a message outside a chunk carries no checksum"):
+    with open_run(tmp_path / "bag.mcap") as run:
+        assert [bytes(m.data) for m in run.messages()] == [scan_block(i) for i in range(3)]
+    with pytest.raises(RecordingError, match=r"a message outside a chunk carries no checksum \(--accept-unchecked"):
         recover(tmp_path / "bag.mcap", tmp_path / "out")
+    assert recover(tmp_path / "bag.mcap", tmp_path / "out", accept_unchecked=True).messages == 3
 
 
 def test_a_chunk_that_claims_gigabytes_is_not_believed(tmp_path):

@@ -1,0 +1,75 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Rigs in a recording: their namespaces, and the whole names of their topics.
+
+A topic belongs to a rig if its name is the rig's namespace followed by the topic's whole relative name. The ending of a
+name decides nothing: `/rig/plot/envelope/laser` is not the monitor `laser`, and `/rig/truth/impacts` is not `impacts`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from impact_rig import topics
+from impact_rig.errors import RecordingError
+
+OPTION = "--rig"
+"""Command line option that chooses one of several rigs."""
+
+_RELATIVE = sorted((topic for topic in topics.COMMON if not topic.name.startswith("/")), key=lambda one: -len(one.name))
+
+
+def prefix_of(name: str, topic: topics.Topic) -> str | None:
+    """Return what stands in front of a topic's relative name (`/rig/`); None if the name is not of that topic."""
+    if name == topic.name:
+        return ""
+    return name.removesuffix(topic.name) if name.endswith(f"/{topic.name}") else None
+
+
+def prefixes(types: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the prefixes of the topics of each rig, such as `/rig/`, in the order of the names.
+
+    A rig publishes `daq/scan`. In a recording without any, every known topic tells of a rig, by the longest relative
+    name that fits.
+
+    Args:
+        types: type of each recorded topic, by name.
+    """
+    scans = {name: prefix for name in types if (prefix := prefix_of(name, topics.SCAN)) is not None}
+    tables = {prefix for name, prefix in scans.items() if types[name] == topics.TABLE}
+    if scans:
+        return tuple(sorted(tables or set(scans.values())))
+    return tuple(sorted({found for name in types if (found := _longest(name)) is not None}))
+
+
+def _longest(name: str) -> str | None:
+    found = (prefix_of(name, topic) for topic in _RELATIVE)
+    return next((prefix for prefix in found if prefix is not None), None)
+
+
+def namespace(prefix: str) -> str:
+    """Return the namespace that people write for a prefix: `/rig`, or `/`."""
+    return prefix.rstrip("/") or "/"
+
+
+def choose(known: Iterable[str], wanted: str | None, where: object) -> str:
+    """Return the prefix of the rig that is meant.
+
+    Args:
+        known: prefixes of the rigs in a recording.
+        wanted: namespace, with or without slashes around it; None: the only one.
+        where: recording, for the error.
+
+    Raises:
+        RecordingError: there is no such rig, or several and none was chosen.
+    """
+    found = list(known)
+    names = ", ".join(map(namespace, found)) or "none"
+    if wanted is not None:
+        chosen = [prefix for prefix in found if prefix.strip("/") == wanted.strip("/")]
+        if not chosen:
+            raise RecordingError(f"no rig {wanted!r} in {where}; there are: {names}")
+        return chosen[0]
+    if len(found) > 1:
+        raise RecordingError(f"{where} holds several rigs: {names}; choose one with {OPTION} NAMESPACE")
+    return found[0] if found else "/"

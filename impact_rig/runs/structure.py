@@ -1,0 +1,175 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Structure of a recording: which checksums it carries, and whether its index and statistics fit its messages.
+
+A reader finds messages by the index. A topic that the index leaves out looks as if it had never been recorded, whatever
+the checksums of the chunks say. So both are compared, record by record.
+"""
+
+from __future__ import annotations
+
+import os
+import zlib
+from collections import Counter
+from collections.abc import Iterator
+
+import attrs
+from mcap import records as mcap_records
+
+from impact_rig.recording import Run, records
+from impact_rig.recording.reader import McapSource, Segment
+from impact_rig.recording.records import DamageError
+from impact_rig.system import files
+
+_READ_BYTES = 2**20
+
+
+@attrs.define
+class Checksums:
+    """Which parts of a recording carry a checksum."""
+
+    chunks: int = 0
+    checked_chunks: int = 0
+    outside: int = 0  # files whose messages are outside chunks
+    checked_outside: int = 0  # those of them whose data section carries a checksum, which fits
+    attachments: int = 0
+    checked_attachments: int = 0
+
+    @property
+    def complete(self) -> bool:
+        """Whether every message and every attachment is covered."""
+        return (self.chunks, self.outside, self.attachments) == (
+            self.checked_chunks,
+            self.checked_outside,
+            self.checked_attachments,
+        )
+
+    def __str__(self) -> str:
+        """Return the sentence of a verdict, for a recording in which no checksum is wrong."""
+        parts = self.chunks + self.outside
+        checked = self.checked_chunks + self.checked_outside
+        if not checked and parts:
+            messages = "its messages carry no checksums"
+        elif checked < parts:
+            messages = f"every checksum there is fits, {checked} of {parts} chunks carry one"
+        else:
+            messages = "every checksum fits"
+        bare = self.attachments - self.checked_attachments
+        return messages + (f", {bare} of {self.attachments} attachments carry none" if bare else "")
+
+
+def checksums(run: Run) -> Checksums:
+    """Return which checksums a recording carries; those of chunks and attachments are checked where they are read.
+
+    Raises:
+        RecordingError: the checksum of a data section does not fit, or a file cannot be read.
+    """
+    found = Checksums()
+    for source in run.sources:
+        chunks = [segment for segment in source.segments if segment.chunk is not None]
+        found.chunks += len(chunks)
+        found.checked_chunks += sum(source.crc(segment) != 0 for segment in chunks)
+        if len(chunks) < len(source.segments):
+            found.outside += 1
+            found.checked_outside += _check_data_section(source)
+        crcs = source.attachment_crcs()
+        found.attachments += len(crcs)
+        found.checked_attachments += sum(crcs)
+    return found
+
+
+def _check_data_section(source: McapSource) -> bool:
+    """Check the data section of a file against its checksum; return whether it carries one."""
+    end = source.data_end()
+    crc = records.parse(mcap_records.DataEnd, source.record_at(end, records.DATA_END)).data_section_crc
+    if crc == 0:
+        return False
+    found, position = 0, 0
+    with files.errors_as(f"{source.path} cannot be read"):
+        while position < end:
+            part = os.pread(source.fd, min(_READ_BYTES, end - position), position)
+            if not part:
+                raise DamageError(f"{source.path} is shorter than its index says")
+            found, position = zlib.crc32(part, found), position + len(part)
+    if found != crc:
+        raise DamageError(f"{source.path}: the checksum of its data section does not fit")
+    return True
+
+
+def contradictions(run: Run) -> list[str]:
+    """Return where index, statistics and definitions of a recording contradict what is in it, one sentence each.
+
+    Raises:
+        RecordingError: a part is damaged.
+    """
+    return [f"{source.path.name}: {problem}" for source in run.sources for problem in _contradictions(source)]
+
+
+def _contradictions(source: McapSource) -> Iterator[str]:
+    counts: Counter[int] = Counter()
+    times: list[int] = []
+    summary, statistics = source.summary, source.statistics
+    for segment in source.segments:
+        content = source.content(segment)
+        index: dict[int, list[tuple[int, int]]] = {}
+        here: list[int] = []
+        for channel_id, log_time, offset in records.positions(content):
+            counts[channel_id] += 1
+            here.append(log_time)
+            index.setdefault(channel_id, []).append((log_time, offset))
+        for definition in records.definitions(content):
+            known = summary.schemas if isinstance(definition, mcap_records.Schema) else summary.channels
+            if known.get(definition.id) != definition:
+                yield f"the chunk at byte {segment.offset} defines another {_what(definition)} than the summary"
+        if here:
+            times += [min(here), max(here)]
+        if segment.chunk is not None:
+            yield from _index_problems(source, segment, index, here)
+    found = {
+        "messages": (statistics.message_count, sum(counts.values())),
+        "schemas": (statistics.schema_count, len(summary.schemas)),
+        "channels": (statistics.channel_count, len(summary.channels)),
+        "attachments": (statistics.attachment_count, len(summary.attachment_indexes)),
+        "metadata records": (statistics.metadata_count, len(summary.metadata_indexes)),
+    }
+    yield from (
+        f"its statistics count {said} {what}, it holds {there}"
+        for what, (said, there) in found.items()
+        if said != there
+    )
+    claimed = {channel: count for channel, count in statistics.channel_message_counts.items() if count}
+    if claimed and claimed != counts:
+        channel = min(number for number in {*claimed, *counts} if claimed.get(number, 0) != counts[number])
+        name = source.topics[channel].name if channel in source.topics else f"channel {channel}"
+        yield f"its statistics count {claimed.get(channel, 0)} messages of {name}, it holds {counts[channel]}"
+    if times and (statistics.message_start_time, statistics.message_end_time) != (min(times), max(times)):
+        yield "its statistics give other log times than its messages"
+
+
+def _what(definition: mcap_records.Schema | mcap_records.Channel) -> str:
+    return f"schema {definition.name}" if isinstance(definition, mcap_records.Schema) else f"topic {definition.topic}"
+
+
+def _index_problems(
+    source: McapSource, segment: Segment, index: dict[int, list[tuple[int, int]]], times: list[int]
+) -> Iterator[str]:
+    assert segment.chunk is not None
+    where = f"the index of the chunk at byte {segment.offset}"
+    if times and (segment.first_ns, segment.last_ns) != (min(times), max(times)):
+        yield f"{where} gives other log times than its messages"
+    offsets = segment.chunk.message_index_offsets
+    if not offsets:
+        return  # a writer may leave message indexes out
+    if set(offsets) != set(index):
+        names = sorted(source.topics[one].name for one in set(offsets) ^ set(index) if one in source.topics)
+        yield f"{where} does not fit its messages of {', '.join(names) or 'unknown channels'}"
+        return
+    for channel, offset in offsets.items():
+        try:
+            record = records.parse(mcap_records.MessageIndex, source.record_at(offset, records.MESSAGE_INDEX))
+        except DamageError as error:
+            yield f"{where}: the message index at byte {offset} is damaged: {error}"
+            return
+        if record.channel_id != channel or sorted(record.records) != sorted(index[channel]):
+            yield f"{where}: the message index of {source.topics[channel].name} does not fit its messages"
+            return

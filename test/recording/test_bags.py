@@ -1,0 +1,244 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Bags as rosbag2 and other writers of MCAP make them: read, or refused with the reason and a command that helps."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import yaml
+import zstandard
+from kits.recording import NOTES_TOPIC, SCAN_TOPIC, TopicDescription, fill, string
+from mcap.writer import CompressionType, IndexType, Writer
+
+from impact_rig.errors import RecordingError
+from impact_rig.recording import Message, RunWriter, open_run
+from impact_rig.runs import info, recover
+
+Change = Callable[[bytes], bytes]
+
+
+def content(path: Path) -> list[tuple[str, bytes, int]]:
+    """Topic, data and log time of every message."""
+    with open_run(path) as run:
+        return [(one.topic, bytes(one.data), one.log_time) for one in run.messages(recorded_order=True)]
+
+
+@pytest.fixture
+def native(record: Callable[..., RunWriter]) -> Path:
+    """A run of the own recorder."""
+    with record() as writer:
+        fill(writer, 30)
+    return writer.directory
+
+
+def rewrite(source: Path, path: Path, change: Change = bytes, *, finish: bool = True, **options: object) -> Path:
+    """Write the messages of a run with options of the MCAP library."""
+    with open_run(source) as run, path.open("wb") as file:
+        writer = Writer(file, **options)
+        writer.start("ros2")
+        ids: dict[str, int] = {}
+        for name, one in run.topics.items():
+            schema = writer.register_schema(one.topic.type_name, "ros2msg", one.topic.schema.encode())
+            ids[name] = writer.register_channel(name, "cdr", schema)
+        one: Message
+        for one in run.messages(recorded_order=True):
+            writer.add_message(ids[one.topic], one.log_time, change(bytes(one.data)), one.publish_time, one.sequence)
+        if finish:
+            writer.finish()
+        else:
+            writer.flush()
+    return path
+
+
+PRESETS = {
+    "none": {"compression": CompressionType.NONE},
+    "fastwrite": {"compression": CompressionType.NONE, "use_chunking": False, "enable_crcs": False},
+    "zstd_fast": {"compression": CompressionType.ZSTD, "enable_crcs": False},
+    "zstd_small": {"compression": CompressionType.ZSTD, "chunk_size": 4 * 2**20},
+    "lz4": {"compression": CompressionType.LZ4, "chunk_size": 10_000},
+    "without message indexes": {"index_types": IndexType.ALL ^ IndexType.MESSAGE},
+}
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_every_preset_is_read(native, tmp_path, preset):
+    path = rewrite(native, tmp_path / "bag.mcap", **PRESETS[preset])
+    assert content(path) == content(native)
+    found = info(path)
+    assert found.intact, found.verdict
+    assert found.scans.whole
+    with open_run(path) as run:  # also a part of the topics and of the time
+        some = [(one.topic, one.log_time) for one in run.messages(["notes"], start_ns=run.start_ns + 50_000_000)]
+    wanted = [(name, time) for name, _, time in content(native) if name.endswith("/notes")]
+    assert some == [one for one in wanted if one[1] >= found.start_ns + 50_000_000]
+
+
+def test_info_says_which_checksums_exist(native, tmp_path):
+    """A checksum of 0 says that there is none."""
+    without = rewrite(native, tmp_path / "without.mcap", enable_crcs=False)
+    assert info(without).verdict.startswith("its messages carry no checksums, 30 blocks of daq/scan without a gap")
+    outside = rewrite(native, tmp_path / "outside.mcap", use_chunking=False, enable_crcs=False)
+    assert info(outside).verdict.startswith("its messages carry no checksums")
+    guarded = rewrite(native, tmp_path / "guarded.mcap", use_chunking=False, enable_data_crcs=True)
+    assert info(guarded).verdict.startswith("every checksum fits")
+    data = bytearray(guarded.read_bytes())
+    data[len(data) // 4] ^= 1
+    guarded.write_bytes(data)
+    assert "the checksum of its data section does not fit" in info(guarded).verdict
+    assert info(native).checksums.complete
+
+
+def test_an_attachment_without_a_checksum_is_read_and_named(native, tmp_path):
+    path = tmp_path / "bag.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, enable_crcs=False)
+        writer.start("ros2")
+        writer.add_attachment(0, 0, "config.yaml", "application/yaml", b"a: 1\n")
+        writer.finish()
+    data = bytearray(path.read_bytes())
+    place = data.index(b"a: 1\n") + 5
+    data[place : place + 4] = bytes(4)
+    path.write_bytes(data)
+    with open_run(path) as run:
+        assert run.attachments() == {"config.yaml": b"a: 1\n"}
+    assert "1 of 1 attachments carry none" in info(path).verdict
+
+
+@pytest.mark.parametrize("chunked", [True, False])
+def test_the_advice_for_an_unfinished_bag_works(native, tmp_path, chunked):
+    path = rewrite(native, tmp_path / "cut.mcap", finish=False, use_chunking=chunked, enable_crcs=False)
+    with pytest.raises(RecordingError, match="impact-rig recover"):
+        open_run(path)
+    with pytest.raises(RecordingError, match=r"carries no checksum .*--accept-unchecked takes it"):
+        recover(path, tmp_path / "strict")
+    report = recover(path, tmp_path / "out", accept_unchecked=True)
+    assert report.complete
+    assert content(tmp_path / "out") == content(native)
+
+
+def test_messages_that_are_compressed_one_by_one_are_read(native, tmp_path):
+    path = rewrite(native, tmp_path / "bag.mcap", zstandard.ZstdCompressor().compress)
+    assert content(path) == content(native)
+    assert info(path).intact
+    recover(path, tmp_path / "out")
+    assert content(tmp_path / "out") == content(native), "what is given back is plain, as its metadata.yaml says"
+
+
+def test_a_message_that_claims_too_much_is_refused(native, tmp_path):
+    bomb = zstandard.ZstdCompressor().compress(bytes(64 * 2**20))
+    path = rewrite(native, tmp_path / "bomb.mcap", lambda data: bomb if b"gap" in data else data)
+    with pytest.raises(RecordingError, match="compressed message claims"):
+        content(path)
+
+
+def test_a_channel_without_a_schema_is_legal(native, tmp_path):
+    path = tmp_path / "json.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2")
+        notes = writer.register_schema(NOTES_TOPIC.type_name, "ros2msg", NOTES_TOPIC.schema.encode())
+        first = writer.register_channel("/notes", "cdr", notes)
+        second = writer.register_channel("/operator", "json", 0)
+        writer.add_message(first, 1, string("one"), 1)
+        writer.add_message(second, 2, b'{"name": "A"}', 2)
+        writer.finish()
+    found = info(path)
+    assert found.intact, found.verdict
+    assert {one.name: (one.type_name, one.count) for one in found.topics}["/operator"] == ("", 1)
+    recover(path, tmp_path / "out")
+    with open_run(tmp_path / "out") as run:
+        assert [(one.topic, bytes(one.data)) for one in run.messages()][1] == ("/operator", b'{"name": "A"}')
+        known: TopicDescription = run.topics["/operator"].topic
+        assert (known.type_name, known.encoding) == ("", "json")
+
+
+def convert(source: Path, target: Path, *options: str) -> Path:
+    """Convert a bag with the `rosbags` library."""
+    program = Path(sys.executable).with_name("rosbags-convert")
+    subprocess.run([program, "--src", source, "--dst", target, *options], check=True, capture_output=True)
+    return target
+
+
+@pytest.mark.parametrize("options", [(), ("--compress", "zstd", "--compress-mode", "message")])
+def test_bags_of_another_writer_hold_the_same(native, tmp_path, options):
+    bag = convert(native, tmp_path / "bag", "--dst-storage", "mcap", *options)
+    assert sorted(content(bag)) == sorted(content(native))
+    assert info(bag).scans.whole
+
+
+def test_a_bag_in_sqlite_is_refused_with_a_command_that_helps(native, tmp_path):
+    bag = convert(native, tmp_path / "bag", "--dst-storage", "sqlite3")
+    for read in (open_run, info, lambda path: recover(path, tmp_path / "out")):
+        with pytest.raises(RecordingError, match=r"in SQLite, only MCAP is read; .*ros2 bag convert.*rosbags-convert"):
+            read(bag)
+    again = convert(bag, tmp_path / "again", "--dst-storage", "mcap")
+    assert sorted(content(again)) == sorted(content(native))
+
+
+def test_a_bag_that_is_compressed_as_a_whole_is_refused_with_a_command_that_helps(native, tmp_path):
+    bag = convert(native, tmp_path / "bag", "--dst-storage", "mcap", "--compress", "zstd", "--compress-mode", "file")
+    for read in (open_run, lambda path: recover(path, tmp_path / "out")):
+        with pytest.raises(RecordingError, match=r"compressed as a whole .*; unpack it \(zstd -d\), or convert"):
+            read(bag)
+    (packed,) = bag.glob("*.zstd")
+    with packed.open("rb") as source, packed.with_suffix("").open("wb") as target:
+        zstandard.ZstdDecompressor().copy_stream(source, target)
+    assert sorted(content(bag)) == sorted(content(native)), "metadata.yaml still lists the packed file"
+
+
+def test_files_are_read_in_the_order_that_metadata_lists(record, tmp_path):
+    with record(max_file_bytes=30_000, chunk_bytes=10_000) as writer:
+        fill(writer, 60)
+    before = content(writer.directory)
+    names = [file.name for file in writer.files]
+    assert len(names) > 2
+    bag = tmp_path / "bag"
+    shutil.copytree(writer.directory, bag)
+    shutil.copy(bag / names[0], bag / "aside.mcap")
+    assert content(bag) == before, "a file that is not listed is not part of it"
+
+
+def test_older_metadata_with_the_folder_in_front_is_read(native, tmp_path):
+    bag = tmp_path / "bag"
+    shutil.copytree(native, bag)
+    path = bag / "metadata.yaml"
+    metadata = yaml.safe_load(path.read_text())
+    listed = metadata["rosbag2_bagfile_information"]
+    listed["version"] = 3
+    listed["relative_file_paths"] = [f"somewhere/{name}" for name in listed["relative_file_paths"]]
+    path.write_text(yaml.safe_dump(metadata))
+    assert content(bag) == content(native)
+    next(bag.glob("*.mcap")).unlink()
+    with pytest.raises(RecordingError, match=r"is missing .metadata.yaml lists it"):
+        open_run(bag)
+
+
+@pytest.mark.parametrize("what", ["index", "statistics"])
+def test_a_topic_that_is_in_no_index_is_missed(native, tmp_path, what):
+    """Its messages are in the chunks, and no reader that goes by the index ever sees them."""
+    from impact_rig.recording.records import CHUNK_INDEX, STATISTICS
+
+    opcode = {"index": CHUNK_INDEX, "statistics": STATISTICS}[what]
+    path = rewrite(native, tmp_path / "bag.mcap", enable_crcs=False)
+    with open_run(path) as run:
+        number = next(i for i, one in run.sources[0].topics.items() if one.name == SCAN_TOPIC.name)
+    data = bytearray(path.read_bytes())
+    entry = number.to_bytes(2, "little")
+    place = data.index(entry, _record(data, opcode) + (9 + 8 * 4 + 4 if opcode == CHUNK_INDEX else 9 + 46))
+    data[place : place + 2] = (99).to_bytes(2, "little")
+    path.write_bytes(data)
+    assert not info(path).intact
+
+
+def _record(data: bytearray, opcode: int) -> int:
+    """Place of the first record of a kind in the summary of a file."""
+    start = int.from_bytes(data[-28:-20], "little")
+    while data[start] != opcode:
+        start += 9 + int.from_bytes(data[start + 1 : start + 9], "little")
+    return start
