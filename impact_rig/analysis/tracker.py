@@ -120,6 +120,11 @@ class Tracker:
         self._rows: list[Table] = []
         self._state = TrackerState(AnalysisWord.NO_SCANS)
 
+    @property
+    def is_calibrated(self) -> bool:
+        """Whether `daq/info` has come, without which no scan can be measured."""
+        return self._calibration is not None
+
     def configure(self, info: Table) -> None:
         """Take `daq/info`: a calibration, which acts from its stamp on, and where scan 0 is.
 

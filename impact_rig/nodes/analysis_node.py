@@ -27,6 +27,10 @@ from impact_rig.nodes.plots import Plots
 from impact_rig.simtime import NS_PER_S
 
 PUBLISHED = [topic for topic in TOPICS if topic.publisher == "analysis"]
+UNCALIBRATED = (
+    "scans come without daq/info, so nothing can be measured: latched topics are missing, as after ros2 bag play "
+    "--start-offset; play the bag from its start"
+)
 SILENCE_S = 2.0  # wall time without a block after which there are no scans; a paused rig sends none either
 UNKNOWN_GAP = -1.0
 
@@ -130,6 +134,8 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
             return Level.WARN, self.state
         if self._newest is None:
             return Level.OK, "waiting for daq/scan"
+        if not self._tracker.is_calibrated:
+            return Level.WARN, UNCALIBRATED
         if self._tracker.counters.lost_scans:
             return Level.WARN, "scans were lost"
         why = self._waiting()
