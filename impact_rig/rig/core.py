@@ -268,7 +268,8 @@ class Rig:
             end_scan = self._next_scan + complete * size
             needed = max(needed, -(-end_scan * TICKS_PER_S // self.rate_hz))
         while True:
-            while len(blocks) < complete and self._chain.ready >= size:
+            # a contact that ends in the last tick of a block belongs to it: that tick must have been simulated
+            while len(blocks) < complete and self._ticks * self.rate_hz >= (self._next_scan + size) * TICKS_PER_S:
                 blocks.append(self._cut(size))
             if self._ticks >= needed:
                 return blocks

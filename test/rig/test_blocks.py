@@ -29,6 +29,38 @@ def test_a_long_block_is_simulated_tick_by_tick() -> None:
     assert rig.frontier_ns == 25 * TICK
 
 
+@pytest.mark.parametrize(
+    ("rate_hz", "block_scans"),
+    [(100, 1), (333, 3), (997, 7), (997, 1), (1_000, 13), (8_192, 82), (10_000, 100), (44_100, 1_001), (49_999, 5_000)],
+)
+def test_to_which_block_a_contact_belongs_is_decided_by_when_it_ends(rate_hz: int, block_scans: int) -> None:
+    """Whatever the calls are cut into: by half a millisecond, by blocks, by many blocks, all at once."""
+    chosen = config(
+        daq__rate_hz=rate_hz,
+        daq__block_scans=block_scans,
+        instruments__ideal=True,
+        drive__kind="prescribed",
+        drive__amplitude=3e-3,
+        shaker__ramp_s=0.0,
+    )
+    seconds = 2.0
+    block_ns = block_scans * NS_PER_S / rate_hz
+    found = []
+    for step_ns in (500_000, block_ns, 7 * block_ns, 30_000_001, seconds * NS_PER_S):
+        rig, until_ns, blocks = Rig(chosen), 0.0, []
+        while until_ns < seconds * NS_PER_S:
+            until_ns = min(until_ns + step_ns, seconds * NS_PER_S)
+            blocks += rig.advance(round(until_ns))
+        found.append([None if block.impacts is None else block.impacts.rows.tobytes() for block in blocks])
+        ends = np.array(
+            [row["time"] + row["duration"] for block in blocks if block.impacts for row in block.impacts.rows]
+        )
+        assert ends.max() < block_scans / rate_hz, "none is told before it has ended"
+        if step_ns == 500_000:
+            assert len(ends) > 20
+    assert all(one == found[0] for one in found)
+
+
 def test_monitor_instants_are_scans_at_the_asked_rate() -> None:
     blocks = Rig(config(daq__rate_hz=25_600, daq__block_scans=256, output__monitor_rate_hz=200.0)).advance(NS_PER_S)
     indices = np.concatenate([block.first_scan + block.monitor_scans for block in blocks])
