@@ -74,9 +74,8 @@ def _run(arguments: argparse.Namespace) -> int:
             steps = _in_process if arguments.through == PROCESS else _over_topics
             try:
                 with contextlib.closing(steps(arguments, config, gap_m, directory)) as passed:
-                    for done_s, dt in passed:
-                        state = f"{what}, DT {dt:.2f}" if math.isfinite(dt) else what
-                        shown.show(math.floor(min(done_s, arguments.seconds)), state)
+                    for done_s, state in passed:
+                        shown.show(math.floor(min(done_s, arguments.seconds)), f"{what}, {state}" if state else what)
             except CommandError as error:
                 early = str(error)
             except KeyboardInterrupt as error:
@@ -128,22 +127,22 @@ def _config(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
     return config, gap_m
 
 
-Passed = Generator[tuple[float, float], None, None]
-"""Rig time recorded so far [s], and the newest DT; NaN before the first."""
+Passed = Generator[tuple[float, str], None, None]
+"""Rig time recorded so far [s], and the newest DT or what is waited for, as text; empty if neither is known."""
 
 
 def _in_process(arguments: argparse.Namespace, config: RigConfig, gap_m: float, directory: Path) -> Passed:
     from impact_rig.runs.in_process import MeasuredRig  # noqa: PLC0415  # heavy: after the signals are taken
 
-    dt = math.nan
+    dt = ""
     with MeasuredRig(directory, config, gap_m) as run:
         run.rig.accept(frequency_hz=arguments.frequency, amplitude=arguments.current)
         while run.rig.frontier_ns < arguments.seconds * NS_PER_S:
             for table in run.advance():
-                dt = float(table.rows["transmissibility"][-1])
+                dt = figure(table.rows["transmissibility"][-1], ".2f", "")
             if run.rig.latched is not None:
                 raise CommandError(f"the rig tripped: {run.rig.latched}")
-            yield run.rig.frontier_ns / NS_PER_S, dt
+            yield run.rig.frontier_ns / NS_PER_S, run.waiting or (f"DT {dt}" if dt else "")
 
 
 def _over_topics(arguments: argparse.Namespace, config: RigConfig, gap_m: float, directory: Path) -> Passed:
@@ -161,7 +160,7 @@ def _over_topics(arguments: argparse.Namespace, config: RigConfig, gap_m: float,
         done_s = 0.0
         while done_s < arguments.seconds:
             done_s = (rig.advance() - began_ns) / NS_PER_S
-            yield done_s, math.nan
+            yield done_s, ""
         if running and arguments.current is not None:
             rig.command(None, 0.0)
 
@@ -199,6 +198,7 @@ def _why_nothing(found: RunMeasurements, seconds: float) -> str:
 
 def _print(console: Console, found: RunMeasurements) -> None:
     from impact_rig.analysis.calibration import Calibration  # noqa: PLC0415  # as above
+    from impact_rig.analysis.transmissibility import note_on  # noqa: PLC0415
     from impact_rig.analysis.uncertainty_budget import budget  # noqa: PLC0415
 
     whole = budget(found.rows, Calibration.from_info(found.info))
@@ -222,6 +222,8 @@ def _print(console: Console, found: RunMeasurements) -> None:
         f"DT {whole.transmissibility:.3f} ± {2.0 * whole.u_transmissibility:.3f} (2u) at {last['frequency']:g} Hz, "
         f"{gap}, {last['regime'].decode()}"
     )
+    if note := note_on(last):
+        console.print(note, style="yellow")
 
 
 def _content(found: RunMeasurements) -> dict[str, object]:

@@ -103,6 +103,12 @@ class MeasuredRig:
         self._recorder = RigRecorder(directory, self.rig, ANALYSED)
         self._recorder.write(topics.ANALYSIS_SETTINGS, settings_table(settings, gap_m, 0))
 
+    @property
+    def waiting(self) -> str:
+        """What a row is held back for, for people: a sphere that may still strike; otherwise empty."""
+        progress = self._tracker.progress
+        return "" if progress is None else progress.reason
+
     def __enter__(self) -> MeasuredRig:
         return self
 
