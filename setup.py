@@ -53,7 +53,15 @@ setup(
     url=URL,
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={
-        NAME: ["py.typed", "interface.json", "kernels/library.c", "lab/static/*", "lab/words.json", "report/style.css"]
+        NAME: [
+            "py.typed",
+            "interface.json",
+            "kernels/library.c",
+            "lab/static/*",
+            "lab/words.json",
+            "report/parts.html",
+            "report/style.css",
+        ]
     },
     ext_modules=[Extension(f"{NAME}.kernels._library", [], py_limited_api=True, optional=True)],
     cmdclass={"build_ext": BuildKernels},
@@ -78,6 +86,7 @@ setup(
     # the lowest versions are those of Ubuntu 24.04
     install_requires=[
         "attrs>=23.2",
+        "Jinja2>=3.1",
         "matplotlib>=3.6",
         "mcap>=1.5",  # the first whose writer can close a chunk on request; brings lz4 and zstandard
         "numpy>=1.26",

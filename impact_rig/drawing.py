@@ -13,6 +13,8 @@ import contextlib
 import csv
 import io
 import re
+import textwrap
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 import attrs
 from numpy.typing import NDArray
 
+from impact_rig import names
 from impact_rig.system import files
 
 if TYPE_CHECKING:
@@ -59,10 +62,13 @@ DARK: Mapping[str, str] = {
     "quiet": "#2a3038",
 }
 
+TAG = re.compile("<[^>]*>")
+"""A tag of an SVG by matplotlib, which escapes angle brackets everywhere else."""
 WIDTH_INCH = 4.4
 """About as wide as a phone: shown there at its own size, its 9 pt stay legible; wide pages show several abreast."""
 WIDE_INCH = 7.2  # a drawing that has a page, or a file, to itself
 DIGITS = 9  # of numbers in the CSV of a drawing: more than any screen shows
+POINTS_PER_INCH, CHARACTER = 72.0, 0.55  # width of a character in type sizes, about
 LABELS_INCH = 0.48  # height of the numbers and the name beneath an axis
 STYLE: dict[str, object] = {
     "font.size": 9.0,
@@ -149,40 +155,52 @@ class Drawn:
     """A figure in its three forms.
 
     Args:
-        name: of the files, and of the identifiers in the page.
+        name: any text; a file name is made of it.
+        figure: what is drawn; its texts become plain ones, see `plain_texts`.
         caption: sentence(s) below it, also read aloud in its place.
+        lines: the numbers behind it.
     """
 
     def __init__(self, name: str, figure: Figure, caption: str, lines: Sequence[Line] = ()) -> None:
         from matplotlib import rc_context  # noqa: PLC0415  # as above
 
-        self.name, self.caption, self.lines = name, caption, tuple(lines)
+        self.name, self.caption, self.lines = names.file_name(name), names.visible(caption), tuple(lines)
         vector, raster = io.StringIO(), io.BytesIO()
-        with rc_context({"svg.hashsalt": name}):  # the same drawing gives the same file
+        plain_texts(figure)
+        with any_glyph(), rc_context({"svg.hashsalt": self.name}):  # the same drawing gives the same file
             figure.savefig(vector, format="svg", transparent=True, metadata={"Date": None})
-        figure.set_layout_engine("none")  # it has found its places, and finding them is half the work
-        figure.savefig(raster, format="png", dpi=160, facecolor="white")
+            figure.set_layout_engine("none")  # it has found its places, and finding them is half the work
+            figure.savefig(raster, format="png", dpi=160, facecolor="white")
         self.svg, self.png = vector.getvalue(), raster.getvalue()
 
+    @property
+    def identifier(self) -> str:
+        """The drawing's identifier in a page."""
+        return f"f-{names.identifier(self.name)}"
+
     def inline(self) -> str:
-        """Return the drawing as an element of the page."""
-        body = themed(self.svg[self.svg.index("<svg") :])
-        body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
-        # several drawings share a page: their identifiers must not
-        body = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{self.name}-", body)
+        """Return the drawing as an element of the page: its colours are variables, its identifiers its own."""
+        body = re.sub(r"<metadata>.*?</metadata>", "", self.svg[self.svg.index("<svg") :], flags=re.DOTALL)
+        body = TAG.sub(self._of_page, body)
         return re.sub(r'<svg height="[^"]*"', "<svg", body, count=1).replace(' width="', ' data-width="', 1)
+
+    def _of_page(self, tag: re.Match[str]) -> str:
+        """Return a tag as a page has it: several drawings share it, and their identifiers must not."""
+        return re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{self.identifier}-", themed(tag[0]))
 
     def csv(self) -> str:
         """Return the numbers as CSV, a row a value; empty if there are none."""
-        names = list(dict.fromkeys(name for line in self.lines for name in line.columns))
+        columns = list(dict.fromkeys(name for line in self.lines for name in line.columns))
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         if self.lines:
-            writer.writerow(["case", *names])
+            writer.writerow(["case", *map(names.csv_cell, columns)])
         for line in self.lines:
             for i in range(len(next(iter(line.columns.values())))):
-                cells = [f"{float(line.columns[name][i]):.{DIGITS}g}" if name in line.columns else "" for name in names]
-                writer.writerow([line.label, *cells])
+                cells = [
+                    f"{float(line.columns[name][i]):.{DIGITS}g}" if name in line.columns else "" for name in columns
+                ]
+                writer.writerow([names.csv_cell(line.label), *cells])
         return text.getvalue()
 
     def save(self, folder: Path) -> None:
@@ -192,6 +210,33 @@ class Drawn:
             file.write(self.png)
         if self.lines:
             files.write_text(folder / f"{self.name}.csv", self.csv())
+
+
+def plain_texts(figure: Figure) -> None:
+    """Let no text of a figure be a formula, a command or wider than the figure; to be called before it is laid out.
+
+    Titles, labels and legends hold names from outside. Numbers at the axes are matplotlib's own.
+    """
+    titles, labels, legends = [*figure.texts], [], [*figure.legends]
+    for axis in figure.axes:
+        titles += [*axis.texts, axis.title, axis._left_title, axis._right_title]  # type: ignore[attr-defined]  # there is no public way
+        labels += [axis.xaxis.label, axis.yaxis.label]
+        legends += filter(None, [axis.get_legend()])
+    for legend in legends:
+        labels += [legend.get_title(), *legend.get_texts()]
+    for texts, limit in ((titles, names.LONGEST_TITLE), (labels, names.LONGEST_LABEL)):
+        for text in texts:
+            plain = names.plot_text(text.get_text(), limit)
+            across = int(POINTS_PER_INCH * figure.get_figwidth() / (CHARACTER * text.get_fontsize()))
+            text.set_text(plain if len(plain) <= across else "\n".join(textwrap.wrap(plain, across)))
+
+
+@contextlib.contextmanager
+def any_glyph() -> Iterator[None]:
+    """Accept names in scripts that the font lacks: a PNG shows boxes, an SVG holds the text."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
+        yield
 
 
 def variables(dark: bool) -> str:

@@ -8,20 +8,12 @@ import difflib
 import traceback
 from collections.abc import Iterable
 
-
-def visible(text: str, *, lines: bool = False) -> str:
-    r"""Return a text from outside for people: what would command a terminal as escapes, ESC as `\x1b`.
-
-    Args:
-        text: from anywhere: files, their names, the network.
-        lines: leave line ends as they are.
-    """
-    return "".join(c if c.isprintable() or (lines and c == "\n") else c.encode("unicode_escape").decode() for c in text)
+LONGEST_WORD = 100  # characters of a word that is compared: the time grows with their number
 
 
 def did_you_mean(word: str, known: Iterable[str], question: str = ": did you mean {}?", otherwise: str = "") -> str:
     """Return `question` with the known word that is nearest in its braces; `otherwise` where none is near."""
-    close = difflib.get_close_matches(word, list(known), n=1)
+    close = difflib.get_close_matches(word[:LONGEST_WORD], list(known), n=1)
     return question.format(close[0]) if close else otherwise
 
 

@@ -13,6 +13,7 @@ import attrs
 
 from impact_rig.config.tree import Value, flatten
 from impact_rig.errors import ConfigError
+from impact_rig.names import quoted
 from impact_rig.rig.config import RigConfig, from_flat, load
 from impact_rig.rig.gaps import NO_SPHERE
 
@@ -20,16 +21,12 @@ S = TypeVar("S", bound=attrs.AttrsInstance)
 
 MAX_VALUES = 10_000
 HUGE = 10**30  # no integer of a configuration is as large; one of 400 digits is no floating-point number
-SHOWN = 200  # characters of a wrong value that an error quotes
 _DIGITS = 12  # of the values of a range, so that 9.00, 9.01, ... are what they look like
 
 
 def wrong(key: str, rule: str, value: object) -> ConfigError:
-    """Return the error for a value that breaks a rule; one of thousands of digits is not quoted whole."""
-    if isinstance(value, int) and abs(value) >= HUGE:
-        return ConfigError(f"{key} must be {rule}, got an integer of {len(str(abs(value)))} digits")
-    shown = repr(value)
-    return ConfigError(f"{key} must be {rule}, got {shown if len(shown) <= SHOWN else shown[:SHOWN] + '...'}")
+    """Return the error for a value that breaks a rule."""
+    return ConfigError(f"{key} must be {rule}, got {quoted(value)}")
 
 
 def check_keys(key: str, found: Mapping[str, object], known: Iterable[str]) -> None:

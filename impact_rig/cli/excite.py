@@ -19,7 +19,8 @@ from impact_rig.analysis.scans import CHANNELS
 from impact_rig.cli.quantities import positive
 from impact_rig.cli.rig_options import PROCESS, RUNNING, add_rig, add_way, rig_of, run_directory
 from impact_rig.cli.terminal import Console, add_json, subcommand, tell_results
-from impact_rig.errors import CommandError, ConfigError, ImpactRigError, visible
+from impact_rig.errors import CommandError, ConfigError, ImpactRigError
+from impact_rig.names import visible
 from impact_rig.operate.hardware import Hardware
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat

@@ -25,6 +25,7 @@ from impact_rig.cli.quantities import positive
 from impact_rig.cli.rig_options import add_rig, rig_of
 from impact_rig.cli.terminal import Console, TextTable, add_json, figure, subcommand, tell_json
 from impact_rig.errors import ConfigError, RecordingError
+from impact_rig.names import csv_cell
 from impact_rig.operate.phase_lock import FEWEST, Ladder, LockPlan, LoopApparatus, Reference, Rung, climb, lock_on, mean
 from impact_rig.operate.stepped_sine import Direction, Hold, HoldPlan, SweepState
 from impact_rig.rig.config import RigConfig, differences
@@ -225,9 +226,9 @@ def _write(path: Path | None, rows: NDArray[np.void] | Sequence[Rung]) -> None:
     writer = csv.writer(text)
     if isinstance(rows, np.ndarray):
         writer.writerow(rows.dtype.names or ())
-        writer.writerows([x.decode() if isinstance(x, bytes) else x for x in row.tolist()] for row in rows)
+        writer.writerows([csv_cell(x.decode()) if isinstance(x, bytes) else x for x in row.tolist()] for row in rows)
     else:
         writer.writerow([field.name for field in attrs.fields(Rung)])
-        writer.writerows(attrs.astuple(one) for one in rows)
+        writer.writerows(map(csv_cell, attrs.astuple(one)) for one in rows)
     with files.errors_as(f"cannot write {path}"), files.written_whole(path, replace=False) as file:
         file.write(text.getvalue().encode())

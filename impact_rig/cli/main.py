@@ -78,12 +78,13 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     first = arguments[0] if arguments else ""
     parser = command_line(first)
     if first and not first.startswith("-") and first not in COMMANDS:
-        from impact_rig.errors import did_you_mean, visible  # noqa: PLC0415
+        from impact_rig.errors import did_you_mean  # noqa: PLC0415
+        from impact_rig.names import one_line  # noqa: PLC0415
 
         hint = did_you_mean(
             first, COMMANDS, f"did you mean `{PROGRAM} {{}}`?", f"the commands are {', '.join(COMMANDS)}"
         )
-        parser.error(visible(f"{first!r} is no command: {hint}"))
+        parser.error(one_line(f"{first!r} is no command: {hint}"))
     return parser.parse_args(arguments)
 
 
@@ -98,14 +99,15 @@ def _complete() -> None:
 
 
 def _run(chosen: argparse.Namespace, ending: Ending | None) -> int:
-    from impact_rig.errors import ImpactRigError, visible  # noqa: PLC0415
+    from impact_rig.errors import ImpactRigError  # noqa: PLC0415
+    from impact_rig.names import one_line, visible  # noqa: PLC0415
 
     try:
         result: int = chosen.run(chosen)
     except ImpactRigError as error:
         if ending is None or not ending.told:  # else it is only what became of the signal
             about_content = isinstance(error, (ValueError, OSError))  # not the last lines of a process that died
-            text = visible(str(error), lines=not about_content)
+            text = one_line(str(error), lines=not about_content)
             print(f"{PROGRAM} {chosen.command}: {text}", file=sys.stderr)  # noqa: T201  # a command line tool talks
         return EXIT_ERROR
     except OSError as error:

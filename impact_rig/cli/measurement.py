@@ -81,6 +81,9 @@ def _import(arguments: argparse.Namespace) -> int:
     if several and len({file.stem for file in arguments.files}) < len(arguments.files):
         raise ConfigError("two files have one name: each becomes the run of its name")
     directories, shown = [], []
+    if arguments.campaign and not arguments.dry_run:
+        with files.errors_as(f"cannot write {arguments.output}"):
+            files.make_folder(arguments.output / "runs")
     for file in arguments.files:
         source = foreign_files.read(file)
         mapping = _mapping(measurement.guess(source), arguments)

@@ -33,7 +33,7 @@ from rich.progress import (
 )
 from rich.text import Text
 
-from impact_rig.errors import visible
+from impact_rig.names import one_line, visible
 from impact_rig.recording.rigs import OPTION
 from impact_rig.system.files import plain
 
@@ -42,6 +42,7 @@ __all__ = ["Console", "Counted", "Steps", "TextTable", "Words", "figure", "tell_
 LONGEST_HEADING = 11  # characters of a heading over numbers that stay in one line
 LONGEST_WORD = 12  # characters of a word in a cell that are not parted
 LARGEST_WIDTH = 10_000  # of a table, in characters
+LONGEST_TEXT = 20_000  # characters of a text: what belongs together is printed sentence by sentence
 LINES = 50  # of a progress that nobody watches, about
 BYTES = re.compile("[\ud800-\udfff]")  # what Python makes of the bytes of a file's name that are no UTF-8
 
@@ -64,7 +65,7 @@ class Console(rich_console.Console):
 
     def render_str(self, text: str, **options: Any) -> Text:
         """Return a text as it is drawn, also in tables."""
-        return super().render_str(visible(text), **{**options, "markup": False, "emoji": False})
+        return super().render_str(one_line(text, LONGEST_TEXT), **{**options, "markup": False, "emoji": False})
 
 
 class TextTable(rich_table.Table):

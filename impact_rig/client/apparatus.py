@@ -33,6 +33,7 @@ from impact_rig.rig.config import RigConfig, differences, to_flat
 from impact_rig.rig.interlock import OVER_TRAVEL, Trip
 from impact_rig.simtime import NS_PER_S
 from impact_rig.studies.closed_loop import HeldSweep, hold, with_short_blocks
+from impact_rig.system import files
 
 FIXED = ("time.", "step.", "daq.rate_hz", "daq.block_scans", "output.autostart")
 """Parameters that are read-only, or that say how the rig is driven here."""
@@ -105,6 +106,9 @@ def freewheel_runner(directory: Path, config: RigConfig, name: Callable[[Job], s
 def _measuring(rig: Mapping[str, ParameterValue], runs: Path | None) -> dict[str, Mapping[str, ParameterValue]]:
     """Return the nodes that measure, and record into `runs`, with their parameters."""
     nodes: dict[str, Mapping[str, ParameterValue]] = {"rig": rig, "analysis": {}}
+    if runs is not None:
+        with files.errors_as(f"cannot record into {runs}"):
+            files.make_folder(runs)
     return nodes if runs is None else {**nodes, "recorder": {"record": False, "directory": str(runs)}}
 
 

@@ -20,6 +20,7 @@ import attrs
 import yaml
 
 from impact_rig.errors import ConfigError
+from impact_rig.names import quoted
 
 METADATA_KEY = "impact_rig"
 LONGEST_BITS = 64  # of an integer
@@ -82,9 +83,7 @@ def info(attribute: attrs.Attribute[Any]) -> FieldInfo:
 
 def _wrong(attribute: attrs.Attribute[Any], rule: str, value: object) -> ConfigError:
     unit = info(attribute).unit
-    huge = isinstance(value, int) and value.bit_length() > LONGEST_BITS  # Python refuses to write out some of them
-    shown = "a number beyond all measure" if huge else repr(value)
-    return ConfigError(f"{attribute.name} must be {rule}, got {shown}{'' if unit == '-' else f' {unit}'}")
+    return ConfigError(f"{attribute.name} must be {rule}, got {quoted(value)}{'' if unit == '-' else f' {unit}'}")
 
 
 def _in_range(attribute: attrs.Attribute[Any], value: float) -> None:

@@ -20,6 +20,7 @@ import yaml
 
 from impact_rig.config.fields import METADATA_KEY, FieldInfo, info
 from impact_rig.errors import ConfigError, did_you_mean
+from impact_rig.names import quoted
 from impact_rig.system import budget, files
 
 MAX_FILE_BYTES = 1_000_000
@@ -79,7 +80,9 @@ class Tree(Generic[Root]):
         """
         for name in changes:
             if name not in self._known:
-                raise ConfigError(f"unknown key {name!r}" + did_you_mean(name, self._known, ", did you mean {!r}?"))
+                raise ConfigError(
+                    f"unknown key {quoted(name)}" + did_you_mean(name, self._known, ", did you mean {!r}?")
+                )
         changed = _evolve(base, nested(changes, _Nested))
         assert isinstance(changed, self.root)
         return changed
@@ -138,7 +141,7 @@ def flatten(tree: object, prefix: str = "", depth: int = 0) -> dict[str, object]
     flat: dict[str, object] = {}
     for key, value in tree.items():
         if not isinstance(key, str):
-            raise ConfigError(f"a key must be a text, got {key!r}")
+            raise ConfigError(f"a key must be a text, got {quoted(key)}")
         name = f"{prefix}{key}"
         if isinstance(value, dict) and value:
             flat.update(flatten(value, f"{name}.", depth + 1))

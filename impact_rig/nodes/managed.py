@@ -35,7 +35,8 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from impact_rig import codec, graph, states, topics
 from impact_rig.blocks import FRAME_DAQ, Table
 from impact_rig.config.tree import Tree
-from impact_rig.errors import CodecError, ImpactRigError, describe, in_words, visible
+from impact_rig.errors import CodecError, ImpactRigError, describe, in_words
+from impact_rig.names import one_line
 from impact_rig.nodes import messages, rclpy_internals
 from impact_rig.nodes.parameters import Parameters, Proposal, set_one_by_one
 
@@ -52,7 +53,7 @@ class Refusals:
     def add(self, reason: str, message: str) -> None:
         """Count one refusal."""
         self.counts[reason] += 1
-        self.last[reason] = message
+        self.last[reason] = one_line(message)
 
 
 def guarded(callback: Callable[..., Any], report: Report) -> Callable[..., Any]:
@@ -99,7 +100,7 @@ def guarded_answer(callback: Callable[[Any, Any], Any], refuse: Callable[[str], 
         try:
             return callback(request, response)
         except Exception as error:  # see `guarded`
-            message = describe(error)
+            message = one_line(describe(error))
             refuse(message)
             no = SetParametersResult(successful=False, reason=message)
             if hasattr(response, "results"):
@@ -386,6 +387,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
 
         def answer(request: Any, sent_ns: int, send: Callable[[Any], None]) -> None:
             def done(success: bool, message: str) -> None:
+                message = one_line(message)
                 if not success:
                     self.refuse(reason, message)
                 send(service_type.Response(success=success, message=message))
@@ -397,8 +399,9 @@ class ManagedNode(LifecycleNode, Generic[S]):
             except ImpactRigError as error:
                 done(False, str(error))
             except Exception as error:  # nothing a request causes may end the process
-                self.report_failure(reason, describe(error))
-                send(service_type.Response(success=False, message=describe(error)))
+                message = one_line(describe(error))
+                self.report_failure(reason, message)
+                send(service_type.Response(success=False, message=message))
             self.report_change()
 
         LateService(self, service_type, name, answer)
@@ -419,7 +422,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         now = time.monotonic()
         if now - self._warned.get(key, -WARN_PERIOD_S) >= WARN_PERIOD_S:
             self._warned[key] = now
-            logger, text = self.get_logger(), visible(message)
+            logger, text = self.get_logger(), one_line(message)
             logger.error(text) if error else logger.warning(text)
 
     # Lifecycle: every transition is guarded and says why it failed
@@ -494,7 +497,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def _failed(self, what: str, error: Exception) -> TransitionCallbackReturn:
         message = in_words(error)
         self._last_error = (float("inf") if what == "configure" else time.monotonic(), f"cannot {what}: {message}")
-        self.get_logger().error(f"cannot {what}: {message}")
+        self.get_logger().error(one_line(f"cannot {what}: {message}"))
         return TransitionCallbackReturn.FAILURE
 
     def _guard_transitions(self) -> None:
@@ -547,7 +550,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
                 self.parameters.settings = proposed.settings
                 self.report_change()
         except Exception as error:  # a set is refused with its reason, never fatal
-            result = SetParametersResult(successful=False, reason=in_words(error))
+            result = SetParametersResult(successful=False, reason=one_line(in_words(error)))
         finally:
             self._proposed = None
         return result
@@ -619,9 +622,11 @@ class ManagedNode(LifecycleNode, Generic[S]):
         }
         one = DiagnosticStatus(
             level=bytes([level]), name=f"{self.get_fully_qualified_name().lstrip('/')}: {self.COMPONENT}",
-            message=message, hardware_id=f"impact_rig{self.get_namespace()}".rstrip("/"),
+            message=one_line(message), hardware_id=f"impact_rig{self.get_namespace()}".rstrip("/"),
             values=[
-                KeyValue(key=key, value=f"{value:.6g}" if isinstance(value, float) else str(value))
+                KeyValue(
+                    key=one_line(key), value=f"{value:.6g}" if isinstance(value, float) else one_line(str(value))
+                )
                 for key, value in values.items()
             ],
         )  # fmt: skip

@@ -27,6 +27,7 @@ from impact_rig.blocks import Table
 from impact_rig.config.fields import choice, integer, quantity, switch, text
 from impact_rig.config.tree import Tree, parameters_in
 from impact_rig.errors import ConfigError, RecordingError
+from impact_rig.names import FILE_NAME, FILE_NAME_MEANS, one_line
 from impact_rig.nodes.acknowledgements import Acknowledgements
 from impact_rig.nodes.managed import Done, Level, ManagedNode, NodeState, guarded
 from impact_rig.nodes.messages import TOPICS
@@ -59,7 +60,10 @@ class RecorderSettings:
     """Parameters of the recorder node."""
 
     directory: str = text("runs", "Where run directories are made.")
-    name: str = text("", "Name of the run directory; empty: run_, date and time, numbered where there is one.")
+    name: str = text(
+        "", "Name of the run directory; empty: run_, date and time, numbered where there is one.",
+        pattern=f"({FILE_NAME})?", means=FILE_NAME_MEANS,
+    )  # fmt: skip
     record: bool = switch(True, "Start recording on activation; otherwise with ~/start.", read_only=True)
     compression: str = choice("zstd", ("none", "lz4", "zstd"), "Compression of the chunks.")
     max_file_mb: int = integer(0, "MB", "Split files at this size; 0 = never.", at_least=0, at_most=1_000_000)
@@ -247,7 +251,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._awaited = {topic.name for topic in AWAITED if self.count_publishers(topic.name)}
         self._opened_at = time.monotonic()
         self._follow_scans()  # last: a rig that waits for this subscription finds the run open
-        self.get_logger().info(f"recording {self._writer.directory}")
+        self.get_logger().info(one_line(f"recording {self._writer.directory}"))
 
     def _follow_scans(self) -> None:
         if self._scans is None:
@@ -300,13 +304,13 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         except RecordingError as error:
             self._fail(error)
             return
-        self.get_logger().info(f"finished {writer.directory}: {writer.message_count} messages")
+        self.get_logger().info(one_line(f"finished {writer.directory}: {writer.message_count} messages"))
 
     def _fail(self, error: RecordingError) -> None:
         """Stop recording, say why, and let the rig go on."""
         self._failure = f"recording stopped: {error}"
         self.report_change()
-        self.get_logger().error(self._failure)
+        self.get_logger().error(one_line(self._failure))
         writer = self._leave_run()
         if writer is not None and not writer.closed:
             writer.finish()

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 import attrs
 
 from impact_rig import states, topics
+from impact_rig.names import one_line
 from impact_rig.nodes.managed import Level, NodeState, worst
 from impact_rig.nodes.session import Session
 from impact_rig.physics.stream import StreamState
@@ -231,10 +232,10 @@ class RigState:
             say(f"and {len(lines) - MOST} more faults")
 
     def _info(self, text: str) -> None:
-        self._node.get_logger().info(text)
+        self._node.get_logger().info(one_line(text))
 
     def _warn(self, text: str) -> None:
-        self._node.get_logger().warning(text)
+        self._node.get_logger().warning(one_line(text))
 
 
 def summary(config: RigConfig) -> str:

@@ -16,6 +16,7 @@ from impact_rig.blocks import Table
 from impact_rig.config.fields import Origin, choice, integer, quantities, quantity, switch
 from impact_rig.config.tree import Tree
 from impact_rig.errors import CodecError, ConfigError, ImpactRigError
+from impact_rig.names import one_line
 from impact_rig.nodes.acknowledgements import Acknowledgements
 from impact_rig.nodes.managed import Done, Level, ManagedNode, NodeState
 from impact_rig.nodes.messages import MONITORS
@@ -290,7 +291,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         self.send(topics.CURRENT, Float64(data=0.0))
         sweep = self._operator.sweep
         if sweep.state is SweepState.ABORTED:
-            self.get_logger().error(f"sweep aborted: {sweep.reason}")
+            self.get_logger().error(one_line(f"sweep aborted: {sweep.reason}"))
         else:
             self.get_logger().info(f"sweep finished: {sweep.measured} measurements")
 

@@ -530,7 +530,7 @@ def make_room(directory: Path) -> None:
         RecordingError: it cannot be made, is not ours, or holds a recording already: nothing is ever overwritten.
     """
     try:
-        directory.mkdir(parents=True, exist_ok=True)
+        files.make_folder(directory)
         files.refuse_foreign(directory)
         present = sorted(path.name for path in directory.iterdir())
     except FileExistsError as error:

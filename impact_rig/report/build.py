@@ -7,6 +7,9 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from urllib.parse import quote
+
+from markupsafe import Markup
 
 from impact_rig.campaign import run
 from impact_rig.campaign.paper import FREQUENCIES_HZ, FREQUENCY_HZ
@@ -20,7 +23,7 @@ from impact_rig.report import cover, dt, findings
 from impact_rig.report.content import Cell, Content, number
 from impact_rig.report.dt import phase_plane, time_trace
 from impact_rig.report.findings import value_cell
-from impact_rig.report.page import contents, folded, link, page, paragraph, section
+from impact_rig.report.page import Section, contents, folded, links, page, paragraph, section
 from impact_rig.report.studies import continued, reduction_over_gap, study_figures
 from impact_rig.rig.config import fields, to_flat
 from impact_rig.rig.gaps import NO_SPHERE
@@ -75,7 +78,7 @@ def build_report(
 
 def _sections(
     done: Finished, varied: list[Variation], beside: list[Drawn], content: Content, folder: Path
-) -> Iterator[str]:
+) -> Iterator[Section | None]:
     """Yield the sections of the page that goes into `folder`."""
     curves, config, keep = done.curves, done.campaign.base, content.figures
     reductions = done.reductions()
@@ -130,7 +133,7 @@ def _studies(done: Finished) -> Iterator[Drawn]:
         yield from study_figures(study.name, own, done.curves, done.calibration, theory)
 
 
-def _failed(failed: Sequence[Point], content: Content) -> str:
+def _failed(failed: Sequence[Point], content: Content) -> Markup:
     if not failed:
         return paragraph("None.")
     rows: list[list[str | Cell]] = [
@@ -141,7 +144,7 @@ def _failed(failed: Sequence[Point], content: Content) -> str:
     return content.table("failed", ["study", "case", "frequency (Hz)", "direction", "why"], rows, [2])
 
 
-def _configuration(done: Finished, content: Content) -> Iterator[str]:
+def _configuration(done: Finished, content: Content) -> Iterator[Markup]:
     values = to_flat(done.campaign.base)
     varied = {name for study in done.campaign.studies for name in study.vary} | {"barriers.gap_m", "sphere.present"}
     rows: list[list[str | Cell]] = [
@@ -161,7 +164,7 @@ def _configuration(done: Finished, content: Content) -> Iterator[str]:
     yield folded(f"All {content.fact('values', len(rows))} values", table)
 
 
-def _files(done: Finished, content: Content, folder: Path) -> Iterator[str]:
+def _files(done: Finished, content: Content, folder: Path) -> Iterator[Markup]:
     rows = [[name.replace("_", " "), str(value)] for name, value in cover.versions(done).items()]
     yield content.table("versions", ["what", "version"], rows)
     names = [run.CSV_FILE, "summary.json", kept.FILE_NAME, run.CAMPAIGN_FILE, run.CONFIGURATION_FILE]
@@ -170,9 +173,10 @@ def _files(done: Finished, content: Content, folder: Path) -> Iterator[str]:
     paths += sorted(done.directory.rglob("*.mcap"))
     resolved, here = [path.resolve() for path in paths], folder.resolve()
     # relative where it can be, so that the directory can be moved
-    addresses = [path.relative_to(here).as_posix() if path.is_relative_to(here) else path.as_uri() for path in resolved]
-    items = "".join(f"<li>{link(at, path.name)}</li>" for at, path in zip(addresses, paths, strict=True))
-    yield f"<ul>{items}</ul>"
+    addresses = [
+        quote(path.relative_to(here).as_posix()) if path.is_relative_to(here) else path.as_uri() for path in resolved
+    ]
+    yield links(zip(addresses, (path.name for path in paths), strict=True))
     if not any(path.suffix == ".mcap" for path in paths):
         yield paragraph(
             "No MCAP files: this campaign was measured without the recorder. `impact-rig demo` records the same cases.",

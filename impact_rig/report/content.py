@@ -14,6 +14,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import attrs
+from markupsafe import Markup
 
 from impact_rig.drawing import Drawn
 from impact_rig.report import page
@@ -59,7 +60,7 @@ class Content:
 
     def table(
         self, name: str, headings: Sequence[str], rows: Iterable[Sequence[str | Cell]], numeric: Iterable[int] = ()
-    ) -> str:
+    ) -> Markup:
         """Return a table for the page; its cells are kept under a name."""
         kept = [list(row) for row in rows]
         self._tables[name] = {
@@ -69,7 +70,7 @@ class Content:
         texts = [[cell.text if isinstance(cell, Cell) else cell for cell in row] for row in kept]
         return page.table(headings, texts, numeric)
 
-    def figures(self, found: Iterable[Drawn], *, large: bool = False) -> str:
+    def figures(self, found: Iterable[Drawn], *, large: bool = False) -> Markup:
         """Return figures for the page; they are kept to be saved beside it."""
         new = list(found)
         self.drawn += new

@@ -10,6 +10,8 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
+from markupsafe import Markup
+
 from impact_rig.arithmetic import ARITHMETIC
 from impact_rig.campaign import paper, run
 from impact_rig.campaign.results import FILE_NAME as SUMMARY_FILE
@@ -19,7 +21,7 @@ from impact_rig.errors import RecordingError
 from impact_rig.physics.contact import from_config
 from impact_rig.physics.linear import constants, hertz_stiffness_n_m32, sphere_mass_kg
 from impact_rig.report.content import Cell, Content, number
-from impact_rig.report.page import cover, escape, heading, paragraph, tiles
+from impact_rig.report.page import cover, heading, paragraph, tiles, title
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,9 +29,9 @@ if TYPE_CHECKING:
 DIGITS = 12  # of a digest
 
 
-def opening(done: Finished, content: Content) -> Iterator[str]:
+def opening(done: Finished, content: Content) -> Iterator[Markup]:
     """Yield title, cover block and key figures."""
-    yield f"<h1>{escape(done.campaign.title)}</h1>"
+    yield title(done.campaign.title)
     yield paragraph("Report of a measurement on the virtual test rig of an impact damper", "muted")
     yield cover(_entries(done, content))
     yield tiles(_key_figures(done, content))
@@ -98,7 +100,7 @@ def _key_figures(done: Finished, content: Content) -> list[tuple[str, str]]:
     return items
 
 
-def apparatus(done: Finished, content: Content) -> Iterator[str]:
+def apparatus(done: Finished, content: Content) -> Iterator[Markup]:
     """Yield the drawn set-up, its constants, and the instruments with their calibration."""
     yield content.figures([set_up()])
     yield heading("Constants of the rig")

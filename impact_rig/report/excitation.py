@@ -72,7 +72,7 @@ def document(
     title: str, about: Sequence[tuple[str, str]], told: ResultSummary, early: str, *, drawn: bool = True
 ) -> str:
     """Return the page, with its drawings or without."""
-    parts = [f"<h1>{page.escape(title)}</h1>", page.cover(about)]
+    parts = [page.title(title), page.cover(about)]
     parts += [page.paragraph(f"Ended early: {early}")] if early else []
     parts += [page.paragraph(sentence) for sentence in told.sentences]
     return page.page(title, [*parts, page.figures(told.draw() if drawn else (), large=True)])

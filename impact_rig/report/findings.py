@@ -6,6 +6,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from markupsafe import Markup
+
 from impact_rig.analysis.uncertainty_budget import budget
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCY_HZ, REDUCTION_PERCENT
 from impact_rig.campaign.results import Point
@@ -30,7 +32,7 @@ def value_cell(value: Value) -> str | Cell:
     return number(float(value)) if isinstance(value, float) else Cell(str(value), value)
 
 
-def reductions_table(done: Finished, content: Content) -> Iterator[str]:
+def reductions_table(done: Finished, content: Content) -> Iterator[Markup]:
     """Yield DT and reduction by gap beside the paper's."""
     reductions = done.reductions()
     ours, spread, errors = reductions.percent(), reductions.percent_uncertainty, reductions.errors()
@@ -52,7 +54,7 @@ def reductions_table(done: Finished, content: Content) -> Iterator[str]:
     yield paragraph(f"Largest difference {largest} points, rms {rms}. A fit, not a prediction: see below.", "muted")
 
 
-def damper(done: Finished, content: Content) -> Iterator[str]:
+def damper(done: Finished, content: Content) -> Iterator[Markup]:
     """Yield what DT tells of the damper, at the frequency where most gaps were measured."""
     found = dampers(done.curves, done.calibration)
     counts = [frequency for own in found.values() for frequency in own]
@@ -70,7 +72,7 @@ def damper(done: Finished, content: Content) -> Iterator[str]:
     yield content.table("damper", headings, rows, range(3))
 
 
-def statements(done: Finished, content: Content) -> Iterator[str]:
+def statements(done: Finished, content: Content) -> Iterator[Markup]:
     """Yield the paper's statements with verdict, kind and margin."""
     verdicts = done.verdicts()
     if all(verdict.result is None for verdict in verdicts):
@@ -92,7 +94,7 @@ def statements(done: Finished, content: Content) -> Iterator[str]:
     yield content.table("statements", headings, rows, [5, 6, 7])
 
 
-def uncertainty(done: Finished, content: Content) -> Iterator[str]:
+def uncertainty(done: Finished, content: Content) -> Iterator[Markup]:
     """Yield the uncertainty budget of one transmissibility."""
     chosen: Point | None = None
     for gap in (BUDGETED_GAP_M, NO_SPHERE):
@@ -127,7 +129,7 @@ def uncertainty(done: Finished, content: Content) -> Iterator[str]:
     yield content.table("uncertainty_result", ["result", "DT"], [[chosen.label, result]], [1])
 
 
-def chosen(config: RigConfig, content: Content) -> Iterator[str]:
+def chosen(config: RigConfig, content: Content) -> Iterator[Markup]:
     """Yield the constants that were chosen, and what a verdict owes to them."""
     values = to_flat(config)
     rows: list[list[str | Cell]] = [
@@ -156,7 +158,7 @@ def chosen(config: RigConfig, content: Content) -> Iterator[str]:
     )
 
 
-def margins(varied: list[Variation], content: Content) -> Iterator[str]:
+def margins(varied: list[Variation], content: Content) -> Iterator[Markup]:
     """Yield the figure of every statement on rigs of which one constant differs."""
     if not varied:
         return

@@ -1,91 +1,155 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""The page: parts of HTML, each plain text or made of such parts, and nothing that is fetched."""
+"""HTML pages of reports: parts made by a template engine that escapes every text, and nothing that is fetched or runs.
+
+The policy of a page allows one style sheet, known by its digest, and images that the page holds itself: even markup
+that slipped through could neither run nor ask for anything. The styles of drawings therefore become classes of it.
+"""
 
 from __future__ import annotations
 
-import html
+import base64
+import functools
+import hashlib
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from urllib.parse import quote
 
-from impact_rig.drawing import Drawn, variables
+import attrs
+import jinja2
+from markupsafe import Markup, escape
 
-escape = html.escape
+from impact_rig import names
+from impact_rig.drawing import TAG, Drawn, variables
+
 _SYMBOL, _LOWERED = re.compile(r"\b([A-Za-z])_(\w)\b"), r"\1<sub>\2</sub>"
+_POLICY = "default-src 'none'; style-src '{digest}'; img-src data:; base-uri 'none'; form-action 'none'"
 
 
-def page(title: str, parts: Iterable[str]) -> str:
+@attrs.frozen
+class Section:
+    """Part of a page with a heading that its contents lead to."""
+
+    title: str
+    html: Markup
+
+    @property
+    def anchor(self) -> str:
+        """Its identifier."""
+        return f"s-{names.identifier(self.title.lower())}"
+
+    def __html__(self) -> Markup:
+        """Return it as templates put it into a page."""
+        return self.html
+
+
+@functools.cache
+def _parts() -> jinja2.Template:
+    """Return the templates of all parts."""
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, keep_trailing_newline=True,
+        loader=jinja2.FileSystemLoader(Path(__file__).parent),
+    )  # fmt: skip
+    environment.filters["lowered"] = _lowered
+    return environment.get_template("parts.html")
+
+
+def _render(part: str, *values: object) -> Markup:
+    made: Markup = getattr(_parts().module, part)(*values)
+    return made
+
+
+def _lowered(text: str) -> Markup:
+    """Return a text with the indices of its symbols set lower."""
+    return Markup(_SYMBOL.sub(_LOWERED, str(escape(text))))  # noqa: S704  # escaped, and what it gains is ours
+
+
+def page(title: str, parts: Iterable[Section | Markup]) -> str:
     """Return the whole document."""
-    return (
-        f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>{escape(title)}</title>\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        '<link rel="icon" href="data:,">\n'  # else browsers ask for one
-        f"<style>{STYLE}</style>\n</head>\n<body>\n<main>\n" + "\n".join(parts) + "\n</main>\n</body>\n</html>\n"
-    )
+    body, classes = _classed(Markup("\n").join(parts))
+    style = f"{STYLE}{classes}"
+    digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
+    policy = _POLICY.format(digest=f"sha256-{digest}")
+    return str(_render("page", title, policy, Markup(style), body))  # noqa: S704  # ours
 
 
-def anchor(title: str) -> str:
-    """Return the identifier of a section."""
-    return "s-" + re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
+def _classed(body: Markup) -> tuple[Markup, str]:
+    """Return a page whose styles of single elements have become classes, and the rules of those classes.
+
+    Only drawings have such styles, and matplotlib makes them out of numbers and colours.
+    """
+    rules: dict[str, str] = {}
+
+    def name(found: re.Match[str]) -> str:
+        return f' class="{rules.setdefault(found[1], f"k{len(rules)}")}"'
+
+    def drawing(found: re.Match[str]) -> str:
+        plain = re.sub(r"<style[^>]*>.*?</style>", "", found[0], flags=re.DOTALL)
+        return TAG.sub(lambda tag: re.sub(r' style="([^"]*)"', name, tag[0]), plain)
+
+    html = re.sub(r"<svg\b.*?</svg>", drawing, body, flags=re.DOTALL)
+    return Markup(html), "\n".join(f".{one} {{ {rule} }}" for rule, one in rules.items())  # noqa: S704  # as it was
 
 
-def section(title: str, *parts: str, part: bool = False) -> str:
-    """Return a section; nothing if it has no content."""
-    body = "\n".join(one for one in parts if one)
+def title(text: str) -> Markup:
+    """Return the heading of a page."""
+    return _render("title", text)
+
+
+def section(title: str, *parts: Markup, part: bool = False) -> Section | None:
+    """Return a section; None if it has no content."""
+    body = Markup("\n").join(one for one in parts if one)
     if not body:
-        return ""
-    kind = ' class="part"' if part else ""
-    return f'<section{kind} id="{anchor(title)}">\n<h2>{escape(title)}</h2>\n{body}\n</section>'
+        return None
+    made = Section(title, Markup())
+    return attrs.evolve(made, html=_render("section", title, made.anchor, body, part))
 
 
-def contents(sections: Iterable[str]) -> str:
+def contents(sections: Iterable[Section]) -> Markup:
     """Return the table of contents of sections."""
-    titles = [found[1] for one in sections if (found := re.search(r"<section.*>\n<h2>(.*)</h2>", one))]
-    items = "".join(f'<li><a href="#{anchor(html.unescape(title))}">{title}</a></li>' for title in titles)
-    return f'<nav aria-label="Contents">\n<h2>Contents</h2>\n<ol>{items}</ol>\n</nav>'
+    return _render("contents", list(sections))
 
 
-def heading(title: str) -> str:
+def heading(title: str) -> Markup:
     """Return a heading within a section."""
-    return f"<h3>{escape(title)}</h3>"
+    return _render("heading", title)
 
 
-def paragraph(text: str, kind: str = "") -> str:
+def paragraph(text: str, kind: str = "") -> Markup:
     """Return a paragraph of plain text."""
-    return f'<p class="{kind}">{escape(text)}</p>' if kind else f"<p>{escape(text)}</p>"
+    return _render("paragraph", text, kind)
 
 
-def cover(entries: Iterable[tuple[str, str]]) -> str:
-    """Return the cover block: (what, its value), both plain text."""
-    items = "".join(f"<dt>{escape(what)}</dt><dd>{escape(value)}</dd>" for what, value in entries if value)
-    return f'<dl class="cover">{items}</dl>'
+def cover(entries: Iterable[tuple[str, str]]) -> Markup:
+    """Return the cover block: (what, its value), both plain text; entries without a value are left out."""
+    return _render("cover", [entry for entry in entries if entry[1]])
 
 
-def figures(drawn: Sequence[Drawn], *, large: bool = False) -> str:
+@attrs.frozen
+class _Figure:
+    """A drawing as its template needs it."""
+
+    identifier: str
+    name: str
+    caption: str
+    drawing: Markup
+    csv: str  # address with the numbers; empty: there are none
+
+
+def figures(drawn: Sequence[Drawn], *, large: bool = False) -> Markup:
     """Return figures side by side as far as the page is wide; each can be enlarged, and gives its numbers as CSV."""
-    kind = "figures large" if large else "figures"
-    return f'<div class="{kind}">{"".join(map(_figure, drawn))}</div>' if drawn else ""
+    shown = [
+        _Figure(
+            one.identifier, one.name, one.caption, Markup(one.inline()),  # noqa: S704  # matplotlib escapes its texts
+            f"data:text/csv;charset=utf-8,{quote(one.csv())}" if one.lines else "",
+        )
+        for one in drawn
+    ]  # fmt: skip
+    return _render("figures", shown, "figures large" if large else "figures") if shown else Markup()
 
 
-def _figure(one: Drawn) -> str:
-    name, caption = escape(one.name), escape(one.caption)
-    place = f"f-{one.name.replace('_', '-')}"
-    tools = (
-        f'<a class="enlarge" href="#{place}" aria-label="Enlarge {name}">enlarge</a>'
-        f' <a class="back" href="#{place}-here" aria-label="Close {name}">close</a>'
-    )
-    if one.lines:
-        address = f"data:text/csv;charset=utf-8,{quote(one.csv())}"
-        tools += f' <a download="{name}.csv" href="{address}" aria-label="CSV of {name}">CSV</a>'
-    return (
-        f'<figure id="{place}" role="group" aria-label="{caption}"><span id="{place}-here"></span>{one.inline()}'
-        f"<figcaption>{caption} {tools}</figcaption></figure>"
-    )
-
-
-def table(headings: Sequence[str], rows: Iterable[Sequence[str]], numeric: Iterable[int] = ()) -> str:
+def table(headings: Sequence[str], rows: Iterable[Sequence[str]], numeric: Iterable[int] = ()) -> Markup:
     """Return a table of plain text; on a phone every row becomes a list of its cells with their headings.
 
     Args:
@@ -93,40 +157,22 @@ def table(headings: Sequence[str], rows: Iterable[Sequence[str]], numeric: Itera
         rows: cells; one that is a verdict's word is coloured by it.
         numeric: columns that are set flush right.
     """
-    right = set(numeric)
-
-    def cell(tag: str, column: int, text: str) -> str:
-        word = text if text in ("pass", "FAIL") else ""
-        kind = " ".join(filter(None, ("n" if column in right else "", word)))
-        marks = f' class="{kind}"' if kind else ""
-        if tag == "td":
-            marks += f' role="cell" data-label="{escape(headings[column])}"'
-        else:
-            marks += ' role="columnheader"'
-        return f"<{tag}{marks}>{_SYMBOL.sub(_LOWERED, escape(text))}</{tag}>"
-
-    head = "".join(cell("th", i, text) for i, text in enumerate(headings))
-    body = "\n".join(f'<tr role="row">{"".join(cell("td", i, t) for i, t in enumerate(row))}</tr>' for row in rows)
-    return (
-        f'<div class="scroll"><table role="table"><thead role="rowgroup"><tr role="row">{head}</tr></thead>\n'
-        f'<tbody role="rowgroup">{body}</tbody></table></div>'
-    )
+    return _render("table", list(headings), [list(row) for row in rows], set(numeric))
 
 
-def tiles(items: Iterable[tuple[str, str]]) -> str:
+def tiles(items: Iterable[tuple[str, str]]) -> Markup:
     """Return key figures: (number, what it is)."""
-    each = (f'<div class="tile"><b>{escape(number)}</b>{escape(what)}</div>' for number, what in items)
-    return f'<div class="tiles">{"".join(each)}</div>'
+    return _render("tiles", list(items))
 
 
-def folded(summary: str, body: str) -> str:
+def folded(summary: str, body: Markup) -> Markup:
     """Return a part that is closed at first, and open in print."""
-    return f"<details><summary>{escape(summary)}</summary>\n{body}\n</details>"
+    return _render("folded", summary, body)
 
 
-def link(address: str, text: str) -> str:
-    """Return a link."""
-    return f'<a href="{escape(address)}">{escape(text)}</a>'
+def links(items: Iterable[tuple[str, str]]) -> Markup:
+    """Return a list of links: (address, text)."""
+    return _render("links", list(items))
 
 
 # --- Its look

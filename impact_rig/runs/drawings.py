@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from impact_rig.analysis import drawings
 from impact_rig.analysis.scans import samples_of
 from impact_rig.analysis.tracker import Findings
-from impact_rig.drawing import style
+from impact_rig.drawing import any_glyph, plain_texts, style
 from impact_rig.errors import RecordingError
 from impact_rig.recording import Run
 from impact_rig.runs import reanalysis
@@ -122,7 +122,7 @@ def aliasing(info: NDArray[np.void]) -> str:
 
 def titled(figure: Figure, run: Run, what: str = "") -> Figure:
     """Write over a figure which run it shows, and what of it; return it."""
-    name = run.path.name.replace("$", r"\$")  # would begin a formula
+    name = run.path.name.replace("$", r"\$")  # beside the symbols of `what`
     figure.suptitle(f"{name}: {what}" if what else name, fontsize="medium")
     return figure
 
@@ -133,6 +133,12 @@ def save(figure: Figure, path: Path) -> Path:
     Raises:
         RecordingError: it cannot be written.
     """
-    with files.errors_as(f"{path} cannot be written"), files.written_whole(path, replace=False) as file, style():
+    plain_texts(figure)
+    with (
+        files.errors_as(f"{path} cannot be written"),
+        files.written_whole(path, replace=False) as file,
+        style(),
+        any_glyph(),
+    ):
         figure.savefig(file, format=path.suffix[1:], dpi=150, facecolor="white")
     return path

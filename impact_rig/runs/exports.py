@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.errors import RecordingError
+from impact_rig.names import csv_cell, file_name, one_line
 from impact_rig.recording.reader import Run
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system import files
@@ -125,8 +126,11 @@ def _write_csv(file: BinaryIO, batches: Iterator[Columns]) -> None:
     writer = csv.writer(text)
     for number, columns in enumerate(batches):
         if number == 0:
-            writer.writerow(columns)
-        writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
+            writer.writerow(map(csv_cell, columns))
+        cells = [column.tolist() for column in columns.values()]
+        texts = [column.dtype.kind == "U" for column in columns.values()]
+        plain = (map(csv_cell, column) if text else column for column, text in zip(cells, texts, strict=True))
+        writer.writerows(zip(*plain, strict=True))
     text.detach()
 
 
@@ -135,7 +139,7 @@ def _write_npz(file: BinaryIO, batches: Iterator[Columns]) -> None:
     # np.savez would take columns called `file` or `allow_pickle` for its own arguments
     with zipfile.ZipFile(file, "w") as archive:
         for name, column in columns.items():
-            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+            with archive.open(f"{file_name(name)}.npy", "w", force_zip64=True) as member:
                 np.lib.format.write_array(member, column, allow_pickle=False)
 
 
@@ -214,10 +218,11 @@ def _dataset(name: str, kind: int, x: NDArray[np.float64], y: NDArray[np.generic
     Of an even one the file has begin and step with six digits each, from which readers make all others.
     """
     begin, step = (float(f"{one:.5e}") for one in (x[0], x[1] - x[0]))
+    line = one_line(name, 80)  # a line of its own in the file
     even = kind == _TIME_RESPONSE and bool(np.all(np.abs(begin + step * np.arange(len(x)) - x) <= _EVEN * abs(step)))
     return {
         "binary": 1, "func_type": kind, "data": y, "x": x, "abscissa_spacing": int(even),
-        "id1": name[:80], "id2": "impact_rig", "rsp_ent_name": name[:10], "rsp_node": 1, "rsp_dir": 1,
+        "id1": line[:80], "id2": "impact_rig", "rsp_ent_name": line[:10], "rsp_node": 1, "rsp_dir": 1,
         "ref_ent_name": "base", "ref_node": 1, "ref_dir": 1, "orddenom_spec_data_type": 0,
         "abscissa_spec_data_type": 17 if unit == "s" else 18, "abscissa_axis_units_lab": unit,
     }  # fmt: skip

@@ -34,6 +34,7 @@ from typing import BinaryIO, TypeVar
 import numpy as np
 
 from impact_rig.errors import ImpactRigError, RecordingError
+from impact_rig.names import csv_cell
 from impact_rig.system.endings import unhurried
 
 T = TypeVar("T")
@@ -111,15 +112,17 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Write a table as CSV; numbers read back as the same doubles, and nothing stands where one is NaN.
+    """Write a table as CSV: numbers read back as the same doubles, NaN becomes an empty cell, no text is a formula.
 
     Raises:
         OSError: it cannot be written.
     """
     text = io.StringIO(newline="")
     writer = csv.writer(text)
-    writer.writerow(names)
-    writer.writerows([["" if isinstance(cell, float) and math.isnan(cell) else cell for cell in row] for row in rows])
+    writer.writerow(map(csv_cell, names))
+    writer.writerows(
+        ["" if isinstance(cell, float) and math.isnan(cell) else csv_cell(cell) for cell in row] for row in rows
+    )
     write_text(path, text.getvalue())
 
 

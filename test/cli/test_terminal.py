@@ -14,7 +14,7 @@ from rich.table import Table
 
 from impact_rig.cli import main
 from impact_rig.cli.terminal import Console, TextTable, Words, figure
-from impact_rig.errors import visible
+from impact_rig.names import visible
 
 CLI = Path(__file__).parents[2] / "impact_rig" / "cli"
 TRICKS = "run [gap=2mm] x [/red] :smile: \x1b[31m\x1b]0;title\x07 \u202e \r\n\ud800"

@@ -1,0 +1,105 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Names from outside are data in every place that they are written to."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from kits.hostile_names import HOSTILE_NAMES
+
+from impact_rig import names
+from impact_rig.drawing import Drawn, Line, new_axes, style
+
+ANY = st.one_of(st.text(), st.sampled_from(HOSTILE_NAMES))
+
+
+@given(ANY)
+def test_a_file_name_stays_in_its_directory(text):
+    found = names.file_name(text)
+    assert re.fullmatch(r"[\w+=,][\w.+=,-]*", found, re.ASCII)
+    assert len(found) <= 120
+    assert names.file_name(found) == found
+
+
+@given(ANY, ANY)
+def test_different_names_give_different_files_and_identifiers(one, other):
+    assert (names.file_name(one) == names.file_name(other)) == (one == other)
+
+
+@pytest.mark.parametrize("name", ["gap_6mm", "fig8a_gap_2.5mm", "run_20260101_120000", "a=1,b=2"])
+def test_an_ordinary_name_is_its_own_file_name(name):
+    assert names.file_name(name) == name
+
+
+@given(ANY)
+def test_an_identifier_is_one_everywhere(text):
+    assert re.fullmatch(r"[A-Za-z][A-Za-z0-9-]*", names.identifier(text))
+
+
+@given(ANY)
+def test_a_log_line_is_one_line_of_visible_characters(text):
+    line = names.one_line(text)
+    assert line.isprintable()
+    assert len(line) <= 10 * names.LONGEST_LINE + 60  # an invisible character becomes up to ten visible ones
+
+
+def test_a_long_text_keeps_its_ends():
+    assert names.one_line("a" * 3_000_000 + "end") == "a" * 1000 + " … (3000003 characters) … " + "a" * 997 + "end"
+
+
+@pytest.mark.parametrize(
+    ("text", "cell"),
+    [
+        ("=HYPERLINK(1)", "'=HYPERLINK(1)"), ("+1+1", "'+1+1"), ("-2+3", "'-2+3"), ("@SUM(A1)", "'@SUM(A1)"),
+        ("\t=1", "'\t'=1"), (" =1+1", "' =1+1"), ("a;=1+1", "a;'=1+1"), ("a\n=1", "a\n'=1"),
+        ("\uff1d1+1", "'\uff1d1+1"),
+        ("-2.5", "-2.5"), ("+1e-3", "+1e-3"), ("-", "-"), ("gap 6 mm, up", "gap 6 mm, up"), (-2.5, -2.5), ("", ""),
+    ],
+)  # fmt: skip
+def test_a_cell_is_no_formula(text, cell):
+    assert names.csv_cell(text) == cell
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [
+        (np.float64(0.5), "0.5"), ((np.float64(1.5), np.int32(2)), "(1.5, 2)"), ("a" * 300, f"'{'a' * 199}..."),
+        (10**31, "a number too large to represent"), (np.float64("nan"), "nan"), (b"x", "b'x'"),
+    ],
+)  # fmt: skip
+def test_a_quoted_value_is_short_and_reads_as_python_writes_it(value, shown):
+    assert names.quoted(value) == shown
+
+
+def test_symbols_of_our_own_are_set_and_nothing_else():
+    for own in ("$x_1$ (mm)", "transmissibility $|X_1|/|X_b|$", r"$K_f,\ k_f,\ c_f$", "$m_a + m_b$"):
+        assert names.plot_text(own) == own
+    assert names.plot_text("$x^$") == r"\$x^\$"
+    assert names.plot_text("$x_1_2$") == r"\$x_1_2\$"
+    assert names.plot_text("a $ sign") == r"a \$ sign"
+
+
+@pytest.mark.parametrize("name", HOSTILE_NAMES, ids=names.file_name)
+def test_a_drawing_shows_any_name_as_it_is(name, tmp_path):
+    with style():
+        figure, (axis,) = new_axes()
+        axis.plot([0.0, 1.0], [0.0, 1.0], label=f"case {name}")
+        axis.legend()
+        axis.set(xlabel=name, ylabel="$x_1$ (mm)")
+        axis.set_title(name, loc="left")
+        drawn = Drawn(f"study_{name}", figure, name, [Line(name, {name: [1.0]})])
+    folder = tmp_path / "figures"
+    folder.mkdir()
+    drawn.save(folder)
+    made = {path.name for path in tmp_path.rglob("*")}
+    assert made == {"figures", *(f"{drawn.name}.{suffix}" for suffix in ("svg", "png", "csv"))}
+    assert drawn.name == names.file_name(f"study_{name}")
+    assert "<script" not in drawn.svg + drawn.inline()
+    assert "<img" not in drawn.svg + drawn.inline()
+    if name in ("$x^$", r"a\q", "$x_1_2$", "url(#a)", 'id="f"'):
+        assert f">{name}</text>" in drawn.inline()
