@@ -26,7 +26,6 @@ import impact_rig
 from impact_rig.blocks import TRANSMISSIBILITY
 from impact_rig.campaign.job import TRUE_COLUMNS, Job, Outcome
 from impact_rig.errors import RecordingError
-from impact_rig.names import LONGEST_QUOTE, quoted
 from impact_rig.states import MEASURED, Method, Regime, Status
 from impact_rig.system import files
 
@@ -34,6 +33,7 @@ FOLDER = "points"
 MAX_RESULT_BYTES, MAX_TRACE_BYTES = 10 * 2**20, 64 * 2**20
 """A file in a directory that somebody else made is not believed to be small."""
 MOST = 1e12  # no figure of a measurement is larger
+SHOWN = 60  # characters of a wrong value that an error quotes
 _POSITIVE = frozenset({"frequency", "transmissibility", "base_amplitude", "laser_amplitude"})
 """Columns that are > 0 wherever something was measured."""
 _WORDS: dict[str, type[enum.StrEnum]] = {"regime": Regime, "method": Method, "status": Status}
@@ -133,7 +133,7 @@ class Store:
             raise DamagedPointError(f"{path} is no stored result: a JSON object is expected")
         part = _Checked(path, found)
         if part.text("key") != job.key:
-            whose = part.text("job")[:LONGEST_QUOTE]
+            whose = part.text("job")[:SHOWN]
             raise DamagedPointError(f"{path} holds the result of another job ({whose}): its key must be {job.key}")
         rows = part.each("rows", job.repetitions * len(job.plan().points()))
         names = TRANSMISSIBILITY.names or ()
@@ -243,7 +243,13 @@ class _Checked:
         return self._content[key]
 
     def _wrong(self, key: str, value: object, rule: str) -> DamagedPointError:
-        return DamagedPointError(f"{self._path}: {self._place}{key} must be {rule}, got {quoted(value)}")
+        return DamagedPointError(f"{self._path}: {self._place}{key} must be {rule}, got {shortened(value)}")
+
+
+def shortened(value: object) -> str:
+    """Return a value of a JSON file for an error, as it stands there."""
+    text = json.dumps(value, default=str)
+    return text if len(text) <= SHOWN else f"{text[:SHOWN]}... ({len(text)} characters)"
 
 
 def _column(member: bytes) -> NDArray[np.generic]:

@@ -220,13 +220,14 @@ def add_report(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     """Register `report`: the page of a campaign."""
     parser = subcommand(
         commands, "report", _report,
-        "write a campaign's report: one HTML page, figures as PNG and SVG, numbers as JSON",
+        "write the report of a campaign or a run: one HTML page, figures as PNG and SVG, numbers as JSON",
         [
             ("report runs/campaign_paper", "writes runs/campaign_paper/report.html"),
+            ("report runs/demo/gap_6mm", "one run: result, uncertainty, conditions, motion"),
             ("report runs/campaign_paper --margins runs/campaign_margins", "with what the verdicts owe to constants"),
         ],
     )  # fmt: skip
-    parser.add_argument("directory", type=Path, metavar="DIR", help="directory of a campaign")
+    parser.add_argument("directory", type=Path, metavar="DIR", help="directory of a campaign, or a run")
     parser.add_argument("--output", type=Path, metavar="FILE", help="the page (default: DIR/report.html)")
     parser.add_argument(
         "--margins", type=Path, metavar="DIR",

@@ -19,7 +19,7 @@ from impact_rig.campaign.statements import Variation, variations
 from impact_rig.drawing import Drawn, style
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.report import content as kept
-from impact_rig.report import cover, dt, findings
+from impact_rig.report import cover, dt, findings, measured
 from impact_rig.report.content import Cell, Content, number
 from impact_rig.report.dt import phase_plane, time_trace
 from impact_rig.report.findings import value_cell
@@ -37,26 +37,40 @@ PEAK_HZ = 0.1  # studies that stay this near to 9.1 Hz are shown as the peaks of
 def build_report(
     directory: Path, target: Path | None = None, margins: Path | None = None, branches: Sequence[Path] = ()
 ) -> Path:
-    """Write the report of the campaign in a directory, its numbers and its figures; return the page.
+    """Write the report of a campaign or of a run, its numbers and its figures; return the page.
 
     Args:
-        directory: of the campaign.
+        directory: of the campaign or of the run; an MCAP file is a run.
         target: the page; `report.html` in the directory if None. `report.json` is written beside it.
         margins: directory of a campaign that varies constants, for the table of what the statements owe to them.
         branches: directories of `impact-rig dynamics continue`, whose motions are drawn beside what was measured.
 
     Raises:
-        ConfigError: a directory holds no campaign, that of the margins no variation, one of the branches another rig.
+        ConfigError: a directory holds neither campaign nor run, that of the margins no variation, one of the branches
+            another rig; or margins or branches are given to something that was not simulated.
         RecordingError: nothing was measured yet, or the page cannot be written.
     """
+    folder = directory if directory.is_dir() else directory.parent
+    target = target or folder / PAGE_FILE
+    content = Content()
+    is_campaign = (directory / run.CAMPAIGN_FILE).exists()
+    if not is_campaign and (directory.is_file() or any(directory.glob("*.mcap*"))):
+        _refuse_comparisons(directory, margins, branches)
+        data = measured.of_run(directory)
+        paths = [*directory.glob("*.mcap")] if directory.is_dir() else [directory]
+        html = measured.document(data, content, _links([target.parent / kept.FILE_NAME, *sorted(paths)], target.parent))
+        return _write(folder, target, content, data.title, html)
     done = run.open_finished(directory)
     if not done.points:
         raise RecordingError(f"{directory} holds no measured point yet")
+    if done.imported:
+        _refuse_comparisons(directory, margins, branches)
+        data = measured.of_campaign(done)
+        html = measured.document(data, content, _links(_paths(done, target.parent), target.parent))
+        return _write(folder, target, content, data.title, html)
     varied = variations(run.open_finished(margins).points) if margins else variations(done.points)
     if margins and not varied:
         raise ConfigError(f"{margins} holds no campaign that varies constants: see config/campaigns/margins.yaml")
-    target = target or directory / PAGE_FILE
-    content = Content()
     with style():
         opening = list(cover.opening(done, content))
         beside = [
@@ -64,13 +78,25 @@ def build_report(
             for i, one in enumerate(branches)
         ]
         sections = list(filter(None, _sections(done, varied, beside, content, target.parent)))
+    html = page(done.campaign.title, [*opening, contents(sections), *sections])
+    return _write(folder, target, content, done.campaign.title, html)
+
+
+def _refuse_comparisons(directory: Path, margins: Path | None, branches: Sequence[Path]) -> None:
+    """Refuse what compares with a simulated campaign."""
+    if margins or branches:
+        raise ConfigError(f"--margins and --branches belong to a simulated campaign, {directory} is a measurement")
+
+
+def _write(directory: Path, target: Path, content: Content, title: str, html: str) -> Path:
+    """Write page, numbers and figures."""
     try:
         folder = directory / FIGURES_FOLDER
         files.make_folder(folder)
         for one in content.drawn:
             one.save(folder)
-        content.write(target.parent / kept.FILE_NAME, done.campaign.title)
-        files.write_text(target, page(done.campaign.title, [*opening, contents(sections), *sections]))
+        content.write(target.parent / kept.FILE_NAME, title)
+        files.write_text(target, html)
     except OSError as error:
         raise RecordingError(f"cannot write the report: {error.strerror} ({error.filename})") from error
     return target
@@ -94,8 +120,8 @@ def _sections(
     yield section(
         "Reductions: the paper and this rig", *findings.reductions_table(done, content), keep(compared), part=True
     )
-    measured = keep(dt.damper_by_frequency(curves, done.calibration))
-    yield section("What DT tells of the damper", *findings.damper(done, content), measured)
+    by_frequency = keep(dt.damper_by_frequency(curves, done.calibration))
+    yield section("What DT tells of the damper", *findings.damper(done, content), by_frequency)
     yield section("The paper's statements", *findings.statements(done, content))
     yield section("Uncertainty of one transmissibility", *findings.uncertainty(done, content))
     yield section("What was chosen, and what a verdict is worth", *findings.chosen(config, content))
@@ -167,18 +193,29 @@ def _configuration(done: Finished, content: Content) -> Iterator[Markup]:
 def _files(done: Finished, content: Content, folder: Path) -> Iterator[Markup]:
     rows = [[name.replace("_", " "), str(value)] for name, value in cover.versions(done).items()]
     yield content.table("versions", ["what", "version"], rows)
-    names = [run.CSV_FILE, "summary.json", kept.FILE_NAME, run.CAMPAIGN_FILE, run.CONFIGURATION_FILE]
-    paths = [folder / name if name == kept.FILE_NAME else done.directory / name for name in names]
-    paths = [path for path in paths if path.exists() or path.name == kept.FILE_NAME]
-    paths += sorted(done.directory.rglob("*.mcap"))
-    resolved, here = [path.resolve() for path in paths], folder.resolve()
-    # relative where it can be, so that the directory can be moved
-    addresses = [
-        quote(path.relative_to(here).as_posix()) if path.is_relative_to(here) else path.as_uri() for path in resolved
-    ]
-    yield links(zip(addresses, (path.name for path in paths), strict=True))
+    paths = _paths(done, folder)
+    yield _links(paths, folder)
     if not any(path.suffix == ".mcap" for path in paths):
         yield paragraph(
             "No MCAP files: this campaign was measured without the recorder. `impact-rig demo` records the same cases.",
             "muted",
         )
+
+
+def _paths(done: Finished, folder: Path) -> list[Path]:
+    """Return the files of a campaign that its page in `folder` leads to."""
+    names = [run.CSV_FILE, "summary.json", kept.FILE_NAME, run.CAMPAIGN_FILE, run.CONFIGURATION_FILE]
+    if done.imported:
+        names.remove(run.CONFIGURATION_FILE)  # of the nominal rig: nothing was measured on it
+    paths = [folder / name if name == kept.FILE_NAME else done.directory / name for name in names]
+    paths = [path for path in paths if path.exists() or path.name == kept.FILE_NAME]
+    return paths + sorted(done.directory.rglob("*.mcap"))
+
+
+def _links(paths: Sequence[Path], folder: Path) -> Markup:
+    """Return a list of links to files for a page in `folder`: relative where it can be, so that it can be moved."""
+    resolved, here = [path.resolve() for path in paths], folder.resolve()
+    addresses = [
+        quote(path.relative_to(here).as_posix()) if path.is_relative_to(here) else path.as_uri() for path in resolved
+    ]
+    return links(zip(addresses, (path.name for path in paths), strict=True))

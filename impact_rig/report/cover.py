@@ -10,7 +10,9 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
 from markupsafe import Markup
+from numpy.typing import NDArray
 
 from impact_rig.arithmetic import ARITHMETIC
 from impact_rig.campaign import paper, run
@@ -64,14 +66,15 @@ def _entries(done: Finished, content: Content) -> list[tuple[str, str]]:
         ("DOI", paper.DOI or "none found"),
         ("Configuration", f"contact law {law}, {base.daq.rate_hz} scans/s; {run.CONFIGURATION_FILE} sha256 {digest}…"),
         ("Seed", str(base.daq.seed)),
-        ("Measured", _written(done)),
+        ("Measured", written(done)),
         ("Version", str(with_.get("impact_rig", "not recorded"))),
         ("Arithmetic", f"version {with_.get('arithmetic', f'not recorded; this program has {ARITHMETIC}')}"),
     ]
     return [(what, content.fact(what.lower(), value)) for what, value in entries]
 
 
-def _written(done: Finished) -> str:
+def written(done: Finished) -> str:
+    """Return when the results of a campaign were written; empty if it does not say."""
     try:
         return str(json.loads((done.directory / SUMMARY_FILE).read_text(encoding="utf-8")).get("written", ""))
     except (OSError, ValueError):
@@ -106,23 +109,20 @@ def apparatus(done: Finished, content: Content) -> Iterator[Markup]:
     yield heading("Constants of the rig")
     yield content.table("constants", ["symbol", "value", "unit", "meaning"], _constants(done), [1])
     yield heading("Instruments and their calibration")
+    yield paragraph("The certificate of the rig with this seed: what the analysis knows of the instruments.")
+    yield from instruments_table(done.info, content)
+
+
+def instruments_table(info: NDArray[np.void], content: Content) -> Iterator[Markup]:
+    """Yield the table of instruments of rows of `daq/info`, and what its columns mean."""
     yield paragraph(
-        "The certificate of the rig with this seed: what the analysis knows of the instruments. u(S): relative "
-        "standard uncertainty of the sensitivity for a small vibration; noise: rms; read after: conversion after the "
-        "scan clock."
+        "u(S): relative standard uncertainty of the sensitivity for a small vibration; noise: rms; read after: "
+        "conversion after the scan clock."
     )
     headings = [
-        "instrument",
-        "range",
-        "sensitivity",
-        "u(S) (%)",
-        "noise",
-        "resolution",
-        "bandwidth",
-        "lag",
-        "read after",
-    ]
-    yield content.table("instruments", headings, _instruments(done), range(1, len(headings)))
+        "instrument", "range", "sensitivity", "u(S) (%)", "noise", "resolution", "bandwidth", "lag", "read after",
+    ]  # fmt: skip
+    yield content.table("instruments", headings, _instruments(info), range(1, len(headings)))
 
 
 def _constants(done: Finished) -> list[list[str | Cell]]:
@@ -147,9 +147,9 @@ def _constants(done: Finished) -> list[list[str | Cell]]:
     return [[symbol, number(value, ".5g"), unit, meaning] for symbol, value, unit, meaning in values]
 
 
-def _instruments(done: Finished) -> list[list[str | Cell]]:
+def _instruments(info: NDArray[np.void]) -> list[list[str | Cell]]:
     rows: list[list[str | Cell]] = []
-    for row in done.info:
+    for row in info:
         unit = row["unit"].decode()
         small, factor = (("µm", 1e6), ("mm", 1e3)) if unit == "m" else ((unit, 1.0), (unit, 1.0))
         rows.append([
