@@ -21,9 +21,10 @@ from numpy.typing import NDArray
 import impact_rig
 from impact_rig.analysis import drawings
 from impact_rig.analysis.calibration import Calibration
-from impact_rig.analysis.reduction import Budget, budget, reduction
+from impact_rig.analysis.reduction import reduction
 from impact_rig.analysis.scans import samples_of
 from impact_rig.analysis.tracker import Findings
+from impact_rig.analysis.uncertainty_budget import Budget, budget
 from impact_rig.blocks import TRANSMISSIBILITY
 from impact_rig.campaign.run import Finished
 from impact_rig.drawing import SERIES, WIDTH_INCH, Drawn, Line, legend_below, new_axes, style
