@@ -274,3 +274,19 @@ def test_files_of_equal_content_are_kept_once(tmp_path: Path, monkeypatch: pytes
     assert {name: (tmp_path / name).read_bytes() for name in names} == names
     assert (tmp_path / "liba.so").samefile(tmp_path / "sub" / "liba.so.2")
     assert [(tmp_path / name).stat().st_nlink for name in ("libb.so", "text.py")] == [1, 1]
+
+
+def test_plugins_of_an_installed_ros_do_not_disturb(tmp_path: Path) -> None:
+    """launch_testing of Jazzy has a hook with an argument that newer versions of pytest do not know."""
+    names = ("launch_testing", "launch_ros", "launch_pytest")
+    (tmp_path / "alien_hooks.py").write_text("def pytest_pycollect_makemodule(path, parent): ...\n")
+    metadata_of = tmp_path / "alien-1.0.dist-info"
+    metadata_of.mkdir()
+    (metadata_of / "METADATA").write_text("Metadata-Version: 2.1\nName: alien\nVersion: 1.0\n")
+    lines = ["[pytest11]", *(f"{name} = alien_hooks" for name in names), ""]
+    (metadata_of / "entry_points.txt").write_text("\n".join(lines))
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    environment.pop("PYTEST_DISABLE_PLUGIN_AUTOLOAD", None)
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test/test_simtime.py"]
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
