@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ import attrs
 import numpy as np
 from scipy import stats
 
+import impact_rig
 from impact_rig.analysis.frf import Frf
 from impact_rig.drawing import (
     GRID,
@@ -72,7 +74,8 @@ def document(
     title: str, about: Sequence[tuple[str, str]], told: ResultSummary, early: str, *, drawn: bool = True
 ) -> str:
     """Return the page, with its drawings or without."""
-    parts = [page.title(title), page.cover(about)]
+    written = ("Written", f"{time.strftime('%Y-%m-%dT%H:%M:%S%z')}, impact_rig {impact_rig.__version__}")
+    parts = [page.title(title), page.cover([*about, written])]
     parts += [page.paragraph(f"Ended early: {early}")] if early else []
     parts += [page.paragraph(sentence) for sentence in told.sentences]
     return page.page(title, [*parts, page.figures(told.draw() if drawn else (), large=True)])
