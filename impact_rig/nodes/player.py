@@ -142,7 +142,7 @@ class Player:
         while self._readers is not None and not self._readers.all_matched():
             yield from self._rest(SPIN_S)
         self._pacer.rebase(self.start_ns)
-        clock_ns = self.start_ns
+        clock_ns, shift_ns = self.start_ns, 0  # /clock follows the stamps: log times may be of another clock
         for message in self._run.messages(self._names):
             if message.log_time > self.now_ns + LONGEST_PAUSE_NS:
                 pause_h = (message.log_time - self.now_ns) / NS_PER_S / 3600
@@ -150,7 +150,12 @@ class Player:
             while message.log_time > self.start_ns and self._must_wait(message.log_time):
                 yield from self._rest(self._time_left_s(message.log_time))
             self.now_ns = max(self.now_ns, message.log_time)
-            while clock_ns <= message.log_time:
+            if message.topic == self._scan:
+                shift_ns = codec.header_stamp_ns(message.data) - message.log_time
+            rig_ns = min(max(message.log_time + shift_ns, 0), LAST_NS)
+            if not clock_ns - NS_PER_S <= rig_ns <= clock_ns + LONGEST_PAUSE_NS:
+                clock_ns = rig_ns
+            while clock_ns <= rig_ns:
                 self._clock.publish(messages.CLOCK.render(clock_ns))
                 clock_ns += COMMAND_GRID_NS
             self._publishers[message.topic].publish(bytes(message.data))

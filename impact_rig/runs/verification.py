@@ -37,6 +37,7 @@ from impact_rig.rig.journal import PLANNED, JournalRow, deciding_samples, read
 from impact_rig.rig.monitors import HALF_PERIODS, AntiAlias, Smoothed
 from impact_rig.rig.resimulation import Resimulation, Sent
 from impact_rig.rig.truth import monitor_step
+from impact_rig.runs import structure
 from impact_rig.runs.reanalysis import Compared, lag_s, texts
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, stamp_ns
 
@@ -55,6 +56,19 @@ _FAMILIES = {topics.envelope("", "").name.rstrip("/"): "analysis", topics.spectr
 """Publisher of the topics that exist for each channel, by what their names begin with."""
 _FOREIGN = "not of this rig"
 _UNKNOWN = "no topic of a rig"
+
+
+NOT_CHECKED = (
+    "commands and remarks of clients (the journal has what became of them)",
+    "what the analysis publishes (`impact-rig analyze` compares it)",
+    "diagnostics and topics of other nodes",
+    "publish times, log times and sequence numbers (`impact-rig info` compares these with the account)",
+    "frame ids",
+    "schemas, type hashes and quality of service of topics",
+    f"attachments other than {CONFIGURATION}",
+    "provenance other than the version of the arithmetic",
+)
+"""What a verdict says nothing about."""
 
 
 @attrs.frozen
@@ -86,6 +100,9 @@ def verify(run: Run) -> Verification:
     run.resolve(topics.SCAN.name)
     if is_measured(run.provenance):
         return Verification(None, 0, "a measurement: there is nothing to re-simulate")
+    problems = structure.contradictions(run)
+    if problems:  # what the index leaves out would pass for what was never recorded
+        return Verification(False, 0, problems[0])
     try:
         journals, waveforms, first, foreign = _journals(run)
     except RecordingError as error:

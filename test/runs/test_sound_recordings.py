@@ -237,3 +237,30 @@ def test_messages_of_third_kinds_keep_their_stamps(tmp_path: Path) -> None:
             wanted = [attrs.astuple(table)[0] for topic, table in found if topic == name]
             assert [table.stamp_ns for table in run.tables(name)] == wanted
         assert codec.header_stamp_ns(next(run.messages(["daq/info"])).data) == 0
+
+
+def test_a_verdict_says_what_it_did_not_look_at_and_sees_what_the_index_hides(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig = Rig(from_flat(RigConfig(), {"daq.rate_hz": 1000, "daq.block_scans": 50, "sphere.present": False}))
+    directory = record(tmp_path / "run", everything(rig, 20))
+    assert main(["verify", str(directory)]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    for kind in ("frame ids", "publish times", "attachments other than config.yaml", "provenance", "schemas"):
+        assert kind in said.partition("not checked: ")[2]
+    (path,) = directory.glob("*.mcap")
+    data = bytearray(path.read_bytes())
+    with open_run(directory) as run:
+        source = run.sources[0]
+        number = next(one for one, topic in source.topics.items() if topic.name == "/rig/truth/joint_states")
+        (chunk, *_) = (one.chunk for one in source.segments if one.chunk and number in one.chunk.message_index_offsets)
+    start = int.from_bytes(data[-28:-20], "little")
+    place = data.index(chunk.chunk_start_offset.to_bytes(8, "little"), start) + 16 + 4  # behind offset, length, count
+    entry = number.to_bytes(2, "little") + chunk.message_index_offsets[number].to_bytes(8, "little")
+    at = data.index(entry, place)
+    data[at : at + 2] = (0xFFFF).to_bytes(2, "little")
+    data[-12:-8] = bytes(4)  # no checksum of the summary
+    path.write_bytes(data)
+    for command in ("verify", "info"):
+        assert main([command, str(directory)]) == 1
+        assert "does not fit its messages of /rig/truth/joint_states" in " ".join(capsys.readouterr().out.split())
