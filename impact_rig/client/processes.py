@@ -14,7 +14,6 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -233,19 +232,27 @@ def domain_of_environment() -> int:
 def isolated_domain() -> Iterator[int]:
     """Reserve a domain id until the end of the block; discovery of this process and its children stays on this host.
 
-    Two test workers, or two users of one machine, never get the same id: each holds a lock file while it uses one.
+    Two test workers never get the same id: each holds a lock file while it uses one. A domain in which any process of
+    this machine takes part is skipped, whoever started it.
 
     Raises:
-        ImpactRigError: all ids are in use.
+        ImpactRigError: all ids are in use, or no lock file can be made.
     """
+    try:
+        files.lock_directory()
+    except OSError as error:
+        raise ImpactRigError(f"cannot reserve a ROS domain: {error.filename}: {error.strerror}") from error
     before = os.environ.get(DISCOVERY_VARIABLE)
     count = LAST_DOMAIN - FIRST_DOMAIN + 1
     first = time.monotonic_ns() // 1000 % count  # spreads users; the locks decide
     for domain_id in (FIRST_DOMAIN + (first + k) % count for k in range(count)):
         handle = None
-        with contextlib.suppress(OSError):  # of a user who does not share
+        with contextlib.suppress(OSError):  # no lock file of this name: a link, or a directory
             handle = files.hold(FOLDER, str(domain_id))
         if handle is None:
+            continue
+        if is_in_use(domain_id):
+            os.close(handle)
             continue
         os.environ[DISCOVERY_VARIABLE] = "LOCALHOST"
         remove_litter(domain_id)
@@ -259,10 +266,22 @@ def isolated_domain() -> Iterator[int]:
             else:
                 os.environ[DISCOVERY_VARIABLE] = before
         return
-    folder = f"{tempfile.gettempdir()}/{FOLDER}"
     raise ImpactRigError(
-        f"no free ROS domain id between {FIRST_DOMAIN} and {LAST_DOMAIN}: {folder} is full of locks, or not writable"
+        f"no free ROS domain id between {FIRST_DOMAIN} and {LAST_DOMAIN}: each is locked in "
+        f"{files.lock_directory() / FOLDER} or used by a running process"
     )
+
+
+def is_in_use(domain_id: int) -> bool:
+    """Return whether a process of this machine takes part in a ROS domain: whether one of its UDP ports is bound."""
+    first = FIRST_PORT + PORTS_PER_DOMAIN * domain_id
+    for table in ("/proc/net/udp", "/proc/net/udp6"):
+        with contextlib.suppress(OSError):
+            for line in Path(table).read_text(encoding="ascii").splitlines()[1:]:
+                port = int(line.split()[1].rpartition(":")[2], 16)
+                if first <= port < first + PORTS_PER_DOMAIN:
+                    return True
+    return False
 
 
 def remove_litter(domain_id: int) -> None:

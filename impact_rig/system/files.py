@@ -6,8 +6,8 @@ Reading never waits (a FIFO has no writer), never runs on (a device has no end) 
 new file of a name nobody can guess, which is put in place when it is whole: a link or file that somebody laid out
 under a predictable name is neither followed nor kept from being seen.
 
-A lock is held by one process of this machine at a time and ends with it, however that ends. It is on a file in the
-directory for temporary files, which stays and means nothing.
+A lock is held by one process of this machine at a time and ends with it, however that ends. It is on a file in a
+directory of this user, which stays and means nothing.
 
 The package's own files: a checkout has `config/` and `launch/` next to the package; pip, colcon and Debian put them in
 `share/impact_rig` of the prefix that holds the package (`<prefix>/lib/python3.x/site-packages/impact_rig`): a checkout
@@ -228,6 +228,8 @@ def _put(partial: Path, path: Path) -> None:
         partial.replace(path)
 
 
+LOCK_PARENTS = tuple(map(Path, ("/dev/shm", "/run/lock", "/var/tmp", "/tmp")))  # noqa: S108  # 0700 folders in these
+"""Where the directory of locks may be. No variable decides: two jobs of one machine must find the same."""
 PLACES = "impact_rig_places"  # folder of the locks on places in the graph
 
 
@@ -240,7 +242,7 @@ def hold(folder: str, name: str) -> int | None:
     """Return the descriptor that holds a lock, until it is closed; None: it is held, by this process or another.
 
     Args:
-        folder: where its file is, within the directory for temporary files; all users share it.
+        folder: where its file is, within `lock_directory`.
         name: of the lock, part of a file name.
 
     Raises:
@@ -283,17 +285,40 @@ def can_hold(folder: str, name: str) -> bool:
     return True
 
 
+def lock_directory() -> Path:
+    """Return the directory of this user's locks: the same for all processes of the user, whatever their environment.
+
+    Nobody else can open what is in it, so no other user can hold a lock, or lay out a link, there.
+
+    Raises:
+        OSError: no candidate can be used; names the last one and the reason.
+    """
+    problem = OSError(errno.ENOENT, os.strerror(errno.ENOENT), str(LOCK_PARENTS))
+    for parent in LOCK_PARENTS:
+        directory = parent / f"impact_rig-{os.geteuid()}"
+        try:
+            with contextlib.suppress(FileExistsError):
+                directory.mkdir(mode=0o700)
+            status = directory.lstat()
+            if not stat.S_ISDIR(status.st_mode):
+                raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(directory))
+            if status.st_uid != os.geteuid() or status.st_mode & 0o077:
+                raise PermissionError(errno.EPERM, "other users may change what is in it", str(directory))
+            if not os.access(directory, os.W_OK | os.X_OK):
+                raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(directory))
+        except OSError as error:
+            problem = error
+        else:
+            return directory
+    raise problem
+
+
 def _open(folder: str, name: str) -> int:
-    """Open the file: reading is enough for a lock, and Linux lets nobody "create" what is another user's."""
-    directory = Path(tempfile.gettempdir()) / folder
+    """Open the file of a lock, which reading is enough for."""
+    directory = lock_directory() / folder
     with contextlib.suppress(FileExistsError):
         directory.mkdir()
-        directory.chmod(0o1777)  # like /tmp itself: other users lock here as well
-    path = directory / f"{name}.lock"
-    try:
-        return os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
-    except FileNotFoundError:
-        return os.open(path, os.O_RDONLY | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644)
+    return os.open(directory / f"{name}.lock", os.O_RDONLY | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
 
 
 _PACKAGE = Path(__file__).resolve().parents[1]

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
@@ -12,6 +14,7 @@ from rclpy.node import Node
 
 from impact_rig.client import Client
 from impact_rig.nodes.session import NamespaceLock, ends_here
+from impact_rig.system import files
 
 pytestmark = pytest.mark.ros
 FAST = "rmw_fastrtps_cpp"
@@ -52,7 +55,7 @@ def test_a_place_is_one_namespace_of_one_domain(client: Client) -> None:
 
 
 def test_where_nothing_can_be_locked_the_graph_decides(client: Client, monkeypatch) -> None:
-    monkeypatch.setattr("tempfile.tempdir", "/nowhere")
+    monkeypatch.setattr(files, "LOCK_PARENTS", (Path("/nowhere"),))
     place = NamespaceLock(client.node)
     assert not place.decides
     assert place.take()

@@ -4,17 +4,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import socket
 import subprocess
 import sys
 
 import pytest
 
+from impact_rig.client import processes
+from impact_rig.errors import ImpactRigError
 from impact_rig.system import files
 
 HOLDER = """
 import sys
+from pathlib import Path
 from impact_rig.system import files
+files.LOCK_PARENTS = (Path(sys.argv[1]),)
 print(files.hold("places", "7.cell") is not None, flush=True)
 sys.stdin.readline()
 """
@@ -22,8 +28,7 @@ sys.stdin.readline()
 
 @pytest.fixture(autouse=True)
 def _own_directory(tmp_path, monkeypatch) -> None:
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
-    monkeypatch.setattr("tempfile.tempdir", None)
+    monkeypatch.setattr(files, "LOCK_PARENTS", (tmp_path,))
 
 
 def test_a_lock_is_held_by_one_until_it_is_closed() -> None:
@@ -39,8 +44,9 @@ def test_a_lock_is_held_by_one_until_it_is_closed() -> None:
     os.close(again)
 
 
-def test_a_lock_is_free_as_soon_as_its_holder_is_killed() -> None:
-    holder = subprocess.Popen([sys.executable, "-c", HOLDER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+def test_a_lock_is_free_as_soon_as_its_holder_is_killed(tmp_path) -> None:
+    command = [sys.executable, "-c", HOLDER, str(tmp_path)]
+    holder = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     with holder:
         assert holder.stdout is not None
         assert holder.stdout.readline() == "True\n"
@@ -53,10 +59,48 @@ def test_a_lock_is_free_as_soon_as_its_holder_is_killed() -> None:
 
 
 def test_a_link_that_somebody_laid_out_is_not_followed(tmp_path) -> None:
-    (tmp_path / "places").mkdir()
-    (tmp_path / "places" / "7.cell.lock").symlink_to(tmp_path / "mine")
+    places = files.lock_directory() / "places"
+    places.mkdir()
+    (places / "7.cell.lock").symlink_to(tmp_path / "mine")
     with pytest.raises(OSError, match=r"7\.cell\.lock"):
         files.hold("places", "7.cell")
     assert not files.can_hold("places", "7.cell")
     assert files.can_hold("places", "8.cell")
     assert not (tmp_path / "mine").exists()
+
+
+def test_no_variable_moves_the_locks(monkeypatch) -> None:
+    before = files.lock_directory()
+    for name in ("TMPDIR", "HOME", "XDG_RUNTIME_DIR"):
+        monkeypatch.setenv(name, "/nowhere")
+    monkeypatch.setattr("tempfile.tempdir", None)
+    assert files.lock_directory() == before
+    assert before.stat().st_mode & 0o077 == 0
+
+
+def test_what_another_user_could_change_is_passed_over(tmp_path, monkeypatch) -> None:
+    """An open directory or a link under the name: the next candidate is used, or the error names the cause."""
+    name = files.lock_directory().name
+    parents = [tmp_path / parent for parent in ("open", "link", "absent", "good")]
+    for parent in parents:
+        if parent.name != "absent":
+            parent.mkdir()
+    (parents[0] / name).mkdir(mode=0o777)
+    (parents[0] / name).chmod(0o777)
+    (parents[1] / name).symlink_to(tmp_path)
+    monkeypatch.setattr(files, "LOCK_PARENTS", tuple(parents))
+    assert files.lock_directory().parent == parents[3]
+    monkeypatch.setattr(files, "LOCK_PARENTS", tuple(parents[:1]))
+    with pytest.raises(PermissionError, match="other users may change"):
+        files.lock_directory()
+
+
+def test_a_domain_that_a_process_uses_is_skipped(monkeypatch) -> None:
+    taken = processes.FIRST_DOMAIN
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as participant:
+        with contextlib.suppress(OSError):  # a real participant has it
+            participant.bind(("127.0.0.1", processes.FIRST_PORT + processes.PORTS_PER_DOMAIN * taken + 10))
+        monkeypatch.setattr(processes, "LAST_DOMAIN", taken)
+        assert processes.is_in_use(taken)
+        with pytest.raises(ImpactRigError, match="used by a running process"), processes.isolated_domain():
+            pass
