@@ -12,6 +12,7 @@ from pathlib import Path
 
 import h5netcdf
 import h5py
+import nptdms
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
@@ -21,9 +22,14 @@ from scipy.io import savemat
 from fuzz.mutation import mutated, mutated_lines
 from fuzz.target import Target
 from impact_rig.runs.exports import write_columns
-from impact_rig.runs.foreign_files import Foreign, Signal, read
-from impact_rig.runs.measurement import guess, measurement, refined
+from impact_rig.runs.importing.assignment import guess, with_channel
+from impact_rig.runs.importing.conversion import convert
+from impact_rig.runs.importing.mapping import refined
+from impact_rig.runs.importing.readers import read
+from impact_rig.runs.importing.signals import Abscissa, AbscissaKind, ImportedSignals, Signal
+from impact_rig.runs.importing.units import Sensitivity, doubt, quantity, unit_factor
 
+MODULES = tuple(f"runs/importing/{name}.py" for name in ("readers/delimited", "columns", "uniform", "conversion"))
 SCANS = 24
 COLUMNS = {name: np.arange(SCANS) / (100.0 * (k + 1)) for k, name in enumerate(("time", "laser", "base", "current"))}
 MAPPING = """\
@@ -92,6 +98,32 @@ def _uff() -> bytes:
         return write_columns(lambda: iter([columns]), Path(folder) / "all.uff").read_bytes()
 
 
+def _tdms() -> bytes:
+    file = io.BytesIO()
+    with nptdms.TdmsWriter(file) as writer:
+        about = {"wf_increment": 0.01, "wf_start_offset": 0.0, "unit_string": "mm"}
+        names = ("laser", "base", "current")
+        writer.write_segment([nptdms.ChannelObject("g", name, COLUMNS[name], properties=about) for name in names])
+    return file.getvalue()
+
+
+def _lvm() -> bytes:
+    head = (
+        "LabVIEW Measurement\nSeparator\tTab\nDecimal_Separator\t,\nX_Columns\tOne\n***End_of_Header***\n\n"
+        "Channels\t2\nY_Unit_Label\tmm\tmm\nX_Dimension\tTime\tTime\nX0\t0,0\t0,0\nDelta_X\t0,01\t0,01\n"
+        "***End_of_Header***\nX_Value\tlaser\tbase\tComment\n"
+    )
+    rows = zip(COLUMNS["time"], COLUMNS["laser"], COLUMNS["base"], strict=True)
+    return (head + "\n".join("\t".join(f"{one:.4f}".replace(".", ",") for one in row) for row in rows)).encode()
+
+
+def _decimal_comma() -> bytes:
+    rows = zip(COLUMNS["time"], COLUMNS["laser"], COLUMNS["base"], strict=True)
+    lines = ["# Rate: 100 Hz", "Datum;laser;base", ";µm;mm"]
+    lines += [f"13.05.2024 10:00:{t:06.3f};{a:.3f};{b:.3f}".replace(".", ",").replace(",", ".", 2) for t, a, b in rows]
+    return "\n".join(lines).encode("cp1252")
+
+
 def _reads(suffix: str) -> Callable[[bytes], None]:
     """Return what reads a file; signals of a WAV file have no names that say what they are."""
     said = "channels: {laser: {column: channel_0, unit: mm}, base: {column: channel_1, unit: mm}}"
@@ -101,7 +133,7 @@ def _reads(suffix: str) -> Callable[[bytes], None]:
             path = Path(folder) / f"own{suffix}"
             path.write_bytes(content)
             source = read(path)
-        found = measurement(source, refined(guess(source), said if suffix == ".wav" else "{}"))
+        found = convert(source, refined(guess(source), said if suffix == ".wav" else "{}"))
         assert len(found.rows) == len(found.index)
         assert found.rate_hz >= 1
         assert (np.diff(found.index) > 0).all()
@@ -111,16 +143,37 @@ def _reads(suffix: str) -> Callable[[bytes], None]:
 
 def mapping(text: str) -> None:
     """Take a mapping for a sound file."""
-    signals = {name: Signal(values) for name, values in COLUMNS.items() if name != "time"}
-    source = Foreign(Path("own.csv"), "CSV", signals, COLUMNS["time"])
-    found = measurement(source, refined(guess(source), text))
+    times = Abscissa(AbscissaKind.TIME, "s", values=COLUMNS["time"])
+    signals = {name: Signal(values, abscissa=times) for name, values in COLUMNS.items() if name != "time"}
+    source = ImportedSignals(Path("own.csv"), "text table", signals)
+    found = convert(source, refined(guess(source), text))
     assert len(found.rows)
     assert np.isfinite(found.drive[0][1])
 
 
+def words(text: str) -> None:
+    """Take a text for a unit, a sensitivity and a channel."""
+    for wanted in ("m", "m/s^2"):
+        factor = unit_factor(text, wanted)
+        assert factor is None or (np.isfinite(factor) and factor != 0.0)
+    found = Sensitivity.parse(text)
+    assert found is None or (np.isfinite(found.volts) and found.volts != 0.0)
+    quantity(text)
+    doubt(text)
+    with_channel({}, f"laser={text}", {"ai0": Signal(COLUMNS["laser"])})
+
+
+WORDS = st.lists(
+    st.sampled_from(
+        ["m", "mm", "s", "g", "G", "V", "mV", "/", "*", "^", "(", ")", "2", "-", " ", "500", ".", ",", "°", "²", "µ"]
+    )
+    | st.characters(),
+    max_size=12,
+).map("".join)
+
 _SEEDS = {
     ".csv": _csv(), ".npz": _npz(), ".parquet": _parquet(), ".wav": _wav(), ".mat": _matlab(), ".nc": _netcdf(),
-    ".uff": _uff(),
+    ".uff": _uff(), ".tdms": _tdms(), ".lvm": _lvm(), ".txt": _decimal_comma(),
 }  # fmt: skip
 TARGETS = (
     *(
@@ -128,9 +181,12 @@ TARGETS = (
             f"import{suffix.replace('.', '_')}",
             mutated([seed]) | st.binary(max_size=200),
             _reads(suffix),
-            ("runs/foreign_files.py", "runs/measurement.py"),
+            MODULES,
         )
         for suffix, seed in _SEEDS.items()
     ),
-    Target("import_mapping", mutated_lines(MAPPING), mapping, ("runs/measurement.py",)),
+    Target(
+        "import_mapping", mutated_lines(MAPPING), mapping, ("runs/importing/mapping.py", "runs/importing/conversion.py")
+    ),
+    Target("import_units", WORDS, words, ("runs/importing/units.py", "runs/importing/assignment.py")),
 )

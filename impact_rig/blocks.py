@@ -171,7 +171,7 @@ FAULTS = row_type(FAULTS_COLUMNS)
 DAQ_INFO_COLUMNS = (
     Column("name", "-", "Channel: the column of daq/scan.", TEXT),
     Column("unit", "-", "Unit of the channel.", TEXT),
-    Column("rate", "Hz", "Scans per second.", least=1.0, most=MOST_HZ, whole=True),
+    Column("rate", "Hz", "Scans per second; of the rig a whole number.", least=1.0, most=MOST_HZ),
     Column("range_low", "unit", "Least value that is measured."),
     Column("range_high", "unit", "Largest value that is measured."),
     Column("sensitivity", "V/unit", "SI value = (volt - offset) / sensitivity."),

@@ -15,6 +15,7 @@ COMMAND_GRID_S = COMMAND_GRID_NS / NS_PER_S
 TICKS_PER_S = NS_PER_S // COMMAND_GRID_NS
 
 
-def stamp_ns(index: int, rate_hz: int, start_ns: int = 0) -> int:
-    """Return the time of scan `index` [ns]: exact integer arithmetic, rounded down."""
-    return start_ns + index * NS_PER_S // rate_hz
+def stamp_ns(index: int, rate_hz: float, start_ns: int = 0) -> int:
+    """Return the time of scan `index` [ns]: exact integer arithmetic, rounded down, for any rate."""
+    over, under = rate_hz.as_integer_ratio()
+    return start_ns + index * NS_PER_S * under // over

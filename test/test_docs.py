@@ -27,7 +27,7 @@ from impact_rig.kernels.build import PARTS
 from impact_rig.maps.plan import load_map
 from impact_rig.physics.linear_response import transmissibility
 from impact_rig.rig.config import RigConfig, dump, load
-from impact_rig.runs.measurement import Mapping, refined
+from impact_rig.runs.importing.mapping import Mapping, refined
 from impact_rig.simtime import NS_PER_S
 from impact_rig.studies.dynamics.plan import KINDS
 from impact_rig.studies.dynamics.plan import load as load_dynamics

@@ -4,7 +4,9 @@
 
 A channel converts its value `skew` after the scan clock, from a sensor that lags: the measured phasor is
 
-    Y(ω) = X(ω) · L(ω) · e^{iω·skew}
+    Y(ω) = X(ω) · (iω)ⁿ · L(ω) · e^{iω·skew}
+
+X is the phasor of a displacement, also of a channel that measures velocity (n = 1) or acceleration (n = 2).
 
 `lag` is the sensor's group delay at low frequency; `lag_order` names its model:
 
@@ -40,7 +42,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.analysis.scans import CHANNELS
+from impact_rig.analysis.scans import ACCELEROMETER, CHANNELS, CURRENT
 from impact_rig.blocks import MOST_HZ
 from impact_rig.errors import ConfigError
 
@@ -54,6 +56,8 @@ LAG_MODELS: dict[int, Callable[[Real], NDArray[np.complexfloating]]] = {
     2: lambda omega_lag: 1.0 / (1.0 + 1j * omega_lag - omega_lag**2 / 2.0),
 }
 """`lag_order` to L of ω·lag; the two poles are a pure delay to second order."""
+
+DERIVATIVES = {b"m": 0, b"m/s": 1, b"m/s^2": 2}  # n of a channel by its unit in `daq/info`
 
 J_1_MOST, J_1_TAIL = 0.5819, 0.684  # largest J_1(x), and largest x J_1²(x)
 J_1_NODES = 64
@@ -87,7 +91,7 @@ LARGEST = 1e100  # of any figure: its square is a number
 class Calibration:
     """The columns of `daq/info` as arrays over `scans.CHANNELS`."""
 
-    rate_hz: int  # scans per second
+    rate_hz: float  # scans per second; an int where it is whole
     low: Real  # lower end of the range [SI unit of the channel]; high: upper end
     high: Real
     resolution: Real  # 1 LSB [unit]; 0 where unknown
@@ -103,13 +107,16 @@ class Calibration:
     converter_step: Real  # of the converter [unit]; converter_noise: rms ahead of it
     converter_noise: Real
     present: NDArray[np.bool_] = attrs.field(factory=lambda: np.ones(len(CHANNELS), np.bool_), kw_only=True)  # measured
+    derivative: NDArray[np.int64] = attrs.field(factory=lambda: np.zeros(len(CHANNELS), np.int64), kw_only=True)
+    """Of the motion that a channel measures: 0 displacement, 1 velocity, 2 acceleration; 0 of accelerometer and
+    current, which are not converted."""
 
     @classmethod
     def from_info(cls, rows: NDArray[np.void]) -> Calibration:
         """Return the calibration in the rows of a `daq/info` table, in any order.
 
         Raises:
-            ConfigError: no channel is there or one of them twice, the rates differ or are no positive whole number, a
+            ConfigError: no channel is there or one of them twice, the rates differ or are not positive, a
                 range is empty, a lag order is unknown, or a figure is beyond all measure.
         """
         names = [bytes(name).decode(errors="replace") for name in rows["name"]]
@@ -124,10 +131,9 @@ class Calibration:
         ordered["rate"], ordered["range_low"], ordered["range_high"] = rows["rate"][measured[0]], -math.inf, math.inf
         ordered[present] = rows[measured]
         rate = float(ordered["rate"][0])
-        if not (np.all(ordered["rate"] == rate) and 0 < rate <= MOST_HZ and rate == round(rate)):
+        if not (np.all(ordered["rate"] == rate) and 0 < rate <= MOST_HZ):
             raise ConfigError(
-                f"daq/info: rate must be one positive whole number of Hz, at most {MOST_HZ:g}, "
-                f"got {ordered['rate'].tolist()}"
+                f"daq/info: rate must be one positive number of Hz, at most {MOST_HZ:g}, got {ordered['rate'].tolist()}"
             )
         if not np.all(ordered["range_low"] < ordered["range_high"]):
             raise ConfigError("daq/info: range_low must be < range_high in every row")
@@ -143,7 +149,10 @@ class Calibration:
             if np.any((sizes > LARGEST) & np.isfinite(sizes)):
                 raise ConfigError(f"daq/info: {name} must be infinite or at most {LARGEST:g}, got {values.tolist()}")
         figures = [_finite(known[name]) for name in COLUMNS]
-        return cls(round(rate), *figures, present=present)
+        derivative = np.array([DERIVATIVES.get(bytes(unit), 0) for unit in ordered["unit"]])
+        derivative[[ACCELEROMETER, CURRENT]] = 0
+        whole = round(rate)
+        return cls(whole if whole == rate else rate, *figures, present=present, derivative=derivative)
 
     @functools.cached_property
     def absent(self) -> tuple[str, ...]:
@@ -151,10 +160,20 @@ class Calibration:
         return tuple(name for name, there in zip(CHANNELS, self.present.tolist(), strict=True) if not there)
 
     def response(self, channel: int, frequency_hz: Real | float) -> Complex:
-        """Return L(ω)·e^{iω·skew} of a channel: measured over true phasor, shape of `frequency_hz`."""
+        """Return (iω)ⁿ·L(ω)·e^{iω·skew} of a channel: measured over true phasor, shape of `frequency_hz`."""
         omega = 2.0 * np.pi * np.asarray(frequency_hz, dtype=np.float64)
         lag = LAG_MODELS[int(self.lag_order[channel])](omega * self.lag[channel])
-        return np.asarray(lag * np.exp(1j * omega * self.skew[channel]), dtype=np.complex128)
+        response = np.asarray(lag * np.exp(1j * omega * self.skew[channel]), dtype=np.complex128)
+        order = int(self.derivative[channel])
+        return response * (1j * omega) ** order if order else response
+
+    def scale(self, channel: int, frequency_hz: float) -> float:
+        """Return ωⁿ: the size of a sine in the channel's unit over that of its displacement."""
+        return float((2.0 * math.pi * frequency_hz) ** int(self.derivative[channel]))
+
+    def scales(self, frequency_hz: float) -> Real:
+        """Return ωⁿ of every channel, shape (4,)."""
+        return np.array([self.scale(channel, frequency_hz) for channel in range(len(CHANNELS))])
 
     def gain_uncertainty_at(self, channel: int, amplitude: float) -> float:
         """Return the relative standard uncertainty of the amplitude of a vibration about mid-range.

@@ -92,7 +92,7 @@ def distinct_phases(samples: int, period: float) -> int:
     return samples
 
 
-def usable_harmonics(rate_hz: int, frequency_hz: float, wanted: int) -> int:
+def usable_harmonics(rate_hz: float, frequency_hz: float, wanted: int) -> int:
     """Return how many of the wanted harmonics lie safely below half the rate (0: the frequency cannot be measured)."""
     if (
         not (math.isfinite(frequency_hz) and frequency_hz >= LOWEST_HZ)
@@ -110,7 +110,14 @@ class Accumulator:
     """
 
     def __init__(
-        self, rate_hz: int, frequency_hz: float, harmonics: int, origin: int, low: Real, high: Real, capacity: int = 64
+        self,
+        rate_hz: float,
+        frequency_hz: float,
+        harmonics: int,
+        origin: int,
+        low: Real,
+        high: Real,
+        capacity: int = 64,
     ) -> None:
         self.origin = origin
         self.period = rate_hz / frequency_hz

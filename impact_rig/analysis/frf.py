@@ -246,7 +246,10 @@ def transmissibility_frf(
     first = frf(x, y, rate_hz, most, overlap=shared, window=window, x_noise=x_noise)
 
     def corrected(frequency_hz: Real) -> Complex:
-        return calibration.response(BASE, frequency_hz) / calibration.response(LASER, frequency_hz)
+        with np.errstate(
+            divide="ignore", invalid="ignore"
+        ):  # the mean of a velocity or acceleration is no displacement
+            return calibration.response(BASE, frequency_hz) / calibration.response(LASER, frequency_hz)
 
     resonance = None
     if len(first.excited) and not first.sine:

@@ -71,7 +71,9 @@ def unsound(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> Re
     rough = _rough(cycles, calibration, frequency_hz)
     for channel in (LASER, BASE):
         why = rough[channel]
-        if why:
+        if (
+            why and not calibration.derivative[channel]
+        ):  # an impact makes a pulse in an acceleration, a step in a velocity
             return Rejection(why, CHANNELS[channel])
     return None
 
@@ -157,7 +159,8 @@ def amplitudes(
 
     An acceleration of less than a step of the converter may come out as anything from none to several times its size.
     What the steps do is told of the amplitude that the laser says: of a reading of 0 they would do nothing. `true` are
-    the corrected phasors of the cycles by channel, shape (n, H) each; `noise` the variance per scan, shape (4,).
+    the corrected phasors of the cycles by channel, shape (n, H) each; `noise` the variance per scan in their units,
+    shape (4,).
     """
     square = (2.0 * math.pi * frequency_hz) ** 2
     size, u = np.zeros(4), np.zeros(4)
@@ -168,7 +171,8 @@ def amplitudes(
     for channel, phasors in enumerate(true):
         white = 2.0 * float(noise[channel]) / float(cycles.samples.sum())
         random = max(float(np.var(np.abs(phasors[:, 0]))) / len(phasors), white)
-        steps = calibration.steps_uncertainty(channel, float(expected[channel]))
+        scale = calibration.scale(channel, frequency_hz)
+        steps = calibration.steps_uncertainty(channel, float(expected[channel]) * scale) / scale
         u[channel] = math.hypot(math.sqrt(random), steps)
     for of in (size, u):
         of[ACCELEROMETER] /= square

@@ -234,7 +234,7 @@ def _detect(
     return count, i
 
 
-def impact_tables(found: NDArray[np.void], rate_hz: int, start_ns: int) -> list[Table]:
+def impact_tables(found: NDArray[np.void], rate_hz: float, start_ns: int) -> list[Table]:
     """Return detected impacts as tables stamped on the command grid, so that no bit depends on the cut into blocks."""
     rows: dict[int, list[tuple[float, float, float]]] = {}
     for scan, peak, sign in found.tolist():  # mostly one, for which numpy's ways take long

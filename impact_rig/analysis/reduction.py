@@ -64,7 +64,13 @@ def repeatability(rows: NDArray[np.void], calibration: Calibration) -> float:
     The rows are settled ones of `transmissibility/table` of one setting, shape (n,), n >= 1.
     """
     sensitivities = np.array([
-        sum(calibration.gain_uncertainty_at(channel, float(row[amplitude])) ** 2 for channel, amplitude in AMPLITUDES)
+        sum(
+            calibration.gain_uncertainty_at(
+                channel, float(row[amplitude]) * calibration.scale(channel, float(row["frequency"]))
+            )
+            ** 2
+            for channel, amplitude in AMPLITUDES
+        )
         for row in rows
     ])  # fmt: skip
     relative, steps = rows["transmissibility_uncertainty"] / rows["transmissibility"], _steps(rows)

@@ -97,14 +97,16 @@ def need_columns(table: Table, wanted: np.dtype[np.void], topic: str, later: Col
         raise ConfigError(f"{topic} lacks the column {', '.join(wrong)}, or has another type there")
 
 
-def scan_index(stamp_ns: int, rate_hz: int, start_ns: int) -> int:
+def scan_index(stamp_ns: int, rate_hz: float, start_ns: int) -> int:
     """Return the index of the scan with this stamp: the inverse of `simtime.stamp_ns`."""
-    return ((stamp_ns - start_ns) * rate_hz + NS_PER_S // 2) // NS_PER_S
+    over, under = rate_hz.as_integer_ratio()
+    return ((stamp_ns - start_ns) * over + under * NS_PER_S // 2) // (under * NS_PER_S)
 
 
-def first_scan_at(time_ns: int, rate_hz: int, start_ns: int) -> int:
+def first_scan_at(time_ns: int, rate_hz: float, start_ns: int) -> int:
     """Return the index of the first scan at or after an instant (a stamp is its scan's instant)."""
-    return -(-(time_ns - start_ns) * rate_hz // NS_PER_S)
+    over, under = rate_hz.as_integer_ratio()
+    return -(-(time_ns - start_ns) * over // (under * NS_PER_S))
 
 
 class ScanBuffer:

@@ -97,7 +97,7 @@ class Tracker:
         self._info: tuple[int, bytes] | None = None
         self._resets: list[_Reset] = []
         self._start_ns = 0
-        self._rate = 0  # scans per second of the calibration
+        self._rate = 0.0  # scans per second of the calibration
         self._hold = 0
         self._buffer = ScanBuffer()
         self._added = 0  # index of the next scan to add to the accumulator
@@ -444,8 +444,9 @@ class Tracker:
         return Quiet(since, limit_s if unknown else min(limit_s, self._gap_m / self._settings.slowest_speed))
 
     def _report_no_frequency(self, until: int) -> None:
-        while until - self._origin >= self._rate:
-            self._origin += self._rate
+        second = math.ceil(self._rate)  # scans
+        while until - self._origin >= second:
+            self._origin += second
             self._take_impacts(self._origin)
             frequency = self._command.frequency_hz if self._command else math.nan
             self._emit(Measurement(status=Status.NO_FREQUENCY, frequency_hz=frequency), self._origin - 1)

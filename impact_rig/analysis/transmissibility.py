@@ -131,12 +131,13 @@ def measure(
     true = [phasors[:, c] / calibration.response(c, frequency_hz * harmonic_numbers(cycles)) for c in range(4)]
     x1, xb = true[LASER][:, 0], true[BASE][:, 0]
     mean1, mean_b = complex(x1.mean()), complex(xb.mean())
-    floor1, floor_b = (_amplitude_u(x, 4.0 * noise[c] / cycles.samples.sum()) for x, c in ((x1, LASER), (xb, BASE)))
+    moved = noise / calibration.scales(frequency_hz) ** 2  # noise as displacement
+    floor1, floor_b = (_amplitude_u(x, 4.0 * moved[c] / cycles.samples.sum()) for x, c in ((x1, LASER), (xb, BASE)))
     still = health.silent((abs(mean1), abs(mean_b)), (floor1, floor_b))
     if still:
         return refuse(still)
     ratio = mean1 / mean_b
-    sizes = health.amplitudes(true, noise, cycles, calibration, frequency_hz)
+    sizes = health.amplitudes(true, moved, cycles, calibration, frequency_hz)
     contradicted = health.contradiction(sizes, before) if calibration.present[ACCELEROMETER] else None
     influence = (x1 - ratio * xb) / mean_b * np.exp(-1j * np.angle(ratio))  # Re: of DT, Im / DT: of the phase
     crowded_noise = float(max(noise[LASER], calibration.noise[LASER] ** 2) * calibration.noise_crowding()[LASER])
@@ -149,7 +150,7 @@ def measure(
         settings.periodic_tolerance,
         np.zeros_like(cycles.strikes) if contradicted else cycles.strikes,
     )
-    white = 2.0 * (noise[LASER] + abs(ratio) ** 2 * noise[BASE]) / cycles.samples.sum() / abs(mean1) ** 2
+    white = 2.0 * (moved[LASER] + abs(ratio) ** 2 * moved[BASE]) / cycles.samples.sum() / abs(mean1) ** 2
     if response.regime is Regime.PERIODIC:
         method = Method.GUM
         classes = round(response.period)
@@ -285,9 +286,9 @@ def _parts(
     ]
     for channel, level in ((LASER, laser_m), (BASE, base_m)):
         slope = calibration.lag_sensitivity(channel, frequency_hz) * lag_uncertainty
-        name = CHANNELS[channel]
+        name, reading = CHANNELS[channel], level * calibration.scale(channel, frequency_hz)
         parts += [
-            _Part(name, "sensitivity", calibration.gain_uncertainty_at(channel, level) ** 2, 0.0),
+            _Part(name, "sensitivity", calibration.gain_uncertainty_at(channel, reading) ** 2, 0.0),
             _Part(name, "lag", slope.real**2, slope.imag**2),
         ]
     return parts

@@ -69,7 +69,8 @@ def budget(rows: NDArray[np.void], calibration: Calibration, lag_uncertainty: fl
     for channel, column in AMPLITUDES:
         amplitude = float(np.mean(rows[column]))
         curve = _curve(calibration, channel, amplitude)
-        gain = math.sqrt(max(calibration.gain_uncertainty_at(channel, amplitude) ** 2 - curve**2, 0.0))
+        reading = amplitude * calibration.scale(channel, frequency_hz)
+        gain = math.sqrt(max(calibration.gain_uncertainty_at(channel, reading) ** 2 - curve**2, 0.0))
         lag = abs(calibration.lag_sensitivity(channel, frequency_hz).real) * lag_uncertainty
         parts += [
             Contribution(CHANNELS[channel], "sensitivity", "B", gain),

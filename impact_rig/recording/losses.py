@@ -25,6 +25,7 @@ from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 
 RECORD_NAME = "impact_rig/losses"  # metadata record with what was received and lost, written when a file is finished
 _LONGEST_BLOCK_S = 1e6  # a `time` beyond this (or NaN) is no instant of a block
+WHOLE = 1e-6  # relative departure of a rate from a whole number that rounded times have
 MAX_STREAMS = 64  # streams kept per topic: of publishers that come and go for days only the last ones can still speak
 
 Publishers = Callable[[str], Mapping[str, str]]
@@ -179,7 +180,7 @@ class Contiguity:
 
 def check_contiguity(
     blocks: Iterable[tuple[int, int]],
-    rate_hz: int,
+    rate_hz: float,
     start_ns: int | None = None,
     starts: Iterable[int] = (),
     resets: Iterable[int] = (),
@@ -197,7 +198,8 @@ def check_contiguity(
         resets: rig times of scan 0 after each reset. A reset drops the scans that do not fill a block: fewer than a
             block and a tick of commands.
     """
-    period_exact = NS_PER_S % rate_hz == 0
+    over, under = rate_hz.as_integer_ratio()
+    period_exact = NS_PER_S * under % over == 0
     slack = 0 if start_ns is not None or period_exact else 1
     count = scans = lost_blocks = lost_scans = restarts = 0
     gaps: list[Gap] = []
@@ -209,9 +211,9 @@ def check_contiguity(
         while begins and begins[0] <= stamp:
             if (begin := begins.popleft()) > newest and count:
                 if not dropped[begin] and anchor_ns is not None:
-                    expected = anchor_ns + index * NS_PER_S // rate_hz
-                    missing = (begin - expected) * rate_hz // NS_PER_S
-                    if missing >= before + -(-COMMAND_GRID_NS * rate_hz // NS_PER_S):
+                    expected = anchor_ns + index * NS_PER_S * under // over
+                    missing = (begin - expected) * over // (under * NS_PER_S)
+                    if missing >= before + -(-COMMAND_GRID_NS * over // (under * NS_PER_S)):
                         gaps.append(Gap(count, expected, begin, missing))
                         lost_scans += missing
                         lost_blocks += missing // max(before, 1)
@@ -221,7 +223,7 @@ def check_contiguity(
             anchor_ns = stamp
         elif count == 0:
             index = _nearest_index(stamp - anchor_ns, rate_hz)
-        expected = anchor_ns + index * NS_PER_S // rate_hz
+        expected = anchor_ns + index * NS_PER_S * under // over
         if abs(stamp - expected) > slack:
             found = _nearest_index(stamp - anchor_ns, rate_hz)
             missing = found - index
@@ -232,7 +234,7 @@ def check_contiguity(
             elif missing < 0:
                 restarts += 1
             index = found
-            if start_ns is None and abs(stamp - (anchor_ns + found * NS_PER_S // rate_hz)) > slack:
+            if start_ns is None and abs(stamp - (anchor_ns + found * NS_PER_S * under // over)) > slack:
                 anchor_ns, index = stamp, 0
         count, scans, index, before = count + 1, scans + length, index + length, length
     return Contiguity(count, scans, tuple(gaps), lost_blocks, lost_scans, restarts)
@@ -251,16 +253,20 @@ def last_scan_ns(table: Table) -> int:
     return table.stamp_ns + (round(last_s * NS_PER_S) if abs(last_s) < _LONGEST_BLOCK_S else 0)
 
 
-def scan_rate_hz(table: Table) -> int | None:
-    """Return the rate of a block from its `time` column, or None with fewer than two scans."""
+def scan_rate_hz(table: Table) -> float | None:
+    """Return the rate of a block from its `time` column, an int where it is whole; None with fewer than two scans."""
     if not has_times(table) or len(table.rows) < 2:
         return None
     times = table.rows["time"].astype(np.float64)
     span = float(times[-1] - times[0])
     rate_hz = (len(times) - 1) / span if span > 0 else math.nan
-    return round(rate_hz) if math.isfinite(rate_hz) else None
+    if not math.isfinite(rate_hz):
+        return None
+    whole = round(rate_hz)
+    return whole if abs(rate_hz - whole) <= WHOLE * rate_hz else rate_hz
 
 
-def _nearest_index(elapsed_ns: int, rate_hz: int) -> int:
+def _nearest_index(elapsed_ns: int, rate_hz: float) -> int:
     """Return the scan index whose stamp is nearest to `elapsed_ns` after the anchor."""
-    return (2 * elapsed_ns * rate_hz + NS_PER_S) // (2 * NS_PER_S)
+    over, under = rate_hz.as_integer_ratio()
+    return (2 * elapsed_ns * over + under * NS_PER_S) // (2 * under * NS_PER_S)

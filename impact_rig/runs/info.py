@@ -29,6 +29,8 @@ from impact_rig.runs import recovery, structure
 from impact_rig.runs.recovery import Recovered
 from impact_rig.simtime import NS_PER_S
 
+SAME_RATE = 1e-6  # relative departure of the rate of the times in a block from that of the calibration
+
 
 @attrs.frozen
 class TopicInfo:
@@ -57,7 +59,7 @@ class RunInfo:
     start_ns: int
     end_ns: int
     topics: tuple[TopicInfo, ...]  # in the order they were registered
-    rate_hz: int | None  # scans per second of `daq/scan`, of the first where there are two; None without it
+    rate_hz: float | None  # scans per second of `daq/scan`, of the first where there are two; None without it
     last_block_s: float  # how long the newest block of it is [s]; 0 where that is not known
     rig_s: float | None  # rig time spanned by the stamps of the scans [s], of the rig with most; None without scans
     scans: Contiguity | None  # whether its blocks follow each other; None without it
@@ -284,13 +286,15 @@ class _RigScans:
     blocks: list[tuple[int, int]] = attrs.field(factory=list)
     starts: list[int] = attrs.field(factory=list)  # scan 0 of each start in the journal [ns]
     resets: list[int] = attrs.field(factory=list)  # scan 0 of each reset in the journal [ns]
-    rates: list[int] = attrs.field(factory=list)  # by the calibration
-    from_times: int | None = None
+    rates: list[float] = attrs.field(factory=list)  # by the calibration
+    from_times: float | None = None
 
     @property
-    def rate_hz(self) -> int | None:
+    def rate_hz(self) -> float | None:
         """Scans per second: by the times in a block, by the calibration, or by the stamps of two blocks of one scan."""
         found = self.from_times or next(iter(self.rates), None)
+        if self.rates and found and abs(self.rates[0] / found - 1.0) < SAME_RATE:
+            found = self.rates[0]  # with all its digits
         if found is None:
             steps = [after[0] - one[0] for one, after in itertools.pairwise(self.blocks) if one[1] == 1]
             least = min((step for step in steps if step > 0), default=0)
@@ -341,7 +345,7 @@ class _Tally:
         elif message.topic in self._info_topics:
             with contextlib.suppress(CodecError):  # what no analysis understands says no rate
                 rates = self._rig(message, topics.INFO).rates
-                rates += codec.decode(message.data, topics.INFO).rows["rate"][:1].astype(int).tolist()
+                rates += codec.decode(message.data, topics.INFO).rows["rate"][:1].tolist()
         elif message.topic in self._journals:
             with contextlib.suppress(CodecError):
                 table = codec.decode(message.data, topics.JOURNAL)

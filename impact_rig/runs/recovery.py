@@ -228,7 +228,7 @@ class _Blocks:
     """Blocks of one rig that are given back."""
 
     _found: list[tuple[int, int]] = attrs.field(factory=list)  # stamp [ns] and number of scans
-    _rate_hz: int | None = None
+    _rate_hz: float | None = None
 
     def add(self, table: Table) -> None:
         """Count a block."""

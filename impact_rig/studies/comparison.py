@@ -320,7 +320,7 @@ def _model(config: RigConfig, gap_m: float, kind: str) -> RigConfig:
     return from_flat(config, changes)
 
 
-def _lead(measured: Real, structure: Real, rate_hz: int, drive_hz: float, time_s: Real) -> Real:
+def _lead(measured: Real, structure: Real, rate_hz: float, drive_hz: float, time_s: Real) -> Real:
     """Return the drive at instants before the first scan, rising from nothing; nothing where the motion just begins."""
     count = round(FIRST_CYCLES / drive_hz * rate_hz) if drive_hz > 0.0 else 0
     if not 0 < 2 * count <= len(measured):

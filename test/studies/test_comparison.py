@@ -16,8 +16,10 @@ from impact_rig.cli.main import main
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.recording import open_run
 from impact_rig.rig.config import RigConfig, dump, from_flat
-from impact_rig.runs.foreign_files import Foreign, Signal
-from impact_rig.runs.measurement import Channel, Mapping, measurement, write
+from impact_rig.runs.importing.conversion import convert
+from impact_rig.runs.importing.mapping import Channel, Mapping
+from impact_rig.runs.importing.signals import Abscissa, AbscissaKind, ImportedSignals, Signal
+from impact_rig.runs.importing.store import write
 from impact_rig.studies.comparison import compare, undone
 from impact_rig.testing import VirtualRig
 
@@ -76,9 +78,9 @@ def test_a_record_that_begins_amid_the_motion_is_compared_and_one_with_a_gap_in_
     rows = rig.rows()[14 * RATE_HZ :]
     time_s = np.arange(len(rows)) / RATE_HZ
     there = (time_s < 0.3) | (time_s > 0.8)
-    source = Foreign(
-        tmp_path / "own.csv", "CSV", {name: Signal(rows[name][there], "m") for name in ("laser", "base")}, time_s[there]
-    )
+    times = Abscissa(AbscissaKind.TIME, "s", values=time_s[there])
+    signals = {name: Signal(rows[name][there], "m", times) for name in ("laser", "base")}
+    source = ImportedSignals(tmp_path / "own.csv", "text table", signals)
     info = rig.tables("daq/info")[0].rows
     channels = {
         name: Channel(
@@ -90,7 +92,7 @@ def test_a_record_that_begins_amid_the_motion_is_compared_and_one_with_a_gap_in_
         )
         for name in ("laser", "base")
     }
-    path = write(measurement(source, Mapping(channels=channels, frequency=9.1, gap=0.0)), tmp_path / "run")
+    path = write(convert(source, Mapping(channels=channels, frequency=9.1, gap=0.0)), tmp_path / "run")
     with open_run(path) as run:
         found = compare(run, RigConfig())
         with pytest.raises(ConfigError, match="current was not measured"):

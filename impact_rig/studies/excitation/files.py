@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
 from fractions import Fraction
 from pathlib import Path
 from typing import TypeVar
@@ -19,8 +18,9 @@ from impact_rig import topics
 from impact_rig.campaign.tasks import load_plan
 from impact_rig.errors import ConfigError, RecordingError, did_you_mean
 from impact_rig.recording import open_run
-from impact_rig.runs import foreign_files
-from impact_rig.runs.measurement import unit_factor
+from impact_rig.runs.importing import readers
+from impact_rig.runs.importing.limits import VALUES
+from impact_rig.runs.importing.units import unit_factor
 from impact_rig.studies.excitation.random import Spectrum
 from impact_rig.studies.excitation.response import Response
 from impact_rig.system import budget
@@ -123,7 +123,7 @@ def history(
         ratio = Fraction(rate_hz / found_hz).limit_denominator(MOST_RATIO)
     else:  # of a small number with such a denominator little is left
         ratio = 1 / Fraction(found_hz / rate_hz).limit_denominator(MOST_RATIO)
-    budget.allow(f"samples at {rate_hz} Hz of {path}", int(len(values) * ratio), foreign_files.VALUES)
+    budget.allow(f"samples at {rate_hz} Hz of {path}", int(len(values) * ratio), VALUES)
     if ratio == 1:
         return scale * values
     return np.asarray(scale * signal.resample_poly(values, ratio.numerator, ratio.denominator), np.float64)
@@ -146,16 +146,15 @@ def _of_run(path: Path, name: str) -> tuple[NDArray[np.float64], float]:
 
 
 def _of_file(path: Path, name: str | None, unit: str, file_hz: float | None) -> tuple[NDArray[np.float64], float, str]:
-    found = foreign_files.read(path)
-    signals: Mapping[str, foreign_files.Signal] = found.signals
+    signals = readers.read(path).signals
     if name is None and len(signals) == 1:
         name = next(iter(signals))
     if name is None or name not in signals:
         raise ConfigError(f"{path}: which signal? --signal NAME of {', '.join(signals)[:300]}")
     one = signals[name]
     rate = one.rate_hz or file_hz
-    if rate is None and found.time_s is not None and len(found.time_s) > 1:
-        rate = (len(found.time_s) - 1) / float(found.time_s[-1] - found.time_s[0])
+    if rate is None and one.time_s is not None and len(one.time_s) > 1:
+        rate = (len(one.time_s) - 1) / float(one.time_s[-1] - one.time_s[0])
     if rate is None or not rate > 0.0:
         raise ConfigError(f"{path}: the file says neither times nor a rate: --file-rate HZ")
     return one.values, rate, unit or one.unit

@@ -1,0 +1,167 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers and times in the cells of a text table, as programs of any locale print them."""
+
+from __future__ import annotations
+
+import datetime as dt
+import math
+import re
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.simtime import NS_PER_S
+
+_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d{1,4})?", re.ASCII)
+_NOT_A_NUMBER = frozenset({
+    "", "nan", "+nan", "-nan", "nan(ind)", "-nan(ind)", "1.#qnan", "-1.#qnan", "1.#ind", "-1.#ind", "1.#snan",
+    "-1.#snan",
+    "1.#nan", "n/a", "na", "#n/a", "#nv", "#value!", "#div/0!", "#num!", "#wert!", "null", "nil", "none", "-", "--",
+    "---",
+    "missing", "?",
+})  # fmt: skip
+"""Cells that stand for a missing number, lower case: empty ones, and what C libraries and spreadsheets print."""
+_INFINITE = {
+    "inf": math.inf, "+inf": math.inf, "-inf": -math.inf, "infinity": math.inf, "-infinity": -math.inf,
+    "1.#inf": math.inf, "-1.#inf": -math.inf, "∞": math.inf, "-∞": -math.inf,
+}  # fmt: skip
+_GROUPED = re.compile(r"[+-]?\d{1,3}(?:[ '.,\u00a0\u202f\u2019]\d{3})+(?:[.,]\d*)?", re.ASCII)
+_SPACES = str.maketrans("", "", " '\u00a0\u202f\u2019")
+LONGEST_CELL = 64
+
+
+def number(cell: str, decimal: str = ".") -> float | None:
+    """Return the number in a cell, NaN where it stands for a missing one; None: the cell holds something else."""
+    text = cell.strip().replace("\u2212", "-")
+    if len(text) > LONGEST_CELL:
+        return None
+    if decimal == ",":
+        if _GROUPED.fullmatch(text):
+            text = text.replace(".", "")
+        text = text.replace(",", ".")
+    elif "," in text and _GROUPED.fullmatch(text):
+        text = text.replace(",", "")
+    if _NUMBER.fullmatch(text):
+        return float(text.replace("d", "e").replace("D", "e"))
+    if _GROUPED.fullmatch(text):
+        text = text.translate(_SPACES)
+        return float(text) if _NUMBER.fullmatch(text) else None
+    lower = text.lower()
+    return math.nan if lower in _NOT_A_NUMBER else _INFINITE.get(lower)
+
+
+def decimal_sign(cells: Sequence[str], delimiter: str | None) -> str:
+    """Return the decimal sign of some cells: a comma where one could be and none of them contradicts it."""
+    if delimiter == "," and not any("," in cell for cell in cells):
+        return "."
+    for cell in cells:
+        comma, point = cell.rfind(","), cell.rfind(".")
+        if comma >= 0 and point >= 0 and number(cell, "," if comma > point else ".") is not None:
+            return "," if comma > point else "."
+    commas = any("," in cell and number(cell, ",") is not None for cell in cells)
+    points = any("." in cell and _NUMBER.fullmatch(cell.strip()) for cell in cells)
+    return "," if commas and not points else "."
+
+
+_CLOCK = r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,:](\d{1,12}))?)?\s*(?:([AaPp])\.?[Mm]\.?)?\s*(Z|[+-]\d{2}:?\d{2})?"
+_MINUTES = re.compile(r"(\d{1,3}):(\d{2})[.,](\d{1,9})", re.ASCII)
+_ONLY_CLOCK = re.compile(_CLOCK, re.ASCII)
+_YEAR_FIRST = re.compile(rf"(\d{{4}})[-/.](\d{{1,2}})[-/.](\d{{1,2}})(?:[T ,;]\s*{_CLOCK})?", re.ASCII)
+_YEAR_LAST = re.compile(rf"(\d{{1,2}})([-/.])(\d{{1,2}})[-/.](\d{{4}}|\d{{2}})(?:[T ,;]\s*{_CLOCK})?", re.ASCII)
+_DAY_NS = 86_400 * NS_PER_S
+_EPOCH_DAY = dt.date(1970, 1, 1).toordinal()
+
+
+def is_time(cell: str) -> bool:
+    """Return whether a cell is a date, a time of day or both."""
+    text = cell.strip()
+    return len(text) <= LONGEST_CELL and any(
+        pattern.fullmatch(text) for pattern in (_YEAR_FIRST, _YEAR_LAST, _ONLY_CLOCK, _MINUTES)
+    )
+
+
+class Times:
+    """Column of dates and times of day."""
+
+    def __init__(self, cells: Sequence[str]) -> None:
+        """Read the cells.
+
+        Raises:
+            ValueError: a cell is no time; the message is its text.
+        """
+        self.has_date = self.has_clock = False
+        self._month_first = self._is_month_first(cells)
+        days, clocks = np.zeros(len(cells), np.int64), np.zeros(len(cells), np.int64)
+        for place, cell in enumerate(cells):
+            days[place], clocks[place] = self._parse(cell.strip())
+        if not self.has_date:  # a clock without a date goes on over midnight
+            days += np.cumsum(np.diff(clocks, prepend=clocks[:1]) < -_DAY_NS // 2)
+        self.ns: NDArray[np.int64] = days * _DAY_NS + clocks
+        """Since 1970 in the time zone of the file, or since the midnight before the first; shape (n,)."""
+
+    @property
+    def note(self) -> str:
+        """Assumption that was made, for people; empty: none."""
+        return "dates were read as month/day" if self._month_first else ""
+
+    @staticmethod
+    def _is_month_first(cells: Sequence[str]) -> bool:
+        """Return whether the month comes before the day: a second part above 12 shows it, else the separator does."""
+        slash = False
+        for cell in cells:
+            match = _YEAR_LAST.fullmatch(cell.strip())
+            if match is None:
+                return False
+            slash |= match[2] == "/"
+            if int(match[1]) > 12:
+                return False
+            if int(match[3]) > 12:
+                return True
+        return slash
+
+    def _parse(self, text: str) -> tuple[int, int]:
+        """Return days since 1970 and nanoseconds since midnight."""
+        if len(text) > LONGEST_CELL:
+            raise ValueError(text[:LONGEST_CELL])
+        if match := _YEAR_FIRST.fullmatch(text):
+            year, month, day, clock = int(match[1]), int(match[2]), int(match[3]), match.groups()[3:]
+        elif match := _YEAR_LAST.fullmatch(text):
+            first, second, year, clock = int(match[1]), int(match[3]), int(match[4]), match.groups()[4:]
+            month, day = (first, second) if self._month_first else (second, first)
+            year += 2000 if year < 100 else 0
+        elif match := _ONLY_CLOCK.fullmatch(text):
+            if match := _MINUTES.fullmatch(text):
+                pass
+            else:
+                self.has_clock = True
+                return 0, self._clock(_ONLY_CLOCK.fullmatch(text).groups())  # type: ignore[union-attr]  # it matched
+        elif not (match := _MINUTES.fullmatch(text)):
+            raise ValueError(text)
+        if match.re is _MINUTES:
+            self.has_clock = True
+            return 0, (60 * int(match[1]) + int(match[2])) * NS_PER_S + int(match[3].ljust(9, "0"))
+        self.has_date = True
+        try:
+            days = dt.date(year, month, day).toordinal() - _EPOCH_DAY
+        except ValueError:
+            raise ValueError(text) from None
+        if clock[0] is None:
+            return days, 0
+        self.has_clock = True
+        return days, self._clock(clock)
+
+    @staticmethod
+    def _clock(parts: Sequence[str | None]) -> int:
+        """Return a time of day as nanoseconds, less its offset from UTC."""
+        hour, minute, second, fraction, half, zone = parts
+        hours = int(hour or 0)
+        if half:
+            hours = hours % 12 + (12 if half in "pP" else 0)
+        ns = ((60 * hours + int(minute or 0)) * 60 + int(second or 0)) * NS_PER_S
+        ns += int((fraction or "0")[:9].ljust(9, "0"))
+        if zone and zone != "Z":
+            offset = int(zone[1:3]) * 60 + int(zone[-2:])
+            ns -= (-offset if zone[0] == "-" else offset) * 60 * NS_PER_S
+        return ns

@@ -1,0 +1,38 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Code pages of text files."""
+
+from __future__ import annotations
+
+import re
+
+MARKS = ((b"\xef\xbb\xbf", "utf-8"), (b"\xff\xfe", "utf-16-le"), (b"\xfe\xff", "utf-16-be"))
+WESTERN = "cp1252"  # of most programs that still write a code page; its five unused bytes count as Latin-1
+_LINE_END = re.compile(r"\r\n|\r|\n")
+SAMPLE = 4096
+
+
+def decode(content: bytes) -> tuple[str, str]:
+    """Return the text of a file and the name of its code page: by its mark, as UTF-16 or UTF-8, else Western."""
+    for mark, name in MARKS:
+        if content.startswith(mark):
+            return content[len(mark) :].decode(name, "replace"), name
+    head = content[:SAMPLE]
+    zeros = head[0::2].count(0), head[1::2].count(0)
+    if max(zeros) > 0.3 * len(head) / 2:  # digits of UTF-16 have a zero byte each
+        name = "utf-16-le" if zeros[1] > zeros[0] else "utf-16-be"
+        return content.decode(name, "replace"), name
+    try:
+        return content.decode("utf-8"), "utf-8"
+    except UnicodeDecodeError:
+        pass
+    try:
+        return content.decode(WESTERN), WESTERN
+    except UnicodeDecodeError:
+        return content.decode("latin-1"), "latin-1"
+
+
+def split_lines(text: str) -> list[str]:
+    """Return the lines of a text; only the ends of lines that files have separate them."""
+    lines = text.split("\n") if "\r" not in text else _LINE_END.split(text)
+    return lines[:-1] if lines and not lines[-1] else lines

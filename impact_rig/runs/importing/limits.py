@@ -1,0 +1,45 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Memory and size limits of imports, in proportion to the size of the file."""
+
+from __future__ import annotations
+
+from impact_rig.system import budget
+
+FILE_BYTES = 512 * budget.MIB  # of one file
+VALUES = 120_000_000  # of all signals of a file together: 20 minutes of five channels at 20 kS/s
+COLUMNS = 4096  # of one file; Rattlesnake, the widest source known, has some hundred channels
+WORKING_BYTES = 160 * budget.MIB
+WORKING_PER_BYTE = 12
+"""Memory that reading a file may take beyond what the process has: so many bytes, and so many per byte of the file."""
+EXPANDED_BYTES, EXPANDED_PER_BYTE = 64 * budget.MIB, 4
+"""Size of the numbers in a file after decompression: so many bytes, and so many per byte of the file."""
+
+
+def allow_columns(count: int) -> None:
+    """Refuse more columns or signals than any measurement has.
+
+    Raises:
+        BudgetError: there are more.
+    """
+    budget.allow("columns in a file", count, COLUMNS)
+
+
+def allow_values(count: float, file_bytes: int) -> None:
+    """Refuse more numbers than a file of this size can hold honestly.
+
+    Raises:
+        BudgetError: there are more.
+    """
+    budget.allow("values in a file", count, VALUES)
+    allow_bytes(8.0 * count, file_bytes)
+
+
+def allow_bytes(size: float, file_bytes: int) -> None:
+    """Refuse content that is far larger than its file.
+
+    Raises:
+        BudgetError: it is.
+    """
+    limit = EXPANDED_BYTES + EXPANDED_PER_BYTE * file_bytes
+    budget.allow(f"bytes of content in a file of {file_bytes} bytes", size, limit)

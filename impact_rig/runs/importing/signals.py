@@ -1,0 +1,143 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Intermediate form of imported files: named signals, what each is given over, and what was left out.
+
+Every reader fills it and every later step reads only it.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Mapping
+from pathlib import Path
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+Real = NDArray[np.float64]
+
+
+class SignalKind(enum.StrEnum):
+    """Kind of data of a signal."""
+
+    TIME_RESPONSE = "time response"
+    SPECTRUM = "spectrum"
+    FRF = "frequency response"
+    OTHER = "other"
+
+
+class AbscissaKind(enum.StrEnum):
+    """Quantity that a signal is given over."""
+
+    TIME = "time"
+    FREQUENCY = "frequency"
+    OTHER = "other"
+    NONE = "none"  # the file gives neither times nor a rate
+
+
+@attrs.frozen(eq=False)
+class Abscissa:
+    """Values that a signal is given over: evenly spaced, or listed one by one.
+
+    Times are in seconds, whatever the unit in the file; `unit` keeps that of the file.
+    """
+
+    kind: AbscissaKind = AbscissaKind.NONE
+    unit: str = ""  # as in the file; empty: the file names none
+    start: float = 0.0  # first value
+    step: float | None = None  # from one value to the next; None: not even, or not known
+    values: Real | None = None  # measured from the first, shape (n,); None: even, or not known
+    resolution: float = 0.0  # half of the last digit in which step or values are written; 0: exact
+    note: str = ""  # assumption that was made, for people; empty: none
+
+    @property
+    def is_even(self) -> bool:
+        """Whether the file states one spacing for all values."""
+        return self.step is not None
+
+    def __str__(self) -> str:
+        """Return a description for people."""
+        if self.kind is AbscissaKind.NONE:
+            return "no times and no rate"
+        unit = "s" if self.kind is AbscissaKind.TIME else self.unit
+        if self.step is not None:
+            return f"{self.kind} from {self.start:g} {unit}, step {self.step:.10g} {unit}"
+        count = 0 if self.values is None else len(self.values)
+        return f"{self.kind} from {self.start:g} {unit}, {count} listed values"
+
+
+NO_ABSCISSA = Abscissa()
+
+
+def even_times(rate_hz: float, start_s: float = 0.0) -> Abscissa:
+    """Return evenly spaced times of a rate that the file states."""
+    return Abscissa(AbscissaKind.TIME, "s", start_s, 1.0 / rate_hz)
+
+
+@attrs.frozen(eq=False)
+class Signal:
+    """Column of numbers with its meaning."""
+
+    values: Real  # shape (n,)
+    unit: str = ""  # as in the file; empty: the file names none
+    abscissa: Abscissa = NO_ABSCISSA
+    kind: SignalKind = SignalKind.TIME_RESPONSE
+    origin: str = ""  # place in the file: column 3, dataset 2, group/channel
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Samples per second that the file states; None: it states none."""
+        step = self.abscissa.step
+        return 1.0 / step if self.abscissa.kind is AbscissaKind.TIME and step else None
+
+    @property
+    def time_s(self) -> Real | None:
+        """Listed times since the first sample [s], shape (n,); None: the file lists none."""
+        return self.abscissa.values if self.abscissa.kind is AbscissaKind.TIME else None
+
+
+@attrs.frozen(eq=False)
+class ImportedSignals:
+    """Content of a file of another program."""
+
+    path: Path
+    format: str  # for people
+    signals: Mapping[str, Signal]  # by name, in the order of the file; lengths may differ
+    start_ns: int | None = None  # stamp of the first sample; None: the file has none
+    texts: Mapping[str, list[str]] = attrs.field(factory=dict)
+    """Columns of words, such as the names in an exported `daq/info`."""
+    left_out: Mapping[str, str] = attrs.field(factory=dict)
+    """Parts of the file that are not signals: name to reason."""
+    remarks: tuple[str, ...] = ()  # assumptions about the file as a whole, for people
+
+    @property
+    def begins_s(self) -> float:
+        """First listed time in the file [s]; 0 where it has none, or has stamps."""
+        if self.start_ns is not None:
+            return 0.0
+        starts = (one.abscissa.start for one in self.signals.values() if one.abscissa.kind is AbscissaKind.TIME)
+        return next(starts, 0.0)
+
+    @property
+    def time_s(self) -> Real | None:
+        """Listed times of the first signal since its first sample [s]; None: it has none."""
+        return next((one.time_s for one in self.signals.values()), None)
+
+
+class UniqueNames:
+    """Names for signals, each given once; the number of earlier ones costs nothing."""
+
+    def __init__(self, reserved: tuple[str, ...] = ()) -> None:
+        self._taken = set(reserved)
+        self._counts: dict[str, int] = {}
+
+    def unique(self, name: str, place: int | None = None) -> str:
+        """Return the name, or a variant with a number (first its place) where it is already taken."""
+        candidate = name
+        while candidate in self._taken:
+            number = self._counts.get(name, (place if place is not None else 2) - 1) + 1
+            self._counts[name] = number
+            candidate = f"{name}_{number}"
+        self._taken.add(candidate)
+        return candidate

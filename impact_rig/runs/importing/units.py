@@ -1,0 +1,231 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Units as instruments and programs print them.
+
+The ordinary SI units, with prefixes, products and powers, need no library. Everything else goes through `pint` (extra
+`impact_rig[import]`). The quantities are those of this package: displacement, velocity, acceleration, current, voltage,
+time and frequency.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+from typing import NamedTuple
+
+from impact_rig.errors import RecordingError
+
+LONGEST_UNIT = 40
+STANDARD_GRAVITY = 9.80665  # m/s^2
+
+
+class _Size(NamedTuple):
+    """Size of a unit: factor to SI and exponents of metre, second, ampere and volt."""
+
+    factor: float
+    powers: tuple[int, int, int, int]
+
+
+_METRE, _SECOND, _AMPERE, _VOLT = (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)
+_GRAVITY = _Size(STANDARD_GRAVITY, (1, -2, 0, 0))
+_BASE = {
+    "m": _Size(1.0, _METRE), "s": _Size(1.0, _SECOND), "A": _Size(1.0, _AMPERE), "V": _Size(1.0, _VOLT),
+    "Hz": _Size(1.0, (0, -1, 0, 0)),
+}  # fmt: skip
+_PREFIXES = {"n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "d": 1e-1, "k": 1e3, "M": 1e6}
+_INCH = 0.0254
+_WORDS = {
+    "metre": _BASE["m"], "meter": _BASE["m"], "millimetre": _Size(1e-3, _METRE), "millimeter": _Size(1e-3, _METRE),
+    "centimetre": _Size(1e-2, _METRE), "centimeter": _Size(1e-2, _METRE),
+    "micrometre": _Size(1e-6, _METRE), "micrometer": _Size(1e-6, _METRE), "mikrometer": _Size(1e-6, _METRE),
+    "micron": _Size(1e-6, _METRE),
+    "nanometre": _Size(1e-9, _METRE), "nanometer": _Size(1e-9, _METRE), "kilometre": _Size(1e3, _METRE),
+    "kilometer": _Size(1e3, _METRE), "inch": _Size(_INCH, _METRE), "inches": _Size(_INCH, _METRE),
+    "in": _Size(_INCH, _METRE), "ips": _Size(_INCH, (1, -1, 0, 0)), "mil": _Size(1e-3 * _INCH, _METRE),
+    "thou": _Size(1e-3 * _INCH, _METRE),
+    "foot": _Size(12.0 * _INCH, _METRE), "feet": _Size(12.0 * _INCH, _METRE), "ft": _Size(12.0 * _INCH, _METRE),
+    "second": _BASE["s"], "sec": _BASE["s"], "sekunde": _BASE["s"], "sekunden": _BASE["s"], "sek": _BASE["s"],
+    "seconde": _BASE["s"],
+    "millisecond": _Size(1e-3, _SECOND), "msec": _Size(1e-3, _SECOND), "millisekunde": _Size(1e-3, _SECOND),
+    "millisekunden": _Size(1e-3, _SECOND), "microsecond": _Size(1e-6, _SECOND), "usec": _Size(1e-6, _SECOND),
+    "mikrosekunden": _Size(1e-6, _SECOND), "nanosecond": _Size(1e-9, _SECOND), "nsec": _Size(1e-9, _SECOND),
+    "minute": _Size(60.0, _SECOND), "min": _Size(60.0, _SECOND), "hour": _Size(3600.0, _SECOND),
+    "hr": _Size(3600.0, _SECOND), "h": _Size(3600.0, _SECOND), "day": _Size(86400.0, _SECOND),
+    "hertz": _BASE["Hz"], "hz": _BASE["Hz"], "khz": _Size(1e3, (0, -1, 0, 0)), "mhz": _Size(1e6, (0, -1, 0, 0)),
+    "ampere": _BASE["A"], "amp": _BASE["A"], "milliampere": _Size(1e-3, _AMPERE),
+    "volt": _BASE["V"], "millivolt": _Size(1e-3, _VOLT),
+    "g": _GRAVITY, "gn": _GRAVITY, "g0": _GRAVITY, "g_0": _GRAVITY, "g_n": _GRAVITY, "grav": _GRAVITY,
+    "gravity": _GRAVITY,
+    "standard_gravity": _GRAVITY, "gal": _Size(1e-2, (1, -2, 0, 0)), "mg": _Size(1e-3 * STANDARD_GRAVITY, (1, -2, 0,
+    0)),
+    "ug": _Size(1e-6 * STANDARD_GRAVITY, (1, -2, 0, 0)),
+}  # fmt: skip
+"""Words and abbreviations, lower case: of an acceleration, g is never a gram."""
+_CAPITALS = {
+    "MM": _Size(1e-3, _METRE), "CM": _Size(1e-2, _METRE), "UM": _Size(1e-6, _METRE), "MS": _Size(1e-3, _SECOND),
+    "S": _BASE["s"], "MV": _Size(1e-3, _VOLT), "MA": _Size(1e-3, _AMPERE),
+}  # fmt: skip
+"""Units that some loggers print in capitals."""
+_OTHER_MEANING = ("H", "Mg", "MG", "In")  # henry, megagram; words of headings
+_OTHER_UNITS = frozenset({
+    "°", "deg", "degree", "degrees", "rad", "n", "kn", "pa", "kpa", "mpa", "bar", "psi", "%", "db", "k", "°c", "rpm",
+    "1/min",
+    "-", "w", "j", "kg", "nm", "lbf", "counts", "count", "raw", "n/a", "none", "a.u.", "arb", "µstrain", "v/v", "1",
+    "dimensionless",
+})  # fmt: skip
+"""Units of other quantities that a row of units may hold, lower case."""
+_QUANTITIES = {
+    "m": _METRE, "m/s": (1, -1, 0, 0), "m/s^2": (1, -2, 0, 0), "A": _AMPERE, "V": _VOLT, "s": _SECOND, "Hz": (0, -1,
+    0, 0),
+}  # fmt: skip
+_DOUBTFUL = {
+    "G": "standard gravity (9.80665 m/s^2), not gauss", "Gs": "standard gravity (9.80665 m/s^2), not gauss",
+    "gs": "standard gravity (9.80665 m/s^2), not gram seconds",
+    "mG": "milli-gravity (0.00980665 m/s^2), not milligauss",
+    "mg": "milli-gravity (0.00980665 m/s^2), not milligram",
+}  # fmt: skip
+_OPERATORS = str.maketrans({"·": "*", "⋅": "*", "×": "*", "µ": "u", "μ": "u"})
+_SUPERSCRIPT = re.compile("[⁻⁰¹²³⁴]+")
+_SUPERSCRIPTS = str.maketrans("⁻⁰¹²³⁴", "-01234")
+_STRANGE = re.compile(r"[^\w\s %/*^.()'\"-]|\d{3}|\d\s*(\*\*|\^)|__")
+"""Characters that no unit has; a power of a power would keep the parser of pint busy without end."""
+_FACTOR = re.compile(r"([*/]?)([A-Za-z_]+0?)(?:\^?(-?[1-9])|\^\((-?[1-9])\))?")
+
+
+def unit_factor(unit: str, wanted: str) -> float | None:
+    """Return the factor from a unit to another one; None: the unit is unknown or of another quantity.
+
+    Raises:
+        RecordingError: the unit is no ordinary SI unit and `pint` is not installed.
+    """
+    if unit == wanted:
+        return 1.0
+    size = _parse(unit)
+    if size is not None:
+        target = _parse(wanted)
+        if target is not None and target.powers == size.powers:
+            return size.factor / target.factor
+        return None
+    return _by_pint(unit, wanted)
+
+
+def quantity(unit: str) -> str | None:
+    """Return the SI unit of a unit's quantity (`m`, `m/s`, `m/s^2`, `A`, `V`, `s`, `Hz`); None: another or unknown."""
+    size = _parse(unit)
+    if size is not None:
+        return next((name for name, powers in _QUANTITIES.items() if powers == size.powers), None)
+    try:
+        return next((name for name in _QUANTITIES if _by_pint(unit, name) is not None), None)
+    except RecordingError:  # without pint it is not known
+        return None
+
+
+def is_unit(text: str) -> bool:
+    """Return whether a cell of a heading is a unit, of whatever quantity."""
+    bare = _bare(text)
+    bare = bare[1:-1].strip() if bare.startswith("(") and bare.endswith(")") else bare
+    return _parse(bare) is not None or bare.lower() in _OTHER_UNITS
+
+
+def doubt(unit: str) -> str:
+    """Return what a unit with more than one meaning is taken for; empty: it has one meaning."""
+    return _DOUBTFUL.get(_bare(unit), "")
+
+
+def _bare(unit: str) -> str:
+    return unit.strip().strip("[]").strip()
+
+
+def _plain(unit: str) -> str:
+    """Return a unit with ASCII operators and powers."""
+    return _SUPERSCRIPT.sub(lambda match: "^" + match[0].translate(_SUPERSCRIPTS), unit).translate(_OPERATORS)
+
+
+@functools.lru_cache(maxsize=1024)
+def _parse(unit: str) -> _Size | None:
+    """Return the size of a unit by the table of this module; None: it is not in there."""
+    text = _bare(unit)
+    if not text or len(text) > LONGEST_UNIT or _STRANGE.search(_plain(text)):
+        return None
+    if text == '"':
+        return _WORDS["inch"]
+    text = _plain(text).replace("**", "^").replace("'", "")
+    text = re.sub(r"\s*(?:\bper\b|/|\bpro\b)\s*", "/", text)
+    text = re.sub(r"(?i)\b(sec|second|s)/(?:sec|second|s)\b", r"\1^2", text)  # m/s/s
+    text = re.sub(r"(?i)/\s*\(\s*s(?:ec)?\s*\*\s*s(?:ec)?\s*\)", "/s^2", text)
+    text = re.sub(r"/\(([^()]*)\)", r"/\1", text) if "*" not in text else text
+    if text.startswith("(") and text.endswith(")") and text.count("(") == 1:
+        text = text[1:-1].strip()
+    text = re.sub(r"\s*\.\s*|\s+", "*", text)
+    text = re.sub(r"\*+(?=[*/])|(?<=[*/])\*+", "", text)
+    factor, powers = 1.0, [0, 0, 0, 0]
+    at = 0
+    for match in _FACTOR.finditer(text):
+        if match.start() != at or (at > 0) != bool(match[1]):
+            return None
+        at = match.end()
+        one = _atom(match[2])
+        if one is None:
+            return None
+        power = int(match[3] or match[4] or 1) * (-1 if match[1] == "/" else 1)
+        factor *= one.factor**power
+        powers = [total + power * each for total, each in zip(powers, one.powers, strict=True)]
+    return _Size(factor, (powers[0], powers[1], powers[2], powers[3])) if at == len(text) and at else None
+
+
+def _atom(word: str) -> _Size | None:
+    """Return the size of one unit without operators: SI with a prefix first, then words, plural included."""
+    if word in _BASE:
+        return _BASE[word]
+    prefix, base = word[:1], word[1:]
+    if base in _BASE and prefix in _PREFIXES:
+        return _Size(_PREFIXES[prefix] * _BASE[base].factor, _BASE[base].powers)
+    lower = word.lower()
+    found = _WORDS.get(lower) or _WORDS.get(lower.removesuffix("s"))
+    if found is not None and word not in _OTHER_MEANING:
+        return found
+    return _CAPITALS.get(word)
+
+
+def _by_pint(unit: str, wanted: str) -> float | None:
+    words = _plain(_bare(unit))
+    if not words or len(words) > LONGEST_UNIT or _STRANGE.search(words):
+        return None
+    try:
+        import pint  # noqa: PLC0415  # of an extra
+    except ImportError as error:
+        raise RecordingError(
+            f"the unit {unit!r} is no ordinary SI unit and needs pint: pip install 'impact_rig[import]'"
+        ) from error
+    registry = pint.application_registry
+    try:
+        factor = float(registry.Quantity(1.0, registry.parse_units(words)).to(wanted).magnitude)
+    except Exception:  # pint raises what its parser, tokenizer and registry raise
+        return None
+    return factor if math.isfinite(factor) and factor != 0.0 else None
+
+
+class Sensitivity(NamedTuple):
+    """Output of a sensor per unit of its quantity."""
+
+    volts: float  # volts per SI unit
+    unit: str  # SI unit of the quantity
+
+    @classmethod
+    def parse(cls, text: str) -> Sensitivity | None:
+        """Return the sensitivity in a text such as `500 mV/mm`, `10.2 mV/(m/s^2)` or `100 mV/g`; None: it is none."""
+        match = re.match(r"\s*([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*([^/]{1,40})/(.{1,40})$", text)
+        if match is None:
+            return None
+        try:
+            number = float(match[1].replace(",", "."))
+        except ValueError:
+            return None
+        below = match[3].strip()
+        below = below[1:-1] if below.startswith("(") and below.endswith(")") else below
+        volts, target = unit_factor(match[2].strip(), "V"), quantity(below)
+        if volts is None or target is None or not math.isfinite(number) or number == 0.0:
+            return None
+        factor = unit_factor(below, target)
+        return cls(number * volts / factor, target) if factor else None
