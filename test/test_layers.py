@@ -82,7 +82,7 @@ def test_there_is_one_version():
     assert not headings[1:].count("Forthcoming")
 
 
-KEYS = {"attrs": "python3-attrs", "mcap": "mcap-ros2-support", "PyYAML": "python3-yaml"}
+KEYS = {"Jinja2": "python3-jinja2", "mcap": "mcap-ros2-support", "PyYAML": "python3-yaml"}
 """Keys of rosdistro that are not python3- and the name of the distribution."""
 WITHOUT_KEY = {"uplot-python"}
 
