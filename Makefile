@@ -84,7 +84,7 @@ kernels: $(PACKAGE) ## build the library of compiled kernels, where their source
 	@requirements/kernels.sh $(VENV)
 
 # --- Targets ----------------------------------------------------------------------------------------------------------
-.PHONY: help kernels lab demo campaign docs figures test check lint generate format bench fuzz portability soak colcon release venv lock clean
+.PHONY: help kernels lab demo campaign docs figures test check lint generate format bench fuzz journeys portability soak colcon release venv lock clean
 
 help: ## print this list
 	@echo 'impact_rig: make TARGET, where TARGET is one of'
@@ -140,6 +140,9 @@ lint: $(TEST) kernels ## check style, types and layers
 
 generate: $(TEST) kernels ## rewrite the pages and files that are made from the code
 	@$(VENV)/bin/python -m tools.generate
+
+journeys: $(TEST) kernels ## run every command of README and docs in the environment its page names; ARGS=--cheap for a few
+	@$(VENV)/bin/python -m tools.journeys $(ARGS)
 
 figures: $(TEST) kernels ## draw every figure of README and docs; ARGS='paper.svg lab_pictures' chooses
 	@$(VENV)/bin/python -m tools.figures $(ARGS)

@@ -1,0 +1,64 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""What README and docs show works in the environment that each page names; `make journeys` runs all of it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("markdown_it", reason="comes with rich, except with Ubuntu's")
+
+from tools import journeys as table
+from tools.journeys import ENVIRONMENTS, JAZZY, ROOT, Journey, Places
+
+CHEAP = [one for one in table.journeys() if one.cheap]
+
+
+def test_every_command_has_a_journey_in_the_environment_of_its_page() -> None:
+    assert table.faults() == []
+
+
+def test_a_journey_is_run_or_says_why_not() -> None:
+    for one in table.journeys():
+        assert one.environment in ENVIRONMENTS, one.name
+        assert one.not_run or one.environment != JAZZY, one.name
+        assert not (one.cheap and one.not_run), one.name
+    assert {"clone", "wheel[import,wheels]"} <= {one.environment for one in CHEAP}
+
+
+def test_a_new_command_without_a_journey_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    from tools.check_docs import Page
+
+    text = (ROOT / "docs" / "instruments.md").read_text(encoding="utf-8") + "\n```sh\nimpact-rig check new.yaml\n```\n"
+    monkeypatch.setattr(table, "pages", lambda: {"docs/instruments.md": Page.parse("docs/instruments.md", text)})
+    assert table.faults() == ["docs/instruments.md: impact-rig check new.yaml: it has no journey in journeys.yaml"]
+
+
+@pytest.fixture(scope="module")
+def places() -> Places:
+    """One run-tier environment and one of the wheel alone, kept below build/ for the next time."""
+    return Places(ROOT / "build" / "journeys", None)
+
+
+@pytest.fixture(scope="module")
+def made() -> dict[str, tuple[Path, dict[str, str]]]:
+    return {}
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)  # the first time its environment is installed
+@pytest.mark.parametrize("journey", CHEAP, ids=[one.name for one in CHEAP])
+def test_a_cheap_journey(
+    journey: Journey, places: Places, made: dict[str, tuple[Path, dict[str, str]]], request: pytest.FixtureRequest
+) -> None:
+    if journey.environment not in made:
+        made[journey.environment] = places.environment(journey.environment)
+    directory, _ = place = made[journey.environment]
+    first = next(one for one in CHEAP if one.page == journey.page)
+    if journey == first:
+        os.system(f"rm -rf '{directory}/runs'")  # of a copy
+        table.prepare(journey, place)
+    assert table.travel(journey, place) == ""
