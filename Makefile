@@ -24,7 +24,7 @@ export PYTEST_DISABLE_PLUGIN_AUTOLOAD := 1
 PYTEST_PLUGINS_USED := -p pytest_timeout -p pytest_rerunfailures -p xdist.plugin -p _hypothesis_pytestplugin
 else
 ifeq ($(ROS),kilted)
-ARGS ?= test/nodes
+ARGS ?= test/impact_rig/nodes
 else
 ROS := wheels
 endif
@@ -128,7 +128,7 @@ test: $(TEST) kernels ## run all tests on real ROS 2; ARGS=--changed or '-k code
 	    $(COVERAGE) report --include="$(KERNELS)" --fail-under=90 && [ $$status = 0 ] && $(call note,suite_s) &&) exit $$status
 
 LINT = $(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check . && $(VENV)/bin/mypy && $(VENV)/bin/lint-imports && \
-    if command -v node >/dev/null; then for file in impact_rig/lab/static/*.js; do \
+    if command -v node >/dev/null; then for file in impact_rig_lab/static/*.js; do \
     node --check --input-type=module < $$file || exit 1; done; fi
 
 check: $(TEST) kernels ## after every edit: style, types, layers, and the tests without process, browser and ROS
@@ -161,10 +161,10 @@ fuzz: $(TEST) kernels ## throw 10,000 hostile inputs at each decoder and validat
 	@$(VENV)/bin/python -m fuzz $(ARGS)
 
 portability: kernels ## prove the same bits under masks of this CPU and on emulated ones; ARGS=--write takes this machine's
-	@$(VENV)/bin/python -m tools.portability $(ARGS)
+	@$(VENV)/bin/python -m qualification.portability $(ARGS)
 
 soak: kernels ## run for hours: two of rig time freewheeling, ten minutes live at 50 kS/s; ARGS='--part live' chooses
-	@$(VENV)/bin/python tools/soak.py $(ARGS)
+	@$(VENV)/bin/python qualification/soak.py $(ARGS)
 
 COLCON := build/colcon-venv
 $(COLCON)/ready: requirements/run.txt requirements/$(ROS).txt requirements/test.txt requirements/colcon.txt
@@ -174,7 +174,7 @@ $(COLCON)/ready: requirements/run.txt requirements/$(ROS).txt requirements/test.
 
 colcon: $(COLCON)/ready ## build, install, start and test with colcon from PyPI, from nothing, as in a ROS workspace
 	@$(if $(filter wheels,$(ROS)),AMENT_PREFIX_PATH='$(CURDIR)/$(COLCON)') \
-	    $(COLCON)/bin/python tools/check_colcon.py $(PYTEST_PLUGINS_USED) $(ARGS)
+	    $(COLCON)/bin/python qualification/check_colcon.py $(PYTEST_PLUGINS_USED) $(ARGS)
 
 release: $(RUN) ## build wheel and source distribution in build/release and look into them; ARGS=--try uses them, too
 	@$(VENV)/bin/python tools/release.py $(ARGS)
@@ -186,4 +186,4 @@ lock: $(RUN) ## choose new versions for every supported Python; ARGS=--check onl
 
 clean: ## remove the environment, caches and everything in build/, never recorded runs elsewhere
 	@rm -rf $(VENV) build install log *.egg-info .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
-	@find impact_rig test benchmarks launch requirements -name __pycache__ -type d -prune -exec rm -rf {} +
+	@find impact_rig impact_rig_studies impact_rig_lab test qualification tools benchmarks launch requirements -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -9,8 +9,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from impact_rig.campaign.pool import in_parallel
-from impact_rig.maps.plan import MapPlan, load_map, measure_line
+from impact_rig_studies.campaign.pool import in_parallel
+from impact_rig_studies.maps.plan import MapPlan, load_map, measure_line
 
 TEXT = """\
 axes:

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What it costs to begin: a fresh process, a node's first block, the memory of nodes, and the README's commands.
 
-Installation, demo and tests take minutes and begin elsewhere: whoever runs them notes the figure (`tools/doors.py`,
-`make test`, `make check`), each in a file of its own in build/start, and here the latest are read. Memory is read after
-a minute in real time at 10 kS/s; `SECONDS=10 make bench ONLY=start` waits less.
+Installation, demo and tests take minutes and begin elsewhere: whoever runs them notes the figure
+(`qualification/doors.py`, `make test`, `make check`), each in a file of its own in build/start, and here the latest
+are read. Memory is read after a minute in real time at 10 kS/s; `SECONDS=10 make bench ONLY=start` waits less.
 """
 
 from __future__ import annotations

@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.table import Table as TextTable
 
 INPUTS = 10_000
+PACKAGES = ["impact_rig", "impact_rig_studies", "impact_rig_lab"]
 
 
 def main() -> int:
@@ -60,7 +61,7 @@ def main() -> int:
     console.print(table)
     console.print(f"{total} inputs, no crash, hang, NaN or silent acceptance")
     if watching is not None:
-        root = Path(__file__).parents[1] / "impact_rig"
+        root = Path(__file__).parents[1]
         watching.report(include=sorted({str(root / module) for one in chosen for module in one.modules}))
     return 0
 
@@ -73,7 +74,7 @@ def _branches() -> Iterator[Any]:
     except ImportError:
         yield None
         return
-    measured = coverage.Coverage(branch=True, data_file=None, source=["impact_rig"], config_file=False)
+    measured = coverage.Coverage(branch=True, data_file=None, source=PACKAGES, config_file=False)
     measured.start()
     try:
         yield measured
@@ -90,9 +91,9 @@ def _guide() -> Iterator[Any]:
         sys.exit("atheris is not installed: pip install atheris")
     root = Path(__file__).parents[1]
     # what Numba compiles cannot be instrumented
-    compiled = [path for path in root.glob("impact_rig/**/*.py") if "import njit" in path.read_text(encoding="utf-8")]
+    compiled = [path for path in root.glob("impact_rig*/**/*.py") if "import njit" in path.read_text(encoding="utf-8")]
     names = [".".join(path.relative_to(root).with_suffix("").parts) for path in compiled]
-    with atheris.instrument_imports(include=["impact_rig"], exclude=names):
+    with atheris.instrument_imports(include=PACKAGES, exclude=names):
         yield atheris
 
 

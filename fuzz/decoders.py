@@ -229,12 +229,12 @@ def _all_finite(table: Table) -> None:
 
 
 TARGETS = (
-    Target("point_cloud", mutated(MESSAGES) | st.binary(max_size=200), point_cloud, ("codec.py",)),
+    Target("point_cloud", mutated(MESSAGES) | st.binary(max_size=200), point_cloud, ("impact_rig/codec.py",)),
     Target(
         "mcap_read",
         mutated(FILES),
         mcap_read,
-        ("recording/reader.py", "recording/records.py", "recording/description.py"),
+        ("impact_rig/recording/reader.py", "impact_rig/recording/records.py", "impact_rig/recording/description.py"),
     ),
     Target(
         "mcap_recover",
@@ -243,8 +243,13 @@ TARGETS = (
         | st.tuples(mutated(UNFINISHED), st.sampled_from(TAILS))
         | st.sampled_from(list(zip(UNFINISHED, TAILS, strict=True))),
         mcap_recover,
-        ("runs/recovery.py", "recording/writer.py"),
+        ("impact_rig/runs/recovery.py", "impact_rig/recording/writer.py"),
     ),
-    Target("journal", journals(), journal, ("rig/journal.py", "rig/resimulation.py")),
-    Target("analysis", streams(), analysis, ("analysis/calibration.py", "analysis/scans.py", "analysis/tracker.py")),
+    Target("journal", journals(), journal, ("impact_rig/rig/journal.py", "impact_rig/rig/resimulation.py")),
+    Target(
+        "analysis",
+        streams(),
+        analysis,
+        ("impact_rig/analysis/calibration.py", "impact_rig/analysis/scans.py", "impact_rig/analysis/tracker.py"),
+    ),
 )

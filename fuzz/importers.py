@@ -22,12 +22,12 @@ from scipy.io import savemat
 from fuzz.mutation import mutated, mutated_lines
 from fuzz.target import Target
 from impact_rig.runs.exports import write_columns
-from impact_rig.runs.importing.assignment import guess, with_channel
-from impact_rig.runs.importing.conversion import convert
-from impact_rig.runs.importing.mapping import refined
-from impact_rig.runs.importing.readers import read
-from impact_rig.runs.importing.signals import Abscissa, AbscissaKind, ImportedSignals, Signal
-from impact_rig.runs.importing.units import Sensitivity, doubt, quantity, unit_factor
+from impact_rig_studies.importing.assignment import guess, with_channel
+from impact_rig_studies.importing.conversion import convert
+from impact_rig_studies.importing.mapping import refined
+from impact_rig_studies.importing.readers import read
+from impact_rig_studies.importing.signals import Abscissa, AbscissaKind, ImportedSignals, Signal
+from impact_rig_studies.importing.units import Sensitivity, doubt, quantity, unit_factor
 
 MODULES = tuple(f"runs/importing/{name}.py" for name in ("readers/delimited", "columns", "uniform", "conversion"))
 SCANS = 24
@@ -186,7 +186,15 @@ TARGETS = (
         for suffix, seed in _SEEDS.items()
     ),
     Target(
-        "import_mapping", mutated_lines(MAPPING), mapping, ("runs/importing/mapping.py", "runs/importing/conversion.py")
+        "import_mapping",
+        mutated_lines(MAPPING),
+        mapping,
+        ("impact_rig_studies/importing/mapping.py", "impact_rig_studies/importing/conversion.py"),
     ),
-    Target("import_units", WORDS, words, ("runs/importing/units.py", "runs/importing/assignment.py")),
+    Target(
+        "import_units",
+        WORDS,
+        words,
+        ("impact_rig_studies/importing/units.py", "impact_rig_studies/importing/assignment.py"),
+    ),
 )

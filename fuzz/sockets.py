@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from fuzz.mutation import mutated
 from fuzz.target import Target
 from impact_rig.codec import encode_joint_state
-from impact_rig.lab.protocol import LONGEST_TEXT, REQUESTS, parse
-from impact_rig.lab.record import MotionBuffer
+from impact_rig_lab.protocol import LONGEST_TEXT, REQUESTS, parse
+from impact_rig_lab.record import MotionBuffer
 
 GOOD = [
     json.dumps(request).encode()
@@ -66,6 +66,11 @@ def joint_states(raw: bytes) -> None:
 
 
 TARGETS = (
-    Target("lab_socket", mutated(GOOD) | NAMED | st.binary(max_size=100), requests, ("lab/protocol.py",)),
-    Target("joint_state", mutated(JOINTS) | st.binary(max_size=120), joint_states, ("lab/record.py", "codec.py")),
+    Target("lab_socket", mutated(GOOD) | NAMED | st.binary(max_size=100), requests, ("impact_rig_lab/protocol.py",)),
+    Target(
+        "joint_state",
+        mutated(JOINTS) | st.binary(max_size=120),
+        joint_states,
+        ("impact_rig_lab/record.py", "impact_rig/codec.py"),
+    ),
 )

@@ -30,7 +30,7 @@ class Target:
         name: for the command line.
         inputs: what is thrown at it.
         check: takes one input; raises an ImpactRigError to refuse it, or returns (inputs, refusals) if it was several.
-        modules: whose branches it is meant to reach, below `impact_rig/`.
+        modules: whose branches it is meant to reach, files of the repository.
     """
 
     name: str

@@ -169,12 +169,25 @@ TARGETS = (
         "configuration_file",
         mutated_lines(NOMINAL) | mutated_lines(dump(RigConfig())) | st.binary(max_size=100) | st.text(max_size=100),
         configuration_file,
-        ("config/tree.py", "config/fields.py", "rig/config.py", "config/sections.py"),
+        (
+            "impact_rig/config/tree.py",
+            "impact_rig/config/fields.py",
+            "impact_rig/rig/config.py",
+            "impact_rig/config/sections.py",
+        ),
     ),
-    Target("parameters", CHANGES, parameters, ("config/tree.py", "config/fields.py")),
-    Target("settings", _settings(), settings, ("analysis/settings.py",)),
-    Target("texts", LINES, texts, ("analysis/settings.py", "instruments/fault.py", "recording/description.py")),
+    Target("parameters", CHANGES, parameters, ("impact_rig/config/tree.py", "impact_rig/config/fields.py")),
+    Target("settings", _settings(), settings, ("impact_rig/analysis/settings.py",)),
     Target(
-        "commands", st.lists(OPERATIONS, max_size=12), commands, ("rig/core.py", "rig/interlock.py", "rig/journal.py")
+        "texts",
+        LINES,
+        texts,
+        ("impact_rig/analysis/settings.py", "impact_rig/instruments/fault.py", "impact_rig/recording/description.py"),
+    ),
+    Target(
+        "commands",
+        st.lists(OPERATIONS, max_size=12),
+        commands,
+        ("impact_rig/rig/core.py", "impact_rig/rig/interlock.py", "impact_rig/rig/journal.py"),
     ),
 )

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from kits.browser import Browser
 
 pytest.register_assert_rewrite("kits")
-sys.path.append(str(Path(__file__).parents[1]))  # for `tools`, which is no part of the package
+sys.path.append(str(Path(__file__).parents[1]))  # for `tools` and `qualification`, which are no part of it
 
 REQUIRE_ROS = os.environ.get("IMPACT_RIG_REQUIRE_ROS") == "1"
 DOMAINS = range(50, 100)  # 0 to 101 are safe on Linux; people and `make demo` use low numbers

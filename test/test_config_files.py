@@ -9,12 +9,12 @@ import re
 import pytest
 import yaml
 
-from impact_rig.campaign.plan import load_campaign
 from impact_rig.config import Origin
 from impact_rig.config.tree import flatten
 from impact_rig.rig import config
 from impact_rig.rig.config import RigConfig
 from impact_rig.system.files import config_dir
+from impact_rig_studies.campaign.plan import load_campaign
 
 CAMPAIGNS = [config_dir() / "paper.yaml", *sorted(config_dir().glob("campaigns/*.yaml"))]
 FILES = [path for path in sorted(config_dir().glob("*.yaml")) if path not in CAMPAIGNS]

@@ -19,10 +19,10 @@ from rich.console import Console
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))  # the tool is no part of the package
 
-from tools.portability import __main__ as command  # noqa: E402
-from tools.portability import digests  # noqa: E402
-from tools.portability.masks import BARE, LIBRARIES, LLVM_GENERIC, Mask, full_environment  # noqa: E402
-from tools.portability.runs import LONG, QUICK, SHORT, known  # noqa: E402
+from qualification.portability import __main__ as command  # noqa: E402
+from qualification.portability import digests  # noqa: E402
+from qualification.portability.masks import BARE, LIBRARIES, LLVM_GENERIC, Mask, full_environment  # noqa: E402
+from qualification.portability.runs import LONG, QUICK, SHORT, known  # noqa: E402
 
 RUNS = known((*LONG, *SHORT))
 pytestmark = pytest.mark.timeout(900)  # on a busy machine with an empty cache the first of them compiles for minutes
@@ -43,7 +43,7 @@ class Recorded:
 def record(directory: Path, mask: Mask, *arguments: str, **environment: str) -> Recorded:
     """Record in a process of its own; of the runs that differ from kept ones, where."""
     output = directory / f"{mask.name}{len(list(directory.iterdir()))}.txt"
-    command = [sys.executable, "-m", "tools.portability.child", str(output), *arguments]
+    command = [sys.executable, "-m", "qualification.portability.child", str(output), *arguments]
     found = full_environment(mask) | environment
     if environment.get("IMPACT_RIG_KERNELS") == "plain":  # of compiled code coverage sees nothing
         found = measured(found)

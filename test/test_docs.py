@@ -21,17 +21,17 @@ pytest.importorskip("markdown_it", reason="comes with rich, except with Ubuntu's
 
 from impact_rig import kernels
 from impact_rig.analysis.tracker import Tracker
-from impact_rig.campaign.paper import CURRENT_A, FREQUENCY_HZ, REDUCTION_PERCENT
-from impact_rig.campaign.plan import load_campaign
 from impact_rig.kernels.build import PARTS
-from impact_rig.maps.plan import load_map
 from impact_rig.physics.linear_response import transmissibility
 from impact_rig.rig.config import RigConfig, dump, load
-from impact_rig.runs.importing.mapping import Mapping, refined
 from impact_rig.simtime import NS_PER_S
-from impact_rig.studies.dynamics.plan import KINDS
-from impact_rig.studies.dynamics.plan import load as load_dynamics
 from impact_rig.testing import VirtualRig
+from impact_rig_studies.campaign.paper import CURRENT_A, FREQUENCY_HZ, REDUCTION_PERCENT
+from impact_rig_studies.campaign.plan import load_campaign
+from impact_rig_studies.dynamics.plan import KINDS
+from impact_rig_studies.dynamics.plan import load as load_dynamics
+from impact_rig_studies.importing.mapping import Mapping, refined
+from impact_rig_studies.maps.plan import load_map
 
 ROOT = Path(__file__).parents[1]
 TOOL = runpy.run_path(str(ROOT / "tools" / "check_docs.py"))

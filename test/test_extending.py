@@ -24,7 +24,20 @@ pytest.importorskip("rclpy", reason="no ROS 2 here")
 from tools.generate import ROOT, generated
 
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
-COPIED = ("benchmarks", "config", "docs", "examples", "impact_rig", "launch", "requirements", "test", "tools")
+COPIED = (
+    "benchmarks",
+    "config",
+    "docs",
+    "examples",
+    "impact_rig",
+    "impact_rig_lab",
+    "impact_rig_studies",
+    "launch",
+    "qualification",
+    "requirements",
+    "test",
+    "tools",
+)
 NOTICE = "".join((ROOT / "setup.py").read_text(encoding="utf-8").splitlines(keepends=True)[:2])
 """What every Python file begins with; the page leaves it out."""
 GENERATED = {str(path.relative_to(ROOT)) for path in generated()}
@@ -60,7 +73,7 @@ RECIPES = (
     Recipe(
         "A contact law",
         2,
-        "test/physics/test_contact_laws.py",
+        "test/impact_rig/physics/test_contact_laws.py",
         ("my_law",),
         12,
         {
@@ -72,7 +85,7 @@ RECIPES = (
     Recipe(
         "A contact law of another shape",
         2,
-        "test/physics/test_contact_laws.py",
+        "test/impact_rig/physics/test_contact_laws.py",
         ("linear_hysteretic",),
         12,
         {
@@ -84,7 +97,7 @@ RECIPES = (
     Recipe(
         "An instrument",
         3,
-        "test/instruments/test_registry.py",
+        "test/impact_rig/instruments/test_registry.py",
         ("force", "optional", "folder"),
         7,
         {
@@ -95,7 +108,7 @@ RECIPES = (
     Recipe(
         "An analysis with a topic",
         3,
-        "test/nodes/test_interface.py",
+        "test/impact_rig_studies/nodes/test_interface.py",
         ("rms",),
         3,
         {"docs/interface.md": "### `acceleration_rms`"},

@@ -17,17 +17,24 @@ from xml.etree import ElementTree as ET
 import pytest
 
 import impact_rig
+import impact_rig_studies
 from impact_rig.kernels.build import NUMBA
 from tools import release
 
 ROOT = Path(__file__).parent.parent
+WITH_ROS = {
+    "impact_rig.nodes", "impact_rig.testing", "impact_rig_studies.apparatus", "impact_rig_studies.stepped_sine_node",
+}  # fmt: skip
 WITHOUT_ROS = sorted(
     module.name
-    for module in pkgutil.iter_modules(impact_rig.__path__, "impact_rig.")
-    if module.name not in ("impact_rig.nodes", "impact_rig.testing")
+    for package in (impact_rig, impact_rig_studies)
+    for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}.")
+    if module.name not in WITH_ROS and not module.name.endswith(".__main__")
 )
 NUMERICS = [
-    name for name in WITHOUT_ROS if name.split(".")[1] in ("physics", "instruments", "analysis", "rig", "codec")
+    name
+    for name in WITHOUT_ROS
+    if name.startswith("impact_rig.") and name.split(".")[1] in ("physics", "instruments", "analysis", "rig", "codec")
 ]
 
 
@@ -122,7 +129,7 @@ def test_instructions_to_build_kernels_name_the_version_of_numba():
 
 def test_one_word_names_one_class():
     """`Motion`, `State` or `Plan` once named four classes each: a reader could not tell which one a sentence meant."""
-    trees = (ast.parse(path.read_text(encoding="utf-8")) for path in (ROOT / "impact_rig").rglob("*.py"))
+    trees = (ast.parse(path.read_text(encoding="utf-8")) for path in ROOT.glob("impact_rig*/**/*.py"))
     names = Counter(node.name for tree in trees for node in tree.body if isinstance(node, ast.ClassDef))
     assert len(names) > 200
     assert [name for name, count in names.items() if count > 1] == []

@@ -14,8 +14,8 @@ import pytest
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))  # the tool is no part of the package
 
-from tools.portability.machine import Machine  # noqa: E402
-from tools.portability.masks import (  # noqa: E402
+from qualification.portability.machine import Machine  # noqa: E402
+from qualification.portability.masks import (  # noqa: E402
     ALL,
     BARE,
     GLIBC_BASELINE,
@@ -30,7 +30,7 @@ from tools.portability.masks import (  # noqa: E402
 
 
 def machine(mask: Mask) -> Machine:
-    command = [sys.executable, "-m", "tools.portability.machine"]
+    command = [sys.executable, "-m", "qualification.portability.machine"]
     done = subprocess.run(command, cwd=ROOT, env=full_environment(mask), check=True, capture_output=True, text=True)
     return Machine(**json.loads(done.stdout))
 

@@ -22,20 +22,40 @@ def checkout() -> Reach:
 @pytest.mark.parametrize(
     ("changed", "reached", "left_out"),
     [
-        ("impact_rig/report/page.py", "test/report/test_report.py", "test/physics/test_energy.py"),
-        ("impact_rig/lab/live.py", "test/lab/test_live_page.py", "test/recording/test_tail.py"),
+        (
+            "impact_rig_studies/report/page.py",
+            "test/impact_rig_studies/report/test_report.py",
+            "test/impact_rig/physics/test_energy.py",
+        ),
+        ("impact_rig_lab/live.py", "test/impact_rig_lab/test_live_page.py", "test/impact_rig/recording/test_tail.py"),
         (
             "impact_rig/physics/contact/hunt_crossley.py",
-            "test/physics/test_contact_laws.py",
-            "test/arithmetic/test_random.py",
+            "test/impact_rig/physics/test_contact_laws.py",
+            "test/impact_rig/arithmetic/test_random.py",
         ),
-        ("impact_rig/nodes/rig_node.py", "test/pipeline/test_three_processes.py", "test/physics/test_energy.py"),
-        ("impact_rig/cli/export.py", "test/cli/test_command_line.py", "test/physics/test_energy.py"),
-        ("test/kits/browser.py", "test/website/test_accessibility.py", "test/physics/test_energy.py"),
-        ("tools/hostile.py", "test/recording/test_hostile_recordings.py", "test/physics/test_energy.py"),
-        ("docs/rig.md", "test/test_docs.py", "test/physics/test_energy.py"),
-        ("test/data/digests.txt", "test/test_digests.py", "test/recording/test_tail.py"),
-        ("impact_rig/lab/static/main.js", "test/lab/test_live_page.py", "test/arithmetic/test_random.py"),
+        (
+            "impact_rig/nodes/rig_node.py",
+            "test/impact_rig/pipeline/test_three_processes.py",
+            "test/impact_rig/physics/test_energy.py",
+        ),
+        (
+            "impact_rig/cli/export.py",
+            "test/impact_rig/cli/test_command_line.py",
+            "test/impact_rig/physics/test_energy.py",
+        ),
+        ("test/kits/browser.py", "test/website/test_accessibility.py", "test/impact_rig/physics/test_energy.py"),
+        (
+            "qualification/hostile.py",
+            "test/impact_rig/recording/test_hostile_recordings.py",
+            "test/impact_rig/physics/test_energy.py",
+        ),
+        ("docs/rig.md", "test/test_docs.py", "test/impact_rig/physics/test_energy.py"),
+        ("test/data/digests.txt", "test/test_digests.py", "test/impact_rig/recording/test_tail.py"),
+        (
+            "impact_rig_lab/static/main.js",
+            "test/impact_rig_lab/test_live_page.py",
+            "test/impact_rig/arithmetic/test_random.py",
+        ),
     ],
 )
 def test_a_change_reaches_who_uses_it_and_not_everybody(
@@ -66,8 +86,8 @@ def test_modules_that_are_found_in_a_folder_and_programs_that_are_started_are_fo
         "impact_rig/nodes/__main__.py": "import impact_rig.laws",
         "test/test_program.py": "run([sys.executable, '-m', 'impact_rig.nodes'])",
         "test/test_none.py": '"""As impact_rig.nodes does."""',
-        "test/lab/conftest.py": "from impact_rig.laws import LAWS",
-        "test/lab/test_page.py": "",
+        "test/impact_rig_lab/conftest.py": "from impact_rig.laws import LAWS",
+        "test/impact_rig_lab/test_page.py": "",
     }
     for name, text in files.items():
         path = tmp_path / name
@@ -75,7 +95,7 @@ def test_modules_that_are_found_in_a_folder_and_programs_that_are_started_are_fo
         path.write_text(text)
     found = Reach(tmp_path).files(["impact_rig/laws/new.py"])
     assert found is not None
-    assert {path for path in found if "/test_" in path} == {"test/test_program.py", "test/lab/test_page.py"}
+    assert {path for path in found if "/test_" in path} == {"test/test_program.py", "test/impact_rig_lab/test_page.py"}
 
 
 def test_what_git_says_has_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

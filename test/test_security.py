@@ -15,7 +15,9 @@ from impact_rig.client import Processes
 
 ROOT = Path(__file__).parents[1]
 SOURCES = sorted(
-    path for folder in ("impact_rig", "launch", "tools", "benchmarks") for path in (ROOT / folder).rglob("*.py")
+    path
+    for pattern in ("impact_rig*", "launch", "qualification", "tools", "benchmarks")
+    for path in ROOT.glob(f"{pattern}/**/*.py")
 )
 MODULES = {"pickle", "cPickle", "marshal", "shelve", "dill", "cloudpickle", "joblib"}
 CALLS = {"eval", "exec", "yaml.load", "yaml.unsafe_load", "yaml.full_load", "os.system", "os.popen", "tempfile.mktemp"}
@@ -78,7 +80,7 @@ def test_what_is_started_for_the_user_is_seen_by_this_machine_only(
     )
     starters = {
         str(path.relative_to(ROOT))
-        for path in (ROOT / "impact_rig").rglob("*.py")
+        for path in ROOT.glob("impact_rig*/**/*.py")
         if "subprocess." in path.read_text(encoding="utf-8")
     }
     assert starters == STARTERS, "a module that starts programs must keep them on this machine, and be listed"

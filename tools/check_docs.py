@@ -19,7 +19,7 @@ Blocks of `text` are formulas, trees and output. Commands, paths and links are c
 Figures, too, have an owner. A section of README or docs that holds one in its text or tables (a decimal fraction, or a
 number with a unit) begins with a comment that says who answers for it, or the page does before its first section:
 
-    <!-- figures: make bench ONLY=analysis; test/analysis/test_x.py::test_y; config/nominal.yaml -->
+    <!-- figures: make bench ONLY=analysis; test/impact_rig/analysis/test_x.py::test_y; config/nominal.yaml -->
 
 that is, commands that print it, tests that hold it, or the file that defines it. What is named must exist; whether it
 says the same is for the reader to try, and that is what the name is for.
@@ -50,17 +50,17 @@ from tools.doc_paths import ROOT, exists, is_dangling, is_path
 
 SCRATCH = ROOT / "build" / "docs"
 RUN_BY = {
-    ("docs/analysis.md", "python"): "test/analysis/test_guide.py",
-    ("docs/drive.md", "python title"): "test/testing/test_examples.py",
+    ("docs/analysis.md", "python"): "test/impact_rig/analysis/test_guide.py",
+    ("docs/drive.md", "python title"): "test/impact_rig/testing/test_examples.py",
     ("docs/extending.md", "python title"): "test/test_extending.py",
-    ("docs/first_node.md", "python title"): "test/testing/test_examples.py",
-    ("docs/interface.md", "xml"): "test/nodes/test_convert.py",
-    ("docs/recording.md", "python"): "test/recording/test_guide.py",
-    ("docs/recording.md", "python notebook"): "test/recording/test_guide.py",
-    ("docs/testing.md", "python title"): "test/testing/test_guide.py",
-    ("docs/testing.md", "sh"): "test/testing/test_guide.py",
-    ("docs/testing.md", "sh fails"): "test/testing/test_guide.py",
-    ("examples/README.md", "sh"): "test/testing/test_examples.py",
+    ("docs/first_node.md", "python title"): "test/impact_rig/testing/test_examples.py",
+    ("docs/interface.md", "xml"): "test/impact_rig/nodes/test_convert.py",
+    ("docs/recording.md", "python"): "test/impact_rig/recording/test_guide.py",
+    ("docs/recording.md", "python notebook"): "test/impact_rig/recording/test_guide.py",
+    ("docs/testing.md", "python title"): "test/impact_rig/testing/test_guide.py",
+    ("docs/testing.md", "sh"): "test/impact_rig/testing/test_guide.py",
+    ("docs/testing.md", "sh fails"): "test/impact_rig/testing/test_guide.py",
+    ("examples/README.md", "sh"): "test/impact_rig/testing/test_examples.py",
 }
 RUN_BY_TEST_DOCS = {"python", "python title", "yaml"}
 NOT_RUN = "not run: "

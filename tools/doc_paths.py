@@ -9,6 +9,7 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
+PACKAGES = ("impact_rig", "impact_rig_studies", "impact_rig_lab")
 MADE = {"build", "install", "log", "runs", "failed_runs"}
 """Folders that a checkout may have and the repository has not."""
 NO_PATHS = {"impact_rig/topic", "impact_rig/losses", "impact_rig/recovered", "impact_rig/continues"}  # names of records
@@ -46,8 +47,9 @@ def is_dangling(text: str) -> bool:
     name = re.match(r"([a-z_]\w*(?:\.\w+)+)(?:\(.*\))?$", text)
     if not name:
         return False
-    top, *rest = name[1].removeprefix("impact_rig.").split(".")
-    package = ROOT / "impact_rig"
+    first, _, below = name[1].partition(".")
+    package = ROOT / (first if first in PACKAGES else PACKAGES[0])
+    top, *rest = (below if first in PACKAGES else name[1]).split(".")
     if not rest:  # of the package itself: a module, or what it has for a first look
         return not (
             (package / top).exists() or (package / f"{top}.py").exists() or top in _words(package / "__init__.py")

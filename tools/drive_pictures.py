@@ -10,14 +10,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from impact_rig.operate.hardware import Hardware, InProcess
-from impact_rig.report.excitation import tell
+from impact_rig.client.hardware import Hardware, InProcess
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
-from impact_rig.studies.excitation.files import load
-from impact_rig.studies.excitation.random import RandomPlan, control
-from impact_rig.studies.excitation.response import Excitation, measure
-from impact_rig.studies.excitation.shock import Pulse, shock
+from impact_rig_studies.excitation.files import load
+from impact_rig_studies.excitation.random import RandomPlan, control
+from impact_rig_studies.excitation.response import Excitation, measure
+from impact_rig_studies.excitation.shock import Pulse, shock
+from impact_rig_studies.report.excitation import tell
 
 ROOT = Path(__file__).parents[1]
 PLANS = ROOT / "config" / "excitation"

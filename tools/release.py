@@ -29,9 +29,15 @@ from impact_rig.kernels.build import HEADER, OUTPUT
 ROOT = Path(__file__).parents[1]
 NOT_RELEASED = (".github", ".ci", ".gitignore")
 IN_WHEEL = ("config", "launch", "resource", "rviz", "urdf", "package.xml")
-"""Beside the package itself; of examples only what is in its folder and its golden values."""
+"""Beside the packages themselves; of examples only what is in its folder and its golden values."""
+PACKAGES = ("impact_rig/", "impact_rig_studies/", "impact_rig_lab/")
 EXTRAS = "[wheels,lab]"
-TRIED = ("test/physics", "test/instruments", "test/analysis", "test/test_codec.py")
+TRIED = (
+    "test/impact_rig/physics",
+    "test/impact_rig/instruments",
+    "test/impact_rig/analysis",
+    "test/impact_rig/test_codec.py",
+)
 """Tests that look at the installed package, not at the repository around them."""
 PLACEHOLDER = "example.org"
 PATIENCE_S = 600.0
@@ -98,7 +104,7 @@ def differences(sdist: Path, wheel: Path) -> list[str]:
     stem = "-".join(wheel.name.split("-")[:2])
     share = f"{stem}.data/data/share/impact_rig/"
     marker = f"{stem}.data/data/share/ament_index/resource_index/packages/impact_rig"
-    wanted = {name for name in files if name.startswith("impact_rig/")} | {marker}
+    wanted = {name for name in files if name.startswith(PACKAGES)} | {marker}
     wanted |= {f"impact_rig/kernels/{made}" for made in (OUTPUT, HEADER)}
     wanted |= {
         share + name for name in files if name.startswith((*IN_WHEEL, "examples/")) and name != "resource/impact_rig"
@@ -164,7 +170,8 @@ def use(sdist: Path, wheel: Path) -> None:
         examples = programs.parent / "share" / "impact_rig" / "examples"
         run(programs / "python", "-m", "pytest", "-q", "-p", "no:cacheprovider", examples / "test_first_node.py")
         unpacked = unpack(sdist, Path(name))
-        shutil.rmtree(unpacked / "impact_rig")  # the tests see what is installed
+        for package in PACKAGES:
+            shutil.rmtree(unpacked / package)  # the tests see what is installed
         pins = [line.partition(" ")[0] for line in (unpacked / "requirements" / "test.txt").read_text().splitlines()]
         runner = [
             pin for pin in pins if pin.startswith(("pytest", "hypothesis", "mpmath", "sortedcontainers", "coverage"))

@@ -7,7 +7,7 @@
     log x           x = 2^k (1 + f): 2 s + s³ R(s²), s = f / (2 + f)                         error < 1 ulp
 
 Reductions and polynomials are those of fdlibm (Sun Microsystems 1993; Cody & Waite 1980, Software Manual for the
-Elementary Functions); test/arithmetic holds every one of them against 40 digits.
+Elementary Functions); test/impact_rig/arithmetic holds every one of them against 40 digits.
 """
 
 from __future__ import annotations

@@ -5,9 +5,9 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import math
 from collections.abc import Callable, Iterator
+from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -30,8 +30,8 @@ FIGURE_FORMATS = ("png", "svg")  # of runs.drawings, which is too heavy for a pa
 WINDOWS = ("hann", "boxcar", "flattop", "blackmanharris")
 LINES = 15  # lines of a frequency response that are printed
 DRAWN_CYCLES = 4
-ANALYSES = ("impact_rig.cli.analyze:FRF", "impact_rig.cli.analyze:SINE", "impact_rig.cli.drops:DROP")
-"""Modules and names of the analyses that may be asked for instead of the live one."""
+GROUP = "impact_rig.analyses"
+"""Entry points by which packages bring their analyses, each an `Analysis`."""
 
 
 class Analysis(NamedTuple):
@@ -43,9 +43,7 @@ class Analysis(NamedTuple):
 
 
 def _analyses() -> Iterator[Analysis]:
-    for where in ANALYSES:
-        module, _, name = where.partition(":")
-        yield getattr(importlib.import_module(module), name)
+    return (one.load() for one in metadata.entry_points(group=GROUP))
 
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

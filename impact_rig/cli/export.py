@@ -5,8 +5,8 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 from collections.abc import Callable, Iterator
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -22,14 +22,12 @@ FORMATS = ("csv", "npz", "parquet", "uff")
 Columns = dict[str, NDArray[np.generic]]
 Exporter = Callable[[Path], Callable[[str], Columns] | None]
 """Takes a directory that is no run; returns what gives its points for a file of a suffix, None for another kind."""
-EXPORTERS = ("impact_rig.studies.exporters:map_points", "impact_rig.studies.exporters:campaign_points")
-"""Modules and names of the exporters of directories that are no runs."""
+GROUP = "impact_rig.exporters"
+"""Entry points by which packages bring their exporters of directories that are no runs, each an `Exporter`."""
 
 
 def _exporters() -> Iterator[Exporter]:
-    for where in EXPORTERS:
-        module, _, name = where.partition(":")
-        yield getattr(importlib.import_module(module), name)
+    return (one.load() for one in metadata.entry_points(group=GROUP))
 
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

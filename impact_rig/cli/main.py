@@ -7,6 +7,7 @@ Loads the module of the chosen subcommand only, and that after the signals are t
 
 from __future__ import annotations
 
+import functools
 import io
 import os
 import sys
@@ -17,28 +18,32 @@ from impact_rig.system.endings import Ending
 
 if TYPE_CHECKING:
     import argparse
+    from importlib.metadata import EntryPoint
 
 EXIT_ERROR = 1
 PROGRAM = "impact-rig"
-COMMANDS = (
+GROUP = "impact_rig.commands"
+"""Entry points by which packages bring their commands: a name, and the function that registers its parser."""
+ORDER = (
     "lab", "demo", "record", "campaign", "map", "dynamics", "loop", "play", "frf", "report", "identify",
     "info", "analyze", "compare", "verify", "replay", "recover", "import", "export", "check", "interface",
 )  # fmt: skip
-"""Subcommands in the order of the help."""
-HOMES = {
-    **{name: f"recorded:add_{name}" for name in ("info", "verify", "recover", "replay")},
-    "import": "measurement:add_import",
-    "report": "campaign:add_report",
-    **{name: f"excite:add_{name}" for name in ("play", "frf")},
-    **{name: f"mechanics:add_{name}" for name in ("map", "dynamics")},
-}
-"""Module and function that register a command; those of all others are its name and `add_command`."""
+"""Commands in the order of the help; others follow by name."""
+
+
+@functools.cache
+def commands() -> dict[str, EntryPoint]:
+    """Return the installed commands by name, in the order of the help."""
+    from importlib.metadata import entry_points  # noqa: PLC0415  # after the signals are taken
+
+    place = {name: number for number, name in enumerate(ORDER)}
+    found = sorted(entry_points(group=GROUP), key=lambda one: (place.get(one.name, len(place)), one.name))
+    return {one.name: one for one in found}
 
 
 def command_line(command: str = "") -> argparse.ArgumentParser:
     """Return the parser of all subcommands, or of one of them."""
     import argparse  # noqa: PLC0415  # after the signals are taken
-    import importlib  # noqa: PLC0415
 
     import impact_rig  # noqa: PLC0415
 
@@ -49,10 +54,10 @@ def command_line(command: str = "") -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"{PROGRAM} {impact_rig.__version__}")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for name in [command] if command in COMMANDS else [] if command == "--version" else COMMANDS:
-        home, _, function = HOMES.get(name, f"{name}:add_command").partition(":")
-        getattr(importlib.import_module(f"impact_rig.cli.{home}"), function)(commands)
+    registered = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    known = commands() if command != "--version" else {}
+    for name in [command] if command in known else known:
+        known[name].load()(registered)
     return parser
 
 
@@ -69,7 +74,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.reconfigure(errors="surrogateescape")  # a file's name may be no text: it goes out as it came in
     if "_ARGCOMPLETE" in os.environ:
         _complete()
-    ending = Ending(" ".join([PROGRAM, *words[:1]]) if words and words[0] in COMMANDS else PROGRAM)
+    ending = Ending(PROGRAM)
+    if words and words[0] in commands():
+        ending.name = f"{PROGRAM} {words[0]}"
     chosen = _parse(words)
     return ending.run(lambda: _run(chosen, ending))
 
@@ -77,14 +84,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     first = arguments[0] if arguments else ""
     parser = command_line(first)
-    if first and not first.startswith("-") and first not in COMMANDS:
-        from impact_rig.errors import did_you_mean  # noqa: PLC0415
-        from impact_rig.names import one_line  # noqa: PLC0415
+    if first and not first.startswith("-") and first not in (known := commands()):
+        from impact_rig.errors import did_you_mean, visible  # noqa: PLC0415
 
-        hint = did_you_mean(
-            first, COMMANDS, f"did you mean `{PROGRAM} {{}}`?", f"the commands are {', '.join(COMMANDS)}"
-        )
-        parser.error(one_line(f"{first!r} is no command: {hint}"))
+        hint = did_you_mean(first, known, f"did you mean `{PROGRAM} {{}}`?", f"the commands are {', '.join(known)}")
+        parser.error(visible(f"{first!r} is no command: {hint}"))
     return parser.parse_args(arguments)
 
 

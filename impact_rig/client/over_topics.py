@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from impact_rig import codec, topics
 from impact_rig.blocks import WAVEFORM, Table
 from impact_rig.client.client import Client, WaitTimeoutError, subscribers
+from impact_rig.client.hardware import Hardware, Wanted
 from impact_rig.client.processes import ParameterValue, Processes, domain_of_environment, isolated_domain
 from impact_rig.errors import CommandError, ConfigError, ImpactRigError
 from impact_rig.nodes.process import DISCOVERY_S
-from impact_rig.operate.hardware import Hardware, Wanted
 from impact_rig.rig import InputKind
 from impact_rig.rig.config import RigConfig, differences
 from impact_rig.simtime import NS_PER_S, stamp_ns

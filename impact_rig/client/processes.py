@@ -29,7 +29,7 @@ from impact_rig.system.endings import PARENT_VARIABLE, unhurried
 STOP_TIMEOUT_S = 10.0
 """How long a process may take to end after SIGINT (a recorder finishes its file) before it is killed."""
 QUOTED_LINES = 15
-NODES = ("rig", "analysis", "recorder", "stepped_sine")
+NODES = ("rig", "analysis", "recorder")
 """Nodes of this package: arguments of `python -m impact_rig.nodes`."""
 
 ParameterValue = bool | int | float | str | Sequence[str] | Sequence[float]

@@ -8,7 +8,7 @@ import numpy as np
 
 from impact_rig import topics
 from impact_rig.blocks import WAVEFORM, Table
-from impact_rig.operate.hardware import InProcess
+from impact_rig.client.hardware import InProcess
 from impact_rig.rig import Block, Rig
 from impact_rig.runs.in_process import RigRecorder
 from impact_rig.simtime import NS_PER_S

@@ -5,7 +5,7 @@
 Defaults are the paper's rig; the paper leaves m1, k1, c1, amplitudes and the shaker's constants open, so each field
 says where its value comes from. Ranges are some decades wide on both sides, enough for any rig of this kind, and narrow
 enough to refuse a slip of units: millimetres for metres, grams for kilograms, GPa for Pa. Within them any configuration
-keeps its energy account, which `tools/legal_configurations.py` tries.
+keeps its energy account, which `qualification/legal_configurations.py` tries.
 """
 
 from __future__ import annotations

@@ -37,7 +37,9 @@ examples:
 
 {more}
 """
-NODES = {
+Use = tuple[str, str, str]
+"""What a program is, an example of its arguments, and what else there is to know."""
+NODES: dict[str, Use] = {
     "rig": (
         "The virtual test rig: publishes what its instruments measure, and takes frequency and current as commands.",
         "barriers.gap_m:=0.004",
@@ -53,47 +55,40 @@ NODES = {
         "name:=first_light",
         "Topics, services and parameters: docs/interface.md.",
     ),
-    "stepped_sine": (
-        "The stepped sine: sets one frequency after the other, waits for the analysis, and publishes the curve.",
-        "begin:=true",
-        "Topics, services and parameters: docs/interface.md.",
-    ),
-    "lab": (
-        "The laboratory's page, for a rig of the same namespace that runs already; it prints its address.",
-        "port:=8765",
-        "`impact-rig lab` starts a rig as well.",
-    ),
 }
-"""Node -> what it is, an example, what else there is to know."""
 
 
-def show_help(node: str, arguments: Sequence[str]) -> bool:
+def show_help(node: str, use: Use, arguments: Sequence[str]) -> bool:
     """Print how a node is used if its arguments ask for that, and return whether they did."""
     ours = list(itertools.takewhile(lambda word: word != "--ros-args", arguments))
     if not {"-h", "--help"}.intersection(ours):
         return False
-    about, example, more = NODES[node]
+    about, example, more = use
     print(USAGE.format(program=f"{node}_node", node=node, about=about, example=example, more=more), end="")  # noqa: T201
     return True
 
 
-def _run(node: str) -> None:
+def run(node: str, use: Use, module: str) -> None:
+    """Run the node that a module has as its `PROGRAM`."""
+
     def main(ending: Ending) -> None:
         from impact_rig.nodes import process  # noqa: PLC0415
 
-        process.main(importlib.import_module(f"impact_rig.nodes.{node}_node").PROGRAM, ending)
+        process.main(importlib.import_module(module).PROGRAM, ending)
 
-    begin(node, main)
-
-
-rig, analysis, recorder, stepped_sine = (
-    functools.partial(_run, node) for node in ("rig", "analysis", "recorder", "stepped_sine")
-)
+    begin(node, use, main)
 
 
-def begin(node: str, main: Callable[[Ending], None]) -> None:
+def _run(node: str) -> None:
+    run(node, NODES[node], f"impact_rig.nodes.{node}_node")
+
+
+rig, analysis, recorder = (functools.partial(_run, node) for node in NODES)
+
+
+def begin(node: str, use: Use, main: Callable[[Ending], None]) -> None:
     """Run a program that ends in order; what is heavy is imported by its `main`, not before."""
-    if show_help(node, sys.argv[1:]):
+    if show_help(node, use, sys.argv[1:]):
         return
     # a node that is told to end has done its work: launch takes any other code for a crash
     ending = Ending(f"{node}_node", code=lambda _number: 0)

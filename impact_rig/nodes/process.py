@@ -33,7 +33,7 @@ from impact_rig.system.endings import SIGNALS, Ending, held
 SPIN_S = 0.2
 DISCOVERY_S = 3.5
 """How long a new process may not know of others: an announcement that it misses comes again 3 s later
-(tools/discovery.py)."""
+(qualification/discovery.py)."""
 EXIT_USAGE = 2  # exit code when arguments, parameter files or names are no good
 EXECUTOR_VARIABLE = "IMPACT_RIG_EXECUTOR"
 """Environment: `default` takes rclpy's default executor instead of the events executor."""

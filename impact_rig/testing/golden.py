@@ -82,9 +82,10 @@ class Golden:
         wrong = [
             f"{name}: {numbers.get(name, 'missing')}, golden {expected.get(name, 'missing')}"
             for name in sorted({*numbers, *expected})
-            if name not in numbers or name not in expected
+            if name not in numbers
+            or name not in expected
             or not np.isclose(numbers[name], expected[name], rel, abs, equal_nan=True)
-        ]  # fmt: skip
+        ]
         if wrong:
             raise AssertionError(f"different from {where} (rel {rel:g}, abs {abs:g}): {'; '.join(wrong)}")
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from impact_rig.campaign.job import Outcome
+from impact_rig_studies.campaign.job import Outcome
 
 TINY = """\
 title: tiny

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from impact_rig.blocks import TRANSMISSIBILITY
-from impact_rig.campaign import run
-from impact_rig.campaign.job import Outcome
-from impact_rig.campaign.plan import load_campaign
+from impact_rig_studies.campaign import run
+from impact_rig_studies.campaign.job import Outcome
+from impact_rig_studies.campaign.plan import load_campaign
 
 HOSTILE_NAMES = (
     '"><img src=x onerror=alert(1)>', "</style></svg><script>alert(1)</script>", "'};alert(1)//", "{{ 7*7 }}",

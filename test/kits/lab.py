@@ -8,10 +8,10 @@ import numpy as np
 
 from impact_rig.blocks import Table
 from impact_rig.instruments.section import SCAN
-from impact_rig.lab.protocol import Request
-from impact_rig.lab.record import RigView
-from impact_rig.lab.scope import Scope
-from impact_rig.lab.state import Answer, Snapshot
+from impact_rig_lab.protocol import Request
+from impact_rig_lab.record import RigView
+from impact_rig_lab.scope import Scope
+from impact_rig_lab.state import Answer, Snapshot
 
 RATE = 1000
 

@@ -11,7 +11,7 @@ from impact_rig.client.client import ros_parameters
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
-from impact_rig.nodes.stepped_sine_node import SteppedSineNode
+from impact_rig_studies.stepped_sine_node import SteppedSineNode
 
 Opened = dict[tuple[str, str], set[str]]
 """Full names of topics and services, by kind and expression of an SROS2 policy."""

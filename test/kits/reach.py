@@ -16,7 +16,10 @@ from collections.abc import Iterable
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-FOLDERS = ("impact_rig", "tools", "fuzz", "benchmarks", "examples", "launch", "test")
+FOLDERS = (
+    "impact_rig", "impact_rig_studies", "impact_rig_lab", "qualification", "tools", "fuzz", "benchmarks", "examples",
+    "launch", "test",
+)  # fmt: skip
 EVERYTHING = (
     "requirements", "pyproject.toml", "setup.py", "setup.cfg", "package.xml", "Makefile",
     "test/conftest.py", "test/kits/reach.py", "test/kits/measured.py", "tools/lines_passed/lines_passed.py",
@@ -25,7 +28,7 @@ EVERYTHING = (
 """What every test depends on: the environment, how tests are run, and what each of them gets."""
 OUTSIDE = ("docs/", "test/", "README", "CONTRIBUTING", "CHANGELOG", ".")
 """What the package itself cannot read: it is not installed with it."""
-MODULE = re.compile(r"\b(?:impact_rig|tools|fuzz|benchmarks|kits)(?:\.\w+)*\b")
+MODULE = re.compile(r"\b(?:impact_rig(?:_studies|_lab)?|qualification|tools|fuzz|benchmarks|kits)(?:\.\w+)*\b")
 FILE = re.compile(r"\b(?!__|conftest)\w+\.py\b")
 BY_NAME = re.compile(r"\b(?:import_module|lazily|iter_modules)\(")
 """Whoever loads modules by name may load every one of its package."""
@@ -117,7 +120,7 @@ class Reach:
         return {
             user
             for user, text in self._strings.items()
-            if named.search(text) and not (outside and user.startswith("impact_rig/"))
+            if named.search(text) and not (outside and user.startswith("impact_rig"))
         }
 
 

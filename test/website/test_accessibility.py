@@ -15,9 +15,9 @@ pytest.importorskip("aiohttp", reason="the extra [lab] is not installed")
 
 from kits.browser import serious_faults
 
-from impact_rig.lab.playback import PlaybackSource
-from impact_rig.lab.server import Server
 from impact_rig.runs.in_process import make_sample
+from impact_rig_lab.playback import PlaybackSource
+from impact_rig_lab.server import Server
 
 WIDE, NARROW = 1280, 400
 

@@ -22,7 +22,7 @@ BY_TOOLS: Mapping[str, tuple[str, ...]] = {
     "tools/lab_pictures.py": (
         "lab.gif", "lab.png", "lab_1920_dark.png", "lab_400.png", "lab_playback.png", "lab_rest.png", "lab_tripped.png",
     ),
-    "tools/closed_loop.py backbone --draw": ("backbone.png",),
+    "qualification/closed_loop.py backbone --draw": ("backbone.png",),
     "tools/drive_pictures.py": ("drive_random.png", "drive_shock.png", "drive_frf.png"),
     "tools/gallery_pictures.py": (
         "gallery_fig7_all_gaps.png", "gallery_amplitudes.png", "gallery_study_gap.png", "gallery_regimes.png",
@@ -30,13 +30,13 @@ BY_TOOLS: Mapping[str, tuple[str, ...]] = {
         "gallery_study_restitution.png", "gallery_study_mass.png", "gallery_study_amplitude.png",
         "gallery_study_hysteresis.png",
     ),
-    "tools/foreign_rig.py --draw build/foreign": ("comparison.png",),
+    "qualification/foreign_rig.py --draw build/foreign": ("comparison.png",),
     "tools/map_picture.py": ("map_gap_frequency.png", "map_coexistence.png"),
     "tools/map_picture.py dynamics": (
         "dynamics_section.png", "dynamics_bifurcation.png", "dynamics_continue.png", "dynamics_exponent.png",
         "dynamics_basin.png", "dynamics_orbit.png", "dynamics_current.png",
     ),
-    "tools/prediction.py --draw": ("prediction.png",),
+    "qualification/prediction.py --draw": ("prediction.png",),
     "tools/urdf_picture.py": ("urdf.png",),
 }  # fmt: skip
 """Command of a tool to the pictures that it makes, of pages or of minutes of measurement; absent tools make none."""

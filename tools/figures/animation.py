@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.campaign.paper import FREQUENCY_HZ
+from impact_rig_studies.campaign.paper import FREQUENCY_HZ
 from tools.figures import simulated
 from tools.figures.style import BASE, GRID, INK, MUTED, SPHERE, STRUCTURE, WIDTH, box, line, sheet, text
 

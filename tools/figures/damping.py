@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from impact_rig.campaign.paper import FREQUENCY_HZ
+from impact_rig_studies.campaign.paper import FREQUENCY_HZ
 from tools.figures import simulated
 from tools.figures.style import GRID, INK, MUTED, SPHERE, STRUCTURE, direct_label, finished, new_figure, style
 

@@ -10,11 +10,11 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.campaign.paper import CURRENT_A, FREQUENCY_HZ
 from impact_rig.physics import SEGMENT, Motion, Simulation
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.gaps import gap_values
 from impact_rig.simulation import simulate
+from impact_rig_studies.campaign.paper import CURRENT_A, FREQUENCY_HZ
 from tools.figures.style import finished
 
 TICK_S = 0.01

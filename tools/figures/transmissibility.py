@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from impact_rig.campaign.paper import FREQUENCY_HZ
 from impact_rig.physics.linear_response import transmissibility
 from impact_rig.rig.config import RigConfig
+from impact_rig_studies.campaign.paper import FREQUENCY_HZ
 from tools.figures import simulated
 from tools.figures.style import BASE, INK, MUTED, STRUCTURE, direct_label, finished, new_figure, style
 

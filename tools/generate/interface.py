@@ -23,10 +23,10 @@ from impact_rig.instruments.instrument import FAULT_KINDS
 from impact_rig.nodes.analysis_node import AnalysisSettings
 from impact_rig.nodes.messages import ENVELOPES, SPECTRA, TOPICS
 from impact_rig.nodes.recorder_node import RecorderSettings
-from impact_rig.nodes.stepped_sine_node import SteppedSineSettings
 from impact_rig.rig import takes_effect
 from impact_rig.rig.config import TREE
 from impact_rig.rig.journal import InputKind
+from impact_rig_studies.stepped_sine_node import SteppedSineSettings
 from tools.generate import figures
 from tools.generate.markdown import table
 from tools.generate.nominal import scalar

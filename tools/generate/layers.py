@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""The picture and the table of the packages: layers from the import contracts, sentences from the sources."""
+"""The picture and the table of packages and rooms: layers from the import contracts, sentences from the sources."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ from tools.generate.markdown import table
 
 ROOT = Path(__file__).parents[2]
 PICTURE = ROOT / "docs" / "images" / "layers.svg"
-WITH_ROS = ("testing", "lab", "client", "nodes")
+ON_TOP = [["impact_rig_lab"], ["impact_rig_studies"]]
+"""Packages above the rooms of the rig."""
+WITH_ROS = ("impact_rig_lab", "impact_rig_studies", "testing", "client", "nodes")
 """Packages that may import rclpy, as a contract of its own says."""
 
 _WIDTH, _MARGIN, _GAP, _PAD, _LINE = 980, 20, 12, 10, 15
@@ -37,16 +39,16 @@ _HEAD = """\
 
 
 def layers(root: Path = ROOT) -> list[list[str]]:
-    """Return the packages from the top to the bottom, as the import contract has them."""
+    """Return packages and rooms of the rig from the top to the bottom, as the import contract has them."""
     settings = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))
     contracts = settings["tool"]["importlinter"]["contracts"]
     lines = next(contract["layers"] for contract in contracts if contract["name"] == "Layers")
-    return [re.findall(r"\w+", line) for line in lines]
+    return [*ON_TOP, *(re.findall(r"\w+", line) for line in lines)]
 
 
 def sentence(package: str, root: Path = ROOT) -> str:
     """Return the first sentence of a package's or module's docstring."""
-    path = root / "impact_rig" / package
+    path = root / package if package.startswith("impact_rig") else root / "impact_rig" / package
     source = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
     text = ast.get_docstring(ast.parse(source.read_text(encoding="utf-8"))) or ""
     return text.split("\n\n")[0].replace("\n", " ").replace("`", "")

@@ -14,18 +14,20 @@ from pathlib import Path
 from coverage import CoverageData
 from slipcover import FileMatcher, ImportManager, Slipcover, wrap_pytest
 
-PACKAGE = Path(__file__).resolve().parents[2] / "impact_rig"
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = [ROOT / name for name in ("impact_rig", "impact_rig_studies", "impact_rig_lab")]
 
 
 def note(data: str) -> None:
     """Begin; at the end, a file whose name begins with `data` has the lines."""
-    passed, ours = Slipcover(), FileMatcher([PACKAGE])
+    passed, ours = Slipcover(), FileMatcher(PACKAGES)
     ImportManager(passed, ours).__enter__()
     wrap_pytest(passed, ours)  # which imports by itself what comes with one of its plugins: all of the package
 
     def keep() -> None:
-        os.chdir(PACKAGE.parent)  # SlipCover names files as seen from where it is
-        lines: dict[str, list[int]] = {str(file): [] for file in PACKAGE.rglob("*.py")}  # what nobody imports, too
+        os.chdir(ROOT)  # SlipCover names files as seen from where it is
+        # what nobody imports, too
+        lines: dict[str, list[int]] = {str(file): [] for package in PACKAGES for file in package.rglob("*.py")}
         for file, found in passed.get_coverage()["files"].items():
             lines[str(Path(file).absolute())] = found["executed_lines"]
         kept = CoverageData(basename=data, suffix=True)

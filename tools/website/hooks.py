@@ -11,7 +11,7 @@ from typing import Any
 from mkdocs.structure.files import File
 
 ROOT = Path(__file__).parents[2]
-ICON = ROOT / "impact_rig" / "lab" / "static" / "icon.svg"
+ICON = ROOT / "impact_rig_lab" / "static" / "icon.svg"
 _SEARCH = 'data-md-component="search" role="dialog"'
 _FENCE = re.compile(r"^(?P<ticks>```+)(?P<language>\w+) (?P<info>.+)$", re.MULTILINE)
 _COMMENT = re.compile(r"<!-- (?:figures|generated): .*? -->\n?|<!-- end -->\n?", re.DOTALL)

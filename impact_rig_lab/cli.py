@@ -1,0 +1,166 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""`impact-rig lab`: the live laboratory, or a recorded run, on one page in the browser."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import re
+import select
+import signal
+import sys
+import webbrowser
+from pathlib import Path
+from typing import Any  # a source of either kind
+
+from impact_rig.cli.terminal import Console, subcommand
+from impact_rig.errors import ImpactRigError
+from impact_rig.system import files
+
+SAMPLE = "lab_sample"
+FOUND = "?"
+LOOK_MS = 1000
+"""Time between two looks at signals: one that comes in the very moment when a wait begins does not interrupt it."""
+
+
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register the subcommand."""
+    parser = subcommand(
+        commands, "lab", run, "see the rig move and turn its knobs, live, in a browser",
+        [
+            ("lab", "starts a rig and opens its page"),
+            ("lab --sample", "plays back a short run; needs no ROS 2"),
+            ("lab --branches runs/dynamics_over_frequency", "draws continued motions beside what is measured"),
+            ("lab runs/demo/gap_2mm runs/demo/gap_10mm", "two recorded runs side by side"),
+        ],
+    )  # fmt: skip
+    parser.add_argument("runs", nargs="*", type=Path, metavar="RUN", help="play back this run; two: side by side")
+    parser.add_argument(
+        "--attach", nargs="?", const=FOUND, metavar="NAMESPACE", help="show a rig that runs already, e.g. /rig"
+    )
+    parser.add_argument("--namespace", default="/rig", help="of the rig that is started (default: /rig)")
+    parser.add_argument("--sample", action="store_true", help="play back a short run, recorded for this on first use")
+    parser.add_argument("--port", type=int, default=8765, help="of the page; 0: any (default: 8765)")
+    parser.add_argument(
+        "--host", default="127.0.0.1", help="address to serve; others than this machine may then look in"
+    )
+    parser.add_argument("--no-browser", action="store_true", help="only print the address")
+    parser.add_argument("--rate", type=int, default=10_000, metavar="HZ", help="scans per second (default: 10000)")
+    parser.add_argument(
+        "--mode", choices=("realtime", "freewheel"), default="realtime", help="how rig time passes (default: realtime)"
+    )
+    parser.add_argument(
+        "--branches", type=Path, metavar="DIR", nargs="+", default=(),
+        help="motions that `dynamics continue` has found over the frequency: drawn where they exist",
+    )  # fmt: skip
+    parser.add_argument("--no-record", action="store_true", help="record only when told to on the page")
+    parser.add_argument(
+        "--record-directory", type=Path, default=Path("runs"), help="where run directories are made (default: runs)"
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Serve the page until Ctrl-C, or until nobody reads what is printed any more."""
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    if len(arguments.runs) > 2:
+        raise ImpactRigError("at most two runs are shown side by side")
+    if (arguments.runs or arguments.sample) and arguments.attach:
+        raise ImpactRigError("a run is played back, or a rig is attached to, not both")
+    try:
+        from impact_rig_lab.server import Server, check_port, kept_token  # noqa: PLC0415  # an extra
+        from impact_rig_lab.theory import continued  # noqa: PLC0415
+    except ImportError as error:
+        raise ImpactRigError(f"the lab needs its extra: pip install 'impact_rig[lab]' ({error})") from error
+    check_port(arguments.port)
+    branches = [continued(directory) for directory in arguments.branches]
+    console = Console()
+    runs = arguments.runs[0].resolve().parent if arguments.runs else arguments.record_directory
+    with contextlib.ExitStack() as stack:
+        source: Any = None
+        stack.callback(lambda: _say_where(source))  # last of all: the recorder has finished then
+        source = _source(arguments, stack)
+        source.theory.beside = branches
+        server = stack.enter_context(Server(source, arguments.host, arguments.port, kept_token(), runs))
+        stack.enter_context(source)
+        console.print("impact_rig lab: open this address in a browser; Ctrl-C ends it", soft_wrap=True)
+        print(server.address, flush=True)  # noqa: T201
+        if not arguments.no_browser:
+            with contextlib.suppress(webbrowser.Error):
+                webbrowser.open(server.address)
+        reader = select.poll()
+        reader.register(sys.stdout.fileno(), 0)  # only an end of who reads it is told
+        while not reader.poll(LOOK_MS):
+            pass
+    return 128 + signal.SIGPIPE
+
+
+def _say_where(source: Any) -> None:
+    """Print where the last recording lies."""
+    directory = getattr(source, "directory", None)
+    if directory is not None:
+        with contextlib.suppress(OSError):
+            print(f"recorded: {directory}", flush=True)  # noqa: T201
+
+
+def _source(arguments: argparse.Namespace, stack: contextlib.ExitStack) -> Any:
+    if arguments.runs or arguments.sample:
+        from impact_rig_lab.playback import PlaybackSource  # noqa: PLC0415
+
+        if not arguments.runs:
+            from impact_rig.runs.in_process import make_sample  # noqa: PLC0415
+
+            arguments.runs = [make_sample(files.state_dir("") / SAMPLE)]
+        return PlaybackSource(arguments.runs)
+    from impact_rig.client.processes import Processes, domain_of_environment  # noqa: PLC0415
+    from impact_rig_lab.live import LiveSource  # noqa: PLC0415
+
+    domain = domain_of_environment()
+    if arguments.attach:
+        return LiveSource(domain, None if arguments.attach == FOUND else arguments.attach)
+    from impact_rig.rig.config import RigConfig, from_flat  # noqa: PLC0415
+    from impact_rig_lab.gateway import Own  # noqa: PLC0415
+
+    namespace = f"/{arguments.namespace.strip('/')}"
+    if not re.fullmatch(r"(/[A-Za-z_][A-Za-z0-9_]*)+", namespace):
+        raise ImpactRigError(f"a namespace is letters, digits and _ between slashes, got {arguments.namespace!r}")
+    parameters = node_parameters(arguments)
+    from_flat(RigConfig(), parameters["rig"])  # what a rig refuses is refused here, where somebody reads it
+    _take_place(domain, namespace, stack)
+    logs = files.state_dir("lab_logs") / files.place(domain, namespace)
+    processes = stack.enter_context(Processes(domain, logs, namespace=namespace))
+    return LiveSource(domain, namespace, Own(processes, parameters))
+
+
+def _take_place(domain: int, namespace: str, stack: contextlib.ExitStack) -> None:
+    """Take a namespace for the rig of this lab."""
+    name = files.place(domain, namespace)
+    advice = f"look at it with --attach {namespace}, or give this one another --namespace"
+    try:
+        held = files.hold(files.PLACES, f"{name}.lab")
+    except OSError:
+        return  # there is no telling on this machine
+    if held is None:
+        raise ImpactRigError(
+            f"the lab of process {files.holder(files.PLACES, f'{name}.lab')} has {namespace}: {advice}"
+        )
+    stack.callback(os.close, held)
+    rig = files.hold(files.PLACES, name)
+    if rig is None:
+        raise ImpactRigError(f"the rig of process {files.holder(files.PLACES, name)} is in {namespace}: {advice}")
+    os.close(rig)  # for the rig that is started now
+
+
+def node_parameters(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    """Return the parameters of the nodes that the lab starts."""
+    return {
+        "rig": {
+            "time.mode": arguments.mode,
+            "time.peers": ["analysis", "recorder"],
+            "daq.rate_hz": arguments.rate,
+            "daq.block_scans": max(1, arguments.rate // 100),
+        },
+        "analysis": {"gap_m": 0.006},
+        "recorder": {"directory": str(arguments.record_directory.resolve()), "record": not arguments.no_record},
+    }

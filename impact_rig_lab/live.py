@@ -1,0 +1,263 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""The live source: a client of the graph in one event loop, that fills rings and snapshot and does what pages ask.
+
+The loop waits for the graph, looks at the data when a picture is due, and never waits for an answer: a service that
+hangs does not keep STOP from being sent, nor does a message without sense.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import re
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any  # what goes to JSON
+
+from impact_rig import states, topics
+from impact_rig.instruments.section import CHANNELS
+from impact_rig.recording.rigs import namespace, prefix_of, prefixes
+from impact_rig.topics import SCAN
+from impact_rig_lab import state
+from impact_rig_lab.record import LAST_NS, RigView
+from impact_rig_lab.state import KNOBS, STANDING, Pace, Seen, Source, figure
+from impact_rig_lab.theory import be_gentle, closed_form
+
+if TYPE_CHECKING:
+    from impact_rig.client.client import Client
+    from impact_rig_lab.gateway import Gateway, Own
+
+LOOK_S = 0.02  # between two looks at the data while a page is open
+GLANCE_S = 0.5  # the same while rig time runs ahead of ours
+PEEK_S, DEAF_S = 0.1, 1.4  # where nobody can follow: so long it listens to scans, and then so long not
+TURN_S = 0.05  # the longest turn of the loop while a page is open: what it asks for waits no longer
+IDLE_S = 0.2
+LATE_S = 5.0  # by so much the first diagnostics of a rig may come after what else it says
+STATE_S = 0.1  # between two words to the page
+SLOW_S = 0.5  # the same while rig time runs ahead of ours, and where nobody looks
+SLOWEST_S = 1.0  # the same where nobody can follow
+
+
+class LiveSource(Source):
+    """A rig of the graph.
+
+    Args:
+        namespace: of the rig; None: look for one.
+        own: to start nodes with; None: those of others are only looked at.
+    """
+
+    def __init__(self, domain_id: int, namespace: str | None, own: Own | None = None) -> None:
+        super().__init__("live", RigView())
+        self.directory: Path | None = None  # where the recorder has written last
+        self._domain_id, self._namespace, self._own = domain_id, namespace, own
+        self._client: Client
+        self._gateway: Gateway | None = None
+        self._pace = Pace()
+        self._instance = ""  # of the rig that is there
+        self._listens = True  # to scans; while rig time runs ahead of ours only now and then
+        self.snapshot.put(rig={"word": "starting", "text": "The lab starts.", "name": namespace or ""})
+
+    @property
+    def now_s(self) -> float:
+        """The end of the newest scan."""
+        return self.record.scope.end_s if self.record.scope is not None else 0.0
+
+    def close(self) -> None:
+        """End, and leave the graph."""
+        super().close()
+        if self._own is not None:
+            self._own.close()
+
+    # The loop
+
+    def _run(self) -> None:
+        try:
+            if self._own is not None:
+                for node in self._own.parameters:
+                    self._own.start(node)
+            be_gentle()
+            asyncio.run(self._serve_rigs())
+        except Exception as error:  # without its source the page must say so, not stand still
+            self.snapshot.put(rig={"word": "dead", "text": f"The lab has failed: {error}", "name": ""})
+            raise
+
+    async def _serve_rigs(self) -> None:
+        from impact_rig.client.client import Client  # noqa: PLC0415  # the page is served before the half second it takes
+        from impact_rig_lab.gateway import Gateway  # noqa: PLC0415
+
+        while not self.end.is_set():
+            before, self.record = self.record, RigView()
+            self.record.epoch = before.epoch + 1
+            self._client = Client(self._domain_id, (self._namespace or "").strip("/"), name="lab", commands=False)
+            self._gateway = Gateway(self._client, self.record, self._own) if self._namespace is not None else None
+            try:
+                await self._serve()
+            finally:
+                self.guard("state", self._tell)  # the last words of the recorder say where it has written
+                if self._gateway is not None:
+                    await self._gateway.close("the lab looks elsewhere now")
+                self._client.close()
+
+    async def _serve(self) -> None:
+        """Wait for the graph until the next look is due, and so on."""
+        look_at = state_at = slow_at = 0.0
+        namespace = self._namespace
+        while not self.end.is_set() and self._namespace == namespace:
+            now = time.monotonic()
+            self.guard("requests", self._take_requests)
+            if now >= look_at:
+                self.guard("pictures", self._look)
+                look_at = now + self._until_next_look()
+            if now >= state_at:
+                self.guard("state", self._tell)
+                state_at = now + self._until_next_word()
+            if self._gateway is None and now >= slow_at:
+                slow_at = now + SLOW_S
+                self.guard("discovery", self._discover)
+            # little comes here; spinning for longer than one message leaks 32 bytes a turn in rclpy, and we turn often
+            wait_s = max(0.0, min(look_at, state_at) - time.monotonic())
+            wait_s = min(wait_s, TURN_S) if self.watchers else wait_s
+            self.guard("/diagnostics", functools.partial(self._client.executor.spin_once, timeout_sec=wait_s))
+            await asyncio.sleep(0)  # every action looks whether what it waits for has come
+
+    def _look(self) -> None:
+        """Take what has come; where nobody can follow, most is not even sent: that costs the rig as much as us."""
+        if self._gateway is None:
+            return
+        came = self._gateway.take()
+        self._listens = self._pace.is_followed or self._gateway.is_busy or not (self._listens and came)
+        self._gateway.listen(self.watchers > 0 and self._listens, self._pace.is_followed)
+
+    def _until_next_look(self) -> float:
+        if not self.watchers:
+            return IDLE_S
+        if not self._pace.is_hurried or (self._gateway is not None and self._gateway.is_busy):
+            return LOOK_S
+        if self._pace.is_followed:
+            return GLANCE_S
+        return PEEK_S if self._listens else DEAF_S
+
+    def _until_next_word(self) -> float:
+        if not self._pace.is_followed:
+            return SLOWEST_S
+        return STATE_S if self.watchers and not self._pace.is_hurried else SLOW_S
+
+    def _take_requests(self) -> None:
+        while not self._asked.empty():
+            request, answer = self._asked.get()
+            if request.do == "choose":
+                name = request.values["value"]
+                known = name in (self.snapshot.get("rigs") or ())
+                self._namespace = name if known else self._namespace
+                answer(known, f"looking at {name}" if known else f"there is no rig {name!r}")
+            elif self._gateway is not None:
+                self._gateway.begin(request, answer)
+            else:
+                answer(False, "there is no rig yet")
+        if self._gateway is not None:
+            self._gateway.watch()
+
+    def _discover(self) -> None:
+        node = self._client.node
+        scans = [
+            name
+            for name, types in node.get_topic_names_and_types()
+            if topics.TABLE in types and prefix_of(name, topics.SCAN) is not None and node.count_publishers(name)
+        ]
+        found = sorted(namespace(prefix) for prefix in prefixes(dict.fromkeys(scans, topics.TABLE)))
+        if len(found) == 1:
+            self._namespace = found[0]
+            return
+        words = "Several rigs are running: choose one." if found else "No rig is running yet: looking for one."
+        self.snapshot.put(rigs=found, rig={"word": "choose" if found else "starting", "text": words, "name": ""})
+
+    # What the page is told
+
+    def _tell(self) -> None:
+        """Bring the snapshot up to date."""
+        gateway, record = self._gateway, self.record
+        if gateway is None:
+            return
+        seen = {node: gateway.seen(node) for node in states.BY_NODE}
+        rig = seen["rig"]
+        if rig.instance != self._instance and not _waits(rig):
+            self._instance, record.begun_at_s = rig.instance, time.monotonic() - LATE_S
+        record.told_start_ns = LAST_NS if _waits(rig) else _stamp(rig.figures.get("start_ns", ""))
+        doubts = self.guard("doubts", record.doubts)
+        if doubts is None:
+            doubts = ["what speaks against it cannot be told"]
+        parts: dict[str, Callable[[], Any]] = {
+            "sources": lambda: {node: one.part() for node, one in seen.items()},
+            "rig": lambda: self._rig(seen, doubts),
+            "applied": lambda: record.drive,
+            "knobs": lambda: {name: record.knobs.get(name) for name in KNOBS} if record.knobs else None,
+            "configuration": lambda: record.configuration,
+            "closed_form": lambda: closed_form(record.knobs),
+            "dt": lambda: record.curve.part(record.start_ns),
+            "dt_now": lambda: state.present(seen["rig"], seen["analysis"], doubts),
+            "faults": lambda: None if _waits(rig) or not rig.figures else record.faults.in_force(record.since_ns()),
+            "health": lambda: record.health() if seen["analysis"].lives else None,
+            "journal": lambda: record.journal.part(record.start_ns),
+            "recorder": lambda: self._recorder(seen["recorder"]),
+            "lost": lambda: _lost(seen),
+            "sweep": lambda: self._sweep(seen["stepped_sine"]),
+            "stream": lambda: record.stream_part() if seen["rig"].lives else None,
+        }
+        self.tell(parts, record.knobs)
+
+    def _rig(self, seen: Mapping[str, Seen], doubts: Sequence[str]) -> dict[str, Any]:
+        rig = seen["rig"]
+        word, words = state.judge(rig, seen["analysis"], doubts)
+        rig_s = figure(rig.figures.get("rig_time_s"))
+        return {
+            "word": word, "text": words, "waits": _waits(rig),
+            "name": self._client.node.get_namespace(), "instance": rig.instance,
+            "age": round(rig.age_s or 0.0), "time": rig_s,
+            "speed": round(self._pace.read(rig_s or 0.0, rig.instance, stands=rig.state in STANDING), 2),
+            "mode": rig.figures.get("mode", ""), "own": self._own is not None,
+            "realised": figure(rig.figures.get("realised_restitution")), "over": _over_range(rig.figures),
+            "motion": self._pace.is_followed,
+        }  # fmt: skip
+
+    def _recorder(self, seen: Seen) -> dict[str, Any]:
+        directory = seen.figures.get("directory", "")
+        if directory:
+            self.directory = Path(directory)
+        return {
+            "lives": seen.lives, "gone": seen.gone, "state": seen.state, "reason": seen.reason,
+            "name": Path(directory).name, "megabytes": figure(seen.figures.get("megabytes")),
+        }  # fmt: skip
+
+    def _sweep(self, seen: Seen) -> dict[str, Any]:
+        return {
+            "text": self._client.status("stepped_sine").message if seen.lives else "", "state": seen.state,
+            "done": figure(seen.figures.get("points_done")), "of": figure(seen.figures.get("points")),
+        }  # fmt: skip
+
+
+def _waits(rig: Seen) -> bool:
+    """Whether a rig is there that has not begun: all that is known is of the one before."""
+    return rig.lives and "rig_time_s" not in rig.figures
+
+
+def _stamp(told: str) -> int:
+    """Return a stamp of the diagnostics [ns]; 0: it is none."""
+    return int(told) if re.fullmatch("[0-9]{1,19}", told) else 0
+
+
+def _lost(seen: Mapping[str, Seen]) -> dict[str, float] | None:
+    """Return what was lost and where, in words; None where nobody counts any more."""
+    found = {
+        "blocks withheld by a fault": seen["rig"].figures.get("lost_blocks"),
+        "scans missed by the analysis": seen["analysis"].figures.get("lost_scans"),
+        "blocks missed by the recorder": seen["recorder"].figures.get(f"lost.{SCAN.name}"),
+    }
+    counts = {name: count for name, value in found.items() if (count := figure(value)) is not None}
+    return {name: count for name, count in counts.items() if count} if counts else None
+
+
+def _over_range(figures: Mapping[str, str]) -> dict[str, float]:
+    found = {name: figure(figures.get(f"over_range.{name}")) or 0.0 for name in CHANNELS}
+    return {name: count for name, count in found.items() if count}

@@ -1,0 +1,67 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""`ros2 run impact_rig lab_node`: the page for a rig of the same namespace that runs already.
+
+Light on purpose: signals and the end of the parent are taken care of before anything heavy is imported.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+
+from impact_rig.nodes.__main__ import begin
+from impact_rig.system.endings import Ending
+
+WATCH_S = 0.2
+USE = (
+    "The laboratory's page, for a rig of the same namespace that runs already; it prints its address.",
+    "port:=8765",
+    "`impact-rig lab` starts a rig as well.",
+)
+
+
+def main() -> None:
+    """Serve until told to end."""
+    begin("lab", USE, lambda ending: sys.exit(ending.run(lambda: _serve(ending), interrupting=False)))
+
+
+def _serve(ending: Ending) -> int:
+    from impact_rig.errors import ImpactRigError  # noqa: PLC0415
+    from impact_rig_lab.live import LiveSource  # noqa: PLC0415
+    from impact_rig_lab.server import Server, kept_token  # noqa: PLC0415
+
+    domain_id, namespace, host, port = _settings()
+    try:
+        source = LiveSource(domain_id, namespace)
+        with Server(source, host, port, kept_token()) as server, source:
+            print(f"lab: {server.address}", flush=True)  # noqa: T201  # the one thing it is started for
+            while not ending.told:
+                time.sleep(WATCH_S)
+    except ImpactRigError as error:
+        print(f"lab_node: {error}", file=sys.stderr)  # noqa: T201
+        return 1
+    return 0
+
+
+def _settings() -> tuple[int, str, str, int]:
+    """Return domain, namespace, and the parameters `host` and `port`, as ROS arguments give them."""
+    from rclpy.context import Context  # noqa: PLC0415
+    from rclpy.node import Node  # noqa: PLC0415
+
+    from impact_rig_lab.server import LOOPBACK, PORT  # noqa: PLC0415
+
+    context = Context()
+    context.init(args=sys.argv)
+    node = Node("lab", context=context, enable_rosout=False, start_parameter_services=False)
+    try:
+        host = node.declare_parameter("host", LOOPBACK).value
+        port = node.declare_parameter("port", PORT).value
+        return context.get_domain_id(), node.get_namespace(), str(host), int(port)
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,482 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Recorded runs on the page: one, or two side by side, each played into rings, its rare messages read as marks.
+
+What a recording does not say is not shown: a measurement counts only until the next change, and a message that makes no
+sense costs itself alone.
+"""
+
+from __future__ import annotations
+
+import bisect
+import contextlib
+import math
+import tempfile
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any  # values of parameters
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig import codec, topics
+from impact_rig.blocks import Table
+from impact_rig.errors import ImpactRigError, RecordingError
+from impact_rig.recording import Message, Run, open_run
+from impact_rig.runs import recover
+from impact_rig.simtime import NS_PER_S
+from impact_rig.states import MEASURED
+from impact_rig_lab.protocol import Request
+from impact_rig_lab.record import MOST_ROWS, RigView, came_before, guard, plain, scan_rate, start_ns
+from impact_rig_lab.scope import LONGEST_S, Scope
+from impact_rig_lab.state import KNOBS, Answer, Source
+from impact_rig_lab.theory import closed_form
+
+DRAWN = (topics.STREAM, topics.WAVEFORM, topics.SCAN, topics.JOINT_STATES, topics.IMPACTS_TRUTH, topics.IMPACTS)
+RARE = (
+    topics.JOURNAL, topics.APPLIED, topics.TRANSMISSIBILITY_TABLE, topics.FAULTS, topics.IMPACTS_TRUTH, topics.NOTES,
+    topics.SCAN,
+)  # fmt: skip
+"""What the marks are made of."""
+MOST_FILLED = 250_000  # scans read before the instant that is jumped to
+BINS = 400
+TICK_S = 0.025
+TELL_S = 0.1
+MARKS_S = 1.0
+PEEK_S = 0.05  # an impact that is jumped to stands this much before the end of the picture
+AT_REST = {"frequency": 0.0, "current": 0.0}
+
+
+@attrs.frozen
+class Instant:
+    """What a rig was at an instant, as its recording says."""
+
+    values: Mapping[str, Any]
+    applied: Mapping[str, float]
+    latched: str  # by what the shaker was; empty: it was free
+    plucked: bool  # whether the base was locked
+    changed_ns: int  # when the last of all this came into force
+
+
+class RunPlayer:
+    """One run.
+
+    Args:
+        path: a run directory or an MCAP file; one that was cut short is recovered into a temporary directory first.
+
+    Raises:
+        RecordingError: nothing whole is in it, no scans, or a calibration that no board can have.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.recovered = False
+        self.offset_s = 0.0  # what is to be added to the time of the page for that of this run
+        self._stack = contextlib.ExitStack()
+        with contextlib.ExitStack() as stack:
+            self._run = stack.enter_context(self._open(path, stack))
+            known = {self._run.name(topic): topic for topic in (*DRAWN, *RARE, topics.INFO)}
+            self._topics = {name: topic for name, topic in known.items() if name in self._run.topics}
+            info = next(self._messages([topics.INFO]), None)
+            if info is None:
+                raise RecordingError(f"{path} has no calibration (daq/info)")
+            try:
+                calibration = codec.decode(info.data, topics.INFO)
+                self.rate_hz, self.start_ns = scan_rate(calibration), start_ns(calibration)
+            except ImpactRigError as error:
+                raise RecordingError(f"{path}: {error}") from error
+            first = next(self._messages([topics.SCAN]), None)
+            if first is None:
+                raise RecordingError(f"{path} holds no scans")
+            self.begin_ns, self.end_ns = codec.header_stamp_ns(first.data), self._run.end_ns
+            self.start_ns = min(self.start_ns, self.begin_ns)
+            self._stack = stack.pop_all()
+        self.record = RigView(most=None)
+        self.record.scope, self.record.start_ns = Scope(self.rate_hz), self.start_ns
+        self.read_s = 0.0  # how far the marks are read [s since scan 0]
+        self.whole = False
+        self._impacts: list[float] = []
+        self._lost: list[tuple[int, int]] = []
+        self._expected_ns = self.begin_ns
+        self._reading: Iterator[Message] | None = None
+        self._next: Message | None = None
+        self._end = threading.Event()
+        self._quiet = threading.Event()
+        self._quiet.set()
+        self._marker = threading.Thread(target=self._mark, name="lab-marks", daemon=True)
+
+    def _open(self, path: Path, stack: contextlib.ExitStack) -> Run:
+        try:
+            return open_run(path)
+        except RecordingError:
+            if not path.exists():
+                raise
+        directory = stack.enter_context(tempfile.TemporaryDirectory(prefix="impact_rig_lab_"))
+        recover(path, Path(directory) / "run")
+        self.recovered = True
+        return open_run(Path(directory) / "run")
+
+    def _messages(self, wanted: Sequence[topics.Topic], from_ns: int | None = None) -> Iterator[Message]:
+        names = [name for name, topic in self._topics.items() if topic in wanted]
+        return iter(self._run.messages(names, start_ns=from_ns)) if names else iter(())
+
+    def start(self) -> None:
+        """Begin to read the marks."""
+        self._marker.start()
+
+    def close(self) -> None:
+        """End."""
+        self._end.set()
+        if self._marker.is_alive():
+            self._marker.join()
+        self._stop_reading()
+        self._stack.close()
+
+    @property
+    def begin_s(self) -> float:
+        """Time of the first scan [s since scan 0]."""
+        return (self.begin_ns - self.start_ns) / NS_PER_S
+
+    @property
+    def end_s(self) -> float:
+        """Time of the last message."""
+        return (self.end_ns - self.start_ns) / NS_PER_S
+
+    def instant_ns(self, page_s: float) -> int:
+        """Return the stamp that belongs to an instant of the page."""
+        return self.start_ns + round((page_s + self.offset_s) * NS_PER_S)
+
+    # Playing
+
+    def jump(self, page_s: float) -> None:
+        """Fill the rings with what came before an instant."""
+        self._quiet.clear()
+        try:
+            self._stop_reading()
+            assert self.record.scope is not None
+            self.record.scope.clear()
+            self.record.forget_motion()
+            back_s = min(LONGEST_S + 0.5, MOST_FILLED / self.rate_hz)
+            self._reading = self._messages(DRAWN, self.instant_ns(page_s - back_s))
+            self._next = next(self._reading, None)
+            self.play(page_s)
+        finally:
+            self._quiet.set()
+
+    def play(self, page_s: float) -> None:
+        """Read on to an instant."""
+        until = self.instant_ns(page_s)
+        while self._next is not None and self._next.log_time <= until:
+            self.record.take(self._topics[self._next.topic], bytes(self._next.data))
+            self._next = next(self._reading, None) if self._reading is not None else None
+
+    def _stop_reading(self) -> None:
+        reading, self._reading, self._next = self._reading, None, None
+        if reading is not None and hasattr(reading, "close"):
+            reading.close()
+
+    # Marks
+
+    def _mark(self) -> None:
+        try:
+            for message in self._messages(RARE):
+                self._quiet.wait()  # a jump comes first
+                if self._end.is_set():
+                    return
+                self._note(self._topics[message.topic], message)
+                self.read_s = (message.log_time - self.start_ns) / NS_PER_S
+        except RecordingError as error:
+            self.record.refused["the file"] = [1, str(error)]  # what was read before is right
+            return
+        self.whole = True
+
+    def _note(self, topic: topics.Topic, message: Message) -> None:
+        note = {topics.SCAN.name: self._count_lost, topics.IMPACTS_TRUTH.name: self._note_impacts}.get(topic.name)
+        if note is None:
+            self.record.take(topic, bytes(message.data), message.log_time)
+        else:
+            guard(self.record.refused, topic.name, lambda: note(codec.decode(message.data, topic)))
+
+    def _note_impacts(self, table: Table) -> None:
+        begin = (table.stamp_ns - self.start_ns) / NS_PER_S
+        self._impacts += [begin + float(time) for time in table.rows["time"]]
+
+    def _count_lost(self, table: Table) -> None:
+        """Count the blocks, as long as this one, between the end of the one before and this one."""
+        length_ns = round(len(table.rows) * NS_PER_S / self.rate_hz)
+        if not length_ns:
+            return
+        expected_ns = self._expected_ns
+        if table.stamp_ns > expected_ns:  # between two rigs nothing is missing
+            expected_ns = max(expected_ns, self.record.since_ns(table.stamp_ns))
+        lost = round((table.stamp_ns - expected_ns) / length_ns)
+        if lost > 0:
+            self._lost.append((table.stamp_ns, lost))
+        self._expected_ns = table.stamp_ns + length_ns
+
+    def lost_blocks(self, page_s: float) -> int:
+        """Return how many blocks were missing before an instant, as far as was read."""
+        at = self.instant_ns(page_s)
+        return sum(count for stamp, count in list(self._lost) if stamp <= at)
+
+    def at(self, page_s: float) -> Instant:
+        """Return what the rig was at an instant of the page."""
+        at_ns = self.instant_ns(page_s)
+        view, change = self.record.journal.at(at_ns)
+        changed_ns = 0 if change is None else change.stamp_ns
+        drives = [one for one in list(self.record.applied) if one[0] <= at_ns] or [(self.start_ns, AT_REST)]
+        latched = "" if view.latched is None else plain(view.latched.key) or "emergency stop"
+        values = {
+            name: list(value) if isinstance(value, tuple) else value for name, value in view.configuration.items()
+        }
+        return Instant(values, drives[-1][1], latched, view.plucked, max(changed_ns, drives[-1][0]))
+
+    def present(self, page_s: float, then: Instant) -> dict[str, Any]:
+        """Return whether the newest measurement before an instant held then; as `state.present`.
+
+        It did where the shaker drove, nothing had changed since it began, and nothing spoke against it.
+        """
+        at_ns = self.instant_ns(page_s)
+        judged = [row for row in list(self.record.curve.judged) if row.end_ns <= at_ns]
+        rows = [row.status for row in judged if came_before(then.changed_ns, row)]
+        drives = then.applied["current"] > 0.0 and not then.latched and not then.plucked
+        state = "at_rest" if not drives else "settling" if not rows else "measuring"
+        reason = ""
+        if state == "measuring" and (rows[-1] not in MEASURED or rows[-1] == "not_settled"):
+            state, reason = "unable", plain(rows[-1])
+        return {
+            "state": state, "holds": state == "measuring" and not self.record.doubts(at_ns), "reason": reason,
+            "done": None, "of": None, "rest": None, "quiet": None, "quiet_of": None,
+        }  # fmt: skip
+
+    def rows(self, page_s: float) -> list[dict[str, Any]]:
+        """Return the measurements before an instant of the page, the newest if there are many."""
+        at_s = page_s + self.offset_s
+        return [row for row in self.record.curve.part(self.start_ns) if row["t"] <= at_s][-MOST_ROWS:]
+
+    def impact_after(self, page_s: float, direction: float) -> float | None:
+        """Return the next impact after an instant of the page, or the last one before it; None: there is none."""
+        times, time_s = sorted(self._impacts), page_s + self.offset_s
+        if direction > 0:
+            place = bisect.bisect_right(times, time_s + 1e-6)
+            return times[place] - self.offset_s if place < len(times) else None
+        place = bisect.bisect_left(times, time_s - 1e-6)
+        return times[place - 1] - self.offset_s if place else None
+
+    def histogram(self) -> list[int]:
+        """Return how many impacts there are in every four hundredth of the run."""
+        times: NDArray[np.float64] = np.array(list(self._impacts))
+        return [int(n) for n in np.histogram(times, BINS, (self.begin_s, max(self.end_s, self.begin_s + 1e-3)))[0]]
+
+
+class PlaybackSource(Source):
+    """Plays runs.
+
+    Args:
+        paths: of one run, or of two: the second is drawn beside the first.
+    """
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        self._runs: list[RunPlayer] = []
+        try:
+            for path in paths:
+                self._runs.append(RunPlayer(path))
+        except BaseException:
+            for run in self._runs:
+                run.close()
+            raise
+        first = self._runs[0]
+        self._now_s, self._begin_s, self._end_s = 0.0, first.begin_s, first.end_s
+        self._playing, self._speed, self._aligned = True, 1.0, "start"
+        self._impact_s = self._jumped_s = math.nan
+        """The impact that was jumped to, and the instant then: less than `PEEK_S` after it at the end of the run."""
+        for run in self._runs[1:]:
+            run.offset_s = run.begin_s - first.begin_s
+        super().__init__("playback", first.record)
+        self._move(self._begin_s)
+
+    @property
+    def other(self) -> Scope | None:
+        """The scans of the second run; None where it has none at this instant."""
+        if len(self._runs) < 2:
+            return None
+        run = self._runs[1]
+        return run.record.scope if run.begin_s <= self.now_s + run.offset_s <= run.end_s else None
+
+    @property
+    def now_s(self) -> float:
+        """The instant played."""
+        return self._now_s
+
+    def start(self) -> None:
+        """Begin."""
+        for run in self._runs:
+            run.start()
+        super().start()
+
+    def close(self) -> None:
+        """End."""
+        super().close()
+        for run in self._runs:
+            run.close()
+
+    def _run(self) -> None:
+        before = time.monotonic()
+        told = marked = 0.0
+        while not self.end.wait(TICK_S):
+            self.guard("requests", self._obey)
+            now = time.monotonic()
+            if self._playing and self.watchers:
+                self.guard("playing", lambda: self._play(self.now_s + (now - before) * self._speed))  # noqa: B023
+            before = now
+            if now - told >= TELL_S:
+                told = now
+                self.guard("state", self._tell)
+            if now - marked >= MARKS_S:
+                marked = now
+                self.guard("marks", lambda: self.snapshot.put(impact_marks=self._runs[0].histogram()))
+
+    def _refusals(self) -> dict[str, list[Any]]:
+        others = {name: found for run in self._runs[1:] for name, found in run.record.refused.items()}
+        return {**others, **super()._refusals()}
+
+    def _play(self, until_s: float) -> None:
+        with self.record.lock:
+            self._now_s = min(until_s, self._end_s)
+            for run in self._runs:
+                run.play(self.now_s)
+        if self.now_s >= self._end_s:
+            self._playing = False
+
+    def _move(self, to_s: float) -> None:
+        with self.record.lock:
+            self._now_s = min(max(to_s, self._begin_s), self._end_s)
+            for run in self._runs:
+                run.jump(self.now_s)
+
+    # What pages ask for
+
+    def _obey(self) -> None:
+        """Do what is asked; of several jumps that wait only the last one."""
+        asked: list[tuple[Request, Answer]] = []
+        while not self._asked.empty():
+            asked.append(self._asked.get())
+        jumps = [number for number, (request, _) in enumerate(asked) if request.do == "seek"]
+        for number, (request, answer) in enumerate(asked):
+            if request.do == "seek" and number != jumps[-1]:
+                answer(True, "")
+                continue
+            try:
+                done = True, self._do(request)
+            except ImpactRigError as error:
+                done = False, str(error)
+            self.guard("state", self._tell)  # what is shown now comes before the answer
+            answer(*done)
+
+    def _do(self, request: Request) -> str:
+        value: Any = request.values.get("value")  # of the type that the protocol has checked
+        match request.do:
+            case "play":
+                if value and self.now_s >= self._end_s:
+                    self._move(self._begin_s)
+                self._playing = value
+            case "pause":
+                self._playing = not value
+            case "speed":
+                self._speed = value
+            case "seek":
+                self._move(value)
+            case "next_impact":
+                shown_s = self._impact_s if self.now_s == self._jumped_s else self.now_s - PEEK_S
+                found = self._runs[0].impact_after(shown_s, value or 1.0)
+                if found is None:
+                    raise RecordingError("there is no further impact in what was read so far")
+                self._playing = False
+                self._move(found + PEEK_S)
+                self._impact_s, self._jumped_s = found, self.now_s
+            case "align":
+                return self._align(request.values["by"], value)
+            case _:
+                raise RecordingError(f"{request.do}: a recorded run cannot be changed")
+        return ""
+
+    def _align(self, by: str, at_s: float) -> str:
+        """Lay the second run beside the first.
+
+        Args:
+            by: `start`: both begin together; `time`: by the time since scan 0; `change`: the first run's change nearest
+                to an instant lies beside the same one of the second.
+            at_s: that instant.
+        """
+        if len(self._runs) < 2:
+            raise RecordingError("one run is shown: there is nothing to align")
+        first, second = self._runs
+        words = {"start": "both runs begin together", "time": "both runs by their time since scan 0"}.get(by, "")
+        offset_s = second.begin_s - first.begin_s if by == "start" else 0.0
+        if by == "change":
+            changes = [line for line in first.record.journal.part(first.start_ns) if line[0] >= first.begin_s]
+            if not changes:
+                raise RecordingError(f"nothing changes in {first.path.name}, as far as it was read")
+            chosen = min(changes, key=lambda line: abs(line[0] - at_s))
+            same = [line for line in second.record.journal.part(second.start_ns) if line[1:] == chosen[1:]]
+            if not same:
+                raise RecordingError(f"{second.path.name} has no {' '.join(chosen[1:]).strip()}")
+            offset_s = same[0][0] - chosen[0]
+            words = f"both runs at {' '.join(chosen[1:]).strip()}"
+        second.offset_s, self._aligned = offset_s, by
+        self._move(self.now_s)
+        return words
+
+    # What pages are told
+
+    def _tell(self) -> None:
+        run, record = self._runs[0], self.record
+        then, at_ns = run.at(self.now_s), run.instant_ns(self.now_s)
+        lost = run.lost_blocks(self.now_s)
+        word = "playback" if self._playing else "paused playback"
+        self.tell({
+            "rig": lambda: {
+                "word": word, "text": " ".join(map(self._words, self._runs)), "name": run.path.name, "age": 0,
+                "time": round(self.now_s, 2), "speed": self._speed if self._playing else 0.0, "mode": "playback",
+                "own": False, "over": {},
+            },
+            "applied": lambda: then.applied,
+            "knobs": lambda: {name: then.values[name] for name in KNOBS},
+            "dt": lambda: run.rows(self.now_s),
+            "dt_now": lambda: run.present(self.now_s, then),
+            **({"dt_b": lambda: self._runs[1].rows(self.now_s)} if len(self._runs) > 1 else {}),
+            "closed_form": lambda: closed_form(then.values),
+            "faults": lambda: record.faults.in_force(record.since_ns(at_ns), at_ns),
+            "health": lambda: record.health(at_ns),
+            "journal": lambda: record.journal.part(run.start_ns),
+            "recorder": lambda: {"name": run.path.name},
+            "stream": record.stream_part,
+            "lost": lambda: {"blocks missing in the recording": lost} if lost else {},
+            "playback": lambda: {
+                "begin": self._begin_s, "end": round(self._end_s, 3), "now": round(self.now_s, 3),
+                "playing": self._playing, "speed": self._speed,
+                "read": 1.0 if run.whole else round(run.read_s / max(self._end_s, 1e-3), 2),
+                "names": [one.path.name for one in self._runs], "aligned": self._aligned,
+            },
+        }, then.values)  # fmt: skip
+
+    def _words(self, run: RunPlayer) -> str:
+        """Return what a run does now."""
+        then = run.at(self.now_s)
+        name = f"{run.path.name} (cut short: what is whole is shown)" if run.recovered else run.path.name
+        if not run.begin_s <= self.now_s + run.offset_s <= run.end_s:
+            found = "nothing was recorded now"
+        elif then.latched:
+            found = f"the shaker was latched by {then.latched}"
+        elif then.plucked:
+            found = "the base was locked after a pluck"
+        elif run.record.stream is not None and run.record.stream["playing"]:
+            found = "driven by a stream of samples"
+        elif then.applied["current"]:
+            found = f"driven at {then.applied['frequency']:g} Hz, {then.applied['current']:g} A"
+        else:
+            found = "at rest"
+        return f"{name}: {found}."

@@ -1,0 +1,236 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""What travels over the WebSocket: requests of the page, checked before anybody looks at them, and frames to the page.
+
+A request is a text of JSON: `{"id": 7, "do": "frequency", "value": 9.1}`; `REQUESTS` lists what can be asked. Each is
+answered by a frame REPLY with its id, `ok` and words; `ack` and `view` are not answered.
+
+A frame is binary, little-endian: kind u1, 3 bytes of padding, number u4, then by kind
+
+    STATE   JSON: the parts of the snapshot that have changed
+    REPLY   JSON: id, ok, text
+    TRACE, TRACE_B  begin, column, trigger, now f8 [s], channels u4, columns u4; low f4[channels][columns], high so too,
+            status u1[columns]
+    MOTION  rows u4, columns u4; rows f8: time, x_b, x_1, x_2, v_b, v_1, v_2
+    IMPACTS, DETECTED  as MOTION: time, wall, approach, separation, peak force; time, peak, sign
+    SPECTRUM  resolution f8 [Hz], count u4, channel u4; amplitudes f4
+"""
+
+from __future__ import annotations
+
+import enum
+import json
+import math
+import struct
+from collections.abc import Callable, Mapping
+from typing import Any  # what JSON may hold
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.errors import ImpactRigError
+from impact_rig.instruments.section import CHANNELS
+from impact_rig.system.files import plain
+from impact_rig_lab.scope import LONGEST_S, Trace
+
+LONGEST_REQUEST = 65536  # bytes; longer ones are refused, and the connection is closed
+LONGEST_TEXT = 500
+MOST_COLUMNS = 4000
+MOST_FREQUENCIES = 200
+LARGEST_ID = 2**53
+
+
+class RequestError(ImpactRigError, ValueError):
+    """A request that makes no sense; the message says why."""
+
+
+class FrameKind(enum.IntEnum):
+    """Kinds of frames."""
+
+    STATE = 1
+    REPLY = 2
+    TRACE = 3
+    MOTION = 4
+    IMPACTS = 5
+    DETECTED = 6
+    SPECTRUM = 7
+    TRACE_B = 8
+
+
+@attrs.frozen
+class Request:
+    """One request."""
+
+    id: int
+    do: str
+    values: Mapping[str, Any]
+    rig: str | None = None  # instance of the rig that its page showed; None: the page did not say
+
+
+Check = Callable[[str, object], Any]
+
+
+def number(low: float = -math.inf, high: float = math.inf) -> Check:
+    """Return a check for a finite number in a closed range."""
+
+    def check(name: str, value: object) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise RequestError(f"{name} must be a number, got {_short(value)}")
+        try:
+            found = float(value)
+        except OverflowError as error:
+            raise RequestError(f"{name} must be finite, got a number of {len(str(value))} digits") from error
+        if not (math.isfinite(found) and low <= found <= high):
+            raise RequestError(f"{name} must be a finite number within {low:g} and {high:g}, got {found:g}")
+        return found
+
+    return check
+
+
+def flag(name: str, value: object) -> bool:
+    """Check for true or false."""
+    if not isinstance(value, bool):
+        raise RequestError(f"{name} must be true or false, got {_short(value)}")
+    return value
+
+
+def word(*known: str) -> Check:
+    """Return a check for one of some words."""
+
+    def check(name: str, value: object) -> str:
+        if not isinstance(value, str) or value not in known:
+            raise RequestError(f"{name} must be one of {', '.join(known)}, got {_short(value)}")
+        return value
+
+    return check
+
+
+def text(name: str, value: object) -> str:
+    """Check for a text that can be published: no control characters, not too long."""
+    if not isinstance(value, str) or len(value) > LONGEST_TEXT or not value.isprintable():
+        raise RequestError(f"{name} must be a printable text of at most {LONGEST_TEXT} characters, got {_short(value)}")
+    return value
+
+
+def document(name: str, value: object) -> str:
+    """Check for the content of a file."""
+    if not isinstance(value, str):
+        raise RequestError(f"{name} must be a text, got {_short(value)}")
+    return value
+
+
+def frequencies(name: str, value: object) -> tuple[float, ...]:
+    """Check for a list of frequencies."""
+    if not isinstance(value, list) or not 1 <= len(value) <= MOST_FREQUENCIES:
+        raise RequestError(f"{name} must be a list of 1 to {MOST_FREQUENCIES} numbers, got {_short(value)}")
+    return tuple(number(1e-3, 1e4)(name, one) for one in value)
+
+
+def _short(value: object) -> str:
+    return repr(value)[:80]
+
+
+_ANY = number(-1e300, 1e300)  # the rig itself says what it takes, in its own words
+REQUESTS: Mapping[str, Mapping[str, Check]] = {
+    "ack": {"frame": number(0, LARGEST_ID)},
+    "view": {
+        "span": number(0.05, LONGEST_S),
+        "columns": number(16, MOST_COLUMNS),
+        "trigger": flag,
+        "spectrum": word("", *CHANNELS),
+        "top": number(1.0, 5e4),
+    },
+    "frequency": {"value": _ANY},
+    "current": {"value": _ANY},
+    "gap": {"value": _ANY},
+    "start": {"value": text},
+    "law": {"value": text},
+    "restitution": {"value": _ANY},
+    "stop": {},
+    "reset": {},
+    "pluck": {"value": _ANY},
+    "clear_trip": {},
+    "pause": {"value": flag},
+    "sweep": {
+        "frequencies": frequencies,
+        "direction": word("up", "down", "up_down"),
+        "hold": word("command", "current", "base", "superior", "phase"),
+        "target": _ANY,
+    },
+    "sweep_stop": {},
+    "fault": {"kind": text, "channel": text, "value": _ANY, "duration": _ANY, "rate": _ANY},
+    "clear_faults": {},
+    "load": {"value": document},
+    "note": {"value": text},
+    "record": {"value": flag},
+    "restart": {},
+    "recover": {},
+    "choose": {"value": text},
+    "play": {"value": flag},
+    "speed": {"value": number(0.25, 20.0)},
+    "seek": {"value": number(-1e9, 1e9)},
+    "next_impact": {"value": number(-1, 1)},
+    "align": {"value": number(-1e9, 1e9), "by": word("start", "time", "change")},
+}
+"""What can be asked: name -> values with their checks; all of them must be there. `rig` may be there as well."""
+
+
+def parse(raw: str | bytes) -> Request:
+    """Return a request.
+
+    Raises:
+        RequestError: it is too long, no JSON object, asks for what is not there, or a value is not what it should be.
+    """
+    if len(raw) > LONGEST_REQUEST:
+        raise RequestError(f"a request has at most {LONGEST_REQUEST} bytes, got {len(raw)}")
+    try:
+        found = json.loads(raw)
+    except (ValueError, RecursionError) as error:  # no JSON, no UTF-8, nested without end
+        raise RequestError(f"a request is JSON: {type(error).__name__}") from error
+    if not isinstance(found, dict):
+        raise RequestError(f"a request is a JSON object, got {_short(found)}")
+    do = found.pop("do", None)
+    if not isinstance(do, str) or do not in REQUESTS:
+        raise RequestError(f"there is no request {_short(do)}")
+    identity = number(0, LARGEST_ID)("id", found.pop("id", 0))
+    if identity != int(identity):
+        raise RequestError(f"id must be whole, got {identity:g}")
+    rig = found.pop("rig", None)
+    if rig is not None:
+        rig = text("rig", rig)
+    checks = REQUESTS[do]
+    if found.keys() != checks.keys():
+        raise RequestError(f"{do} takes {', '.join(checks) or 'nothing'}, got {_short(sorted(found))}")
+    return Request(int(identity), do, {name: check(name, found[name]) for name, check in checks.items()}, rig)
+
+
+# Frames
+
+_HEAD = struct.Struct("<BxxxI")
+_TRACE = struct.Struct("<4dII")
+_ROWS = struct.Struct("<II")
+_SPECTRUM = struct.Struct("<dII")
+
+
+def json_frame(kind: FrameKind, number: int, content: Mapping[str, Any]) -> bytes:
+    """Return a frame STATE or REPLY."""
+    return _HEAD.pack(kind, number & 0xFFFFFFFF) + json.dumps(plain(content), separators=(",", ":")).encode()
+
+
+def trace_frame(kind: FrameKind, number: int, trace: Trace, now_s: float) -> bytes:
+    """Return a frame TRACE, or TRACE_B of a second run."""
+    head = _TRACE.pack(trace.begin_s, trace.column_s, trace.trigger_s, now_s, *trace.low.shape)
+    parts = (trace.low.tobytes(), trace.high.tobytes(), trace.status.tobytes())
+    return b"".join((_HEAD.pack(kind, number & 0xFFFFFFFF), head, *parts))
+
+
+def rows_frame(kind: FrameKind, number: int, rows: NDArray[np.float64]) -> bytes:
+    """Return a frame MOTION, IMPACTS or DETECTED."""
+    return _HEAD.pack(kind, number & 0xFFFFFFFF) + _ROWS.pack(*rows.shape) + rows.astype("<f8").tobytes()
+
+
+def spectrum_frame(number: int, resolution_hz: float, amplitudes: NDArray[np.float32], channel: int) -> bytes:
+    """Return a frame SPECTRUM."""
+    head = _SPECTRUM.pack(resolution_hz, len(amplitudes), channel)
+    return _HEAD.pack(FrameKind.SPECTRUM, number & 0xFFFFFFFF) + head + amplitudes.astype("<f4").tobytes()

@@ -1,0 +1,487 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""What is known of one rig, live or recorded: its messages, into rings for pictures and lines and rows for the page.
+
+A message that makes no sense costs that message: it is counted under its topic. Times are seconds since scan 0; what
+came before it is negative.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar  # Any: what goes to JSON
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig import codec, topics
+from impact_rig.analysis.transmissibility import note_on
+from impact_rig.blocks import Table
+from impact_rig.errors import CodecError, ImpactRigError, RecordingError
+from impact_rig.rig.config import parameters_in
+from impact_rig.rig.journal import PLANNED, SEPARATOR, InputKind, JournalInput, JournalView, short_key
+from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
+from impact_rig.states import MEASURED, Status
+from impact_rig_lab.scope import Scope
+
+BODIES = 3
+MOST_ROWS = 400
+MOST_ENTRIES = 300
+MOST_APPLIED = 100
+T = TypeVar("T")
+ABOUT = {
+    Status.ACCELEROMETER_OVER_RANGE.value: "accelerometer", Status.ACCELEROMETER_UNSOUND.value: "accelerometer",
+    Status.CURRENT_UNSOUND.value: "current",
+}  # fmt: skip
+"""Statuses of sound rows that name a channel themselves: the column `channel` tells what contributes most to u."""
+NO_CHANGE = (
+    InputKind.FAULT,
+    InputKind.CLEAR_FAULT,
+    InputKind.STREAM,
+)  # a measurement holds on; `truth/faults` tells of faults
+LAST_NS = 2**63
+SAME_M = 1e-9  # gaps nearer to each other are one
+HIGHEST_RATE_HZ = 1e7
+LONGEST_RUN_S = 1e9
+STREAM = ("buffered", "capacity", "playing", "late", "refused", "missing", "rate")
+UNITS = {"frequency": "Hz", "current": "A", "over_travel": "m", "over_current": "A"}
+
+
+def text(raw: Any) -> str:
+    """Return the text in a column."""
+    return bytes(raw).rstrip(b"\0").decode("utf-8", errors="replace")
+
+
+def plain(word: str) -> str:
+    """Return a key as people write it."""
+    return word.replace("_", " ")
+
+
+class Rows:
+    """A ring of rows of numbers, the first the time [s]; each reader takes those that are new to it."""
+
+    def __init__(self, size: int, columns: int) -> None:
+        self._rows = np.zeros((size, columns))
+        self.count = 0  # rows ever added
+
+    def add(self, row: tuple[float, ...]) -> None:
+        """Append one row."""
+        self._rows[self.count % len(self._rows)] = row
+        self.count += 1
+
+    def since(self, number: int, most: int = 2000) -> NDArray[np.float64]:
+        """Return the rows from a number on, the newest if there are more than are kept or asked for; shape (n, …)."""
+        first = max(number, self.count - min(len(self._rows), most), 0)
+        return self._rows[np.arange(first, self.count) % len(self._rows)]
+
+
+class MotionBuffer:
+    """The last seconds of true motion.
+
+    Attributes:
+        states: time, x_b, x_1, x_2, v_b, v_1, v_2.
+        impacts: time, wall, approach speed, separation speed, peak force.
+        detected: time, peak, sign.
+    """
+
+    def __init__(self) -> None:
+        self.states = Rows(4096, 7)
+        self.impacts = Rows(4096, 5)
+        self.detected = Rows(4096, 3)
+
+    def add_state(self, data: bytes, start_ns: int) -> None:
+        """Take a message of `truth/joint_states`.
+
+        Raises:
+            CodecError: it is none, or of another number of bodies.
+        """
+        stamp, (positions, velocities, _efforts) = codec.joint_state(data)
+        if not len(positions) == len(velocities) == BODIES:
+            raise CodecError(f"a joint state of this rig has {BODIES} bodies, got {len(positions)}")
+        self.states.add(((stamp - start_ns) / NS_PER_S, *positions, *velocities))
+
+    def add_rows(self, table: Table, start_ns: int) -> None:
+        """Take a table of `truth/impacts`, or of `impacts`."""
+        true = ("wall", "approach_speed", "separation_speed", "peak_force")
+        is_true = "wall" in (table.rows.dtype.names or ())
+        ring, names = (self.impacts, true) if is_true else (self.detected, ("peak", "sign"))
+        begin = (table.stamp_ns - start_ns) / NS_PER_S
+        for row in table.rows:
+            ring.add((begin + row["time"], *(row[name] for name in names)))
+
+
+class RigHistory:
+    """The journal, faults and remarks, as lines for people; and what the rig is by the journal, at any instant.
+
+    Args:
+        most: changes that are kept; None: all, and all lines.
+    """
+
+    def __init__(self, most: int | None = MOST_APPLIED) -> None:
+        self._view = JournalView()
+        self._changes: deque[JournalInput] = deque(maxlen=most)
+        self._lines: deque[list[Any]] = deque(maxlen=None if most is None else MOST_ENTRIES)
+        self._part: tuple[int, list[list[Any]]] | None = None
+
+    def add(self, table: Table) -> None:
+        """Take a table of `rig/journal`.
+
+        Raises:
+            ConfigError: it is none.
+        """
+        for change in self._view.take(table):
+            self._changes.append(change)
+            if change.kind is InputKind.PARAMETER:
+                for name, value in change.configuration.items():
+                    words = SEPARATOR.join(value) if isinstance(value, tuple) else value
+                    shown = words if isinstance(words, str) else f"{words:.6g}"
+                    self._add(change.stamp_ns, "parameter", short_key(name), shown)
+            elif change.kind is not InputKind.INITIAL:
+                words = "" if change.text else _value(change.kind, change.key, change.value)
+                self._add(change.stamp_ns, change.kind.value, change.key, change.text or words)
+
+    @property
+    def configuration(self) -> Mapping[str, Any]:
+        """Return the parameters that are in force, by name."""
+        return self._view.configuration
+
+    def remark(self, words: str, stamp_ns: int) -> None:
+        """Take an operator's remark."""
+        self._add(stamp_ns, "note", "", words[:200])
+
+    def fault(self, table: Table) -> None:
+        """Take a table of `truth/faults`."""
+        for row in table.rows:
+            what = f"{text(row['kind'])} {text(row['channel'])}".strip()
+            self._add(table.stamp_ns, "fault", "begins" if row["active"] else "ends", what)
+
+    def _add(self, *line: Any) -> None:
+        self._part = None
+        self._lines.append([*line])
+
+    def part(self, start_ns: int) -> list[list[Any]]:
+        """Return time, kind, key, words of every line, in order; the same list while nothing is new."""
+        if self._part is None or self._part[0] != start_ns:
+            found = sorted(self._lines, key=lambda line: line[0])
+            self._part = start_ns, [[round((stamp - start_ns) / NS_PER_S, 3), *words] for stamp, *words in found]
+        return self._part[1]
+
+    def at(self, instant_ns: int) -> tuple[JournalView, JournalInput | None]:
+        """Return what the rig was at an instant, and what had changed it last."""
+        view, newest = JournalView(), None
+        for change in list(self._changes):
+            if change.stamp_ns <= instant_ns:
+                view.follow(change)
+                if change.kind not in NO_CHANGE and set(change.configuration) != {PLANNED}:
+                    newest = change
+        return view, newest
+
+
+def _value(kind: InputKind, key: str, value: float) -> str:
+    if kind in (InputKind.COMMAND, InputKind.TRIP):
+        return f"{value:.6g} {UNITS.get(key, '')}".strip()
+    if kind is InputKind.CLEAR_FAULT:
+        return f"{value:.6g}"
+    return f"{value * 1e3:.4g} mm" if kind is InputKind.PLUCK else ""
+
+
+class Faults:
+    """Instrument faults, of `truth/faults`: which are in force, now or at an instant.
+
+    Args:
+        most: begins and ends that are kept; None: all.
+    """
+
+    def __init__(self, most: int | None = MOST_ENTRIES) -> None:
+        self._rows: deque[tuple[int, int, bool, str]] = deque(maxlen=most)
+
+    def add(self, table: Table) -> None:
+        """Take a table of `truth/faults`."""
+        for row in table.rows:
+            what = f"{plain(text(row['kind']))} {text(row['channel'])}".strip()
+            stamp = table.stamp_ns + round(float(row["time"]) * NS_PER_S)
+            self._rows.append((stamp, int(row["id"]), bool(row["active"]), f"{what} ({float(row['value']):g})"))
+
+    def in_force(self, start_ns: int, at_ns: int | None = None) -> list[str]:
+        """Return the faults that are in force at an instant (None: after everything that was heard), in words.
+
+        Args:
+            start_ns: stamp of scan 0; a fault of before belongs to another record.
+            at_ns: the instant.
+        """
+        now_ns = LAST_NS if at_ns is None else at_ns
+        return self.acting(start_ns, now_ns, now_ns)
+
+    def acting(self, start_ns: int, begin_ns: int, end_ns: int) -> list[str]:
+        """Return the faults that were in force at any instant of a stretch, in words."""
+        found: dict[int, str] = {}
+        for stamp, number, begins, words in self._rows:
+            if begins and start_ns <= stamp <= end_ns:
+                found[number] = words
+            elif not begins and stamp <= begin_ns:
+                found.pop(number, None)
+        return list(found.values())
+
+
+@attrs.frozen
+class Judged:
+    """A row of `transmissibility/table`: first and last scan [ns], status, the channel that it is about, its label."""
+
+    begin_ns: int
+    end_ns: int
+    status: str
+    channel: str
+    gap_m: float  # as the operator has told the analysis; NaN: he has not
+
+
+class Curve:
+    """The measurements of the transmissibility.
+
+    Args:
+        most: rows that are kept; None: all.
+    """
+
+    def __init__(self, most: int | None = MOST_ROWS) -> None:
+        self._rows: deque[tuple[int, dict[str, Any]]] = deque(maxlen=most)
+        self.judged: deque[Judged] = deque(maxlen=most)
+        """Every row, those without numbers too."""
+        self._part: tuple[int, list[dict[str, Any]]] | None = None
+
+    def add(self, table: Table) -> None:
+        """Take a table of `transmissibility/table`."""
+        for row in table.rows:
+            status = text(row["status"])
+            channel = text(row["channel"]) if "channel" in row.dtype.names else ""
+            sound = status in (Status.OK, Status.NO_IMPACTS, Status.NOT_SETTLED)
+            cycles, frequency_hz = float(row["cycles"]), float(row["frequency"])
+            length_s = cycles / frequency_hz if frequency_hz > 0.0 else 0.0
+            begin_ns = table.stamp_ns - round(min(length_s, LONGEST_RUN_S) * NS_PER_S)
+            about = "" if sound else ABOUT.get(status, channel)
+            self.judged.append(Judged(begin_ns, table.stamp_ns, status, about, float(row["gap"])))
+            if status in MEASURED:
+                self._rows.append((table.stamp_ns, _measurement(row)))
+                self._part = None
+
+    def newest(self, at_ns: int | None = None) -> Judged | None:
+        """Return the newest row, or that of an instant."""
+        rows = [row for row in list(self.judged) if at_ns is None or row.end_ns <= at_ns]
+        return rows[-1] if rows else None
+
+    def health(self, at_ns: int | None = None) -> dict[str, str] | None:
+        """Return what the newest row, or that of an instant, says against a channel, in words.
+
+        None: there is no row, or it judges no channel, so nothing is known; empty: it says nothing against any.
+        """
+        row = self.newest(at_ns)
+        if row is None or not (row.channel or row.status in MEASURED):
+            return None
+        return {row.channel: plain(row.status)} if row.channel else {}
+
+    def part(self, start_ns: int) -> list[dict[str, Any]]:
+        """Return the rows, oldest first; the same list while nothing is new."""
+        if self._part is None or self._part[0] != start_ns:
+            found = [{"t": round((stamp - start_ns) / NS_PER_S, 3), **row} for stamp, row in self._rows]
+            self._part = start_ns, found
+        return self._part[1]
+
+
+def _measurement(row: NDArray[np.void]) -> dict[str, Any]:
+    return {
+        "f": float(row["frequency"]), "dt": float(row["transmissibility"]),
+        "u": float(row["transmissibility_uncertainty"]), "phase": math.degrees(float(row["phase"])),
+        "settled": bool(row["settled"] == 1.0), "gap": float(row["gap"]), "ipc": float(row["impacts_per_cycle"]),
+        "x1": float(row["laser_amplitude"]), "xb": float(row["base_amplitude"]), "i": float(row["current_amplitude"]),
+        "spread": float(row["spread"]), "period": float(row["period"]), "thd": float(row["thd"]),
+        "note": note_on(row), "regime": text(row["regime"]),
+        "status": "" if text(row["status"]) == Status.OK else plain(text(row["status"])),
+    }  # fmt: skip
+
+
+class RigView:
+    """One rig: every message of it comes through `take`, from the graph or from a file.
+
+    Args:
+        most: changes of rig and drive that are kept; None: all, and every row and fault: one goes back to any instant.
+    """
+
+    def __init__(self, most: int | None = MOST_APPLIED) -> None:
+        self.scope: Scope | None = None
+        """The newest scans; None before the calibration has said how many there are a second."""
+        self.motion = MotionBuffer()
+        self.journal = RigHistory(most)
+        self.faults = Faults(None if most is None else MOST_ENTRIES)
+        self.curve = Curve(None if most is None else MOST_ROWS)
+        self.epoch = 0  # counts resets and jumps: what was drawn before belongs to another record
+        self.start_ns = self.newest_ns = 0
+        self.told_start_ns = 0
+        """Stamp of scan 0 by the rig's diagnostics: where it is later than `start_ns`, the `daq/info` of a rig that has
+        just begun has not come, and all that is known is of the one before."""
+        self.configuration = ""  # what is in force, as a ROS 2 parameter file
+        self.knobs: dict[str, Any] = {}  # the same by name
+        self.applied: deque[tuple[int, dict[str, float]]] = deque(maxlen=most)
+        """The newest changes of the drive, and when they came into force."""
+        self.changes = 0  # how many there were
+        self.changed_at_s = 0.0  # when the newest was heard, by our clock
+        self.begun_at_s = 0.0
+        """What was heard before is of another rig: one that runs faster than our time stamps ahead of its successor."""
+        self.refused: dict[str, list[Any]] = {}  # messages that made no sense, by topic: how many, and the last reason
+        self.stream: dict[str, float] | None = None
+        """The newest of `shaker/stream`; None: the rig is driven by no stream."""
+        self.lock = threading.Lock()  # held while rings are written or read
+
+    def since_ns(self, at_ns: int | None = None) -> int:
+        """Return the stamp of scan 0 of the rig that is there, now or at an instant: what is older is of another."""
+        if at_ns is None:
+            return max(self.start_ns, self.told_start_ns)
+        return max(self.start_ns, self.journal.at(at_ns)[0].start_ns or 0)
+
+    def doubts(self, at_ns: int | None = None) -> list[str]:
+        """Return what speaks against the newest measurement, now or at an instant, in words."""
+        since_ns, row = self.since_ns(at_ns), self.curve.newest(at_ns)
+        faults = self.faults.in_force(since_ns, at_ns)
+        found = [f"{fault} is in force (truth)" for fault in faults]
+        found += [f"{channel}: {word}" for channel, word in (self.curve.health(at_ns) or {}).items()]
+        if row is None:
+            return found
+        over = [fault for fault in self.faults.acting(since_ns, row.begin_ns, row.end_ns) if fault not in faults]
+        found += [f"{fault} was in force while it was made (truth)" for fault in over]
+        view, change = self.journal.at(LAST_NS if at_ns is None else at_ns)
+        if change is not None and not came_before(change.stamp_ns, row):
+            found.append(f"{plain(change.key or change.kind.value)} was changed after it began")
+        configuration = self.journal.configuration if at_ns is None else view.configuration
+        gap_m: Any = configuration["barriers.gap_m"] if configuration["sphere.present"] else 0.0
+        if abs(row.gap_m - gap_m) > SAME_M:  # not where it has no label
+            found.append(f"its label says a gap of {row.gap_m * 1e3:g} mm, the rig has {gap_m * 1e3:g} mm")
+        return found
+
+    def health(self, at_ns: int | None = None) -> dict[str, str] | None:
+        """Return what `Curve.health` does, of the drive that is in force now, or at an instant.
+
+        None as well at rest, where no measurement is made (a pluck looks like spikes and a silent base), and until the
+        first row after a change of the drive.
+        """
+        change, row = self._change(at_ns), self.curve.newest(at_ns)
+        if change is None or change[1]["current"] == 0.0 or row is None or row.end_ns <= change[0]:
+            return None
+        return self.curve.health(at_ns)
+
+    def take(self, topic: topics.Topic, data: bytes, at_ns: int | None = None) -> None:
+        """Take a message that came at `at_ns` (None: now); where that fails, count it."""
+        guard(self.refused, topic.name, lambda: self._take(topic, data, at_ns))
+
+    def _take(self, topic: topics.Topic, data: bytes, at_ns: int | None) -> None:
+        if topic is topics.JOINT_STATES:
+            self.motion.add_state(data, self.start_ns)
+        elif topic is topics.NOTES:
+            self.journal.remark(codec.text(data), self.newest_ns if at_ns is None else at_ns)
+        elif topic is topics.CONFIGURATION:
+            content = codec.text(data)
+            self.knobs, self.configuration = parameters_in(content), content
+        else:
+            self._take_table(topic, codec.decode(data, topic))
+
+    def _take_table(self, topic: topics.Topic, table: Table) -> None:
+        if topic is topics.SCAN:
+            if self.scope is not None and len(table.rows):
+                self.scope.add(table, self.start_ns)
+                self.newest_ns = max(self.newest_ns, table.stamp_ns)
+        elif topic is topics.STREAM:
+            self.stream = {name: float(table.rows[name][0]) for name in STREAM}
+        elif topic is topics.WAVEFORM:
+            is_current = self.journal.configuration.get("drive.kind") == "current"
+            if self.scope is not None and self.stream is not None and is_current:
+                self.scope.command(table, self.stream["rate"], self.start_ns)
+        elif topic in (topics.IMPACTS, topics.IMPACTS_TRUTH):
+            self.motion.add_rows(table, self.start_ns)
+        elif topic is topics.INFO:
+            self._begin(table)
+        elif topic is topics.APPLIED:
+            for row in table.rows:
+                stamp = table.stamp_ns + round(float(row["time"]) * NS_PER_S)
+                self.applied.append((stamp, {name: float(row[name]) for name in ("frequency", "current")}))
+                self.changes, self.changed_at_s = self.changes + 1, time.monotonic()
+        elif topic is topics.JOURNAL:
+            self.journal.add(table)
+        elif topic is topics.FAULTS:
+            self.faults.add(table)
+            self.journal.fault(table)
+        elif topic is topics.TRANSMISSIBILITY_TABLE:
+            self.curve.add(table)
+
+    def _begin(self, info: Table) -> None:
+        rate_hz, begin_ns = scan_rate(info), start_ns(info)
+        if self.scope is None or (begin_ns, rate_hz) != (self.start_ns, self.scope.rate_hz):
+            with self.lock:
+                self.start_ns, self.scope, self.stream = begin_ns, Scope(rate_hz), None
+                self.forget_motion()
+
+    def forget_motion(self) -> None:
+        """Begin the pictures of the motion anew."""
+        self.motion = MotionBuffer()
+        self.epoch += 1
+
+    def stream_part(self) -> dict[str, float] | None:
+        """Return how full the stream's buffer is [s], and what went wrong; None: the rig is driven by none."""
+        if self.stream is None:
+            return None
+        found = {name: self.stream[name] / self.stream["rate"] for name in ("buffered", "capacity", "missing", "late")}
+        return {**{name: round(value, 3) for name, value in found.items()}, "refused": self.stream["refused"]}
+
+    @property
+    def drive(self) -> dict[str, float] | None:
+        """Frequency [Hz] and current [A] in force; None: the rig that is there has not told them."""
+        change = self._change()
+        return None if change is None else change[1]
+
+    def _change(self, at_ns: int | None = None) -> tuple[int, dict[str, float]] | None:
+        """Return when the drive was changed last, and to what, before an instant; of the rig there is now, if None."""
+        if at_ns is not None:
+            return next((one for one in reversed(list(self.applied)) if one[0] <= at_ns), None)
+        newest = self.applied[-1] if self.applied else None
+        is_old = newest is None or newest[0] < self.since_ns() or self.changed_at_s < self.begun_at_s
+        return None if is_old else newest
+
+
+def guard(refused: dict[str, list[Any]], what: str, work: Callable[[], T]) -> T | None:
+    """Return what is made of what others have published, or None where that fails: it is counted, the rest goes on."""
+    try:
+        return work()
+    except Exception as error:
+        count = refused.setdefault(what, [0, ""])
+        count[0] += 1
+        count[1] = str(error) if isinstance(error, ImpactRigError) else f"{type(error).__name__}: {error}"
+        return None
+
+
+def came_before(changed_ns: int, row: Judged) -> bool:
+    """Return whether what changed at an instant was in force when a row began, to the grid of commands."""
+    return changed_ns < row.end_ns and changed_ns <= row.begin_ns + COMMAND_GRID_NS
+
+
+def start_ns(info: Table) -> int:
+    """Return the stamp of scan 0, of a table of `daq/info`.
+
+    Raises:
+        RecordingError: it does not say when that was.
+    """
+    since_s = float(info.rows["since_start"][0]) if len(info.rows) else math.nan
+    if not 0.0 <= since_s < LONGEST_RUN_S:
+        raise RecordingError(f"daq/info says that scan 0 was {since_s:g} s before it")
+    return info.stamp_ns - round(since_s * NS_PER_S)
+
+
+def scan_rate(info: Table) -> float:
+    """Return the scans per second, of a table of `daq/info`.
+
+    Raises:
+        RecordingError: it is no rate that a board can have: rings are as long as the rate says.
+    """
+    rate_hz = float(info.rows["rate"][0]) if len(info.rows) else math.nan
+    if not 1.0 <= rate_hz <= HIGHEST_RATE_HZ:
+        raise RecordingError(f"daq/info has a rate of {rate_hz:g} Hz; 1 to {HIGHEST_RATE_HZ:g} Hz can be shown")
+    return rate_hz

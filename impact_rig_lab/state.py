@@ -1,0 +1,367 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""What pages are told, live and in playback alike, and the `Source` that tells it.
+
+How all is stands in one word and one sentence: `judge`. States come from the keys of `impact_rig.states`
+alone: no sentence is read. What was never said, or too long ago, is not shown as present. Times are seconds since scan
+0; what came before it is negative.
+"""
+
+from __future__ import annotations
+
+import abc
+import json
+import queue
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Self, TypeVar  # Any: what goes to JSON
+
+import attrs
+
+from impact_rig import states
+from impact_rig.instruments.instrument import BOARD_KINDS, FAULT_KINDS
+from impact_rig.instruments.registry import INSTRUMENTS
+from impact_rig.instruments.section import CHANNELS
+from impact_rig.physics.contact import LAWS
+from impact_rig.rig.config import fields
+from impact_rig.rig.journal import PLANNED
+from impact_rig.states import Regime, Status
+from impact_rig_lab.protocol import Request
+from impact_rig_lab.record import RigView, guard, plain
+from impact_rig_lab.scope import Scope
+from impact_rig_lab.theory import Theory, contradiction
+
+HURRIED = 1.5
+"""Speed from which on pictures come now and then: nobody sees every cycle, and rig and analysis need the machine."""
+FOLLOWED = 4.5
+"""Speed up to which the motion is drawn: beyond it nobody can follow, and publishing it costs the rig a tenth."""
+T = TypeVar("T")
+STALE_S = 3.0  # rig time that has not moved for so long stands still
+STANDING = (states.RigWord.INACTIVE, states.RigWord.NO_PEER, states.RigWord.SILENT_PEER, states.RigWord.PAUSED)
+"""States in which rig time stands still, or has not begun."""
+GAP_S = 10.0  # two readings further apart say nothing about the speed between them
+KNOBS = (
+    "barriers.gap_m", "sphere.present", "sphere.start", "contact.law", "contact.restitution", "pluck.displacement_m",
+    "shaker.frequency_min_hz", "shaker.frequency_max_hz", "shaker.current_limit_a_rms", "shaker.travel_limit_m",
+    "structure.natural_frequency_hz", "structure.damping_ratio", "time.mode", "time.factor", "drive.kind", PLANNED,
+)  # fmt: skip
+"""Parameters of the rig that the page shows."""
+Answer = Callable[[bool, str], None]
+"""Tells the page whether what it asked for was done, and in which words; may be called from any thread, once."""
+DEAD_S = 4.0  # a node that has said nothing for so long is not there
+
+
+@attrs.frozen
+class Seen:
+    """What a node has said of itself last, and how long ago."""
+
+    state: str = ""  # word of its table in `impact_rig.states`; empty: it said none of them
+    reason: str = ""
+    instance: str = ""  # which activation of the node said it
+    age_s: float | None = None  # since it was heard [s]; None: it never was
+    ended: str = ""  # how its process ended; empty: it runs, or is not ours
+    figures: Mapping[str, str] = attrs.field(factory=dict)  # all keys it publishes
+
+    @classmethod
+    def of(cls, node: str, figures: Mapping[str, str], age_s: float | None, ended: str = "") -> Seen:
+        """Return what the keys of a node say; a word that is not of its table counts as none."""
+        state = figures.get("state", "")
+        known = {one.value for one in states.BY_NODE[node]} if node in states.BY_NODE else set()
+        word = state if state in known else ""
+        return cls(word, figures.get("reason", ""), figures.get("instance", ""), age_s, ended, figures)
+
+    @property
+    def lives(self) -> bool:
+        """Whether it was heard of a short while ago, and its process has not ended."""
+        return not self.ended and self.age_s is not None and self.age_s <= DEAD_S
+
+    def part(self) -> dict[str, Any]:
+        """Return it for the page."""
+        return {
+            "state": self.state, "reason": self.reason, "instance": self.instance, "lives": self.lives,
+            "age": None if self.age_s is None else round(self.age_s), "gone": self.gone,
+        }  # fmt: skip
+
+    @property
+    def gone(self) -> str:
+        """Return how a node that was there has gone; empty: it lives, or never was."""
+        if self.ended:
+            return self.ended
+        return "" if self.age_s is None or self.lives else f"silent for {self.age_s:.0f} s"
+
+
+SENTENCES = {
+    states.RigWord.INACTIVE: "Not running: {reason}.",
+    states.RigWord.RIVAL: "Two rigs in one namespace: {reason}.",
+    states.RigWord.NO_PEER: "Rig time stands still: {reason}.",
+    states.RigWord.SILENT_PEER: "Rig time stands still: {reason}.",
+    states.RigWord.TRIPPED: "The shaker is latched by {reason}; its current is zero.",
+    states.RigWord.PAUSED: "Rig time stands still.",
+    states.RigWord.PLUCKED: "Base locked, structure swings freely; reset unlocks it.",
+    states.RigWord.AT_REST: "The shaker is at rest: press R for 9.1 Hz, 0.52 A.",
+}
+MEASURING = {
+    states.AnalysisWord.INACTIVE: "the analysis is not active",
+    states.AnalysisWord.NO_SCANS: "the analysis gets no scans",
+    states.AnalysisWord.LOST_SCANS: "the analysis has lost scans and begins anew",
+    states.AnalysisWord.UNABLE: "DT cannot be measured now: {reason}",
+    states.AnalysisWord.AT_REST: "the analysis has not seen the drive yet",
+}
+
+
+def judge(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> tuple[str, str]:
+    """Return the state of the whole in one word and one sentence.
+
+    The word is `measured`, the only one that says that a measurement holds, where the analysis says so and nothing
+    speaks against it: `doubts` are faults in force, channels that are not well, changes since it began.
+    """
+    if rig.ended:
+        return "dead", f"The rig is gone: {rig.ended}."
+    if rig.age_s is None:
+        return "starting", "Waiting for the rig."
+    if not rig.lives:
+        return "dead", f"Nothing was heard of the rig for {rig.age_s:.0f} s."
+    if not rig.state:
+        return "unknown", "The rig does not say its state: is it of another version?"
+    if rig.state != states.RigWord.DRIVING:
+        sentence = SENTENCES[states.RigWord(rig.state)].format(reason=plain(rig.reason) or "it does not say why")
+        return plain(rig.state), sentence
+    if not analysis.lives:
+        why = f"the analysis is gone ({analysis.gone})" if analysis.gone else "there is no analysis"
+        return "driving", f"Nobody measures: {why}."
+    if analysis.state == states.AnalysisWord.SETTLING:
+        waits = bool(figure(analysis.figures.get("no_impact_limit_s")))  # for a sphere: the reason says so
+        return "settling", f"{capitalised(analysis.reason if waits else 'waiting until the transient has died')}."
+    if analysis.state != states.AnalysisWord.MEASURING:
+        why = MEASURING.get(states.AnalysisWord(analysis.state), "") if analysis.state else "the analysis says no state"
+        why = why.format(reason=plain(analysis.reason) or "it does not say why")
+        return "driving", f"{capitalised(why)}."
+    if doubts:
+        return "driving", f"The analysis calls it measured, but {'; '.join(doubts)}."
+    return "measured", "The measurement holds."
+
+
+def capitalised(text: str) -> str:
+    """Return a text with its first letter as a capital and the others as they are."""
+    return text[:1].upper() + text[1:]
+
+
+class Pace:
+    """Seconds of rig time per second, from readings that come once or twice a second."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self.speed = 0.0  # at the last two different readings
+        self._read_at = self._rig_s = 0.0
+        self._instance = ""
+
+    @property
+    def is_hurried(self) -> bool:
+        """Whether rig time runs ahead of ours."""
+        return self.speed > HURRIED
+
+    @property
+    def is_followed(self) -> bool:
+        """Whether somebody could follow the motion."""
+        return self.speed <= FOLLOWED
+
+    def read(self, rig_s: float, instance: str = "", *, stands: bool = False) -> float:
+        """Take a reading of the time of a rig [s]; return the speed, 0 where it stands still, or says so.
+
+        Of two activations, or two rigs in one namespace, the times have nothing to do with each other.
+        """
+        now = self._clock()
+        if instance != self._instance or stands:
+            self._instance, self._read_at, self._rig_s, self.speed = instance, now, rig_s, 0.0
+        if rig_s == self._rig_s:
+            return 0.0 if now - self._read_at > STALE_S else self.speed
+        if rig_s > self._rig_s and self._read_at and now - self._read_at < GAP_S:
+            self.speed = (rig_s - self._rig_s) / (now - self._read_at)
+        self._read_at, self._rig_s = now, rig_s
+        return self.speed
+
+
+def choices() -> dict[str, Any]:
+    """Return what can be chosen: laws, starts, faults with their words and whether they concern the whole board."""
+    about = {name: info for name, info, _ in fields()}
+    return {
+        "law": list(about["contact.law"].choices),
+        "start": list(about["sphere.start"].choices),
+        "faults": {kind: _fault_form(kind) for kind in FAULT_KINDS},
+        "channels": list(CHANNELS),
+    }
+
+
+SIZES = {"accelerometer": 5.0, "laser": 1e-3, "base": 1e-4, "current": 0.1}
+"""What the fault form proposes for a fault on a channel, in the unit of the channel: it shows, and is no emergency."""
+NOISE = 0.1  # the same for the rms of noise, as a part of that
+
+
+def _fault_form(kind: str) -> dict[str, Any]:
+    """Return what the form asks for a fault of a kind: words, whether it has a channel, a rate, and a size by channel.
+
+    A kind without `value` has no sizes; the channel of a fault of the whole board is empty.
+    """
+    words = FAULT_KINDS[kind]
+    sizes: dict[str, dict[str, Any]] = {}
+    if kind == "clock_drift":
+        sizes[""] = {"name": "drift", "unit": "ppm", "default": 100.0}
+    elif "`value`" in words:
+        for name, instrument in INSTRUMENTS.items():
+            unit, size = instrument.unit, SIZES.get(name, 1.0)
+            sizes[name] = {
+                "gain_error": {"name": "fraction", "unit": "", "default": 0.02},
+                "added_noise": {"name": "rms", "unit": unit, "default": NOISE * size},
+                "saturation": {"name": "limit ±", "unit": unit, "default": size},
+                "spike_train": {"name": "height ±", "unit": unit, "default": size},
+            }.get(kind, {"name": "step", "unit": unit, "default": size})
+    return {"words": words, "board": kind in BOARD_KINDS, "rate": "`rate_hz`" in words, "sizes": sizes}
+
+
+def figure(value: str | None) -> float | None:
+    """Return a figure of the diagnostics as a number; None: it is none."""
+    try:
+        return None if value is None else float(value)
+    except ValueError:
+        return None
+
+
+def present(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> dict[str, Any]:
+    """Return whether the newest measurement holds now, and how far the next one is.
+
+    It holds where `judge` says `measured` of the same arguments, and while such a rig is paused.
+    """
+    moves = rig.lives and rig.state in (states.RigWord.DRIVING, states.RigWord.PAUSED)
+    known = analysis.state if analysis.lives and moves else ""
+    figures = analysis.figures if known else {}
+    return {
+        "state": known, "holds": known == states.AnalysisWord.MEASURING and not doubts,
+        "reason": plain(analysis.reason) if known else "", "done": figure(figures.get("settling_windows")),
+        "of": figure(figures.get("settling_windows_needed")), "rest": figure(figures.get("settling_remnant")),
+        "quiet": figure(figures.get("no_impact_s")), "quiet_of": figure(figures.get("no_impact_limit_s")),
+    }  # fmt: skip
+
+
+class Snapshot:
+    """The state of things in named parts, each with a version: a session sends the parts that are new to it."""
+
+    def __init__(self) -> None:
+        self._parts: dict[str, Any] = {}
+        self._versions: dict[str, int] = {}
+        self._lock = threading.Lock()
+        self.version = 0
+
+    def put(self, **parts: Any) -> None:
+        """Set parts, all at once: no session sees one without the others. The same again is nothing new."""
+        with self._lock:
+            new = {name: part for name, part in parts.items() if name not in self._parts or self._parts[name] != part}
+            if new:
+                self.version += 1
+                self._parts.update(new)
+                self._versions.update(dict.fromkeys(new, self.version))
+
+    def get(self, name: str) -> Any:
+        """Return a part, None where there is none yet."""
+        return self._parts.get(name)
+
+    def since(self, version: int) -> tuple[int, Mapping[str, Any]]:
+        """Return the present version, and the parts that have changed after an earlier one."""
+        with self._lock:
+            return self.version, {name: self._parts[name] for name, at in self._versions.items() if at > version}
+
+
+class Source(abc.ABC):
+    """A rig, or runs: a thread that does what pages ask for and keeps a snapshot and a record up to date.
+
+    Args:
+        mode: `live` or `playback`.
+    """
+
+    def __init__(self, mode: str, record: RigView) -> None:
+        self.record = record
+        self.snapshot = Snapshot()
+        self.failures: dict[str, list[Any]] = {}  # parts of the work that failed: how often, and the last reason
+        self.watchers = 0  # how many pages look
+        self._asked: queue.SimpleQueue[tuple[Request, Answer]] = queue.SimpleQueue()
+        self.end = threading.Event()
+        self.theory = Theory(lambda found: self.snapshot.put(prediction=found))
+        self._thread = threading.Thread(target=self._run, name=f"lab-{mode}", daemon=True)
+        self.snapshot.put(mode=mode, choices=choices(), help=glossary())
+
+    @property
+    def other(self) -> Scope | None:
+        """The scans of a second run, shown beside the first."""
+        return None
+
+    @property
+    @abc.abstractmethod
+    def now_s(self) -> float:
+        """Instant the page shows [s since scan 0]."""
+
+    @abc.abstractmethod
+    def _run(self) -> None:
+        """Work until `end` is set, in the thread of this source."""
+
+    def ask(self, request: Request, answer: Answer) -> None:
+        """Do what a page asks for, in the thread of this source."""
+        self._asked.put((request, answer))
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End."""
+        self.end.set()
+        if self._thread.is_alive():  # else what kept it from starting is the error to be seen
+            self._thread.join()
+        self.theory.close()
+
+    def guard(self, what: str, work: Callable[[], T]) -> T | None:
+        """Do a part of a turn; where it fails that is counted, and the rest goes on: STOP is sent from here."""
+        return guard(self.failures, what, work)
+
+    def tell(self, parts: Mapping[str, Callable[[], Any]], values: Mapping[str, Any]) -> None:
+        """Bring the snapshot up to date: a part that cannot be told does not keep the others back.
+
+        Args:
+            parts: what makes each; `applied`, `dt` and `dt_now` are among them.
+            values: the rig's parameters by name, for what theory says of them; empty: they are not known.
+        """
+        told: dict[str, Any] = {}
+        for name, make in parts.items():
+            self.guard(f"state of {name}", lambda name=name, make=make: told.update({name: make()}))  # type: ignore[misc]
+        told["refused"] = {name: list(found) for name, found in self._refusals().items()}
+        rows, now = told.get("dt"), told.get("dt_now")
+        prediction = self.snapshot.get("prediction") or {}
+        told["other_motion"] = contradiction(prediction, rows[-1]["ipc"]) if rows and now and now["holds"] else ""
+        self.snapshot.put(**told)
+        drive = told.get("applied")
+        if values and drive is not None and self.watchers:
+            self.theory.want(values, drive["current"])
+
+    def _refusals(self) -> dict[str, list[Any]]:
+        return {**self.record.refused, **self.failures}
+
+
+def glossary() -> dict[str, str]:
+    """Return what each word means that a page may show: states, statuses, regimes, laws, faults, figures."""
+    laws = {plain(name): f"Contact law. {(law.__doc__ or '').splitlines()[0]}" for name, law in LAWS.items()}
+    faults = {plain(kind): f"Fault of an instrument: {words}." for kind, words in FAULT_KINDS.items()}
+    words: dict[str, str] = {}
+    for node, table in states.BY_NODE.items():
+        for word in table:
+            told = f"Of the {plain(node)}: {word.doc}."
+            words[plain(word)] = f"{words[plain(word)]} {told}" if plain(word) in words else told
+    measured = {plain(word): word.doc for table in (Status, Regime) for word in table}
+    own = json.loads((Path(__file__).parent / "words.json").read_text(encoding="utf-8"))
+    return {**laws, **faults, **words, **measured, **own}

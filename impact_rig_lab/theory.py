@@ -1,0 +1,219 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""What theory says of the rig as its knobs are now: lines for the curve, computed aside, the newest wish alone.
+
+A prediction takes some tenths of a second: a thread of its own, as gentle as the others of the lab, computes it when
+gap, current, sphere, law or anything else it depends on has changed; what was overtaken meanwhile is left out.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple  # values of parameters, and what goes to JSON
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.errors import ConfigError
+from impact_rig.rig.config import RigConfig, fields, from_flat, to_flat
+from impact_rig.rig.journal import is_mechanics
+
+GENTLE = 10  # priority (nice) of the lab's threads: on a busy machine pictures are late, not blocks
+KIND, WAVEFORM = "drive.kind", "drive.waveform"
+DECIDING = (*(name for name, _, _ in fields() if is_mechanics(name)), KIND, WAVEFORM)
+"""Configuration values that a prediction depends on."""
+FREQUENCIES_HZ: NDArray[np.float64] = np.unique(
+    np.concatenate([np.linspace(7.0, 11.0, 81), np.linspace(8.6, 9.6, 101)]).round(6)
+)
+"""Where it is computed: as wide as the page's axis is at first, closer near the resonance."""
+IMPACTS_PER_CYCLE = 2
+OTHER_MOTION = 0.05
+"""Difference of impacts per cycle from which on a motion is another one; an impact missed now and then is less."""
+HELD = {"current": (1.0, "A"), "prescribed": (1e6, "µm")}
+"""Kinds of drive that keep current or base constant, and in what that is told."""
+
+
+def be_gentle() -> None:
+    """Lower the priority of the calling thread, and of those it will begin."""
+    thread = threading.get_native_id()
+    os.setpriority(os.PRIO_PROCESS, thread, max(GENTLE, os.getpriority(os.PRIO_PROCESS, thread)))
+
+
+def closed_form(values: Mapping[str, Any]) -> list[list[float]]:
+    """Return frequency and transmissibility of the rig without the sphere, for the curve's background."""
+    natural, damping = values.get("structure.natural_frequency_hz"), values.get("structure.damping_ratio")
+    if not natural or not damping:
+        return []
+    frequency = np.unique(np.concatenate([np.linspace(5.0, 14.0, 181), natural + np.linspace(-0.6, 0.6, 121)]))
+    ratio = frequency / natural
+    loss = 2.0j * damping * ratio
+    found = np.abs((1.0 + loss) / (1.0 - ratio**2 + loss))
+    return [[round(float(f), 4), round(float(v), 4)] for f, v in zip(frequency, found, strict=True)]
+
+
+def predicted(values: Mapping[str, Any], amplitude: float) -> dict[str, Any]:
+    """Return the motions with two symmetric impacts per cycle over the frequency.
+
+    Args:
+        values: configuration values by name; those of `DECIDING` count, others are left out.
+        amplitude: of the drive, peak; A or m by `drive.kind`.
+
+    Returns:
+        `lines`: [whether it lasts, [[frequency, DT], ...]]; `words`: what they are of, or why there are none;
+        `impacts`: per cycle of the predicted motion, where there is one.
+    """
+    kind, waveform = str(values.get(KIND, "current")), values.get(WAVEFORM, "sine")
+    if not values.get("sphere.present", True):
+        return {"lines": [], "words": "Without a sphere the closed form (thin line) is what theory says."}
+    if kind not in HELD:
+        return {"lines": [], "words": f"No prediction for a drive of constant {kind}."}
+    if waveform != "sine":
+        return {"lines": [], "words": f"No prediction for a drive that is {waveform}, not a sine."}
+    if not amplitude > 0.0:
+        return {"lines": [], "words": "No prediction at rest."}
+    try:
+        from impact_rig_studies import prediction  # noqa: PLC0415  # half a second, which the first page need not wait for
+    except ImportError:
+        return {"lines": [], "words": "No prediction: impact_rig_studies is not installed."}
+
+    try:
+        rig = from_flat(RigConfig(), {name: values[name] for name in DECIDING if name in values})
+        gap_m = rig.barriers.gap_m
+        held = [amplitude if kind == one else None for one in HELD]
+        branches = prediction.curves(rig, FREQUENCIES_HZ, gap_m, current_a=held[0], base_m=held[1])
+    except ConfigError as error:  # friction, no loss, ...: theory does not hold there
+        return {"lines": [], "words": str(error)}
+    lines = [line for one in branches for line in _parts(one.frequency_hz, one.dt, one.stable)]
+    factor, unit = HELD[kind]
+    what = f"{gap_m * 1e3:g} mm, {amplitude * factor:g} {unit}"
+    if not lines:
+        return {"lines": [], "words": f"Theory finds no motion with two impacts per cycle at {what}."}
+    lasting = "" if any(lasts for lasts, _ in lines) else ", nowhere stable"
+    words = f"Predicted for {what}, two impacts per cycle{lasting}."
+    return {"lines": lines, "words": words, "impacts": IMPACTS_PER_CYCLE}
+
+
+def contradiction(prediction: Mapping[str, Any], impacts_per_cycle: float) -> str:
+    """Return in which the measured motion is not the predicted one; empty: it may be."""
+    wanted = prediction.get("impacts")
+    if wanted is None or not abs(impacts_per_cycle - wanted) > OTHER_MOTION:
+        return ""
+    return (
+        f"Measured: {impacts_per_cycle:.2f} impacts per cycle. The prediction is for a motion with {wanted:g} and does "
+        "not apply here."
+    )
+
+
+class Continued(NamedTuple):
+    """Motions of the model over the frequency."""
+
+    values: Mapping[str, Any]  # configuration values of `DECIDING` at which they exist, wherever the sphere begins
+    amplitude: float  # of the drive, peak
+    lines: list[list[Any]]  # as from `predicted`
+    title: str  # of the study
+
+    def exists(self, values: Mapping[str, Any], amplitude: float) -> bool:
+        """Return whether the motions are of a rig with these values."""
+        return math.isclose(amplitude, self.amplitude, rel_tol=1e-6) and all(
+            values.get(name, value) == value for name, value in self.values.items()
+        )
+
+
+def continued(directory: Path) -> Continued:
+    """Return what `impact-rig dynamics continue` has found.
+
+    Raises:
+        ConfigError: it has not, or not over the frequency, or studies are not installed.
+    """
+    from impact_rig_studies.dynamics import figures, plan  # noqa: PLC0415
+
+    try:
+        from impact_rig_studies.dynamics import figures, plan  # noqa: PLC0415  # as above
+        from impact_rig_studies.maps.plan import FREQUENCY  # noqa: PLC0415
+    except ImportError as error:
+        raise ConfigError(f"{directory}: impact_rig_studies, which reads it, is not installed") from error
+
+    study, found = plan.stored(directory, plan.CONTINUE)
+    if study.over != FREQUENCY:
+        raise ConfigError(f"{directory}: branches over {study.over}: the page draws those over {FREQUENCY}")
+    rig = to_flat(study.base)
+    return Continued(
+        values={name: rig[name] for name in DECIDING if name != "sphere.start"},
+        amplitude=study.tasks[0].current_a,
+        lines=[line for _, rows in found for line in _parts(*figures.along(study, rows, "dt"))],
+        title=study.title,
+    )
+
+
+def _parts(
+    frequency_hz: NDArray[np.float64], dt: NDArray[np.float64], stable: NDArray[np.bool_]
+) -> Iterator[list[Any]]:
+    """Yield the stretches of a branch that last or do not; neighbours share a point, so that the line is whole."""
+    points = [[round(float(f), 4), round(float(value), 4)] for f, value in zip(frequency_hz, dt, strict=True)]
+    turns = (np.flatnonzero(np.diff(stable)) + 1).tolist()
+    for first, end in zip([0, *turns], [*turns, len(points)], strict=True):
+        line = points[first : end + 1]
+        if len(line) > 1:
+            yield [bool(stable[first]), line]
+
+
+class Theory:
+    """Computes predictions, the newest wish alone.
+
+    Args:
+        told: called with every prediction, in a thread of this object.
+    """
+
+    def __init__(self, told: Callable[[dict[str, Any]], None]) -> None:
+        self.beside: Sequence[Continued] = ()  # drawn too, where they exist
+        self._told = told
+        self._lock = threading.Lock()
+        self._wish: tuple[dict[str, Any], float] | None = None
+        self._known: tuple[dict[str, Any], float] | None = None
+        self._ended = False
+        self._thread: threading.Thread | None = None
+
+    def want(self, values: Mapping[str, Any], amplitude: float) -> None:
+        """Ask for the prediction of these values; nothing happens where it was asked for last."""
+        wish = {name: values[name] for name in DECIDING if name in values}, amplitude
+        with self._lock:
+            if self._ended or wish == self._known:
+                return
+            self._wish = self._known = wish
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name="lab-theory", daemon=True)
+                self._thread.start()
+
+    def close(self) -> None:
+        """End."""
+        with self._lock:
+            self._ended = True
+            thread = self._thread
+        if thread is not None:
+            thread.join()
+
+    def _run(self) -> None:
+        """Compute until nothing is wished for."""
+        be_gentle()
+        while True:
+            with self._lock:
+                wish, self._wish = self._wish, None
+                if wish is None or self._ended:
+                    self._thread = None
+                    return
+            try:
+                found = predicted(*wish)
+            except Exception as error:  # values of anybody: the next wish is another one
+                found = {"lines": [], "words": f"No prediction: {error}"}
+            for one in self.beside:
+                if one.exists(*wish):
+                    words = f"{found['words']} Also motions of the model: {one.title}."
+                    found = {**found, "lines": [*found["lines"], *one.lines], "words": words}
+            with self._lock:
+                overtaken = self._wish is not None
+            if not overtaken:
+                self._told(found)

@@ -1,0 +1,92 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's numbers, the same of a set of measurements (`Reductions`), and how near they must come.
+
+Source: `TITLE` by `AUTHORS`. No DOI of it was found.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.analysis.calibration import Calibration
+from impact_rig.analysis.uncertainty_budget import combined
+from impact_rig.rig.gaps import NO_SPHERE
+from impact_rig_studies.reduction import reduction
+
+TITLE = "Modeling of an impact damper submitted to forced vibration from a nonlinear contact force model"
+AUTHORS = "Marcos Vieira de Albuquerque, Robson Pederiva"
+AFFILIATION = "University of Campinas, School of Mechanical Engineering, Brazil"
+DOI = ""  # none was found
+
+FREQUENCY_HZ = 9.1  # where the paper compares the gaps: the natural frequency it prints
+
+FREQUENCIES_HZ = (7.5, 8.0, 8.5, 8.9, 9.0, 9.1, 9.2, 9.5, 10.0, 10.5)  # the paper's excitation frequencies
+
+CURRENT_A = 0.520
+"""Constant coil current, peak; identified: the superior base then moves about 5.85 mm at 9.1 Hz without the sphere."""
+
+REDUCTION_PERCENT: Mapping[float, float] = {2e-3: 29.4, 4e-3: 38.5, 6e-3: 43.0, 8e-3: 45.0, 10e-3: 49.0}
+"""Published reduction of the transmissibility at 9.1 Hz against the run without the sphere, by gap [m]."""
+POINTS_LIMIT, RMS_LIMIT = 2.0, 1.0
+"""Distance from the paper's reductions, in points, that the shipped configuration must keep; each one, and rms."""
+DEMO_POINTS_LIMIT = 3.0  # the same of the demo, which measures each case twice
+
+
+@attrs.frozen
+class Reductions:
+    """Reductions of the transmissibility by gap [m], against the run without the sphere."""
+
+    dt_no_sphere: float  # transmissibility without the sphere
+    dt: Mapping[float, float]
+    dt_uncertainty: Mapping[float, float]  # its standard uncertainty by gap; key `NO_SPHERE`: without the sphere
+    percent_uncertainty: Mapping[float, float]
+    """Standard uncertainty of `percent` in points, by gap: see `impact_rig_studies.reduction`."""
+
+    @classmethod
+    def of(cls, rows: Mapping[float, NDArray[np.void]], calibration: Calibration) -> Reductions:
+        """Return what measurements give; nothing but NaN if there are none without the sphere.
+
+        Args:
+            rows: settled rows of `transmissibility/table` by gap; key `NO_SPHERE`: without the sphere.
+            calibration: of the instruments that measured them all.
+        """
+        without = rows.get(NO_SPHERE)
+        if without is None:
+            return cls(math.nan, {}, {NO_SPHERE: math.nan}, {})
+        gaps = [gap for gap in rows if gap != NO_SPHERE]
+        return cls(
+            dt_no_sphere=float(np.mean(without["transmissibility"])),
+            dt={gap: float(np.mean(rows[gap]["transmissibility"])) for gap in gaps},
+            dt_uncertainty={gap: combined(found) for gap, found in rows.items()},
+            percent_uncertainty={gap: reduction(without, rows[gap], calibration).u_points for gap in gaps},
+        )
+
+    def percent(self) -> dict[float, float]:
+        """Return 100 (1 − DT / DT without sphere) by gap."""
+        return {gap: 100.0 * (1.0 - value / self.dt_no_sphere) for gap, value in self.dt.items()}
+
+    def errors(self) -> dict[float, float]:
+        """Return ours less the paper's, in points, for the paper's gaps."""
+        ours = self.percent()
+        return {gap: ours[gap] - paper for gap, paper in REDUCTION_PERCENT.items() if gap in ours}
+
+    def max_abs_error(self) -> float:
+        """Return the largest distance from the paper in points."""
+        return max((abs(error) for error in self.errors().values()), default=math.nan)
+
+    def rms_error(self) -> float:
+        """Return the root mean square distance from the paper in points."""
+        errors = list(self.errors().values())
+        return math.sqrt(sum(error**2 for error in errors) / len(errors)) if errors else math.nan
+
+    def grows_with_gap(self) -> bool:
+        """Return whether a wider gap always reduced more."""
+        ordered = [value for _, value in sorted(self.percent().items())]
+        return all(a < b for a, b in itertools.pairwise(ordered))

@@ -1,0 +1,243 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""`Campaign`: what a campaign file asks for, checked, and the jobs it amounts to.
+
+A campaign is one YAML file: studies, each the product of its axes. Wrong files are refused as a whole before anything
+runs; the message names key, value, range and file.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+
+import attrs
+
+from impact_rig.analysis.settings import TrackerSettings
+from impact_rig.config.tree import Value, flatten
+from impact_rig.errors import ConfigError
+from impact_rig.physics.contact import LAWS
+from impact_rig.rig.config import RigConfig, differences, from_flat
+from impact_rig.rig.gaps import NO_SPHERE, gap_values
+from impact_rig.system import budget
+from impact_rig_studies.campaign import axes
+from impact_rig_studies.campaign.job import Job
+from impact_rig_studies.campaign.paper import CURRENT_A
+from impact_rig_studies.campaign.tasks import load_plan
+from impact_rig_studies.operate.stepped_sine import Direction
+
+RESET = "reset"  # the direction of a study whose points each begin with a reset rig
+DIRECTIONS = (RESET, *(direction.value for direction in Direction))
+STARTS = ("left", "centre", "right")
+GAP_VALUES = ("barriers.gap_m", "sphere.present")
+OWNED = ("daq.block_scans", "time.", "step.", "pluck.", "output.autostart", "output.truth_scan")
+"""Configuration that the campaign decides itself."""
+NAMED_AXES: Mapping[str, tuple[str, Callable[[str, object], tuple[Value, ...]]]] = {
+    "laws": ("contact.law", lambda key, given: axes.words(key, given, LAWS)),
+    "restitutions": ("contact.restitution", lambda key, given: axes.numbers(key, given, 0.0, 1.0)),
+    "starts": (
+        "sphere.start",
+        lambda key, given: axes.words(key, given, STARTS),
+    ),
+    "seeds": ("daq.seed", lambda key, given: tuple(axes.whole(key, one, 0, 2**53) for one in axes.values(key, given))),
+}
+"""Key of a study -> the value that it varies, and what reads it."""
+OTHERWISE = {**{name: key for key, (name, _) in NAMED_AXES.items()}, **dict.fromkeys(GAP_VALUES, "gaps_m")}
+"""Values that are not varied by name, but by these keys."""
+
+
+@attrs.frozen(kw_only=True)
+class Study:
+    """The product of its axes; one value each unless the file gives several."""
+
+    name: str
+    frequencies_hz: tuple[float, ...]
+    gaps_m: tuple[float, ...]
+    currents_a: tuple[float, ...] = (CURRENT_A,)
+    direction: str = RESET
+    repetitions: int = 1
+    traces: bool = False
+    vary: Mapping[str, tuple[Value, ...]] = attrs.field(factory=dict)
+    """Every other axis: configuration value by dotted name, laws, restitutions, starts and seeds among them."""
+
+    @property
+    def points(self) -> int:
+        """How many measurements it asks for, repetitions included."""
+        axes = (self.frequencies_hz, self.gaps_m, self.currents_a, *self.vary.values())
+        return self.repetitions * math.prod(map(len, axes))
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Planned:
+    """A job's place in the campaign."""
+
+    study: str
+    job: Job
+    axes: Mapping[str, Value]  # the values of the study's axes other than frequency, gap and current, by dotted name
+    reference: bool  # whether the job belongs to the campaign's reference rig, on which the statements are judged
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Campaign:
+    """A whole campaign."""
+
+    title: str
+    base: RigConfig  # the rig that all studies begin with
+    analysis: Mapping[str, Value]  # settings of the measurement that differ from the default
+    studies: tuple[Study, ...]
+    text: str
+    first: Study | None = None  # whose first combination is the reference rig; None: the first of `studies`
+
+    def reference(self) -> Job:
+        """Return the first job on the reference rig.
+
+        Raises:
+            ConfigError: its values make no sense; the message names the study.
+        """
+        return next(self._expand(self.first or self.studies[0])).job
+
+    def planned(self) -> list[Planned]:
+        """Return all jobs in order; one that two studies share comes twice, with one key.
+
+        Raises:
+            ConfigError: a combination of values makes no sense; the message names the study.
+        """
+        found = [planned for study in self.studies for planned in self._expand(study)]
+        first = self.reference()
+        rig = _without_gap(first.changes)
+        return [
+            attrs.evolve(
+                planned,
+                reference=_without_gap(planned.job.changes) == rig and planned.job.current_a == first.current_a,
+            )
+            for planned in found
+        ]
+
+    def only(self, names: tuple[str, ...]) -> Campaign:
+        """Return the campaign with these studies only; the reference rig stays the one it was.
+
+        Raises:
+            ConfigError: there is no study of that name.
+        """
+        known = [study.name for study in self.studies]
+        for name in names:
+            axes.word("study", name, known)
+        chosen = tuple(study for study in self.studies if study.name in names)
+        return attrs.evolve(self, studies=chosen, first=self.first or self.studies[0])
+
+    def _expand(self, study: Study) -> Iterator[Planned]:
+        combinations = itertools.product(itertools.product(*study.vary.values()), study.currents_a, study.gaps_m)
+        for values, current, gap in combinations:
+            varied = dict(zip(study.vary, values, strict=True))
+            try:
+                config = from_flat(self.base, {**varied, **gap_values(gap)})
+            except ConfigError as error:
+                raise ConfigError(f"study {study.name}: {error}") from error
+            changes = differences(config)
+            points = [study.frequencies_hz]
+            if study.direction == RESET:
+                points = [(frequency,) for frequency in study.frequencies_hz]
+            for frequencies in points:
+                job = Job(
+                    changes=changes,
+                    analysis=self.analysis,
+                    gap_m=gap,
+                    frequencies_hz=frequencies,
+                    direction=Direction.UP if study.direction == RESET else Direction(study.direction),
+                    current_a=current,
+                    repetitions=study.repetitions,
+                    traces=study.traces,
+                )
+                yield Planned(study=study.name, job=job, axes=varied, reference=False)
+
+
+def load_campaign(
+    path: Path, overrides: Mapping[str, object] | None = None, resolved: RigConfig | None = None
+) -> Campaign:
+    """Return the campaign in a YAML file.
+
+    Args:
+        path: of the file.
+        overrides: configuration values on top, by dotted name.
+        resolved: the rig to begin with, instead of the file's `config`, `set` and the overrides.
+
+    Raises:
+        ConfigError: the file cannot be read or is wrong; the message names key, value, range and file.
+        BudgetError: it asks for too many points.
+    """
+
+    def read(document: object, text: str) -> Campaign:
+        top = axes.mapping("a campaign", document)
+        base = resolved or from_flat(axes.rig(top, path.parent, _refuse_owned), overrides or {})
+        campaign = _read(top, base, text, path.stem)
+        budget.allow("points in a campaign", sum(study.points for study in campaign.studies), budget.POINTS)
+        campaign.planned()
+        return campaign
+
+    return load_plan(path, "campaign", read)
+
+
+def _read(top: Mapping[str, object], base: RigConfig, text: str, name: str) -> Campaign:
+    axes.check_keys("", top, ("title", "config", "set", "analysis", "studies"))
+    studies = axes.mapping("studies", top.get("studies"))
+    if not studies:
+        raise axes.wrong("studies", "a mapping of one or more studies", top.get("studies"))
+    settings = axes.settings("analysis", top.get("analysis"), TrackerSettings)
+    return Campaign(
+        title=str(top.get("title", name)),
+        base=base,
+        analysis={name: getattr(settings, name) for name in axes.mapping("analysis", top.get("analysis"))},
+        studies=tuple(_study(name, content, base) for name, content in studies.items()),
+        text=text,
+    )
+
+
+def _study(name: str, content: object, base: RigConfig) -> Study:
+    where = f"studies.{name}"
+    given = axes.mapping(where, content)
+    known = ("frequencies_hz", "gaps_m", "currents_a", *NAMED_AXES, "vary", "direction", "repetitions", "traces")
+    axes.check_keys(where, given, known)
+    if "frequencies_hz" not in given:
+        raise ConfigError(f"{where}.frequencies_hz is missing")
+    shaker = base.shaker
+    frequencies = axes.numbers(f"{where}.frequencies_hz", given["frequencies_hz"], 0.0)
+    for frequency in frequencies:
+        if not shaker.frequency_min_hz <= frequency <= shaker.frequency_max_hz:
+            rule = f">= {shaker.frequency_min_hz:g} and <= {shaker.frequency_max_hz:g} Hz"
+            raise axes.wrong(f"{where}.frequencies_hz", rule, frequency)
+    traces = given.get("traces", False)
+    if not isinstance(traces, bool):
+        raise axes.wrong(f"{where}.traces", "true or false", traces)
+    own_gap = base.barriers.gap_m if base.sphere.present else NO_SPHERE
+    return Study(
+        name=name,
+        frequencies_hz=frequencies,
+        gaps_m=axes.gaps(f"{where}.gaps_m", given["gaps_m"]) if "gaps_m" in given else (own_gap,),
+        currents_a=axes.numbers(f"{where}.currents_a", given.get("currents_a", CURRENT_A), 0.0),
+        direction=axes.word(f"{where}.direction", given.get("direction", RESET), DIRECTIONS),
+        repetitions=axes.whole(f"{where}.repetitions", given.get("repetitions", 1), 1, 1000),
+        traces=traces,
+        vary=_vary(where, given),
+    )
+
+
+def _vary(where: str, given: Mapping[str, object]) -> dict[str, tuple[Value, ...]]:
+    vary = {name: read(f"{where}.{key}", given[key]) for key, (name, read) in NAMED_AXES.items() if key in given}
+    for name, values in flatten(axes.mapping(f"{where}.vary", given.get("vary"))).items():
+        key = f"{where}.vary.{name}"
+        if name in OTHERWISE:
+            raise ConfigError(f"{key}: use {where}.{OTHERWISE[name]}")
+        _refuse_owned(key, name)
+        vary[name] = axes.scalars(key, values)
+    return vary
+
+
+def _refuse_owned(key: str, name: str) -> None:
+    if name.startswith(OWNED):
+        raise ConfigError(f"{key} is decided by the campaign itself")
+
+
+def _without_gap(changes: Mapping[str, Value]) -> dict[str, Value]:
+    return {name: value for name, value in changes.items() if name not in GAP_VALUES}

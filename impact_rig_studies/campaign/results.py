@@ -1,0 +1,254 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""The points of a campaign: what was measured at every place of every study, and why not where it was not; figures."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+import impact_rig
+from impact_rig.analysis.transmissibility import note_on
+from impact_rig.analysis.uncertainty_budget import combined
+from impact_rig.config.tree import Value
+from impact_rig.rig.gaps import NO_SPHERE, case_of
+from impact_rig.system import files
+from impact_rig_studies.campaign.job import Outcome
+from impact_rig_studies.campaign.paper import REDUCTION_PERCENT, Reductions
+from impact_rig_studies.campaign.plan import RESET, Planned
+from impact_rig_studies.operate.stepped_sine import Direction
+
+NAN = math.nan
+SKIPPED = "over_range"
+NOT_REACHED = "not reached"
+IMPACTING = 0.1
+"""Impacts per cycle from which an orbit counts as one that impacts: in a measurement, a few stray ones remain."""
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Point:
+    """One visit to one frequency; NaN where nothing was measured. Columns as in `blocks.TRANSMISSIBILITY`."""
+
+    study: str
+    axes: Mapping[str, Value]  # values of its axes other than frequency, gap and current
+    reference: bool  # on the campaign's reference rig
+    gap_m: float  # gap, or `NO_SPHERE`
+    current_a: float
+    frequency_hz: float
+    direction: str  # reset, up or down
+    rows: NDArray[np.void]  # settled measurements, or the one that did not settle, shape (n,)
+    failure: str  # why there is no settled measurement; empty otherwise
+    key: str
+
+    def _mean(self, column: str) -> float:
+        return float(np.mean(self.rows[column])) if len(self.rows) else NAN
+
+    @property
+    def settled(self) -> bool:
+        """Whether all its rows are settled measurements."""
+        return len(self.rows) > 0 and not self.failure
+
+    @property
+    def dt(self) -> float:
+        """Transmissibility, mean of the repetitions."""
+        return self._mean("transmissibility")
+
+    @property
+    def u_dt(self) -> float:
+        """Its standard uncertainty."""
+        return combined(self.rows) if len(self.rows) else NAN
+
+    @property
+    def phase_rad(self) -> float:
+        """Phase of x_1 to x_b, of the first repetition (a mean of angles may not be one)."""
+        return float(self.rows["phase"][0]) if len(self.rows) else NAN
+
+    @property
+    def base_m(self) -> float:
+        """Amplitude of the inferior base."""
+        return self._mean("base_amplitude")
+
+    @property
+    def laser_m(self) -> float:
+        """Amplitude of the superior base."""
+        return self._mean("laser_amplitude")
+
+    @property
+    def impacts_per_cycle(self) -> float:
+        """Impacts per drive cycle, from the accelerometer."""
+        return self._mean("impacts_per_cycle")
+
+    @property
+    def impacts(self) -> bool:
+        """Whether the sphere strikes at all."""
+        return self.impacts_per_cycle >= IMPACTING
+
+    @property
+    def regime(self) -> str:
+        """The word for the response; empty where nothing was measured."""
+        return str(self.rows["regime"][-1].decode()) if len(self.rows) else ""
+
+    @property
+    def status(self) -> str:
+        """The last row's status, or why there is none."""
+        return self.failure or str(self.rows["status"][-1].decode())
+
+    @property
+    def note(self) -> str:
+        """What its last row leaves open: a sphere that did not strike may be a slow one; otherwise empty."""
+        return note_on(self.rows[-1]) if len(self.rows) else ""
+
+    @property
+    def label(self) -> str:
+        """The case for people."""
+        return case_of(self.gap_m).removeprefix("gap ")
+
+
+def points_of(planned: Planned, outcome: Outcome) -> list[Point]:
+    """Return the points of one job in the order of the visit."""
+    job = planned.job
+    visits = job.plan().points()
+    once = len(job.frequencies_hz)
+    rows, taken = outcome.rows, 0
+    skipped = list(outcome.skipped_hz)
+    found = []
+    for place, frequency in enumerate(visits):
+        own = rows[taken : taken + job.repetitions]
+        own = own[np.isclose(own["frequency"], frequency, rtol=1e-9, atol=0.0)]
+        taken += len(own)
+        unsettled = own["status"][own["settled"] != 1.0]
+        failure = str(unsettled[0].decode()) if len(unsettled) else ""
+        if len(own) < job.repetitions:  # some may have been taken before a sensor went over range
+            failure = outcome.failure or NOT_REACHED
+            if frequency in skipped:
+                skipped.remove(frequency)
+                failure = SKIPPED
+        direction = RESET
+        if once > 1:
+            down = job.direction is Direction.DOWN or place >= once
+            direction = Direction.DOWN.value if down else Direction.UP.value
+        found.append(
+            Point(
+                study=planned.study,
+                axes=planned.axes,
+                reference=planned.reference and direction == RESET,
+                gap_m=job.gap_m,
+                current_a=job.current_a,
+                frequency_hz=frequency,
+                direction=direction,
+                rows=own,
+                failure=failure,
+                key=job.key,
+            )
+        )
+    return found
+
+
+@attrs.frozen
+class Curves:
+    """Settled points of the reference rig by gap and frequency; where studies share a point, the first counts."""
+
+    by_gap: Mapping[float, Mapping[float, Point]]
+
+    @classmethod
+    def of(cls, points: Iterable[Point]) -> Curves:
+        """Collect the curves out of all points."""
+        found: dict[float, dict[float, Point]] = {}
+        for point in points:
+            if point.reference and point.settled:
+                found.setdefault(point.gap_m, {}).setdefault(point.frequency_hz, point)
+        return cls(found)
+
+    def at(self, gap_m: float, frequency_hz: float) -> Point | None:
+        """Return a point, or None if there is none."""
+        return self.by_gap.get(gap_m, {}).get(frequency_hz)
+
+    def frequencies(self, gap_m: float) -> list[float]:
+        """Return the frequencies of one gap, ascending."""
+        return sorted(self.by_gap.get(gap_m, {}))
+
+    def gaps(self) -> list[float]:
+        """Return all gaps with a sphere, ascending."""
+        return sorted(gap for gap in self.by_gap if gap != NO_SPHERE)
+
+
+COLUMNS = (
+    "study", "gap_m", "frequency_hz", "current_a", "direction", "transmissibility", "transmissibility_uncertainty",
+    "phase_rad", "base_amplitude_m", "laser_amplitude_m", "impacts_per_cycle", "regime", "repetitions", "settled",
+    "status", "reference", "key",
+)  # fmt: skip
+
+
+def table(points: Sequence[Point]) -> tuple[list[str], list[list[object]]]:
+    """Return the names of the columns, one per axis of any study behind the fixed ones, and a row a point.
+
+    NaN stands where nothing was measured and for the gap of no sphere, an empty text where a study has no such axis.
+    """
+    axes = list(dict.fromkeys(name for point in points for name in point.axes))
+    rows: list[list[object]] = [
+        [
+            p.study, NAN if p.gap_m == NO_SPHERE else p.gap_m, p.frequency_hz, p.current_a, p.direction,
+            p.dt, p.u_dt, p.phase_rad, p.base_m, p.laser_m, p.impacts_per_cycle,
+            p.regime, len(p.rows), int(p.settled), p.status, int(p.reference), p.key,
+            *(p.axes.get(name, "") for name in axes),
+        ]
+        for p in points
+    ]  # fmt: skip
+    return [*COLUMNS, *axes], rows
+
+
+# --- `summary.json` of a run or campaign directory: the figures that programs read
+
+FILE_NAME = "summary.json"
+
+
+@attrs.frozen
+class Statement:
+    """One claim, judged on the data."""
+
+    passed: bool
+    value: float
+    limit: float
+
+
+def write_summary(
+    directory: Path,
+    reductions: Reductions,
+    statements: dict[str, Statement],
+    *,
+    lost_blocks: int,
+    wall_s: float,
+    simulated_s: float,
+    seed: int,
+    more: Mapping[str, object],
+) -> None:
+    """Write `summary.json`; numbers that do not exist are null."""
+    content = {
+        "version": impact_rig.__version__,
+        "seed": seed,
+        "dt_no_sphere": reductions.dt_no_sphere,
+        "dt": _by_millimetre(reductions.dt),
+        "reductions_percent": _by_millimetre(reductions.percent()),
+        "reductions_uncertainty_points": _by_millimetre(reductions.percent_uncertainty),
+        "paper_reductions_percent": _by_millimetre(REDUCTION_PERCENT),
+        "max_abs_error_points": reductions.max_abs_error(),
+        "rms_error_points": reductions.rms_error(),
+        "statements": {
+            name: {"pass": one.passed, "value": one.value, "limit": one.limit} for name, one in statements.items()
+        },
+        "lost_blocks": lost_blocks,
+        "wall_s": wall_s,
+        "simulated_s": simulated_s,
+        **more,
+    }
+    files.write_text(directory / FILE_NAME, json.dumps(files.plain(content), indent=2) + "\n")
+
+
+def _by_millimetre(values: Mapping[float, float]) -> dict[str, float]:
+    return {f"{gap * 1e3:g}": value for gap, value in values.items()}

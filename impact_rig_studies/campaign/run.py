@@ -1,0 +1,184 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""The directory of a campaign: what is in it, and what follows from it. `tasks.measure` measures what is missing.
+
+| file | content |
+|---|---|
+| `campaign.yaml` | the campaign file as it was given |
+| `configuration.yaml` | the rig that all studies begin with, complete |
+| `provenance.json` | versions, machine, way of measuring |
+| `points/` | one file per job, and its trace |
+| `points.csv` | every point of every study |
+| `summary.json` | figures for programs |
+| `calibration.json` | `daq/info` of the instruments, where the points were imported and not measured on this rig |
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+import sys
+import time
+from collections.abc import Callable, Generator, Sequence
+from pathlib import Path
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig import kernels
+from impact_rig.analysis.calibration import Calibration
+from impact_rig.arithmetic import ARITHMETIC
+from impact_rig.blocks import DAQ_INFO
+from impact_rig.errors import ConfigError, RecordingError
+from impact_rig.instruments.chain import Chain
+from impact_rig.rig.config import dump, load
+from impact_rig.rig.gaps import NO_SPHERE
+from impact_rig.system import files, machine
+from impact_rig_studies.campaign import statements
+from impact_rig_studies.campaign.job import Job, Outcome
+from impact_rig_studies.campaign.paper import FREQUENCY_HZ, REDUCTION_PERCENT, Reductions
+from impact_rig_studies.campaign.plan import Campaign, Planned, load_campaign
+from impact_rig_studies.campaign.results import Curves, Point, points_of, table, write_summary
+from impact_rig_studies.campaign.statements import Verdict
+from impact_rig_studies.campaign.store import FOLDER, Store, fingerprint
+
+CAMPAIGN_FILE, CONFIGURATION_FILE, PROVENANCE_FILE = "campaign.yaml", "configuration.yaml", "provenance.json"
+CSV_FILE, CALIBRATION_FILE = "points.csv", "calibration.json"
+MAX_CALIBRATION_BYTES = 100_000
+LIBRARIES = ("numpy", "scipy", "numba", "llvmlite", "attrs", "matplotlib")
+
+Runner = Callable[[Sequence[Job]], Generator[tuple[Job, Outcome], None, None]]
+"""A way of measuring: yields every job with its outcome, in any order."""
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Finished:
+    """A campaign with what was measured of it."""
+
+    campaign: Campaign  # what was asked for
+    directory: Path
+    points: list[Point]  # every point of every job that was run
+    outcomes: dict[str, Outcome]  # outcome by job key
+
+    @property
+    def curves(self) -> Curves:
+        """The settled points of the reference rig."""
+        return Curves.of(self.points)
+
+    def verdicts(self) -> list[Verdict]:
+        """Return the verdict on each of the paper's statements."""
+        return statements.judge(self.curves)
+
+    def reductions(self) -> Reductions:
+        """Return the reductions at 9.1 Hz for the paper's gaps; NaN or absent where not measured."""
+        curves = self.curves
+        found = {gap: curves.at(gap, FREQUENCY_HZ) for gap in (NO_SPHERE, *REDUCTION_PERCENT)}
+        return Reductions.of({gap: point.rows for gap, point in found.items() if point}, self.calibration)
+
+    @property
+    def imported(self) -> bool:
+        """Whether the points are measurements of somebody's own rig."""
+        return (self.directory / CALIBRATION_FILE).exists()
+
+    @property
+    def info(self) -> NDArray[np.void]:
+        """Rows of `daq/info`: of the instruments that the points were imported with, else of the reference rig.
+
+        Raises:
+            RecordingError: the file that holds them is damaged.
+        """
+        path = self.directory / CALIBRATION_FILE
+        if not path.exists():
+            return Chain(self.campaign.reference().config()).info()
+        try:
+            rows = json.loads(files.read_bytes(path, MAX_CALIBRATION_BYTES))
+            names = DAQ_INFO.names or ()
+            found: NDArray[np.void] = np.array([tuple(row[name] for name in names) for row in rows], DAQ_INFO)
+            Calibration.from_info(found)
+        except (OSError, ValueError, TypeError, KeyError, RecursionError, OverflowError) as error:
+            raise RecordingError(f"{path} is no calibration: {' '.join(str(error).split())[:200]}") from error
+        return found
+
+    @property
+    def calibration(self) -> Calibration:
+        """What the certificate of the instruments says."""
+        return Calibration.from_info(self.info)
+
+    def failed(self) -> list[Point]:
+        """Return the points without a settled measurement."""
+        return [point for point in self.points if not point.settled]
+
+
+def unique_jobs(planned: Sequence[Planned]) -> list[Job]:
+    """Return every job once; of one that several studies share, the one with traces."""
+    found: dict[str, Job] = {}
+    for job in (one.job for one in planned):
+        if job.key not in found or (job.traces and not found[job.key].traces):
+            found[job.key] = job
+    return list(found.values())
+
+
+def prepare(campaign: Campaign, directory: Path, through: str) -> Store:
+    """Make the campaign's directory and return its store.
+
+    Raises:
+        RecordingError: it cannot be written, or holds something else.
+    """
+    if directory.exists() and any(directory.iterdir()) and not (directory / CAMPAIGN_FILE).exists():
+        raise RecordingError(f"{directory} is not empty and holds no campaign: choose another --output")
+    store = Store(directory)
+    with files.errors_as(f"cannot write {directory}"):
+        files.write_text(directory / CAMPAIGN_FILE, campaign.text)
+        files.write_text(directory / CONFIGURATION_FILE, dump(campaign.base))
+        provenance = {
+            "impact_rig": fingerprint(), "arithmetic": ARITHMETIC, "python": sys.version.split()[0],
+            **machine.versions(LIBRARIES), "kernels": kernels.MODE,
+            "machine": platform.machine(), "system": platform.platform(), "through": through,
+        }  # fmt: skip
+        files.write_text(directory / PROVENANCE_FILE, json.dumps(provenance, indent=2) + "\n")
+    return store
+
+
+def finished(campaign: Campaign, directory: Path) -> Finished:
+    """Return a campaign with everything that is stored of it; studies that were not run are simply not there."""
+    planned = campaign.planned()
+    store = Store(directory)
+    outcomes = {job.key: outcome for job in unique_jobs(planned) if (outcome := store.get(job, as_it_is=True))}
+    points = [point for one in planned if one.job.key in outcomes for point in points_of(one, outcomes[one.job.key])]
+    return Finished(campaign=campaign, directory=directory, points=points, outcomes=outcomes)
+
+
+def open_finished(directory: Path) -> Finished:
+    """Return the campaign in a directory.
+
+    Raises:
+        ConfigError: it is no campaign's directory.
+    """
+    if not (directory / CAMPAIGN_FILE).exists() or not (directory / FOLDER).is_dir():
+        raise ConfigError(
+            f"{directory} is no campaign's directory: `impact-rig campaign config/paper.yaml --output NEW` makes one"
+        )
+    base = load(directory / CONFIGURATION_FILE)
+    return finished(load_campaign(directory / CAMPAIGN_FILE, resolved=base), directory)
+
+
+def write_results(done: Finished, wall_s: float) -> None:
+    """Write `points.csv` and `summary.json`."""
+    files.write_csv(done.directory / CSV_FILE, *table(done.points))
+    block_scans = done.campaign.planned()[0].job.config().daq.block_scans
+    write_summary(
+        done.directory,
+        done.reductions(),
+        {one.name: one.result for one in done.verdicts() if one.result is not None},
+        lost_blocks=sum(-(-outcome.lost_scans // block_scans) for outcome in done.outcomes.values()),
+        wall_s=wall_s,
+        simulated_s=sum(outcome.simulated_s for outcome in done.outcomes.values()),
+        seed=done.campaign.base.daq.seed,
+        more={
+            "title": done.campaign.title,
+            "points": len(done.points),
+            "failed_points": len(done.failed()),
+            "written": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+        },
+    )

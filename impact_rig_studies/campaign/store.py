@@ -1,0 +1,301 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Where a campaign keeps what is done: one file per job, written whole or not at all, so a campaign can be resumed.
+
+Numbers are JSON: Python writes every double so that it reads back as the same bits, and a person can look at them.
+Each file carries the key of its job and a digest of its content and trace: one that was put in the place of another, or
+changed, is named and not believed.
+"""
+
+from __future__ import annotations
+
+import enum
+import functools
+import hashlib
+import io
+import json
+import math
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import impact_rig
+from impact_rig.blocks import TRANSMISSIBILITY
+from impact_rig.errors import RecordingError
+from impact_rig.states import MEASURED, Method, Regime, Status
+from impact_rig.system import files
+from impact_rig_studies.campaign.job import TRUE_COLUMNS, Job, Outcome
+
+FOLDER = "points"
+MAX_RESULT_BYTES, MAX_TRACE_BYTES = 10 * 2**20, 64 * 2**20
+"""A file in a directory that somebody else made is not believed to be small."""
+MOST = 1e12  # no figure of a measurement is larger
+SHOWN = 60  # characters of a wrong value that an error quotes
+_POSITIVE = frozenset({"frequency", "transmissibility", "base_amplitude", "laser_amplitude"})
+"""Columns that are > 0 wherever something was measured."""
+_WORDS: dict[str, type[enum.StrEnum]] = {"regime": Regime, "method": Method, "status": Status}
+_TEXTS = frozenset(name for name in TRANSMISSIBILITY.names or () if TRANSMISSIBILITY[name].kind == "S")
+
+
+class DamagedPointError(RecordingError):
+    """A stored result is not what was stored; the message names file, key, value and what would be right."""
+
+
+class Store:
+    """The results in a campaign's directory.
+
+    Args:
+        directory: of the campaign; made if missing.
+
+    Attributes:
+        damaged: what was wrong with results that are therefore measured again.
+
+    Raises:
+        RecordingError: it cannot be written.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self._folder = directory / FOLDER
+        self.damaged: list[str] = []
+        with files.errors_as(f"cannot write {self._folder}"):
+            files.make_folder(self._folder)
+
+    def get(self, job: Job, *, as_it_is: bool = False) -> Outcome | None:
+        """Return what is stored of a job, or None if it is to be measured: never was, or its file is damaged.
+
+        It is to be measured again, too, if it was with other code, or without the trace that it wants; not if it is to
+        be taken `as_it_is`.
+
+        Raises:
+            DamagedPointError: its file is damaged, and it is to be taken as it is.
+        """
+        try:
+            found, outcome = self._read(job)
+        except FileNotFoundError:
+            return None
+        except DamagedPointError as error:
+            if as_it_is:
+                raise
+            self.damaged.append(str(error))
+            return None
+        incomplete = job.traces and not (outcome.trace or outcome.failure)
+        if not as_it_is and (incomplete or found["code"] != fingerprint()):
+            return None
+        return outcome
+
+    def put(self, job: Job, outcome: Outcome) -> None:
+        """Keep what a job gave.
+
+        Raises:
+            RecordingError: it cannot be written.
+        """
+        packed = io.BytesIO()
+        if outcome.trace:
+            np.savez_compressed(packed, **dict(outcome.trace))  # type: ignore[arg-type]  # none is called allow_pickle
+        content = {
+            "job": job.describe(),
+            "key": job.key,
+            "code": fingerprint(),
+            "changes": dict(job.changes),
+            "current_a": job.current_a,
+            "frequencies_hz": list(job.frequencies_hz),
+            "failure": outcome.failure,
+            "skipped_hz": list(outcome.skipped_hz),
+            "simulated_s": outcome.simulated_s,
+            "wall_s": outcome.wall_s,
+            "lost_scans": outcome.lost_scans,
+            "rows": [files.plain(row) for row in outcome.rows],
+            "trace": hashlib.sha256(packed.getvalue()).hexdigest() if outcome.trace else "",
+        }
+        content["digest"] = _digest(content)
+        with files.errors_as(f"cannot write {self._folder}"):
+            if not outcome.trace:  # one that other code has left would pass for a trace that was put in its place
+                self._path(job, "npz").unlink(missing_ok=True)
+            else:
+                with files.written_whole(self._path(job, "npz")) as file:
+                    file.write(packed.getvalue())
+            files.write_text(self._path(job, "json"), json.dumps(content, indent=1) + "\n")
+
+    def _read(self, job: Job) -> tuple[Mapping[str, object], Outcome]:
+        """Return the content of a job's file, and the outcome in it."""
+        path = self._path(job, "json")
+        try:
+            found = json.loads(files.read_bytes(path, MAX_RESULT_BYTES))
+        except FileNotFoundError:
+            raise
+        except (OSError, ValueError, RecursionError) as error:
+            why = error.strerror if isinstance(error, OSError) else " ".join(str(error).split())
+            raise DamagedPointError(f"{path} is no stored result: {why}") from error
+        if not isinstance(found, dict):
+            raise DamagedPointError(f"{path} is no stored result: a JSON object is expected")
+        part = _Checked(path, found)
+        if part.text("key") != job.key:
+            whose = part.text("job")[:SHOWN]
+            raise DamagedPointError(f"{path} holds the result of another job ({whose}): its key must be {job.key}")
+        rows = part.each("rows", job.repetitions * len(job.plan().points()))
+        names = TRANSMISSIBILITY.names or ()
+        outcome = Outcome(
+            rows=np.array([tuple(_cell(name, row[name]) for name in names) for row in rows], dtype=TRANSMISSIBILITY),
+            failure=part.text("failure"),
+            skipped_hz=tuple(
+                _Checked(path, {"skipped_hz": one}).number("skipped_hz") for one in part.several("skipped_hz")
+            ),
+            simulated_s=part.number("simulated_s"),
+            wall_s=part.number("wall_s"),
+            lost_scans=round(part.number("lost_scans")),
+            trace=self._trace(job, part.text("trace")) if job.traces else {},
+        )
+        part.text("code")
+        if part.text("digest") != _digest(found):
+            raise DamagedPointError(f"{path} was changed after it was stored: its digest is not that of its content")
+        return found, outcome
+
+    def _trace(self, job: Job, digest: str) -> dict[str, NDArray[np.generic]]:
+        path = self._path(job, "npz")
+        if not digest and not path.exists():
+            return {}
+        try:
+            packed = files.read_bytes(path, MAX_TRACE_BYTES)
+            with zipfile.ZipFile(io.BytesIO(packed)) as archive:
+                size = sum(member.file_size for member in archive.infolist())
+                names = archive.namelist() if size <= MAX_TRACE_BYTES else []
+                arrays = {name.removesuffix(".npy"): _column(archive.read(name)) for name in names}
+        except (OSError, ValueError, RuntimeError, NotImplementedError, zipfile.BadZipFile, EOFError) as error:
+            why = error.strerror if isinstance(error, OSError) else " ".join(str(error).split())
+            raise DamagedPointError(f"{path} is no stored trace: {why}") from error
+        if size > MAX_TRACE_BYTES:
+            raise DamagedPointError(f"{path} must hold at most {MAX_TRACE_BYTES} bytes, got {size}")
+        for name in ("time", "laser", "accelerometer", *TRUE_COLUMNS):
+            column = arrays.get(name)
+            if column is None or not len(column) or len(column) != len(arrays["time"]):
+                found = "none" if column is None else f"{len(column)}"
+                raise DamagedPointError(f"{path}: column {name} must have as many values as time, > 0, got {found}")
+            if not np.all(np.abs(column) <= MOST):
+                raise DamagedPointError(f"{path}: column {name} must be finite and at most {MOST:g}")
+        if hashlib.sha256(packed).hexdigest() != digest:
+            raise DamagedPointError(f"{path} was changed after it was stored, or is the trace of another job")
+        return dict(arrays)
+
+    def _path(self, job: Job, suffix: str) -> Path:
+        return self._folder / f"{job.key}.{suffix}"
+
+
+class _Checked:
+    """A JSON object of somebody else: values of the wrong kind or out of range are named."""
+
+    def __init__(self, path: Path, content: Mapping[str, object], place: str = "") -> None:
+        self._path, self._content, self._place = path, content, place
+
+    def number(self, key: str, low: float = 0.0, *, above: bool = False) -> float:
+        """Return a number of at least `low`, or above it."""
+        value = self._value(key)
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= MOST:
+            raise self._wrong(key, value, f"a number >= {low:g} and <= {MOST:g}")
+        if above and value == low:
+            raise self._wrong(key, value, f"> {low:g}")
+        return float(value)
+
+    def text(self, key: str) -> str:
+        """Return a text."""
+        value = self._value(key)
+        if not isinstance(value, str):
+            raise self._wrong(key, value, "a text")
+        return value
+
+    def several(self, key: str) -> list[object]:
+        """Return a list."""
+        value = self._value(key)
+        if not isinstance(value, list):
+            raise self._wrong(key, value, "a list")
+        return value
+
+    def each(self, key: str, most: int) -> list[Mapping[str, object]]:
+        """Return rows of measurements, checked."""
+        rows = self.several(key)
+        if len(rows) > most:
+            raise self._wrong(key, f"{len(rows)} rows", f"at most {most} rows")
+        for i, row in enumerate(rows):
+            if not isinstance(row, dict):
+                raise self._wrong(f"{key}[{i}]", row, "a row")
+            _Checked(self._path, row, f"{key}[{i}].").row()
+        return [row for row in rows if isinstance(row, dict)]
+
+    def row(self) -> None:
+        """Check a measurement."""
+        for name, words in _WORDS.items():
+            if self.text(name) not in [word.value for word in words]:
+                raise self._wrong(name, self.text(name), f"one of {', '.join(word.value for word in words)}")
+        measured = self.text("status") in [status.value for status in MEASURED]
+        for name in TRANSMISSIBILITY.names or ():
+            if name in _TEXTS:
+                continue
+            positive = measured and name in _POSITIVE
+            if self._value(name) is not None or positive:
+                signed = name in {"phase", "frequency_deviation", "time"}
+                self.number(name, -MOST if signed else 0.0, above=positive)
+
+    def _value(self, key: str) -> object:
+        if key not in self._content:
+            raise DamagedPointError(f"{self._path}: {self._place}{key} is missing")
+        return self._content[key]
+
+    def _wrong(self, key: str, value: object, rule: str) -> DamagedPointError:
+        return DamagedPointError(f"{self._path}: {self._place}{key} must be {rule}, got {shortened(value)}")
+
+
+def shortened(value: object) -> str:
+    """Return a value of a JSON file for an error, as it stands there."""
+    text = json.dumps(value, default=str)
+    return text if len(text) <= SHOWN else f"{text[:SHOWN]}... ({len(text)} characters)"
+
+
+def _column(member: bytes) -> NDArray[np.generic]:
+    """Return the numbers of one array of an NPZ file, whose header is not believed before its length is checked."""
+    file = io.BytesIO(member)
+    version = np.lib.format.read_magic(file)
+    header: Callable[..., tuple[tuple[int, ...], bool, np.dtype[np.generic]]] | None = {
+        (1, 0): np.lib.format.read_array_header_1_0,
+        (2, 0): np.lib.format.read_array_header_2_0,
+    }.get(version)
+    if header is None:
+        raise ValueError(f"array format {version} is unknown")
+    shape, _, dtype = header(file)
+    rest = len(member) - file.tell()
+    if len(shape) != 1 or dtype.kind != "f" or shape[0] * dtype.itemsize != rest:
+        raise ValueError(f"an array must be one column of real numbers, {rest} bytes, got {dtype} of shape {shape}")
+    return np.frombuffer(member, dtype, offset=file.tell())
+
+
+def _digest(content: Mapping[str, object]) -> str:
+    """Return the digest of a stored result, of everything but itself."""
+    kept = {name: value for name, value in content.items() if name != "digest"}
+    return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()
+
+
+def _cell(name: str, value: object) -> object:
+    return str(value).encode() if name in _TEXTS else math.nan if value is None else value
+
+
+# --- Which code a result was measured with: results of other code are shown, but never mixed with new ones
+
+DECIDING = (
+    "arithmetic", "physics", "instruments", "rig", "analysis", "config", "blocks.py", "simtime.py",
+    "operate", "prediction.py", "decay.py", "reduction.py",
+)  # fmt: skip
+"""What decides a measured number; the rest of the package commands, stores and shows."""
+
+
+@functools.cache
+def fingerprint(deciding: tuple[str, ...] = DECIDING) -> str:
+    """Return the version and 12 hexadecimal digits of the sources in these rooms of the rig and of the studies."""
+    digest = hashlib.sha256()
+    for package in (Path(impact_rig.__file__).parent, Path(__file__).parents[1]):
+        for path in sorted(package.rglob("*.py")):
+            name = path.relative_to(package)
+            if name.parts[0] in deciding:
+                digest.update(f"{package.name}/{name.as_posix()}\0".encode())
+                digest.update(path.read_bytes())
+    return f"{impact_rig.__version__}-{digest.hexdigest()[:12]}"

@@ -1,0 +1,205 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Tasks: measured anywhere, in any order, one file each in a directory, and never measured twice.
+
+| file | content |
+|---|---|
+| `<what>.yaml` | the file as it was given |
+| `configuration.yaml` | the rig, complete |
+| `<folder>/` | one file per task: what it is, the code that measured it, its rows |
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import math
+from collections.abc import Callable, Generator, Sequence
+from pathlib import Path
+from typing import Generic, Protocol, TypeVar
+
+import attrs
+
+from impact_rig.config.tree import MAX_FILE_BYTES
+from impact_rig.errors import ConfigError, RecordingError
+from impact_rig.rig.config import RigConfig, dump, load
+from impact_rig.system import budget, files
+from impact_rig.system.budget import BudgetError
+from impact_rig_studies.campaign.store import DECIDING, fingerprint
+
+CONFIGURATION_FILE = "configuration.yaml"
+MAX_TASK_BYTES = 64 * 2**20
+
+Row = Sequence[str | float]  # what was found at one place: words and numbers; NaN where there is none
+
+
+class Portable(Protocol):
+    """What is measured as a whole: a value, so that it can travel to a worker."""
+
+    @property
+    def key(self) -> str:
+        """Identify it by all values that decide its result."""
+
+    def describe(self) -> str:
+        """Return a short name for people."""
+
+
+@attrs.frozen
+class Keyed:
+    """A task that is nothing but its values."""
+
+    @property
+    def key(self) -> str:
+        """Identify it by all values that decide its numbers: 16 hexadecimal digits."""
+        return hashlib.sha256(json.dumps(attrs.asdict(self), sort_keys=True).encode()).hexdigest()[:16]
+
+
+class Task(Portable, Protocol):
+    """What is kept as rows."""
+
+    def read(self, rows: Sequence[Row]) -> Sequence[Row]:
+        """Return stored rows as they were measured.
+
+        Raises:
+            ValueError: this task never has such rows.
+        """
+
+
+K = TypeVar("K")
+R = TypeVar("R")
+T = TypeVar("T", bound=Task)
+Runner = Callable[[Sequence[T]], Generator[tuple[T, Sequence[Row]], None, None]]
+"""A way of measuring: yields every task with its rows, in any order."""
+
+
+@attrs.frozen
+class TaskStore(Generic[T]):
+    """The directory of a study."""
+
+    directory: Path
+    what: str  # word for the study; names its file
+    folder: str  # name of the folder that holds the tasks
+    rooms: tuple[str, ...]  # of the package: besides `DECIDING`, whose code decides the numbers
+
+    @property
+    def file(self) -> Path:
+        """The file that asks for the study."""
+        return self.directory / f"{self.what}.yaml"
+
+    def prepare(self, text: str, base: RigConfig) -> None:
+        """Make the directory.
+
+        Raises:
+            RecordingError: it cannot be written, or holds something else.
+        """
+        if self.directory.exists() and any(self.directory.iterdir()) and not self.file.exists():
+            raise RecordingError(f"{self.directory} is not empty and holds no {self.what}: choose another --output")
+        with files.errors_as(f"cannot write {self.directory}"):
+            files.make_folder(self.directory / self.folder)
+            files.write_text(self.file, text)
+            files.write_text(self.directory / CONFIGURATION_FILE, dump(base))
+
+    def configuration(self) -> RigConfig:
+        """Return the rig of a directory that is there.
+
+        Raises:
+            ConfigError: it is no directory of such a study.
+        """
+        if not self.file.exists() or not (self.directory / self.folder).is_dir():
+            raise ConfigError(
+                f"{self.directory} is no {self.what}'s directory: `impact-rig {self.what} FILE --output NEW` makes one"
+            )
+        return load(self.directory / CONFIGURATION_FILE)
+
+    def code(self) -> str:
+        """Return what decides the numbers: results of other code are measured anew."""
+        return fingerprint((*DECIDING, *self.rooms))
+
+    def get(self, task: T) -> Sequence[Row] | None:
+        """Return the rows of a task, or None if it is to be measured: never was, with other code, or damaged."""
+        try:
+            found = json.loads(files.read_bytes(self._path(task), MAX_TASK_BYTES))
+            if found["code"] != self.code() or found["key"] != task.key:
+                return None
+            return task.read([[_number(value) for value in row] for row in found["rows"]])
+        except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
+            return None
+
+    def put(self, task: T, rows: Sequence[Row]) -> None:
+        """Store the rows of a task.
+
+        Raises:
+            RecordingError: it cannot be written.
+        """
+        plain = [[value if isinstance(value, str) or math.isfinite(value) else None for value in row] for row in rows]
+        content = {"task": task.describe(), "key": task.key, "code": self.code(), "rows": plain}
+        with files.errors_as(f"cannot write {self.directory / self.folder}"):
+            files.write_text(self._path(task), json.dumps(content) + "\n")
+
+    def _path(self, task: T) -> Path:
+        return self.directory / self.folder / f"{task.key}.json"
+
+
+def _number(value: object) -> str | float:
+    if isinstance(value, str):
+        return value
+    found = math.nan if value is None else float(value)  # type: ignore[arg-type]  # it raises
+    if math.isinf(found):
+        raise ValueError("not a number that is measured")
+    return found
+
+
+def measure(
+    tasks: Sequence[K],
+    get: Callable[[K], R | None],
+    put: Callable[[K, R], None],
+    runner: Callable[[Sequence[K]], Generator[tuple[K, R], None, None]],
+) -> Generator[tuple[K, R], None, None]:
+    """Yield every task with its result as soon as it is stored: those stored already first, then the measured ones.
+
+    Args:
+        tasks: of any kind.
+        get: returns what is stored of a task, None if it is to be measured.
+        put: stores a result.
+        runner: measures tasks, in any order.
+
+    Raises:
+        RecordingError: a result cannot be stored.
+    """
+    missing = []
+    for task in tasks:
+        result = get(task)
+        if result is None:
+            missing.append(task)
+        else:
+            yield task, result
+    if not missing:
+        return
+    with contextlib.closing(runner(missing)) as measured:
+        for task, result in measured:
+            put(task, result)
+            yield task, result
+
+
+P = TypeVar("P")
+
+
+def load_plan(path: Path, what: str, read: Callable[[object, str], P]) -> P:
+    """Return the plan that `read` makes of a YAML document and its text.
+
+    Raises:
+        ConfigError: the file cannot be read or is wrong; the message ends with the file.
+        BudgetError: it would take too long.
+    """
+    try:
+        text = str(files.read_bytes(path, MAX_FILE_BYTES), "utf-8")
+        document = budget.load_yaml(text, MAX_FILE_BYTES)
+    except OSError as error:
+        raise ConfigError(f"cannot read {what}: {error.strerror} ({path})") from error
+    except ValueError as error:  # PlainYamlError, or it is not UTF-8
+        raise ConfigError(f"not a YAML file: {' '.join(str(error).split())} ({path})") from error
+    try:
+        return read(document, text)
+    except (ConfigError, BudgetError) as error:
+        raise type(error)(f"{error} ({path})") from error

@@ -1,0 +1,120 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""`impact-rig compare`: a measurement and the model side by side."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from impact_rig.cli.terminal import Console, TextTable, add_json, add_run, figure, subcommand, tell_json
+from impact_rig.recording import open_run
+from impact_rig.system import files
+
+if TYPE_CHECKING:
+    from impact_rig_studies.comparison import Comparison
+
+FAR_OFF = 2.0  # standard uncertainties from which a difference is marked
+
+
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register the subcommand."""
+    parser = subcommand(
+        commands, "compare", _run, "a measurement and the model side by side, and the constants that would fit best",
+        [
+            ("compare runs/mine --config my_rig.yaml", "the model of that rig, driven by the measured current"),
+            ("compare runs/mine --drive base --figure build/mine", "driven by the measured base, and drawn"),
+        ],
+        "Takes recorded and imported runs: docs/own_measurement.md.",
+    )  # fmt: skip
+    add_json(parser)
+    add_run(parser)
+    parser.add_argument("--config", type=Path, metavar="FILE", help="the model (default: the run's own configuration)")
+    parser.add_argument(
+        "--drive", choices=("current", "base"), help="what drives the model (default: the current if it was measured)"
+    )
+    parser.add_argument("--figure", type=Path, metavar="DIR", help="draw to DIR/comparison.png, .svg and .csv")
+    parser.add_argument("--no-fit", action="store_true", help="look for no better constants")
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from impact_rig.rig.config import load  # noqa: PLC0415  # heavy: after the signals are taken
+    from impact_rig_studies.comparison import compare, drawn  # noqa: PLC0415  # as above
+
+    console = Console(quiet=arguments.json)
+    if arguments.figure:
+        files.make_folder(arguments.figure)
+    known = load(arguments.config) if arguments.config else None
+    with open_run(arguments.path, arguments.rig) as run:
+        found = compare(
+            run, known, arguments.drive, fits=not arguments.no_fit, on_step=lambda what: console.print(f"{what} ...")
+        )
+    if arguments.figure:
+        drawn(found, arguments.path.name).save(arguments.figure)
+    _print(console, found)
+    if arguments.json:
+        tell_json(_content(found))
+    return 0
+
+
+def _content(found: Comparison) -> dict[str, object]:
+    from impact_rig_studies.cli.identify import identified_content  # noqa: PLC0415  # as above
+
+    residual = found.residual
+    motion = found.excerpt.rows["laser"]
+    return {
+        "driven_by": found.driven_by,
+        "places": [
+            {
+                "gap_mm": 1e3 * one.gap_m, "frequency_hz": one.frequency_hz,
+                **{
+                    f"{side}_{name}": None if row is None else row[name]
+                    for name in ("transmissibility", "transmissibility_uncertainty", "phase", "phase_uncertainty")
+                    for side, row in (("measured", one.measured), ("model", one.model))
+                },
+                "transmissibility_off_u": one.off("transmissibility"), "phase_off_u": one.off("phase"),
+            }
+            for one in found.places
+        ],
+        "traces": {
+            "from_s": found.excerpt.rows["time"][0], "to_s": found.excerpt.rows["time"][-1],
+            "structure_rms_m": np.std(motion), "residual_rms_m": np.std(residual),
+        },
+        **(identified_content(found.constants) if found.constants is not None else {}),
+    }  # fmt: skip
+
+
+def _print(console: Console, found: Comparison) -> None:
+    from impact_rig_studies.cli.identify import print_identified  # noqa: PLC0415  # as above
+
+    table = TextTable(
+        f"Measured, and the model driven by the measured {found.driven_by}",
+        right=("gap [mm]", "frequency [Hz]", "DT measured", "± 2u", "DT model", "off [u]", "phase off [u]"), last=("",),
+    )  # fmt: skip
+    for one in found.places:
+        dt, phase = one.off("transmissibility"), one.off("phase")
+        row = one.measured
+        gap = "?" if math.isnan(one.gap_m) else f"{1e3 * one.gap_m:g}" if one.gap_m else "no sphere"
+        cells = [gap, f"{one.frequency_hz:g}", figure(row["transmissibility"], ".5g")]
+        cells.append(figure(2 * row["transmissibility_uncertainty"], ".2g"))
+        if one.model is None:
+            table.add_row(*cells, "-", "-", "-", "the model does not settle", style="yellow")
+        else:
+            far = max(abs(dt), abs(phase)) > FAR_OFF
+            cells += [figure(one.model["transmissibility"], ".5g"), figure(dt, "+.1f"), figure(phase, "+.1f")]
+            table.add_row(*cells, "differs" if far else "", style="yellow" if far else None)
+    console.print(table)
+    motion, residual = (float(np.std(one)) for one in (found.excerpt.rows["laser"], found.residual))
+    if motion > 0.0:
+        share = f"{100.0 * residual / motion:.3g} % of the structure's motion"
+        console.print(f"{found.excerpt}: rms of measured less model {share}")
+    else:
+        console.print(f"{found.excerpt}: the structure did not move, rms of measured less model {residual:.3g} m")
+    if found.constants is not None:
+        print_identified(console, found.constants)
+    else:
+        console.print("constants: none can be told without DT without the sphere, beside a measured current")

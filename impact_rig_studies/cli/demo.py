@@ -1,0 +1,230 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""`impact-rig demo`: three node processes, driven through their topics, measure the paper's five reductions."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import datetime as dt
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.progress import BarColumn, Progress, TaskID, TimeElapsedColumn
+
+from impact_rig import topics
+from impact_rig.analysis.calibration import Calibration
+from impact_rig.cli.terminal import Console, Steps, TextTable, Words, add_json, figure, subcommand, tell_results
+from impact_rig.errors import ImpactRigError
+from impact_rig.recording import open_run
+from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.rig.gaps import NO_SPHERE, case_of, gap_values
+from impact_rig.rig.journal import not_default
+from impact_rig.runs import RunInfo, info
+from impact_rig.simtime import NS_PER_S
+from impact_rig.system import files
+from impact_rig_studies.campaign import paper
+from impact_rig_studies.campaign.job import Job
+from impact_rig_studies.campaign.paper import DEMO_POINTS_LIMIT, Reductions
+from impact_rig_studies.campaign.results import FILE_NAME, Statement, write_summary
+from impact_rig_studies.operate.stepped_sine import SteppedSine
+from impact_rig_studies.report.dt import draw_reductions
+
+MEASUREMENTS = 2
+"""Settled measurements per case; each takes 5 s of rig time, or 21 s where the response is not periodic."""
+LINEAR_LIMIT = 0.02
+
+
+RUNS = {NO_SPHERE: "no_sphere", **{gap_m: f"gap_{gap_m * 1e3:g}mm" for gap_m in paper.REDUCTION_PERCENT}}
+"""Name of the run's directory, by gap [m]."""
+
+
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register the subcommand."""
+    parser = subcommand(
+        commands, "demo", run, "measure the paper's five reductions through the topics",
+        [
+            ("demo", "three processes, six runs recorded below runs/, a table and a figure"),
+            ("demo --rate 50000 --seed 7 --output runs/fast", "other instruments, read faster"),
+        ],
+        "The last line is the directory of the results. Exit code 0: every reduction within 3 points of the paper.",
+    )  # fmt: skip
+    add_json(parser)
+    parser.add_argument(
+        "--output", type=Path, help="directory for runs, figure and summary (default: runs/demo_<date>)"
+    )
+    parser.add_argument("--rate", type=int, default=10_000, metavar="HZ", help="scans per second (default: 10000)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of noise and calibration errors (default: 1)")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the demo and return the exit code: 0 if every reduction is within 3 points of the paper."""
+    console = Console(quiet=arguments.json)
+    directory = _new_directory(arguments.output)
+    config = from_flat(
+        RigConfig(),
+        {
+            "time.mode": "freewheel",
+            "time.peers": ["analysis", "recorder"],
+            "daq.rate_hz": arguments.rate,
+            "daq.block_scans": max(1, arguments.rate // 100),
+            "daq.seed": arguments.seed,
+        },
+    )
+    console.print(
+        f"impact_rig demo: rig, analysis and recorder as three processes, {arguments.rate} scans/s, freewheel"
+    )
+    started = time.monotonic()
+    rows = _measure(config, directory)
+    wall_s = time.monotonic() - started
+
+    from impact_rig.physics.linear_response import transmissibility  # noqa: PLC0415  # compiles nothing, but loads SciPy
+
+    runs = [info(directory / name) for name in RUNS.values()]
+    lost = sum(_lost_blocks(run) for run in runs)
+    simulated_s = sum(_scanned_s(run) for run in runs)
+    with open_run(directory / RUNS[NO_SPHERE]) as recorded:
+        calibration = Calibration.from_info(next(recorded.tables(topics.INFO.name)).rows)  # the certificate, published
+    reductions = Reductions.of(rows, calibration)
+    closed_form = float(abs(transmissibility(config, paper.FREQUENCY_HZ)))
+    statements = {
+        "dt_no_sphere_agrees_with_closed_form": _judge(abs(reductions.dt_no_sphere / closed_form - 1.0), LINEAR_LIMIT),
+        "reductions_within_3_points": _judge(reductions.max_abs_error(), DEMO_POINTS_LIMIT),
+        "reduction_grows_with_gap": Statement(reductions.grows_with_gap(), float(reductions.grows_with_gap()), 1.0),
+        "no_block_lost": _judge(float(lost), 0.0),
+    }
+    draw_reductions(reductions, directory / "reductions.png")
+    write_summary(
+        directory,
+        reductions,
+        statements,
+        lost_blocks=lost,
+        wall_s=wall_s,
+        simulated_s=simulated_s,
+        seed=config.daq.seed,
+        more={"dt_no_sphere_closed_form": closed_form},
+    )
+    _print_table(console, reductions, closed_form)
+    console.print(f"{simulated_s:.0f} s of rig time in {wall_s:.0f} s, {lost} blocks lost.")
+    failed = [name for name, statement in statements.items() if not statement.passed]
+    if failed:
+        console.print(f"not as expected: {', '.join(failed)}", style="red")
+    console.print(f"figure: reductions.png, figures for programs: summary.json, runs: {', '.join(RUNS.values())}")
+    summary = json.loads((directory / FILE_NAME).read_text(encoding="utf-8"))
+    tell_results(directory, {"runs": list(RUNS.values()), **summary}, as_json=arguments.json)
+    return 1 if failed else 0
+
+
+def _measure(config: RigConfig, directory: Path) -> dict[float, NDArray[np.void]]:
+    """Return the settled measurements by gap; every case is recorded in a directory of its name."""
+    from impact_rig_studies.apparatus import freewheel_runner  # noqa: PLC0415  # needs rclpy
+
+    rows: dict[float, NDArray[np.void]] = {}
+    with Screen() as screen:
+        runner = freewheel_runner(directory, config, lambda job: RUNS[job.gap_m], screen.show)
+        with contextlib.closing(runner([_job(config, gap_m) for gap_m in RUNS])) as done:
+            for job, outcome in done:
+                if outcome.failure:
+                    raise ImpactRigError(f"{case_of(job.gap_m)}: {outcome.failure}")
+                rows[job.gap_m] = outcome.rows
+        screen.done()
+    return rows
+
+
+def _job(config: RigConfig, gap_m: float) -> Job:
+    return Job(
+        changes=not_default(from_flat(config, gap_values(gap_m))),
+        gap_m=gap_m,
+        frequencies_hz=(paper.FREQUENCY_HZ,),
+        current_a=paper.CURRENT_A,
+        repetitions=MEASUREMENTS,
+    )
+
+
+class Screen:
+    """The progress of the demo, a line a case: a bar on a terminal, elsewhere a line whenever something is new."""
+
+    def __init__(self) -> None:
+        console = Console(stderr=True)
+        self._plain = not console.is_terminal
+        words, state = Words("{task.description:<12}"), Words("{task.fields[state]:<36}")
+        columns = (words, BarColumn(24), state, TimeElapsedColumn())
+        self._progress = Progress(*columns, console=console, disable=self._plain)
+        self._starting = self._progress.add_task("processes", total=None, state="starting")
+        self._tasks: dict[float, TaskID] = {}
+        self._lines: dict[float, Steps] = {}
+
+    def __enter__(self) -> Screen:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def show(self, job: Job, sweep: SteppedSine | None) -> None:
+        """Show where a job stands."""
+        if sweep is None:
+            self._progress.update(self._starting, total=1, completed=1, state="running")
+            label = case_of(job.gap_m)
+            self._tasks[job.gap_m] = self._progress.add_task(label, total=MEASUREMENTS, state="preparing")
+            self._lines[job.gap_m] = Steps(label, MEASUREMENTS)
+            if self._plain:
+                self._lines[job.gap_m].show(0, "preparing")
+            return
+        rows = sweep.rows
+        state = f"DT {rows['transmissibility'][-1]:.2f}" if len(rows) else "settling"
+        self._progress.update(self._tasks[job.gap_m], completed=len(rows), state=state)
+        if self._plain and len(rows):
+            self._lines[job.gap_m].show(len(rows), state)
+
+    def done(self) -> None:
+        """Show that everything is measured."""
+        self._progress.update(self._starting, state="done")
+
+
+def _judge(value: float, limit: float) -> Statement:
+    return Statement(value <= limit, value, limit)
+
+
+def _lost_blocks(run: RunInfo) -> int:
+    if run.scans is None:
+        raise ImpactRigError(f"{run.path} holds no daq/scan")
+    return run.scans.lost_blocks
+
+
+def _scanned_s(run: RunInfo) -> float:
+    scan = next(topic for topic in run.topics if topic.name.endswith(topics.SCAN.name))
+    return (scan.last_ns - scan.first_ns) / NS_PER_S
+
+
+def _new_directory(wanted: Path | None) -> Path:
+    stamp = dt.datetime.now().astimezone().strftime("%Y%m%d_%H%M%S")
+    directory = wanted or Path("runs") / f"demo_{stamp}"
+    if directory.exists() and any(directory.iterdir()):
+        raise ImpactRigError(f"{directory} exists and is not empty: nothing is overwritten, choose another --output")
+    try:
+        files.make_folder(directory)
+    except OSError as error:
+        raise ImpactRigError(f"{directory} cannot be made: {error.strerror}") from error
+    return directory.resolve()
+
+
+def _print_table(console: Console, reductions: Reductions, closed_form: float) -> None:
+    ours, spread, errors = reductions.percent(), reductions.percent_uncertainty, reductions.errors()
+    table = TextTable(
+        f"Reduction of DT at {paper.FREQUENCY_HZ} Hz against no sphere",
+        right=("gap [mm]", "DT", "this run [%]", "± 2u", "paper [%]", "difference"),
+    )
+    table.add_row(
+        "none", f"{reductions.dt_no_sphere:.2f}", "", "", "", f"closed form {closed_form:.2f}", end_section=True
+    )
+    for gap, value in sorted(ours.items()):
+        table.add_row(
+            f"{gap * 1e3:g}", figure(reductions.dt[gap], ".2f"), figure(value, ".2f"), figure(2 * spread[gap], ".2f"),
+            f"{paper.REDUCTION_PERCENT[gap]:.1f}", figure(errors[gap], "+.1f"),
+        )  # fmt: skip
+    console.print(table)
+    console.print(f"largest difference {reductions.max_abs_error():.1f} points, rms {reductions.rms_error():.1f}")

@@ -1,0 +1,55 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""`impact-rig analyze --drop`: the coefficient of restitution from the drops that were noted with a run."""
+
+from __future__ import annotations
+
+import argparse
+import math
+
+import numpy as np
+
+from impact_rig.cli.analyze import Analysis, draw_figure, prepare_figure
+from impact_rig.cli.quantities import Quantity
+from impact_rig.cli.terminal import Console, TextTable, tell_json
+from impact_rig.config.fields import FieldInfo
+from impact_rig.recording import Run
+
+HEIGHT_UNCERTAINTY = Quantity(FieldInfo("Standard uncertainty of a height.", "m", low=0.0))
+
+
+def _add(instead: argparse._MutuallyExclusiveGroup) -> None:
+    instead.add_argument(
+        "--drop", type=HEIGHT_UNCERTAINTY, metavar="LENGTH",
+        help="coefficient of restitution from remarks like `drop h0_m=0.2 h1_m=0.0245`, with this standard uncertainty "
+        "of a height, e.g. 0.5mm",
+    )  # fmt: skip
+
+
+def _run(console: Console, run: Run, arguments: argparse.Namespace) -> int:
+    from impact_rig.analysis.drawings import restitution_by_drop  # noqa: PLC0415  # heavy: after the run is open
+    from impact_rig_studies.drops import drops_of  # noqa: PLC0415  # as above
+
+    prepare_figure(arguments, "drop")
+    drops, found = drops_of(run, arguments.drop)
+    each = np.array([math.sqrt(one.h1_m / one.h0_m) for one in drops])
+    if arguments.json:
+        tell_json({
+            "run": str(run.path), "restitution": found.restitution, "u_restitution": found.u_restitution,
+            "drops": [{"h0_m": one.h0_m, "h1_m": one.h1_m, "e": e} for one, e in zip(drops, each, strict=True)],
+        })  # fmt: skip
+    table = TextTable("Drop test", right=("drop", "from [m]", "back to [m]", "e"))
+    for number, (one, e) in enumerate(zip(drops, each, strict=True), 1):
+        table.add_row(str(number), f"{one.h0_m:g}", f"{one.h1_m:g}", f"{e:.4f}")
+    console.print(table)
+    draw_figure(
+        console, run, arguments, "drop", lambda: restitution_by_drop(each, found.restitution, found.u_restitution)
+    )
+    if not math.isfinite(found.u_restitution):
+        console.print(f"no uncertainty of e from {found.drops} drops: more drops are needed", style="red")
+        return 1
+    console.print(f"e = {found.restitution:.4f} ± {2 * found.u_restitution:.4f} (2u) from {found.drops} drops")
+    return 0
+
+
+DROP = Analysis("drop", _add, _run)

@@ -1,0 +1,283 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""What drives a rig through its stream: `impact-rig play`, `impact-rig frf`, and `loop` random, replicate and shock."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TypeVar
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.analysis.scans import CHANNELS
+from impact_rig.cli.quantities import positive
+from impact_rig.cli.rig_options import PROCESS, RUNNING, add_rig, add_way, rig_of, run_directory
+from impact_rig.cli.terminal import Console, add_json, subcommand, tell_results
+from impact_rig.client.hardware import Hardware
+from impact_rig.errors import CommandError, ConfigError, ImpactRigError
+from impact_rig.names import visible
+from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.rig.gaps import NO_SPHERE, case_of
+from impact_rig.system import files
+from impact_rig.system.endings import unhurried
+
+RATE_HZ, FAST_HZ = 2_000, 10_000  # of samples and scans where nothing else is asked: what 200 Hz and what a shock needs
+P = TypeVar("P", bound=attrs.AttrsInstance)
+Work = Callable[[Hardware], Iterator[object]]  # drives the rig, and yields what it has reached, again and again
+
+
+def add_play(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register `play`."""
+    parser = subcommand(
+        commands, "play", _play, "drive the rig with a signal of a file, or of a run",
+        [
+            ("play road.csv --signal drive --scale 0.5", "half of a column, resampled to the rig's rate"),
+            ("play runs/demo/gap_6mm --seconds 30", "the current that a recorded run measured"),
+        ],
+    )  # fmt: skip
+    parser.add_argument("file", type=Path, metavar="FILE", help="CSV, WAV, npz and others, see import; or a run")
+    _add_signal(parser)
+    parser.add_argument("--seconds", type=positive("s"), metavar="S", help="longest duration (default: all of it)")
+    parser.add_argument(
+        "--clip", type=positive("A"), metavar="A", help="largest sample (default: a larger one ends the test)"
+    )
+    _add_words(parser, "play", FAST_HZ)
+
+
+def add_frf(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register `frf`."""
+    from impact_rig_studies.excitation.response import BURST, KINDS, Excitation  # noqa: PLC0415  # scipy
+
+    default = Excitation()
+    parser = subcommand(
+        commands, "frf", _frf, "drive the rig at random or by a chirp and measure its frequency response",
+        [
+            ("frf --gap none", "base over current, by bursts of noise"),
+            ("frf --channel laser --reference base --kind chirp", "structure over base"),
+        ],
+    )  # fmt: skip
+    parser.add_argument("--kind", choices=KINDS, default=BURST)
+    parser.add_argument("--channel", choices=CHANNELS, default="base", help="of the response (default: base)")
+    parser.add_argument("--reference", choices=CHANNELS, default="current", help="(default: current)")
+    for name, metavar, text in (
+        ("frames", "N", "that are averaged"), ("frame_s", "S", "length of a frame"),
+        ("low_hz", "HZ", "edge of the band"), ("high_hz", "HZ", "edge of the band"),
+        ("rms", "A", "of the drive"), ("seed", "N", "of its random numbers"),
+    ):  # fmt: skip
+        value = getattr(default, name)
+        parser.add_argument(
+            f"--{name.replace('_', '-')}", type=type(value), default=value, metavar=metavar,
+            help=f"{text} (default: {value})",
+        )  # fmt: skip
+    _add_words(parser, "frf", RATE_HZ)
+
+
+def add_kinds(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register the kinds of `loop` that need a stream."""
+    one = kinds.add_parser("random", help="hold a power spectral density")
+    one.add_argument("plan", nargs="?", type=Path, metavar="FILE", help="e.g. config/excitation/random.yaml")
+    _add_words(one, "random", RATE_HZ)
+    one.set_defaults(run=_random)
+    one = kinds.add_parser("replicate", help="make a response follow a history")
+    one.add_argument("file", type=Path, metavar="FILE", help="with the history: CSV, WAV, npz and others; or a run")
+    _add_signal(one)
+    one.add_argument("--plan", type=Path, metavar="FILE", help="e.g. config/excitation/replicate.yaml")
+    _add_words(one, "replicate", RATE_HZ)
+    one.set_defaults(run=_replicate)
+    one = kinds.add_parser("shock", help="let the base make a half sine, compensated")
+    one.add_argument("plan", nargs="?", type=Path, metavar="FILE", help="e.g. config/excitation/shock.yaml")
+    _add_words(one, "shock", FAST_HZ)
+    one.set_defaults(run=_shock)
+
+
+def _add_signal(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--signal", metavar="NAME", help="column of the file, channel of the run")
+    parser.add_argument("--unit", default="", help="of the file's values (default: as it says, else SI)")
+    parser.add_argument("--scale", type=float, default=1.0, metavar="X", help="what values are multiplied by")
+    parser.add_argument("--file-rate", type=float, metavar="HZ", help="of a file that says neither times nor a rate")
+
+
+def _add_words(parser: argparse.ArgumentParser, what: str, rate_hz: int) -> None:
+    add_rig(parser)
+    add_way(parser, " (drive.waveform: stream)")
+    parser.add_argument(
+        "--rate", type=int, default=rate_hz, metavar="HZ", help=f"of samples and scans (default: {rate_hz})"
+    )
+    parser.add_argument(
+        "--abort",
+        nargs="+",
+        type=_limit,
+        default=[],
+        metavar="CHANNEL=X",
+        help="end the test beyond a reading, e.g. laser=5mm current=2A",
+    )
+    parser.add_argument("--output", type=Path, metavar="DIR", help=f"of the run; default: runs/{what}_<time>")
+    add_json(parser)
+
+
+def _play(arguments: argparse.Namespace) -> int:
+    from impact_rig_studies.excitation.history import play  # noqa: PLC0415  # scipy
+
+    samples = _history(arguments, "A")
+    if arguments.seconds is not None and arguments.seconds * arguments.rate < len(samples):
+        samples = samples[: round(arguments.seconds * arguments.rate)]
+    if not len(samples):
+        raise ConfigError(f"--seconds {arguments.seconds:g} is less than a sample at --rate {arguments.rate}")
+    _refuse_zeros(arguments, samples)
+    return _drive(
+        arguments, f"Played: {visible(arguments.file.name)}", "A", lambda rig: play(rig, samples, arguments.clip)
+    )
+
+
+def _refuse_zeros(arguments: argparse.Namespace, samples: NDArray[np.float64]) -> None:
+    if not samples.any():
+        raise ConfigError(f"{arguments.file}: the signal is zero throughout, so no error relative to it exists")
+
+
+def _frf(arguments: argparse.Namespace) -> int:
+    from impact_rig_studies.excitation.files import read  # noqa: PLC0415  # scipy
+    from impact_rig_studies.excitation.response import Excitation, measure  # noqa: PLC0415
+
+    names = ("kind", "frames", "frame_s", "low_hz", "high_hz", "rms", "seed")
+    excitation = read({name: getattr(arguments, name) for name in names}, Excitation)
+    title = f"Frequency response: {arguments.channel} over {arguments.reference}, {arguments.kind.replace('_', ' ')}"
+    unit = f"{SI[arguments.channel]}/{SI[arguments.reference]}"
+    return _drive(arguments, title, unit, lambda rig: measure(rig, excitation, arguments.channel, arguments.reference))
+
+
+SI = {"accelerometer": "(m/s²)", "laser": "m", "base": "m", "current": "A"}
+
+
+def _plan(arguments: argparse.Namespace, kind: type[P]) -> P:
+    """Return the plan of a kind in the file that is asked for, else the default one."""
+    from impact_rig_studies.excitation.files import load as load_plan  # noqa: PLC0415  # scipy
+
+    return load_plan(arguments.plan, kind) if arguments.plan else kind()
+
+
+def _random(arguments: argparse.Namespace) -> int:
+    from impact_rig_studies.excitation.random import RandomPlan, control  # noqa: PLC0415  # scipy
+
+    plan = _plan(arguments, RandomPlan)
+    title = f"Random control: {plan.response.replace('_', ' ')}"
+    return _drive(arguments, title, plan.response.unit, lambda rig: control(rig, plan))
+
+
+def _replicate(arguments: argparse.Namespace) -> int:
+    from impact_rig_studies.excitation.history import ReplicatePlan, replicate  # noqa: PLC0415  # scipy
+
+    plan = _plan(arguments, ReplicatePlan)
+    asked = _history(arguments, plan.response.unit, plan.response.channel)
+    _refuse_zeros(arguments, asked)
+    title = f"Replicated: {plan.response.replace('_', ' ')} of {visible(arguments.file.name)}"
+    return _drive(arguments, title, plan.response.unit, lambda rig: replicate(rig, asked, plan))
+
+
+def _shock(arguments: argparse.Namespace) -> int:
+    from impact_rig_studies.excitation.shock import Pulse, shock  # noqa: PLC0415  # scipy
+
+    pulse = _plan(arguments, Pulse)
+    title = f"Shock: half sine of {pulse.peak:g} m/s², {1e3 * pulse.duration_s:g} ms"
+    return _drive(arguments, title, "m", lambda rig: shock(rig, pulse))
+
+
+def _history(arguments: argparse.Namespace, unit: str, name: str | None = None) -> NDArray[np.float64]:
+    from impact_rig_studies.excitation.files import history  # noqa: PLC0415  # scipy
+
+    return history(
+        arguments.file, arguments.rate, unit, arguments.signal, name, arguments.unit, arguments.scale,
+        arguments.file_rate,
+    )  # fmt: skip
+
+
+def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work) -> int:
+    """Let a rig be driven, and write its run with what was reached, however it ends."""
+    from impact_rig_studies.report.excitation import document, tell  # noqa: PLC0415  # matplotlib
+
+    rate = {"drive.stream_rate_hz": arguments.rate, "daq.rate_hz": arguments.rate}
+    config = from_flat(rig_of(arguments)[0], {"drive.waveform": "stream", **rate})
+    if config.drive.kind != "current":
+        raise ConfigError(
+            f"{arguments.config}: drive.kind must be current, as samples are amperes here, got {config.drive.kind}"
+        )
+    what = getattr(arguments, "kind", arguments.command) if arguments.command == "loop" else arguments.command
+    directory = run_directory(arguments.output, what)
+    console, progress = Console(quiet=arguments.json), Console(stderr=True)
+    found, early, interrupted = None, "", None
+    with contextlib.ExitStack() as writing:  # what follows the drive is not cut short by one more signal
+        with _connected(arguments, config, directory) as hardware:
+            try:
+                for found in work(hardware):
+                    progress.print(tell(found, unit).progress)
+            except (CommandError, TimeoutError) as error:
+                early = str(error)
+            except KeyboardInterrupt as error:
+                early, interrupted = "interrupted", error
+            writing.enter_context(unhurried())
+            hardware.output.stop()
+        if found is None:
+            raise interrupted or ImpactRigError(f"{early}; the run so far: {directory}")
+        told = tell(found, unit)
+        figures = {"title": title, "unit": unit, "rate_hz": arguments.rate, "ended_early": early, **told.figures}
+        rig = case_of(config.barriers.gap_m if config.sphere.present else NO_SPHERE)
+        about = [
+            ("Rig", arguments.namespace if arguments.through == RUNNING else rig), ("Through", arguments.through),
+            ("Rate", f"{arguments.rate} Hz"),
+            ("Recording", f"{visible(directory.name)}; impact-rig verify re-simulates it"),
+        ]  # fmt: skip
+        files.write_text(directory / f"{what}.json", json.dumps(files.plain(figures), indent=2) + "\n")
+        page = directory / f"{what}.html"
+        # an ending that takes too long is cut short: the words first
+        files.write_text(page, document(title, about, told, early, drawn=False))
+        files.write_text(page, document(title, about, told, early))
+        for sentence in [title, *told.sentences, *([f"ended early: {early}"] if early else [])]:
+            console.print(sentence)
+        tell_results(directory, figures, as_json=arguments.json)
+        if interrupted:
+            raise interrupted
+    return 1 if early or told.missing else 0
+
+
+@contextlib.contextmanager
+def _connected(arguments: argparse.Namespace, config: RigConfig, directory: Path) -> Iterator[Hardware]:
+    """Give a rig's hardware, recorded into a directory."""
+    abort = dict(arguments.abort)
+    if arguments.through == PROCESS:
+        from impact_rig.client.recorded_wire import DRIVEN, RecordedInProcess  # noqa: PLC0415
+        from impact_rig.runs.in_process import RigRecorder  # noqa: PLC0415
+
+        rig = Rig(config)
+        with RigRecorder(directory, rig, DRIVEN) as recorder:
+            yield Hardware(RecordedInProcess(rig, recorder), abort)
+        return
+    from impact_rig.client.over_topics import recorded  # noqa: PLC0415  # needs rclpy
+
+    namespace = arguments.namespace if arguments.through == RUNNING else None
+    if namespace is not None:
+        Console(quiet=arguments.json).print(f"waiting for a rig in {namespace} ...")
+    with recorded(directory, config, namespace) as wire:
+        if wire.rate_hz != wire.scan_rate_hz or wire.rate_hz != arguments.rate:
+            raise ConfigError(
+                f"the rig has {wire.rate_hz} samples and {wire.scan_rate_hz} scans a second: both must be --rate "
+                f"{arguments.rate}"
+            )
+        yield Hardware(wire, abort)
+
+
+def _limit(text: str) -> tuple[str, float]:
+    channel, _, value = text.partition("=")
+    if channel not in CHANNELS:
+        raise argparse.ArgumentTypeError(
+            f"must be CHANNEL=X with a channel of {', '.join(CHANNELS)}, e.g. laser=5mm, got {text!r}"
+        )
+    try:
+        return channel, positive(SI[channel].strip("()")).number(value)
+    except ConfigError as error:
+        raise argparse.ArgumentTypeError(f"{channel}: {error}") from error

@@ -1,0 +1,233 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""`impact-rig identify`: constants of the rig from measured runs, or from what the paper printed."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from pathlib import Path
+
+from impact_rig.cli.terminal import Console, TextTable, add_json, figure, subcommand, tell_json, tell_program
+from impact_rig.errors import ConfigError, ImpactRigError
+from impact_rig.recording import open_run
+from impact_rig.rig.config import RigConfig, dump, load
+from impact_rig.rig.gaps import NO_SPHERE
+from impact_rig.states import Status
+from impact_rig.system import files
+from impact_rig_studies.campaign import run
+from impact_rig_studies.campaign.paper import CURRENT_A, FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT
+from impact_rig_studies.decay import REASONS, fit_decay, log_decrement
+from impact_rig_studies.identification import paper_fit
+from impact_rig_studies.identification.fit import NAMES, START, UNITS, Identified, Information, identify, logarithms
+from impact_rig_studies.identification.measurements import (
+    U_RESTITUTION,
+    Gains,
+    Measured,
+    measured_decay,
+    recorded_decay,
+    reduced_of,
+    sine_of,
+)
+
+JSON_FILE, CONFIGURATION_FILE = "identification.json", "identified.yaml"
+
+
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register the subcommand."""
+    parser = subcommand(
+        commands, "identify", _run, "constants of the rig from measured runs, and what they cannot tell",
+        [
+            ("identify runs/campaign_paper", "from its curves, its reductions and a free decay"),
+            ("identify --paper", "what the paper's own numbers determine"),
+        ],
+    )  # fmt: skip
+    add_json(parser)
+    parser.add_argument("directory", nargs="?", type=Path, metavar="DIR", help="directory of a campaign")
+    parser.add_argument("--decay", type=Path, metavar="RUN", help="recorded run with a pluck (default: pluck the rig)")
+    parser.add_argument(
+        "--decrement", action="store_true", help="take the free decay by its logarithmic decrement, not by a fit"
+    )
+    parser.add_argument(
+        "--without",
+        nargs="+",
+        choices=("decay", "sine", "reductions"),
+        default=(),
+        metavar="DATA",
+        help="leave these data out: decay, sine, reductions",
+    )
+    parser.add_argument(
+        "--e-uncertainty", type=float, default=U_RESTITUTION, metavar="U",
+        help=f"standard uncertainty of the configuration's e, 0 if it is exact (default: {U_RESTITUTION:g})",
+    )  # fmt: skip
+    parser.add_argument("--paper", action="store_true", help="instead: fit the default rig to the paper's numbers")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="with --paper: what is taken as known")
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    console = Console(quiet=arguments.json)
+    if arguments.paper:
+        base = load(arguments.config) if arguments.config else RigConfig()
+        fits = []
+        for free in (("f_n", "ζ"), ("f_n", "ζ", "I")):
+            fits.append(paper_fit.fit_paper(base, free, lambda what: console.print(f"{what} ...")))
+            _print_paper(console, fits[-1], base)
+        if arguments.json:
+            tell_json([_paper_content(fit) for fit in fits])
+        return 0
+    if arguments.directory is None:
+        raise ConfigError("a campaign's directory is needed (or --paper), e.g. runs/campaign_paper")
+    if not 0.0 <= arguments.e_uncertainty <= 1.0:
+        raise ConfigError(f"--e-uncertainty must be >= 0 and <= 1, got {arguments.e_uncertainty!r}")
+    done = run.open_finished(arguments.directory)
+    measured = _measured(done, arguments, console)
+    base = done.campaign.base
+    start = logarithms(base) if done.imported else START
+    found = identify(measured, base, start, lambda what: console.print(f"{what} ..."))
+    print_identified(console, found)
+    if not found.consistent:
+        console.print(f"no {CONFIGURATION_FILE} is written", style="red")
+    content = identified_content(found)
+    text = json.dumps(content, indent=2, ensure_ascii=False)
+    files.write_text(arguments.directory / JSON_FILE, f"{text}\n")
+    if found.consistent and all(map(found.information.determined, NAMES)):
+        files.write_text(arguments.directory / CONFIGURATION_FILE, dump(found.config))
+    if arguments.json:
+        tell_json(content)
+    else:
+        tell_program(arguments.directory.resolve())
+    return 0
+
+
+def _measured(done: run.Finished, arguments: argparse.Namespace, console: Console) -> Measured:
+    """Gather what there is, and say what it is."""
+    base, curves = done.campaign.base, done.curves
+    gains = Gains.of(done.info)
+    decay = sine = reduced = None
+    method = log_decrement if arguments.decrement else fit_decay
+    if "decay" not in arguments.without:
+        if arguments.decay is None:
+            decay = None if done.imported else measured_decay(base, method)
+        else:
+            with open_run(arguments.decay) as recorded:
+                decay = recorded_decay(recorded, method)
+    if decay is not None:
+        if decay.status is not Status.OK:
+            why = REASONS.get(decay.status, decay.status.value)
+            raise ImpactRigError(f"the free decay cannot be measured: {why}")
+        console.print(
+            f"free decay: f_n {decay.natural_frequency_hz:.6f} ± {2 * decay.u_natural_frequency_hz:.6f} Hz, "
+            f"ζ {decay.damping_ratio:.6f} ± {2 * decay.u_damping_ratio:.6f} (2u)"
+        )
+    if "sine" not in arguments.without:
+        frequencies = curves.frequencies(NO_SPHERE) if done.imported else FREQUENCIES_HZ
+        points = [point for f in frequencies if (point := curves.at(NO_SPHERE, f)) is not None]
+        sine = sine_of(points, gains) if points else None
+        console.print(f"stepped sine without sphere: {len(points)} points")
+    if "reductions" not in arguments.without:
+        at_hz, gaps = FREQUENCY_HZ, tuple(REDUCTION_PERCENT)
+        if done.imported:  # where most gaps were measured beside the curve without sphere
+            gaps = tuple(curves.gaps())
+            counts = {f: sum(curves.at(g, f) is not None for g in gaps) for f in curves.frequencies(NO_SPHERE)}
+            at_hz = max(counts, key=lambda f: counts[f], default=FREQUENCY_HZ)
+        reduced = reduced_of(curves, at_hz, gaps, gains)
+        console.print(f"reductions at {at_hz:g} Hz: {len(reduced.ratio) if reduced else 0} gaps")
+    return Measured(gains=gains, decay=decay, sine=sine, reduced=reduced, u_restitution=arguments.e_uncertainty)
+
+
+def print_identified(console: Console, found: Identified) -> None:
+    """Print constants, what is not used, and whether data and model go together."""
+    table = TextTable("Constants of the rig", left=("constant",), right=("value", "± 2u"), last=("unit", ""))
+    for name, unit in zip(NAMES, UNITS, strict=True):
+        if found.information.determined(name):
+            table.add_row(name, figure(found.value(name), ".7g"), figure(2 * found.u(name), ".2g"), unit, "")
+        else:
+            table.add_row(name, "-", "-", unit, "not determined by these data", style="bright_black")
+    if math.isfinite(found.restitution):
+        table.add_row("e", f"{found.restitution:.5g}", figure(2 * found.u_restitution, ".2g"), "-", "nominal")
+    console.print(table)
+    for gap, why in found.left_out.items():
+        console.print(f"the reduction at {gap * 1e3:g} mm is not used: {why}", style="yellow")
+    console.print(
+        f"χ² {found.chi_square:.1f} for {found.freedom} degrees of freedom: by chance as bad or worse in "
+        f"{100 * found.chance:.1f} % of cases"
+    )
+    if not found.consistent:
+        where = " and ".join(f"{gap * 1e3:g} mm" for gap in found.contradicted)
+        why = f"at {where} the motion was measured to be periodic, and the fitted rig's is not" if where else "χ²"
+        why = why if found.converged else "the fit has not converged"
+        console.print(
+            f"WARNING: data and model do not go together ({why}): the uncertainties above do not hold. Something taken "
+            "as known is wrong (contact law, e and its uncertainty, sphere, gaps), or a sensor is outside its "
+            "certificate",
+            style="red",
+        )
+    _print_combinations(console, found.information)
+
+
+def _print_combinations(console: Console, information: Information) -> None:
+    table = TextTable("Independent combinations, best known first", left=("product of powers", "relative u"))
+    for one in information.combinations:
+        known = f"{100 * one.u_relative:.2g} %" if one.determined else "not determined"
+        table.add_row(one.text, known, style=None if one.determined else "bright_black")
+    console.print(table)
+
+
+def _print_paper(console: Console, fit: paper_fit.PaperFit, base: RigConfig) -> None:
+    shipped = {"f_n": base.structure.natural_frequency_hz, "ζ": base.structure.damping_ratio, "I": CURRENT_A}
+    title = f"{', '.join(fit.fitted)} fitted to the paper's reductions"
+    table = TextTable(title, right=("", "fit", "± u", "in the configuration"))
+    for name, value in fit.fitted.items():
+        table.add_row(name, f"{value:.5g}", figure(fit.u[name], ".2g"), f"{shipped[name]:.5g}")
+    console.print(table)
+    reductions = ", ".join(f"{value:.1f}" for value in fit.points.values())
+    rest = "" if fit.converged else "; the fit has not come to rest: a valley without a floor"
+    console.print(
+        f"reductions of the fit {reductions} %, rms {fit.rms_points:.2f} points; of the configuration "
+        f"{fit.default_rms_points:.2f}{rest}"
+    )
+    if "I" in fit.fitted:
+        _print_combinations(console, fit.information)
+
+
+def _paper_content(fit: paper_fit.PaperFit) -> dict[str, object]:
+    return {
+        "fitted": dict(fit.fitted),
+        "u": dict(fit.u),
+        "reductions_percent": {f"{gap * 1e3:g}": value for gap, value in fit.points.items()},
+        "rms_points": fit.rms_points,
+        "rms_points_of_the_configuration": fit.default_rms_points,
+        "converged": fit.converged,
+    }
+
+
+def identified_content(found: Identified) -> dict[str, object]:
+    """Return the constants for programs."""
+    information = found.information
+    return {
+        "constants": {
+            name: {
+                "value": found.value(name) if information.determined(name) else None,
+                "standard_uncertainty": found.u(name) if information.determined(name) else None,
+                "unit": unit,
+                "determined": information.determined(name),
+            }
+            for name, unit in zip(NAMES, UNITS, strict=True)
+        },
+        "combinations": [
+            {
+                "powers": dict(zip(NAMES, one.powers.tolist(), strict=True)),
+                "relative_uncertainty": one.u_relative if one.determined else None,
+            }
+            for one in information.combinations
+        ],
+        "restitution": found.restitution if math.isfinite(found.restitution) else None,
+        "restitution_standard_uncertainty": found.u_restitution if math.isfinite(found.u_restitution) else None,
+        "left_out_mm": {f"{gap * 1e3:g}": why for gap, why in found.left_out.items()},
+        "chi_square": found.chi_square,
+        "degrees_of_freedom": found.freedom,
+        "chance": found.chance,
+        "converged": found.converged,
+        "consistent": found.consistent,
+    }

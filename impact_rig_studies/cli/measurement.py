@@ -1,0 +1,199 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""`impact-rig import`: measurements of one's own rig as runs, or as one campaign."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import attrs
+import numpy as np
+
+from impact_rig.cli.quantities import GAP, Quantity
+from impact_rig.cli.terminal import Console, TextTable, add_json, subcommand, tell_json, tell_program
+from impact_rig.config.fields import FieldInfo
+from impact_rig.errors import ConfigError
+from impact_rig.system import files
+
+if TYPE_CHECKING:
+    from impact_rig_studies.importing.conversion import ImportedRun
+    from impact_rig_studies.importing.mapping import Mapping
+    from impact_rig_studies.importing.signals import ImportedSignals
+
+FREQUENCY = Quantity(FieldInfo("Frequency of the drive.", "Hz", low=0.0), names=True)
+GAP_LABEL = attrs.evolve(GAP, names=True)
+
+
+def add_import(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register the subcommand."""
+    parser = subcommand(
+        commands, "import", _import, "make a run of a measurement of your own rig, or a campaign of several",
+        [
+            ("import test.csv --output runs/mine --dry-run", "shows what it takes the columns for, and writes nothing"),
+            ("import test.csv --output runs/mine --channel laser=ai0 mm --gap 6mm", "column ai0 is the laser, in mm"),
+            (
+                'import two.tdms --output runs/two --channel base="ai0 V, 100 mV/g" --channel laser="ai1 V, 102 mV/g"',
+                "two accelerometers: one on the base, one on the structure",
+            ),
+            ("import sweep/*.mat --output runs/my_sweep --campaign", "a file a point: frequency and gap by file name"),
+        ],
+        "Reads text tables (CSV, TSV, LVM), TDMS, universal files (dataset 58), MATLAB, WAV, Parquet, npz "
+        "and Rattlesnake "
+        "netCDF4. DT needs laser (motion of the structure) and base (motion of what it stands on), each as "
+        "displacement, "
+        "velocity or acceleration: docs/own_measurement.md.",
+    )  # fmt: skip
+    add_json(parser)
+    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="file of a measurement")
+    parser.add_argument(
+        "--output", type=Path, required=True, metavar="DIR", help="directory of the run, or of the campaign"
+    )
+    parser.add_argument("--dry-run", action="store_true", help="show what would be written, and write nothing")
+    parser.add_argument("--mapping", type=Path, metavar="YAML", help="YAML file with channels, units and calibration")
+    parser.add_argument(
+        "--channel", action="append", nargs="+", default=[], metavar="NAME=SIGNAL",
+        help="signal of a channel, with unit and sensitivity where the file has none: laser=ai0, laser='ai0 mm', "
+        "laser='ai0 V, 500 mV/mm'; channels: laser, base, accelerometer (also detects impacts), current",
+    )  # fmt: skip
+    parser.add_argument("--rate", type=float, metavar="HZ", help="scans per second, where the file states none or errs")
+    parser.add_argument(
+        "--resample", type=int, metavar="HZ", help="rate to which scans are resampled that are not uniform in time"
+    )
+    parser.add_argument(
+        "--frequency", type=FREQUENCY, metavar="HZ|SIGNAL",
+        help="drive frequency, e.g. 9.1Hz, or the signal that has it (default: by the file name, else the base's)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--gap", type=GAP_LABEL, metavar="LENGTH|SIGNAL",
+        help="gap with its unit, e.g. 6mm, none (no sphere), or the signal that has it (default: by the file name)",
+    )  # fmt: skip
+    parser.add_argument("--drive", type=Path, metavar="FILE", help="table of the commands: time, frequency, current")
+    parser.add_argument(
+        "--calibration", type=Path, metavar="FILE", help="table with columns of daq/info, a row a channel"
+    )
+    parser.add_argument("--note", action="append", default=[], metavar="TEXT", help="remark to keep with the run")
+    parser.add_argument("--campaign", action="store_true", help="make one campaign, which report and identify take")
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="rig configuration, with --campaign (default: the paper's rig)"
+    )
+
+
+def _import(arguments: argparse.Namespace) -> int:
+    from impact_rig_studies.importing import store  # noqa: PLC0415  # heavy: after the signals are taken
+    from impact_rig_studies.importing.assignment import guess  # noqa: PLC0415  # as above
+    from impact_rig_studies.importing.conversion import convert  # noqa: PLC0415  # as above
+    from impact_rig_studies.importing.readers import read  # noqa: PLC0415  # as above
+
+    console = Console(quiet=arguments.json)
+    drive = read(arguments.drive) if arguments.drive else None
+    sheet = read(arguments.calibration) if arguments.calibration else None
+    several = len(arguments.files) > 1
+    if several and len({file.stem for file in arguments.files}) < len(arguments.files):
+        raise ConfigError("two files have one name: each becomes the run of its name")
+    directories, shown = [], []
+    if arguments.campaign and not arguments.dry_run:
+        with files.errors_as(f"cannot write {arguments.output}"):
+            files.make_folder(arguments.output / "runs")
+    for file in arguments.files:
+        source = read(file)
+        try:
+            found = convert(source, _mapping(guess(source), source, arguments), drive, sheet)
+        except ConfigError:
+            if arguments.dry_run:
+                _print_source(console, source)
+            raise
+        shown.append(store.describe(found))
+        _print(console, found)
+        target = arguments.output / "runs" / file.stem if arguments.campaign else arguments.output
+        directories.append(target / file.stem if several and not arguments.campaign else target)
+        if not arguments.dry_run:
+            store.write(found, directories[-1])
+    if arguments.campaign and not arguments.dry_run:
+        from impact_rig_studies.measured import make_campaign  # noqa: PLC0415  # as above
+
+        done = make_campaign(directories, arguments.output, arguments.config)
+        console.print(f"{len(done.points)} points, {len(done.failed())} of them without a settled measurement")
+    if arguments.json:
+        tell_json({"runs": [str(one) for one in directories], "files": shown, "written": not arguments.dry_run})
+    elif arguments.dry_run:
+        console.print("nothing was written (--dry-run)", style="yellow")
+    else:
+        if not arguments.campaign:
+            console.print(f"DT with its uncertainty: impact-rig analyze {directories[-1]}")
+        tell_program(arguments.output.resolve())
+    return 0
+
+
+def _mapping(guessed: Mapping, source: ImportedSignals, arguments: argparse.Namespace) -> Mapping:
+    """Return the mapping guessed, with what the YAML and then the options say."""
+    from impact_rig_studies.importing.assignment import with_channel  # noqa: PLC0415  # as above
+    from impact_rig_studies.importing.mapping import MAPPING_CHARACTERS, refined  # noqa: PLC0415  # as above
+
+    mapping = guessed
+    if arguments.mapping:
+        try:
+            text = files.read_bytes(arguments.mapping, MAPPING_CHARACTERS).decode()
+        except (OSError, UnicodeDecodeError) as error:
+            raise ConfigError(f"{arguments.mapping} cannot be read: {error}") from error
+        mapping = refined(mapping, text)
+    channels = dict(mapping.channels)
+    for words in arguments.channel:
+        channels = with_channel(channels, " ".join(words), source.signals)
+    changes: dict[str, object] = {"channels": channels, "notes": (*mapping.notes, *arguments.note)}
+    given = {
+        "rate_hz": arguments.rate, "resample_hz": arguments.resample, "frequency": arguments.frequency,
+        "gap": arguments.gap,
+    }  # fmt: skip
+    given = {name: value for name, value in given.items() if value is not None}
+    changes["guessed"] = mapping.guessed - set(given)
+    return attrs.evolve(mapping, **changes, **given)  # type: ignore[arg-type]  # as the fields are
+
+
+def _print_source(console: Console, source: ImportedSignals) -> None:
+    """Print the signals of a file, before they are assigned to channels."""
+    table = TextTable(
+        f"{source.path}: {source.format}", left=("signal", "unit", "kind", "given over"), right=("values",)
+    )
+    for name, one in source.signals.items():
+        table.add_row(name, one.unit, one.kind.value, str(one.abscissa), str(len(one.values)))
+    console.print(table)
+    _print_left_out(console, source)
+
+
+def _print_left_out(console: Console, source: ImportedSignals) -> None:
+    for name, why in source.left_out.items():
+        console.print(f"left out: {name}, {why}")
+
+
+def _print(console: Console, found: ImportedRun) -> None:
+    """Print the channels of a file, what was assumed, and what was left out."""
+    used: dict[str, list[str]] = {}
+    for name, one in found.mapping.channels.items():
+        used.setdefault(one.column, []).append(name)
+    title = f"{found.source.path}: {found.source.format}"
+    table = TextTable(title, left=("signal", "unit", "channel"), right=("least", "largest"), last=("",))
+    for name, signal in found.source.signals.items():
+        if name not in used:
+            table.add_row(name, signal.unit, "", "", "", "not used", style="bright_black")
+        for channel in used.get(name, []):
+            one = found.mapping.channels[channel]
+            si = found.info[found.info["name"] == channel.encode()][0]["unit"].decode()
+            values = found.rows[channel][np.isfinite(found.rows[channel])]
+            least, largest = (f"{of(values):.4g}" if len(values) else "" for of in (np.min, np.max))
+            table.add_row(name, one.sensitivity or one.unit or si, channel, least, largest, si)
+    console.print(table)
+    _print_left_out(console, found.source)
+    for doubt in found.doubts:
+        console.print(f"assumed: {doubt}", style="yellow")
+    lost = int(found.index[-1] - found.index[0]) + 1 - len(found.index)
+    gap = f", {lost} missing between them" if lost else ""
+    console.print(f"{len(found.rows)} scans at {found.rate_hz:.9g} Hz, {len(found.rows) / found.rate_hz:.6g} s{gap}")
+    for instant, frequency, amplitude in found.drive[:10]:
+        since = (instant - found.start_ns) / 1e9
+        console.print(f"from {since:.6g} s: {frequency:.6g} Hz, amplitude {amplitude:.4g}")
+    if len(found.drive) > 10:  # as above
+        console.print(f"... {len(found.drive)} settings of the drive in all")
+    for label in found.labels:
+        console.print(f"remark: {label}")

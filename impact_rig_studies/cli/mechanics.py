@@ -1,0 +1,220 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""`impact-rig map` and `dynamics`: what is measured on the mechanics alone, place by place; run again to resume."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+from impact_rig.cli.terminal import Console, TextTable, figure, subcommand, tell_results
+from impact_rig.errors import ConfigError
+from impact_rig.states import Regime
+from impact_rig.system import files
+from impact_rig_studies.campaign.tasks import Row, Runner, TaskStore
+from impact_rig_studies.cli import tasks
+from impact_rig_studies.dynamics import plan as plans
+from impact_rig_studies.dynamics.plan import Plan
+from impact_rig_studies.maps import optimum, run
+from impact_rig_studies.maps.measure import FAILED
+from impact_rig_studies.maps.plan import DOWN, UP, load_map, measure_line
+
+SHOWN = {
+    plans.ORBIT: ("event", "period", "dt", "impacts_per_cycle", "loss_factor", "multiplier_real", "multiplier_imag"),
+    plans.CONTINUE: ("value", "event", "dt", "impacts_per_cycle", "loss_factor", "multiplier_real", "multiplier_imag"),
+    plans.EXPONENT: plans.COLUMNS[plans.EXPONENT],
+}
+"""Columns that the terminal shows; of a branch only where something happens."""
+MOST_ROWS = 40
+
+
+def add_map(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register the subcommand."""
+    parser = subcommand(
+        commands, "map", _map, "map DT and regimes over two or three parameters; run again to resume",
+        [
+            ("map config/maps/gap_frequency.yaml", "on all cores; draws the map beside its table"),
+            ("map my_map.yaml --through dask tcp://host:8786", "on a Dask cluster"),
+        ],
+    )  # fmt: skip
+    parser.add_argument(
+        "file", nargs="?", type=Path, metavar="FILE", help="map file, e.g. config/maps/gap_frequency.yaml"
+    )
+    parser.add_argument(
+        "--exponent", action="store_true", help="measure the largest exponent of every motion that does not repeat"
+    )
+    tasks.add_words(parser, "map")
+
+
+def _map(arguments: argparse.Namespace) -> int:
+    file, directory, _, address = tasks.words(arguments, "map", "map config/maps/gap_frequency.yaml")
+    runner = tasks.runner(measure_line, address, arguments.workers)
+    plan = load_map(file, arguments.workers)
+    if arguments.exponent and {UP, DOWN} & set(plan.layers):
+        raise ConfigError("--exponent is of motions that begin from rest: direction must be reset")
+    store = run.store(directory)
+    console = Console(quiet=arguments.json)
+    with files.results_in(directory, lambda: store.prepare(plan.text, plan.base)):
+        measured, wall_s = tasks.measure(plan.lines(), store, runner, console, lambda line: len(line.values))
+    done = run.finished(plan, directory)
+    more: dict[str, object] = {"wall_s": wall_s, "measured_points": measured}
+    if arguments.exponent:
+        more["exponents"] = _add_exponents(done, console, tasks.runner(plans.run, address, arguments.workers))
+    unsolved = sum(int(np.count_nonzero(values["regime"] == FAILED)) for values in done.values.values())
+    if plan.search and unsolved < plan.points:
+        best = optimum.find(plan, plan.search)
+        more["optimum"] = best.plain()
+        _print_optimum(console, best)
+    run.write_results(done, more)
+    if not arguments.no_figures:
+        from impact_rig_studies.report.heat_map import heat_maps  # noqa: PLC0415  # matplotlib
+
+        folder = tasks.figures_folder(directory)
+        for drawn in heat_maps(done):
+            drawn.save(folder)
+    console.print(f"{plan.points} points on the mechanics, {measured} of them now; {run.CSV_FILE}, {run.JSON_FILE}")
+    if unsolved == plan.points:
+        console.print(f"none of the {plan.points} points could be resolved: there is no result", style="red")
+    tell_results(directory, {"points": plan.points, **more}, as_json=arguments.json)
+    return 1 if unsolved == plan.points else 0
+
+
+def _add_exponents(done: run.FinishedMap, console: Console, runner: Runner[plans.StudyTask]) -> int:
+    """Add exponent and standard uncertainty beside the regimes; return of how many places."""
+    axes, wanted = done.plan.axes, []
+    for line in done.plan.lines():
+        values = done.values[line.direction]
+        for value in line.values:
+            at = {**line.held, line.along: value}
+            place = tuple(axis.index(at[name]) for name, axis in axes.items())
+            if values["regime"][place] not in (Regime.PERIODIC.value, FAILED):
+                wanted.append((plans.exponent_at(line, value), values, place))
+    names = plans.COLUMNS[plans.EXPONENT][-2:]
+    for values in done.values.values():
+        values |= {name: np.full(values["dt"].shape, np.nan) for name in names}
+    store: TaskStore[plans.StudyTask] = TaskStore(done.directory, "map", "exponents", ("maps", "dynamics"))
+    store.prepare(done.plan.text, done.plan.base)
+    tasks.measure([task for task, _, _ in wanted], store, runner, console, lambda _: 1)
+    for task, values, place in wanted:
+        for name, found in zip(names, (store.get(task) or [[]])[0][-2:], strict=True):
+            values[name][place] = found
+    return len(wanted)
+
+
+def _print_optimum(console: Console, best: optimum.Optimum) -> None:
+    reading = best.reading
+    console.print(
+        f"best {best.over}: {best.value:.6g}, reduction {reading.reduction_percent:.2f} % (DT {reading.dt:.2f}, "
+        f"{reading.regime}, {reading.impacts_per_cycle:g} impacts per cycle); within "
+        f"{optimum.REGION_POINTS:g} point from {best.region[0]:.6g} to {best.region[1]:.6g}"
+    )
+    table = TextTable("What 1 % more of a value changes the reduction there", left=("value",), right=("points",))
+    for name, points in best.points_per_percent.items():
+        table.add_row(name, figure(round(points, 3) + 0.0, "+.3f"))
+    console.print(table)
+
+
+def add_dynamics(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register the subcommand."""
+    parser = subcommand(
+        commands, "dynamics", _dynamics, "sections, bifurcations, basins, orbits, branches and exponents of the model",
+        [
+            ("dynamics continue config/dynamics/nominal.yaml", "stable and unstable motions over the gap, with folds"),
+            ("dynamics basin config/dynamics/two_motions.yaml", "which start of the sphere leads where"),
+        ],
+        more="Everything is of the mechanics, without instruments. Run again, it goes on where it was interrupted.",
+    )  # fmt: skip
+    parser.add_argument("kind", choices=plans.KINDS, help="of study: a section of the file")
+    parser.add_argument("file", nargs="?", type=Path, metavar="FILE", help="e.g. config/dynamics/nominal.yaml")
+    tasks.add_words(parser, "dynamics")
+
+
+def _dynamics(arguments: argparse.Namespace) -> int:
+    kind = arguments.kind
+    file, directory, _, address = tasks.words(arguments, "dynamics", f"dynamics {kind} config/dynamics/nominal.yaml")
+    runner = tasks.runner(plans.run, address, arguments.workers)
+    plan = plans.load(file, kind)
+    store = plans.store(directory)
+    console = Console(quiet=arguments.json)
+    with files.results_in(directory, lambda: store.prepare(plan.text, plan.base)):
+        measured, wall_s = tasks.measure(plan.tasks, store, runner, console, lambda _: 1)
+    found = [(task, store.get(task) or []) for task in plan.tasks]
+    rows = [row for _, each in found for row in each]
+    files.write_csv(directory / f"{kind}.csv", plans.COLUMNS[kind], rows)
+    told = {
+        "title": plan.title, "kind": kind, "measured_on": "mechanics", "tasks": len(plan.tasks), "rows": len(rows),
+        "measured_tasks": measured, "wall_s": wall_s, **_summary(plan, rows),
+    }  # fmt: skip
+    files.write_text(directory / f"{kind}.json", json.dumps(files.plain(told), indent=2) + "\n")
+    if not arguments.no_figures:
+        from impact_rig_studies.dynamics.figures import drawn  # noqa: PLC0415  # matplotlib
+
+        drawn(plan, found).save(tasks.figures_folder(directory))
+    _show(console, plan, rows)
+    console.print(f"{len(rows)} rows on the mechanics; {kind}.csv, {kind}.json")
+    empty = _unsolved(plan, rows) == len(rows)
+    if empty:
+        console.print(f"none of the {len(rows)} rows could be resolved: there is no result", style="red")
+    tell_results(directory, told, as_json=arguments.json)
+    return 1 if empty else 0
+
+
+def _named(plan: Plan, rows: list[Row], names: tuple[str, ...]) -> list[dict[str, object]]:
+    """Return some columns of rows by name; what is no number is None."""
+    columns = plans.COLUMNS[plan.kind]
+    return [
+        {
+            name: None if isinstance(cell, float) and not math.isfinite(cell) else cell
+            for name, cell in zip(columns, row, strict=True)
+            if name in names
+        }
+        for row in rows
+    ]
+
+
+def _told(plan: Plan, rows: list[Row]) -> list[Row]:
+    """Return the rows that say what happens: along a branch those that are no mere orbits."""
+    if plan.kind != plans.CONTINUE:
+        return rows
+    event = plans.COLUMNS[plan.kind].index("event")
+    return [row for row in rows if row[event] != "orbit"]
+
+
+def _unsolved(plan: Plan, rows: list[Row]) -> int:
+    """Return how many rows could not be resolved."""
+    columns = plans.COLUMNS[plan.kind]
+    return sum(row[columns.index("regime")] == FAILED for row in rows) if "regime" in columns else 0
+
+
+def _summary(plan: Plan, rows: list[Row]) -> dict[str, object]:
+    """Return the figures for programs."""
+    if plan.kind == plans.BASIN:
+        from impact_rig_studies.dynamics.figures import motion  # noqa: PLC0415  # as above
+
+        counts = Counter(motion(plan, row) for row in rows)
+        return {"shares": {name: count / len(rows) for name, count in sorted(counts.items())}}
+    if plan.kind == plans.BIFURCATION:
+        failed = _unsolved(plan, rows)
+        return {"failed_rows": failed} if failed else {}
+    if plan.kind == plans.SECTION:
+        return {}
+    return {"found": _named(plan, _told(plan, rows), plans.COLUMNS[plan.kind])}
+
+
+def _show(console: Console, plan: Plan, rows: list[Row]) -> None:
+    summary = _summary(plan, rows)
+    for name, share in summary.get("shares", {}).items():  # type: ignore[attr-defined]  # a mapping
+        console.print(f"{100.0 * share:.2f} % lead to: {name}")
+    if "failed_rows" in summary:
+        console.print(f"{summary['failed_rows']} of {len(rows)} rows could not be resolved")
+    if plan.kind not in SHOWN:
+        return
+    table = TextTable(right=[name.replace("_", " ") for name in SHOWN[plan.kind]])
+    for row in _named(plan, _told(plan, rows)[:MOST_ROWS], SHOWN[plan.kind]):
+        table.add_row(*(f"{cell:.5g}" if isinstance(cell, float) else str(cell or "-") for cell in row.values()))
+    console.print(table)

@@ -1,0 +1,96 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""What the commands that measure a study's tasks share: words of the command line, the way, progress."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import time
+from collections.abc import Callable, Generator, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+from impact_rig.cli.terminal import Console, Counted, add_json
+from impact_rig.errors import ConfigError
+from impact_rig.system import files
+from impact_rig_studies.campaign.pool import in_parallel, on_cluster
+from impact_rig_studies.campaign.tasks import Portable, Runner, Task, TaskStore
+from impact_rig_studies.campaign.tasks import measure as measure_tasks
+
+WAYS = ("process", "dask")
+P = TypeVar("P", bound=Portable)
+R = TypeVar("R")
+T = TypeVar("T", bound=Task)
+
+
+def add_words(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add the words that every such command takes."""
+    parser.add_argument(
+        "--through", nargs="+", default=["process"], metavar="WAY",
+        help="process: all cores (default); dask ADDRESS: on a Dask cluster",
+    )  # fmt: skip
+    parser.add_argument("--output", type=Path, metavar="DIR", help=f"default: runs/{what}_<file>; resumed if it exists")
+    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
+    add_json(parser)
+    parser.add_argument("--no-figures", action="store_true", help="measure only")
+
+
+def words(
+    arguments: argparse.Namespace, what: str, example: str, ways: Sequence[str] = WAYS
+) -> tuple[Path, Path, str, str]:
+    """Return file, directory, way and address; the file may stand behind `--through` and its words, too.
+
+    Raises:
+        ConfigError: a word is wrong.
+    """
+    way, *rest = arguments.through
+    if way not in ways:
+        raise ConfigError(f"--through must be one of {', '.join(ways)}, got {way!r}")
+    address = ""
+    if way == "dask":
+        if not rest:
+            raise ConfigError("--through dask needs the address of a scheduler, e.g. tcp://127.0.0.1:8786")
+        address = rest.pop(0)
+    file = arguments.file or (Path(rest.pop(0)) if rest else None)
+    if file is None or rest:
+        raise ConfigError(f"one {what} file is needed, e.g. impact-rig {example}")
+    if arguments.workers is not None and arguments.workers < 1:
+        raise ConfigError(f"--workers must be >= 1, got {arguments.workers}")
+    return file, (arguments.output or Path("runs") / f"{what}_{file.stem}").resolve(), way, address
+
+
+def runner(
+    work: Callable[[P], R], address: str, workers: int | None
+) -> Callable[[Sequence[P]], Generator[tuple[P, R], None, None]]:
+    """Return what measures tasks: on the cluster at an address, or on the cores of this machine."""
+    return on_cluster(work, address) if address else lambda tasks: in_parallel(work, tasks, workers)
+
+
+def measure(
+    tasks: Sequence[T], store: TaskStore[T], runner: Runner[T], console: Console, places: Callable[[T], int]
+) -> tuple[int, float]:
+    """Measure what is missing, with progress by `places`; return how many places that were, and its duration [s]."""
+    began = time.monotonic()
+    new = sum(places(task) for task in tasks if store.get(task) is None)
+    count = 0
+    with (
+        Counted(console, "points", sum(map(places, tasks))) as shown,
+        contextlib.closing(measure_tasks(tasks, store.get, store.put, runner)) as done,
+    ):
+        for task, _ in done:
+            count += places(task)
+            shown.show(count, task.describe())
+    return new, time.monotonic() - began
+
+
+def figures_folder(directory: Path) -> Path:
+    """Make and return the folder of a study's figures.
+
+    Raises:
+        RecordingError: it cannot be made.
+    """
+    folder = directory / "figures"
+    with files.errors_as(f"cannot write {folder}"):
+        files.make_folder(folder)
+    return folder

@@ -1,0 +1,408 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""A measurement and the model side by side: the model is driven by what was measured, and measured alike.
+
+The measured current (or base) becomes the true one, its sensor's lag and skew undone, and drives the mechanics through
+the stream drive, 10,000 samples a second joined by straight lines. What the mechanics do then stands in the place of
+the measured scans, and the same analysis measures it at the same instants: so both differ by the constants, and by the
+errors of the sensors, which u states: that of DT, and what an error of the drive's own sensor makes of a motion with
+impacts, which depends on its size. Every stretch of scans without a gap and under one label is driven by itself.
+
+Before its first scan nobody knows what was. Where the structure moves alike in the first cycles, the drive was there
+before: it is continued backwards as their sine, long enough for the structure to forget how the model began. Otherwise
+the model begins at rest. Which of several motions the sphere takes is the model's choice.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from impact_rig import topics
+from impact_rig.analysis.calibration import Calibration, Real
+from impact_rig.analysis.scans import BASE, CHANNELS, CURRENT, LASER, SCAN, samples_of
+from impact_rig.blocks import Table
+from impact_rig.drawing import MEASURED, MUTED, PREDICTED, WIDE_INCH, Drawn, Line, new_axes, style
+from impact_rig.errors import ConfigError, RecordingError
+from impact_rig.physics import Simulation
+from impact_rig.recording import CONFIGURATION, Run
+from impact_rig.rig.config import RigConfig, from_flat, parse
+from impact_rig.rig.core import new_generator
+from impact_rig.rig.gaps import NO_SPHERE, gap_values
+from impact_rig.runs import drawings, reanalysis
+from impact_rig.runs.wholes import Excerpt, calibration_rows, last_excerpt
+from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, stamp_ns
+from impact_rig.system import budget
+from impact_rig_studies.campaign.plan import RESET
+from impact_rig_studies.campaign.results import Curves, Point
+from impact_rig_studies.identification.fit import Identified, identify, logarithms
+from impact_rig_studies.identification.measurements import Gains, Measured, reduced_of, sine_of
+
+DRIVES = {"current": ("current", CURRENT), "base": ("prescribed", BASE)}
+"""What may drive the model: `drive.kind`, and the channel."""
+STREAM_HZ = 10_000
+BAND_HZ, BAND_SHARE = 300.0, 0.4
+"""Upper edge of what is taken of a measured drive: so much, or this share of its rate. Beyond it is noise."""
+FADE = 0.8  # of the band, where its edge begins to fall
+MIRRORED_S = 0.5  # of a record, at both ends, so that undoing a lag has no edge to stumble on
+FORGOTTEN = 7.0  # time constants of the structure that pass before the first scan: e⁻⁷ is 0.1 %
+LONGEST_LEAD_S, RISE_S = 120.0, 1.0
+FIRST_CYCLES, ALIKE = 4, 0.02
+"""Of the drive; relative change of the structure's motion from them to the next ones that is none."""
+SHORTEST = 4  # scans of a stretch through which a cubic can be laid; the model rests in a shorter one
+TICKS_AT_ONCE = 50
+PER_TICK = STREAM_HZ * COMMAND_GRID_NS // NS_PER_S
+SCANS = 20_000_000  # of a run that is compared
+
+
+@attrs.frozen
+class ComparedPoint:
+    """One gap and frequency, measured and modelled."""
+
+    gap_m: float  # label, NaN if unknown
+    frequency_hz: float  # of the drive
+    measured: np.void  # row of `transmissibility/table`
+    model: np.void | None  # that of the model; None if it did not settle
+    more: np.void | None
+    """That of the model driven by one standard uncertainty of its sensor's gain more; None without sphere."""
+
+    def off(self, column: str) -> float:
+        """Return measured less model of `transmissibility` or `phase`, in standard uncertainties; NaN without model."""
+        if self.model is None:
+            return math.nan
+        by_drive = 0.0 if self.more is None else _less(self.more, self.model, column)
+        own = (float(row[f"{column}_uncertainty"]) for row in (self.measured, self.model))
+        return _less(self.measured, self.model, column) / math.hypot(*own, by_drive)
+
+
+def _less(one: np.void, other: np.void, column: str) -> float:
+    """Return the difference of two rows in a column; of phases the smallest."""
+    difference = float(one[column] - other[column])
+    return math.remainder(difference, 2.0 * math.pi) if column == "phase" else difference
+
+
+@attrs.frozen(eq=False)
+class Comparison:
+    """What was found."""
+
+    driven_by: str  # `current` or `base`
+    config: RigConfig  # of the model
+    places: tuple[ComparedPoint, ...]  # ascending by gap and frequency
+    excerpt: Excerpt  # the last settled measurement; of its scans laser, base and current are true ones, lags undone
+    model: NDArray[np.void]  # its scans, shape of the excerpt's
+    constants: Identified | None
+    """That fit these measurements best; None if there is nothing to fit: no DT without sphere."""
+
+    @property
+    def residual(self) -> Real:
+        """The measured motion of the structure less the model's, both about their means [m]."""
+        measured, model = (samples_of(rows, "laser") for rows in (self.excerpt.rows, self.model))
+        return np.asarray((measured - measured.mean()) - (model - model.mean()))
+
+
+def compare(
+    run: Run,
+    known: RigConfig | None = None,
+    driven_by: str | None = None,
+    *,
+    fits: bool = True,
+    on_step: Callable[[str], None] = lambda _: None,
+) -> Comparison:
+    """Lay a model over a run.
+
+    Args:
+        run: an open run, recorded or imported.
+        known: the model; None: the configuration that is kept in the run, the default rig if there is none.
+        driven_by: key of `DRIVES`; None: the current where it was measured.
+        fits: whether to look for the constants that fit best.
+        on_step: is told what is being done.
+
+    Raises:
+        ConfigError: the model refuses, or what shall drive it was not measured.
+        RecordingError: nothing settled.
+        SimulationError: the model's motion cannot be resolved.
+    """
+    info = calibration_rows(run)
+    calibration = Calibration.from_info(info)
+    chosen = driven_by or ("current" if calibration.present[CURRENT] else "base")
+    kind, channel = DRIVES[chosen]
+    if not calibration.present[channel]:
+        raise ConfigError(f"{run.path}: {chosen} was not measured, so it cannot drive the model")
+    if known is None:
+        attached = run.attachments().get(CONFIGURATION)
+        known = RigConfig() if attached is None else parse(attached)
+    on_step("measuring the run")
+    found = list(reanalysis.analyze(run))
+    measured = reanalysis.newest_settled(reanalysis.measurements(iter(found)))
+    if not len(measured):
+        raise RecordingError(f"{run.path}: nothing settled, so there is nothing to compare")
+    scans = _ModelledScans(run, calibration)
+
+    def modelled(gain: float) -> NDArray[np.void]:
+        for number, stretch in enumerate(scans.stretches, 1):
+            on_step(f"driving the model by the measured {chosen}, part {number} of {len(scans.stretches)}")
+            _drive(scans, stretch, known, kind, channel, gain)
+        scans.begin = 0
+        return reanalysis.newest_settled(reanalysis.measurements(reanalysis.analyze(run, instead=scans.instead)))
+
+    gain = 1.0 + float(calibration.gain_uncertainty[channel])
+    more = modelled(gain) if np.any(measured["gap"] != NO_SPHERE) else None
+    model = modelled(1.0)
+    places = tuple(
+        ComparedPoint(
+            float(row["gap"]), float(row["frequency"]), row, _same(row, model),
+            None if more is None or row["gap"] == NO_SPHERE else _same(row, more),
+        )
+        for row in measured
+    )  # fmt: skip
+    excerpt = last_excerpt(run, found)
+    own = scans.at(excerpt)
+    constants = None
+    if fits:
+        on_step("looking for the constants that fit best")
+        constants = _constants(measured, Gains.of(info), known, on_step)
+    return Comparison(chosen, known, places, attrs.evolve(excerpt, rows=scans.true[own]), scans.model[own], constants)
+
+
+def _same(row: np.void, rows: NDArray[np.void]) -> np.void | None:
+    """Return the row of the same gap and frequency."""
+    same = (rows["frequency"] == row["frequency"]) & (
+        (rows["gap"] == row["gap"]) | (np.isnan(rows["gap"]) & np.isnan(row["gap"]))
+    )
+    return rows[same][0] if same.any() else None
+
+
+@attrs.frozen
+class _Stretch:
+    """Scans first … last − 1 of a run, without a gap and under one label [m]."""
+
+    first: int
+    last: int
+    gap_m: float
+    drive_hz: float
+
+
+class _ModelledScans:
+    """All scans of a run: measured, with lags undone, and the model's in their place."""
+
+    def __init__(self, run: Run, calibration: Calibration) -> None:
+        tables = list(run.tables(topics.SCAN.name, recorded_order=True))
+        budget.allow("scans of a run that is compared", sum(len(table.rows) for table in tables), SCANS)
+        self.calibration, self.rate_hz = calibration, calibration.rate_hz
+        measured = np.concatenate([table.rows for table in tables])
+        self.stamps = np.concatenate(
+            [table.stamp_ns + np.arange(len(table.rows)) * NS_PER_S // self.rate_hz for table in tables]
+        )
+        self.true = np.zeros(len(measured), SCAN)
+        for name in CHANNELS:
+            self.true[name] = samples_of(measured, name)
+        if not all(np.all(np.isfinite(self.true[name])) for name in CHANNELS):
+            raise RecordingError(f"{run.path}: a scan is not finite, and cannot drive a model")
+        self.stretches = list(self._stretches(run))
+        for stretch in self.stretches:
+            for channel in (LASER, BASE, CURRENT):
+                part = self.true[CHANNELS[channel]][stretch.first : stretch.last]
+                part[:] = undone(part, calibration, channel)
+        self.model = np.zeros(len(measured), SCAN)
+        self.begin = 0  # of the scans that the analysis sees next
+
+    def _stretches(self, run: Run) -> Iterator[_Stretch]:
+        labels = sorted(reanalysis.as_set_live(run)[1], key=lambda label: label.stamp_ns)
+        drives = [(table.stamp_ns, float(table.rows["frequency"][-1])) for table in run.tables(topics.APPLIED.name)]
+        gaps = np.flatnonzero(np.abs(np.diff(self.stamps) * self.rate_hz / NS_PER_S - 1.0) > 0.5) + 1
+        changes = np.searchsorted(self.stamps, [label.stamp_ns for label in labels])
+        cuts = sorted({0, *gaps.tolist(), *changes.tolist(), len(self.stamps)})
+        for first, last in itertools.pairwise(cuts):
+            at = self.stamps[first]
+            gap = next((label.gap_m for label in reversed(labels) if label.stamp_ns <= at), math.nan)
+            drive = next((hz for stamp, hz in reversed(drives) if stamp <= at), 0.0)
+            yield _Stretch(first, last, gap, drive)
+
+    def instead(self, topic: topics.Topic, table: Table) -> Table:
+        """Return the model's scans in the place of measured ones, in order, and a calibration without any error."""
+        if topic is topics.INFO:
+            rows = table.rows.copy()
+            for name in set(rows.dtype.names or ()) - {"name", "unit", "rate", "since_start"}:
+                rows[name] = {"range_low": -math.inf, "range_high": math.inf, "sensitivity": 1.0}.get(name, 0.0)
+            return Table(table.stamp_ns, rows)
+        rows = table.rows.copy()
+        here = slice(self.begin, self.begin + len(rows))
+        self.begin += len(rows)
+        for name in CHANNELS:
+            if name in (rows.dtype.names or ()):
+                rows[name] = self.model[name][here]
+        rows["status"] = 0
+        return Table(table.stamp_ns, rows)
+
+    def at(self, excerpt: Excerpt) -> slice:
+        """Return where the scans of an excerpt are, which are the newest of theirs."""
+        # the time of an excerpt counts from the first scan, or that after the last reset
+        offsets = np.round((self.stamps - self.stamps[0]) / NS_PER_S * self.rate_hz)
+        first = int(np.searchsorted(offsets, round(float(excerpt.rows["time"][0]) * self.rate_hz)))
+        self.true["time"] = self.model["time"] = (self.stamps - self.stamps[0]) / NS_PER_S
+        return slice(first, first + len(excerpt.rows))
+
+
+def undone(values: Real, calibration: Calibration, channel: int) -> Real:
+    """Return what a channel measured with its sensor's lag and its skew undone, its noise beyond the band left out.
+
+    Args:
+        values: contiguous readings, shape (n,).
+        calibration: of the instruments.
+        channel: one of `scans.CHANNELS`.
+    """
+    rate = calibration.rate_hz
+    around = min(round(MIRRORED_S * rate), len(values) - 1)
+    mirrored = np.pad(values, around, mode="reflect", reflect_type="odd")
+    frequency = np.fft.rfftfreq(len(mirrored), 1.0 / rate)
+    top = min(BAND_HZ, BAND_SHARE * rate)
+    edge = np.sin(0.5 * np.pi * np.clip((top - frequency) / ((1.0 - FADE) * top), 0.0, 1.0)) ** 2
+    inside = edge > 0.0
+    spectrum = np.fft.rfft(mirrored) * edge
+    spectrum[inside] /= calibration.response(channel, frequency[inside])
+    found: Real = np.fft.irfft(spectrum, len(mirrored))[around : around + len(values)]
+    return found
+
+
+def _drive(scans: _ModelledScans, stretch: _Stretch, config: RigConfig, kind: str, channel: int, gain: float) -> None:
+    """Fill the model's scans of a stretch, driven by so many times what was measured."""
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415  # heavy: only where it is asked for
+
+    rate, own = scans.rate_hz, slice(stretch.first, stretch.last)
+    measured = gain * scans.true[CHANNELS[channel]][own]
+    if len(measured) < SHORTEST:
+        return
+    if kind == "prescribed":
+        measured -= measured.mean()
+    config = _model(config, stretch.gap_m, kind)
+    structure = config.structure
+    forgets_s = FORGOTTEN / (2.0 * math.pi * structure.natural_frequency_hz * structure.damping_ratio)
+    lead_s = math.ceil(min(forgets_s, LONGEST_LEAD_S))
+    before_s = np.arange(-lead_s * STREAM_HZ, 0) / STREAM_HZ
+    lead = _lead(measured, scans.true["laser"][own], rate, stretch.drive_hz, before_s)
+    n = len(measured)
+    samples = np.arange(math.ceil((n - 1) / rate * STREAM_HZ) + 1) / STREAM_HZ
+    curve = CubicSpline(np.arange(n) / rate, measured)
+    drive = np.concatenate([lead, curve(np.minimum(samples, (n - 1) / rate))])
+    drive = np.append(drive, np.full(2 * PER_TICK, drive[-1]))
+    instants = np.array([stamp_ns(scan, rate) for scan in range(n)]) + lead_s * NS_PER_S
+    ticks, offsets = np.divmod(instants, COMMAND_GRID_NS)
+    simulation, source = Simulation(config), new_generator(config)
+    assert source.stream is not None
+    for tick in range(0, int(ticks[-1]) + 1, TICKS_AT_ONCE):
+        count = min(TICKS_AT_ONCE, int(ticks[-1]) + 1 - tick)
+        first = source.stream.played
+        source.stream.put(first, drive[first : (tick + count) * PER_TICK + 2])
+        motion = simulation.advance(source.segments(count))
+        here = slice(*np.searchsorted(ticks, [tick, tick + count]))
+        if here.start < here.stop:
+            found = motion.quantities(("a_1", "x_1", "x_b"), ticks[here], offsets[here] / NS_PER_S)
+            rows = slice(stretch.first + here.start, stretch.first + here.stop)
+            for name, values in zip(CHANNELS, found, strict=False):
+                scans.model[name][rows] = values
+    scans.model["current"][own] = scans.true["current"][own]
+
+
+def _model(config: RigConfig, gap_m: float, kind: str) -> RigConfig:
+    """Return the rig of a label, driven by a stream."""
+    changes: dict[str, object] = {
+        "drive.kind": kind, "drive.waveform": "stream", "drive.stream_hold": "first_order", "drive.amplitude": 0.0,
+        "drive.stream_rate_hz": STREAM_HZ,
+    }  # fmt: skip
+    if not math.isnan(gap_m):
+        changes |= gap_values(gap_m)
+    return from_flat(config, changes)
+
+
+def _lead(measured: Real, structure: Real, rate_hz: float, drive_hz: float, time_s: Real) -> Real:
+    """Return the drive at instants before the first scan, rising from nothing; nothing where the motion just begins."""
+    count = round(FIRST_CYCLES / drive_hz * rate_hz) if drive_hz > 0.0 else 0
+    if not 0 < 2 * count <= len(measured):
+        return np.zeros(len(time_s))
+    turn = 2.0 * np.exp(-2j * np.pi * drive_hz * np.arange(2 * count) / rate_hz) / count
+    first, next_ones = (structure[part] @ turn[part] for part in (slice(count), slice(count, 2 * count)))
+    if not 0.0 < abs(next_ones - first) <= ALIKE * abs(first):
+        return np.zeros(len(time_s))
+    phasor = np.sum(measured[:count] * turn[:count])
+    rise = np.clip((time_s - time_s[0]) / RISE_S, 0.0, 1.0)
+    return np.asarray(rise * (phasor * np.exp(2j * np.pi * drive_hz * time_s)).real)
+
+
+def _constants(
+    rows: NDArray[np.void], gains: Gains, known: RigConfig, on_step: Callable[[str], None]
+) -> Identified | None:
+    """Return what measurements tell of the constants: DT without sphere, and the reductions where most of them are."""
+    unlabelled = known.barriers.gap_m if known.sphere.present else NO_SPHERE
+    points = [
+        Point(
+            study="compare", axes={}, reference=True, frequency_hz=float(row["frequency"]),
+            gap_m=float(np.nan_to_num(row["gap"], nan=unlabelled)),
+            current_a=float(row["current_amplitude"]), direction=RESET, rows=row.reshape(1), failure="", key="",
+        )
+        for row in rows
+        if row["current_amplitude"] > 0.0
+    ]  # fmt: skip
+    curves = Curves.of(points)
+    frequencies = curves.frequencies(NO_SPHERE)
+    if not frequencies:
+        return None
+    sine = sine_of([point for f in frequencies if (point := curves.at(NO_SPHERE, f)) is not None], gains)
+    gaps = tuple(curves.gaps())
+    at_hz = max(frequencies, key=lambda f: sum(curves.at(gap, f) is not None for gap in gaps))
+    return identify(
+        Measured(gains=gains, sine=sine, reduced=reduced_of(curves, at_hz, gaps, gains)), known, logarithms(known),
+        on_step,
+    )  # fmt: skip
+
+
+TRACED_CYCLES = 6
+
+
+@style()
+def drawn(found: Comparison, name: str) -> Drawn:
+    """Draw a comparison of the run of this name."""
+    figure, (apart, traces, lines) = new_axes(7.5, (1.0, 1.0, 1.0), WIDE_INCH, share=False)
+    rate, drive = found.excerpt.rate_hz, found.excerpt.drive_hz
+    numbers: list[Line] = []
+    apart.axhspan(-2.0, 2.0, color=MUTED, alpha=0.15, linewidth=0.0)
+    for gap in dict.fromkeys(str(one.gap_m) for one in found.places):
+        own = [one for one in found.places if str(one.gap_m) == gap]
+        label = "gap unknown" if gap == "nan" else f"gap {1e3 * float(gap):g} mm" if float(gap) else "no sphere"
+        frequency = [one.frequency_hz for one in own]
+        dt, phase = ([one.off(column) for one in own] for column in ("transmissibility", "phase"))
+        (line,) = apart.plot(frequency, dt, "o", label=f"DT, {label}")
+        apart.plot(frequency, phase, "o", fillstyle="none", color=line.get_color(), label=f"phase, {label}")
+        numbers.append(Line(label, {"frequency_hz": frequency, "dt_off_u": dt, "phase_off_u": phase}))
+    apart.set(xlabel="frequency (Hz)", ylabel="measured − model (u)", title=f"{name}: driven by the {found.driven_by}")
+    apart.set_yscale("symlog", linthresh=10.0)
+    apart.margins(0.15)
+    apart.legend(ncols=2)
+    cycles = round(TRACED_CYCLES / drive * rate) if drive else len(found.model)
+    newest = slice(max(0, len(found.model) - cycles), None)
+    time = found.excerpt.rows["time"][newest]
+    measured, model = (samples_of(rows, "laser")[newest] for rows in (found.excerpt.rows, found.model))
+    residual = found.residual
+    traces.plot(time, 1e3 * (measured - measured.mean()), color=MEASURED, label="$x_1$ measured")
+    traces.plot(time, 1e3 * (model - model.mean()), "--", color=PREDICTED, label="$x_1$ model")
+    traces.plot(time, 1e3 * residual[newest], color=MUTED, linewidth=0.8, label="difference")
+    traces.set(xlabel="time (s)", ylabel="motion (mm)")
+    traces.legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
+    for y, colour, label in (
+        (samples_of(found.excerpt.rows, "laser"), MEASURED, "$x_1$ measured"), (residual, MUTED, "difference"),
+    ):  # fmt: skip
+        frequency_hz, power = signal.periodogram(y, rate, window="flattop", scaling="spectrum", detrend="constant")
+        shown = (frequency_hz > 0.0) & (frequency_hz <= min(drawings.HARMONICS * drive or math.inf, rate / 2.0))
+        amplitude = 1e3 * np.sqrt(2.0 * power[shown])
+        lines.semilogy(frequency_hz[shown], amplitude, color=colour, linewidth=0.8, label=label)
+        numbers.append(Line(label, {"frequency_hz": frequency_hz[shown].tolist(), "amplitude_mm": amplitude.tolist()}))
+    lines.set(xlabel="frequency (Hz)", ylabel="amplitude (mm)")
+    lines.legend()
+    return Drawn(
+        "comparison", figure, f"{name}: measured and model, {found.excerpt}; the band is ± 2u.", numbers,
+    )  # fmt: skip

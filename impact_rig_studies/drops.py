@@ -1,0 +1,32 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Drop test of a recorded run: the coefficient of restitution from the heights that the operator noted with it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from impact_rig.errors import RecordingError
+from impact_rig.recording import Run
+from impact_rig.runs.reanalysis import remarks
+from impact_rig.states import Status
+from impact_rig_studies.decay import Drop, DropTest, parse_drop, restitution_of_drops
+
+
+def drops_of(run: Run, u_m: float) -> tuple[list[Drop], DropTest]:
+    """Return the drops that the operator noted with a run, and the coefficient of restitution they give.
+
+    Args:
+        run: an open run.
+        u_m: standard uncertainty of each height [m].
+
+    Raises:
+        RecordingError: no remark is a drop (the message says what one looks like), or they give no restitution.
+    """
+    drops = [drop for drop in map(parse_drop, remarks(run)) if drop is not None]
+    if not drops:
+        raise RecordingError(f"{run.path} holds no remark on `notes` like {Drop(0.2, 0.0245).text()!r}")
+    found = restitution_of_drops(np.array([one.h0_m for one in drops]), np.array([one.h1_m for one in drops]), u_m, u_m)
+    if found.status is not Status.OK:
+        raise RecordingError(f"{run.path}: its {len(drops)} drops give no restitution: {found.status.value}")
+    return drops, found

@@ -1,0 +1,186 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""The picture of each kind of study, in the one style; all are of the model, and say so."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.drawing import INK, SERIES, Drawn, new_axes, style
+from impact_rig_studies.campaign.tasks import Row
+from impact_rig_studies.dynamics import plan as plans
+from impact_rig_studies.dynamics.plan import Plan, StudyTask
+from impact_rig_studies.maps.plan import CURRENT, FREQUENCY, GAP, POSITION, SPEED
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Found = Sequence[tuple[StudyTask, Sequence[Row]]]
+MARKS = {"fold": "o", "symmetry": "D", "flip": "s", "torus": "^", "grazing": "v", "lost": "x"}
+"""Of what changes along a branch."""
+LABELS = {
+    FREQUENCY: ("frequency (Hz)", 1.0), CURRENT: ("current (A)", 1.0), GAP: ("gap (mm)", 1e3),
+    POSITION: ("sphere at the beginning, from the middle (mm)", 1e3), SPEED: ("its speed (m/s)", 1.0),
+}  # fmt: skip
+_SPHERE = "sphere at the section (mm)"
+
+
+def drawn(plan: Plan, found: Found) -> Drawn:
+    """Return the picture of a study."""
+    draw, panels, what = _DRAWERS[plan.kind]
+    with style():
+        figure, panes = new_axes(3.0 if panels == 1 else 4.4, (1.0,) * panels)
+        draw(panes, plan, found)
+        panes[0].set_title(plan.title, loc="left")
+        handles, labels = panes[0].get_legend_handles_labels()
+        if handles:
+            figure.legend(handles, labels, loc="outside lower center", ncols=3)
+        return Drawn(f"dynamics_{plan.kind}", figure, f"{plan.title}: {what} Of the model, without instruments.")
+
+
+def column(plan: Plan, rows: Sequence[Row], name: str) -> NDArray[np.float64]:
+    """Return a column of numbers by its name."""
+    place = plans.COLUMNS[plan.kind].index(name)
+    return np.array([row[place] for row in rows], float)
+
+
+def label_of(name: str) -> tuple[str, float]:
+    """Return what stands at the axis of a parameter, and the factor of its numbers."""
+    return LABELS.get(name, (name, 1.0))
+
+
+def along(
+    plan: Plan, rows: Sequence[Row], quantity: str
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the parameter [SI] along a branch, a quantity there, and whether the motion is stable; each shape (n,)."""
+    path = [row for row in rows if row[plans.COLUMNS[plan.kind].index("event")] in ("orbit", "start")]
+    across, height, stable = (column(plan, path, name) for name in ("value", quantity, "stable"))
+    return across, height, stable > 0.0
+
+
+def _section(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
+    for i, (task, rows) in enumerate(found):
+        x, v = column(plan, rows, "x_2_m"), column(plan, rows, "v_2_m_s")
+        panes[0].plot(1e3 * x, v, ".", color=SERIES[i], markersize=1.5, label=task.name)
+    panes[0].set(xlabel=_SPHERE, ylabel="its velocity (m/s)")
+
+
+def _bifurcation(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
+    label, factor = label_of(plan.over)
+    known: dict[str, int] = {}
+    for task, rows in found:
+        values, way = task.what["values"], "from rest"
+        if task.what["marched"]:
+            way = "up" if values[0] <= values[-1] else "down"  # type: ignore[index]  # numbers
+        name = f"{plans.named(task.what['start'])}, {way}"
+        first = name not in known
+        colour = SERIES[known.setdefault(name, len(known))]
+        across = factor * column(plan, rows, "value")
+        for pane, quantity, scale in zip(panes, ("x_2_m", "dt"), (1e3, 1.0), strict=True):
+            pane.plot(
+                across, scale * column(plan, rows, quantity), ".", color=colour, markersize=1.2,
+                label=name if first else None,
+            )  # fmt: skip
+    panes[0].set(ylabel=_SPHERE)
+    panes[1].set(xlabel=label, ylabel="DT (-)")
+
+
+def _basin(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
+    from matplotlib.colors import ListedColormap  # noqa: PLC0415  # only when something is drawn
+
+    rows = [row for _, each in found for row in each]
+    if not rows:
+        return
+    x, y = (np.unique(column(plan, rows, name)) for name in (POSITION, SPEED))
+    place = np.searchsorted(x, column(plan, rows, POSITION)), np.searchsorted(y, column(plan, rows, SPEED))
+    words = [motion(plan, row) for row in rows]
+    kinds = sorted(set(words))
+    grid = np.full((len(y), len(x)), np.nan)
+    grid[place[1], place[0]] = [kinds.index(word) for word in words]
+    colours = [SERIES[i % len(SERIES)] for i in range(len(kinds))]
+    panes[0].grid(visible=False)
+    panes[0].pcolormesh(
+        1e3 * x, y, grid, cmap=ListedColormap(colours), vmin=-0.5, vmax=len(kinds) - 0.5, rasterized=True
+    )
+    for colour, kind in zip(colours, kinds, strict=True):
+        panes[0].plot([], [], "s", color=colour, label=kind)
+    panes[0].set(xlabel=LABELS[POSITION][0], ylabel=LABELS[SPEED][0])
+
+
+def motion(plan: Plan, row: Row) -> str:
+    """Return the words for the motion that a start leads to."""
+    cell = dict(zip(plans.COLUMNS[plan.kind], row, strict=True))
+    if not cell["impacts_per_cycle"]:
+        return "no impacts"
+    return f"DT {cell['dt']:.0f}" if cell["regime"] == "periodic" else str(cell["regime"])
+
+
+def _orbit(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
+    angle = np.linspace(0.0, 2.0 * np.pi, 200)
+    panes[0].plot(np.cos(angle), np.sin(angle), "-", color=INK, linewidth=0.8)
+    for i, (task, rows) in enumerate(found):
+        panes[0].plot(
+            column(plan, rows, "multiplier_real"), column(plan, rows, "multiplier_imag"), "o", color=SERIES[i],
+            label=task.name,
+        )  # fmt: skip
+    panes[0].set(xlabel="largest multiplier, real part", ylabel="imaginary part")
+    panes[0].set_aspect("equal", adjustable="datalim")
+
+
+def draw_branch(
+    pane: Axes, plan: Plan, rows: Sequence[Row], quantity: str, colour: str, label: str | None
+) -> list[tuple[list[float], list[float]]]:
+    """Draw a branch over its parameter, dotted where it is not stable; return its stable and its unstable points."""
+    across, height, stable = along(plan, rows, quantity)
+    across = label_of(plan.over)[1] * across
+    for which, line, name in ((stable, "-", label), (~stable, ":", None)):
+        near = which | np.append(which[1:], False) if line == ":" else which
+        pane.plot(across, np.where(near, height, np.nan), line, color=colour, label=name)
+    return [(across[which].tolist(), height[which].tolist()) for which in (stable, ~stable)]
+
+
+def _continue(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
+    label, factor = label_of(plan.over)
+    events = plans.COLUMNS[plan.kind].index("event")
+    marked: set[str] = set()
+    for i, (task, rows) in enumerate(found):
+        for pane, quantity in zip(panes, ("dt", "loss_factor"), strict=True):
+            draw_branch(pane, plan, rows, quantity, SERIES[i], task.name)
+            for row in rows:
+                event = str(row[events])
+                if event in MARKS:
+                    new = event not in marked and pane is panes[0]
+                    marked |= {event} if new else set()
+                    pane.plot(
+                        factor * column(plan, [row], "value"), column(plan, [row], quantity), MARKS[event],
+                        color=INK, fillstyle="none", linestyle="none", label=event if new else None,
+                    )  # fmt: skip
+    panes[0].set(ylabel="DT (-)")
+    panes[1].set(xlabel=label, ylabel="loss factor (-)")
+
+
+def _exponent(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
+    label, factor = label_of(plan.over)
+    starts = list(dict.fromkeys(plans.named(task.what["start"]) for task, _ in found))
+    for i, start in enumerate(starts):
+        rows = [row for task, each in found for row in each if plans.named(task.what["start"]) == start]
+        rate, doubt = column(plan, rows, "exponent_per_s"), column(plan, rows, "uncertainty_per_s")
+        panes[0].errorbar(
+            factor * column(plan, rows, "value"), rate, 2.0 * doubt, fmt=".", color=SERIES[i], label=start
+        )
+    panes[0].axhline(0.0, color=INK, linewidth=0.8)
+    panes[0].set(xlabel=label, ylabel="largest exponent (1/s)")
+
+
+_DRAWERS: Mapping[str, tuple[Callable[[Sequence[Axes], Plan, Found], None], int, str]] = {
+    plans.SECTION: (_section, 1, "one point a cycle."),
+    plans.BIFURCATION: (_bifurcation, 2, "one point a cycle, after the motion has settled."),
+    plans.BASIN: (_basin, 1, "the motion that each start of the sphere leads to, the rest of the rig at rest."),
+    plans.ORBIT: (_orbit, 1, "stable within the circle."),
+    plans.CONTINUE: (_continue, 2, "stable drawn through, unstable dotted."),
+    plans.EXPONENT: (_exponent, 1, "bars are two standard uncertainties."),
+}

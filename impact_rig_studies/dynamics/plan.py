@@ -1,0 +1,516 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""What a dynamics file asks for, checked, as tasks that run anywhere: one YAML file, a section for each kind."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import attrs
+import numpy as np
+
+from impact_rig.config.tree import Value
+from impact_rig.errors import ConfigError, SimulationError
+from impact_rig.rig.config import RigConfig, differences, from_flat, to_flat
+from impact_rig_studies.campaign import axes
+from impact_rig_studies.campaign.paper import CURRENT_A, FREQUENCY_HZ
+from impact_rig_studies.campaign.plan import STARTS
+from impact_rig_studies.campaign.tasks import Keyed, Row, TaskStore, load_plan
+from impact_rig_studies.dynamics import exponent, orbits
+from impact_rig_studies.dynamics.stroboscope import Energy, Note, Place, Properties, Stroboscope, at, size
+from impact_rig_studies.maps.measure import CHUNK, FAILED, MapRig, Reading, Settings
+from impact_rig_studies.maps.plan import (
+    BOTH,
+    CURRENT,
+    DOWN,
+    FREQUENCY,
+    GAP,
+    POSITION,
+    RESET,
+    SPEED,
+    UP,
+    MapLine,
+    refuse_owned,
+)
+
+SECTION, BIFURCATION, BASIN, ORBIT, CONTINUE, EXPONENT = KINDS = (
+    "section", "bifurcation", "basin", "orbit", "continue", "exponent",
+)  # fmt: skip
+POINT = ("x_1_m", "v_1_m_s", "x_2_m", "v_2_m_s")
+_ORBIT = (
+    "value", "event", "stable", "period", *Properties._fields[:-1], *(f"{name}_j" for name in Energy._fields),
+    "multiplier_real", "multiplier_imag", "residual", "turn",
+)  # fmt: skip
+COLUMNS: Mapping[str, tuple[str, ...]] = {
+    SECTION: POINT,
+    BIFURCATION: ("value", "regime", "dt", "impacts_per_cycle", "period", *POINT),
+    BASIN: (POSITION, SPEED, "attractor", "regime", "dt", "impacts_per_cycle", "cycles"),
+    ORBIT: _ORBIT,
+    CONTINUE: _ORBIT,
+    EXPONENT: ("value", "regime", "dt", "exponent_per_s", "uncertainty_per_s"),
+}
+"""What the tables of a study hold; `event` is orbit, or what changes there, or why the branch ends there."""
+NAMES = (FREQUENCY, CURRENT, GAP)
+CHUNK_VALUES = 20  # places that begin from rest in one task
+_CYCLES, _WINDOWS = 100, 20  # of an exponent
+_PARTS = 20.0  # of the range of a parameter that count as one dimensionless step: a motion may change within one
+_LOOKED = 7  # starts along either axis from which a basin's attractors are looked for
+_NEAR = 1e-3  # of an orbit's size: a motion as near, and coming nearer, is counted as on its way there
+_SAME = 1e-4  # of the size: orbits as near are one
+_MOST_CYCLES = 1200  # of a motion in a basin before it is measured at length
+
+Start = str | tuple[float, float]
+
+
+@attrs.frozen(kw_only=True)
+class StudyTask(Keyed):
+    """A part of a study that is run, stored and never repeated; it holds every value that decides its numbers."""
+
+    kind: str  # of the study
+    name: str  # for people
+    changes: Mapping[str, Value]  # configuration values that differ from the default rig, by dotted name
+    settings: Settings  # how motions settle
+    frequency_hz: float  # of the drive
+    current_a: float  # amplitude of the drive (A, m or V by `drive.kind`)
+    what: Mapping[str, object]  # everything else, by name
+
+    def describe(self) -> str:
+        """Return a short name for people."""
+        return self.name
+
+    @property
+    def place(self) -> Place:
+        """Where the rig is driven."""
+        return Place(from_flat(RigConfig(), self.changes), self.frequency_hz, self.current_a)
+
+    def read(self, rows: Sequence[Row]) -> list[Row]:
+        """Return stored rows.
+
+        Raises:
+            ValueError: they are none of this kind.
+        """
+        if any(len(row) != len(COLUMNS[self.kind]) for row in rows):
+            raise ValueError("not rows of this kind")
+        return [tuple(row) for row in rows]
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Plan:
+    """One study of a file."""
+
+    kind: str  # of the study
+    title: str  # for people
+    base: RigConfig  # the rig
+    text: str  # the file
+    over: str  # name of the parameter, empty where there is none
+    tasks: tuple[StudyTask, ...]  # in order
+
+
+def store(directory: Path) -> TaskStore[StudyTask]:
+    """Return what keeps a study's tasks in a directory."""
+    return TaskStore(directory, "dynamics", "tasks", ("maps", "dynamics"))
+
+
+def stored(directory: Path, kind: str) -> tuple[Plan, list[tuple[StudyTask, Sequence[Row]]]]:
+    """Return the study of one kind in a directory, and what is stored of each task.
+
+    Raises:
+        ConfigError: it is no directory of a study of dynamics, or of none of that kind, or nothing is stored of it.
+    """
+    kept = store(directory)
+    plan = load(kept.file, kind, kept.configuration())
+    found = [(task, kept.get(task) or []) for task in plan.tasks]
+    if not any(rows for _, rows in found):
+        raise ConfigError(f"{directory} holds nothing yet: impact-rig dynamics {kind} {kept.file} --output {directory}")
+    return plan, found
+
+
+def run(task: StudyTask) -> list[Row]:
+    """Return the rows of a task."""
+    return _RUNNERS[task.kind](task, **task.what)
+
+
+def load(path: Path, kind: str, resolved: RigConfig | None = None) -> Plan:
+    """Return the study of one kind in a YAML file.
+
+    Raises:
+        ConfigError: the file cannot be read or is wrong, or asks for no such study.
+    """
+    return load_plan(path, "dynamics file", lambda document, text: _read(document, text, path, kind, resolved))
+
+
+def exponent_at(line: MapLine, value: float) -> StudyTask:
+    """Return what measures the largest exponent at a place of a map where every place begins from rest."""
+    changes, frequency, current, sphere = line.place(value)
+    changes = {**line.changes, **changes}
+    start = sphere or from_flat(RigConfig(), changes).sphere.start
+    what = {"over": FREQUENCY, "value": frequency, "start": start, "cycles": _CYCLES, "windows": _WINDOWS}
+    return StudyTask(
+        kind=EXPONENT, name=f"{line.along} {value:g}, {line.describe()}", changes=changes, settings=line.settings,
+        frequency_hz=frequency, current_a=current, what=what,
+    )  # fmt: skip
+
+
+def _read(document: object, text: str, path: Path, kind: str, resolved: RigConfig | None) -> Plan:
+    top = axes.mapping("a dynamics file", document)
+    axes.check_keys("", top, ("title", "config", "set", FREQUENCY, CURRENT, "measure", *KINDS))
+    if kind not in top:
+        raise ConfigError(f"there is no {kind} in the file")
+    rig = resolved or axes.rig(top, path.parent, refuse_owned)
+    changes = differences(rig)
+    settings = axes.settings("measure", top.get("measure"), Settings)
+    frequency_hz = axes.number(FREQUENCY, top.get(FREQUENCY, FREQUENCY_HZ), 0.0, 1e4)
+    current_a = axes.number(CURRENT, top.get(CURRENT, CURRENT_A), 0.0)
+    over, parts = _PARTS_OF[kind](axes.mapping(kind, top[kind]), Place(rig, frequency_hz, current_a), settings)
+    tasks = tuple(
+        StudyTask(
+            kind=kind, name=name, changes=changes, settings=settings, frequency_hz=frequency_hz, current_a=current_a,
+            what=what,
+        )
+        for name, what in parts
+    )  # fmt: skip
+    return Plan(kind=kind, title=str(top.get("title", path.stem)), base=rig, text=text, over=over, tasks=tasks)
+
+
+Parts = tuple[str, list[tuple[str, dict[str, object]]]]
+
+
+def _section_parts(given: Mapping[str, object], _place: Place, _settings: Settings) -> Parts:
+    axes.check_keys(SECTION, given, ("starts", "cycles", "turn"))
+    cycles = axes.whole("section.cycles", given.get("cycles", 2000), 1, 100_000)
+    turn = axes.number("section.turn", given.get("turn", 0.0), -1.0, 1.0) % 1.0
+    return "", [(named(start), {"start": start, "cycles": cycles, "turn": turn}) for start in _starts(SECTION, given)]
+
+
+def _bifurcation_parts(given: Mapping[str, object], place: Place, _settings: Settings) -> Parts:
+    axes.check_keys(BIFURCATION, given, ("over", "values", "direction", "starts", "cycles", "turn"))
+    over, values = _over(BIFURCATION, given, place)
+    direction = axes.word("bifurcation.direction", given.get("direction", BOTH), (RESET, UP, DOWN, BOTH))
+    held = {
+        "over": over, "cycles": axes.whole("bifurcation.cycles", given.get("cycles", 48), 8, 10_000),
+        "turn": axes.number("bifurcation.turn", given.get("turn", 0.0), -1.0, 1.0) % 1.0,
+    }  # fmt: skip
+    parts: list[tuple[str, dict[str, object]]] = []
+    for start in _starts(BIFURCATION, given):
+        ways = {UP: [values], DOWN: [values[::-1]], BOTH: [values, values[::-1]]}
+        marched = direction != RESET
+        chunks = [values[i : i + CHUNK_VALUES] for i in range(0, len(values), CHUNK_VALUES)]
+        for line in ways[direction] if marched else chunks:
+            name = f"{over} {line[0]:g} to {line[-1]:g}, {named(start)}"
+            parts.append((name, {**held, "values": line, "start": start, "marched": marched}))
+    return over, parts
+
+
+def _basin_parts(given: Mapping[str, object], place: Place, settings: Settings) -> Parts:
+    axes.check_keys(BASIN, given, (POSITION, SPEED))
+    half = 0.5 * place.config.barriers.gap_m
+    positions = axes.numbers(f"basin.{POSITION}", given.get(POSITION), -half - 1e-12, half)
+    speeds = axes.numbers(f"basin.{SPEED}", given.get(SPEED), -100.0, 100.0)
+    known = [list(one) for one in _attractors(place, settings, positions, speeds)]
+    return "", [
+        (f"{SPEED} {speed:g}", {"positions": positions, "speed": speed, "attractors": known}) for speed in speeds
+    ]
+
+
+def _orbit_parts(given: Mapping[str, object], _place: Place, _settings: Settings) -> Parts:
+    axes.check_keys(ORBIT, given, ("starts",))
+    return "", [(named(start), {"start": start}) for start in _starts(ORBIT, given)]
+
+
+def _continue_parts(given: Mapping[str, object], place: Place, _settings: Settings) -> Parts:
+    axes.check_keys(CONTINUE, given, ("over", "from", "to", "at", "starts", "points"))
+    over = _parameter(CONTINUE, given, place)
+    low = axes.number("continue.from", given.get("from"), 0.0)
+    high = axes.number("continue.to", given.get("to"), low)
+    points = axes.whole("continue.points", given.get("points", 400), 2, 100_000)
+    values = axes.numbers("continue.at", given.get("at"), np.nextafter(low, 0.0), high)
+    return over, [
+        (
+            f"{over} {value:g}, {named(start)}",
+            {"over": over, "low": low, "high": high, "value": value, "start": start, "points": points},
+        )
+        for start in _starts(CONTINUE, given)
+        for value in values
+    ]
+
+
+def _exponent_parts(given: Mapping[str, object], place: Place, _settings: Settings) -> Parts:
+    axes.check_keys(EXPONENT, given, ("over", "values", "starts", "cycles", "windows"))
+    over, values = _over(EXPONENT, {"over": FREQUENCY, "values": place.frequency_hz, **given}, place)
+    held = {
+        "over": over, "cycles": axes.whole("exponent.cycles", given.get("cycles", _CYCLES), 10, 100_000),
+        "windows": axes.whole("exponent.windows", given.get("windows", _WINDOWS), 4, 1000),
+    }  # fmt: skip
+    return over, [
+        (f"{over} {value:g}, {named(start)}", {**held, "value": value, "start": start})
+        for start in _starts(EXPONENT, given)
+        for value in values
+    ]
+
+
+_PARTS_OF: Mapping[str, Callable[[Mapping[str, object], Place, Settings], Parts]] = {
+    SECTION: _section_parts, BIFURCATION: _bifurcation_parts, BASIN: _basin_parts, ORBIT: _orbit_parts,
+    CONTINUE: _continue_parts, EXPONENT: _exponent_parts,
+}  # fmt: skip
+
+
+def _parameter(kind: str, given: Mapping[str, object], place: Place) -> str:
+    over = str(given.get("over", GAP))
+    refuse_owned(f"{kind}.over", over)
+    if over not in NAMES and not isinstance(to_flat(place.config).get(over), float):
+        raise axes.wrong(f"{kind}.over", f"one of {', '.join(NAMES)}, or a number of the configuration", over)
+    return over
+
+
+def _over(kind: str, given: Mapping[str, object], place: Place) -> tuple[str, tuple[float, ...]]:
+    over = _parameter(kind, given, place)
+    least = 0.0 if over in (FREQUENCY, CURRENT) else -math.inf  # of the others the configuration has the range
+    values = tuple(sorted(axes.numbers(f"{kind}.values", given.get("values"), least)))
+    for value in (values[0], values[-1]):
+        at(place, over, value)
+    return over, values
+
+
+def _starts(kind: str, given: Mapping[str, object]) -> list[Start]:
+    """Return where the sphere begins: words, or pairs of position [m] and speed [m/s]."""
+    found: list[Start] = []
+    listed = given.get("starts", ["left"])
+    for i, one in enumerate(listed if isinstance(listed, list) else [listed]):
+        if isinstance(one, list) and len(one) == 2:
+            place, speed = (axes.number(f"{kind}.starts[{i}]", value, -100.0, 100.0) for value in one)
+            found.append((place, speed))
+        else:
+            found.append(axes.word(f"{kind}.starts[{i}]", one, STARTS))
+    return found
+
+
+def named(start: object) -> str:
+    """Return the words for where the sphere begins."""
+    return start if isinstance(start, str) else "{:g} m at {:g} m/s".format(*start)  # type: ignore[misc]  # a pair
+
+
+def _begun(place: Place, start: Start, settings: Settings) -> MapRig:
+    """Return a rig at rest with the sphere where it begins."""
+    config = place.config
+    rig = MapRig(from_flat(config, {"sphere.start": start}) if isinstance(start, str) else config, settings)
+    rig.reset(None if isinstance(start, str) else (start[0], start[1]))
+    return rig
+
+
+def _points(rig: MapRig, place: Place, cycles: int, turn: float) -> list[list[float]]:
+    """Return one point a cycle, see `POINT`; none of a motion that cannot be resolved."""
+    try:
+        motion = rig.advance(place.frequency_hz, place.amplitude, cycles)
+    except SimulationError:
+        return []
+    number = np.arange(motion.first_tick, motion.last_tick + 1)
+    offset = np.full(cycles, turn / place.frequency_hz)
+    points: list[list[float]] = motion.quantities(("x_1", "v_1", "x_2", "v_2"), number, offset).T.tolist()
+    return points
+
+
+def _section(task: StudyTask, start: Start, cycles: int, turn: float) -> list[Row]:
+    place = task.place
+    rig = _begun(place, start, task.settings)
+    if rig.measure(place.frequency_hz, place.amplitude).regime == FAILED:
+        return []  # the rig has been reset: what it would do next has not settled
+    return [tuple(point) for point in _points(rig, place, cycles, turn)]
+
+
+def _bifurcation(
+    task: StudyTask, over: str, values: Sequence[float], start: Start, marched: bool, cycles: int, turn: float
+) -> list[Row]:
+    rows: list[Row] = []
+    rig: MapRig | None = None
+    for value in values:
+        place = at(task.place, over, value)
+        if rig is None or not marched:
+            rig = _begun(place, start, task.settings)
+        else:
+            rig.carry(place.config)
+        reading = rig.measure(place.frequency_hz, place.amplitude)
+        count = int(reading.period) if math.isfinite(reading.period) else cycles
+        points = [] if reading.regime == FAILED else _points(rig, place, count, turn)
+        if not points:
+            rows.append((value, FAILED, *[math.nan] * 7))
+            rig = None
+        head = (value, reading.regime, reading.dt, reading.impacts_per_cycle, reading.period)
+        rows += [(*head, *point) for point in points]
+    return rows
+
+
+def _orbit(task: StudyTask, start: Start) -> list[Row]:
+    found = _found(task, FREQUENCY, task.frequency_hz, start, 1.0)
+    if found is None:
+        return []
+    strobe, one = found
+    return [_row(one, strobe.note(one), 1.0, one.kind)]
+
+
+def _continue(
+    task: StudyTask, over: str, low: float, high: float, value: float, start: Start, points: int
+) -> list[Row]:
+    unit = (high - low) / _PARTS
+    found = _found(task, over, value, start, unit)
+    if found is None:
+        return []
+    strobe, first = found
+    turn = strobe.turn
+    here = _row(first, strobe.note(first), unit, "start")
+    rows: list[Row] = []
+    for way in (-1.0, 1.0):
+        strobe.turn = turn
+        arc = orbits.followed(
+            strobe, first, way, (low / unit, high / unit), points=points, noted=strobe.note, moved=strobe.moved
+        )
+        half = [_row(one, one.note, unit, "orbit") for one in arc.orbits]
+        half += [_row(one.orbit, one.note, unit, one.kind) for one in arc.changes]
+        if arc.orbits:
+            half.append(_row(arc.orbits[-1], arc.orbits[-1].note, unit, arc.end))
+        rows = [*half[::-1], here] if way < 0.0 else [*rows, *half]
+        if arc.end == "closed":
+            break
+    return rows
+
+
+def _found(
+    task: StudyTask, over: str, value: float, start: Start, unit: float
+) -> tuple[Stroboscope, orbits.Orbit] | None:
+    """Return the orbit that a motion settles to; None if it settles to none, or cannot be resolved."""
+    place = at(task.place, over, value)
+    strobe = Stroboscope(task.place, over, unit)
+    rig = _begun(place, start, task.settings)
+    reading = rig.measure(place.frequency_hz, place.amplitude)
+    if not math.isfinite(reading.period):
+        return None
+    try:
+        z = strobe.seen(rig, value / unit, reading)
+    except SimulationError:
+        return None
+    one = orbits.orbit(strobe, z, value / unit)
+    return None if one is None else (strobe, one)
+
+
+def _row(one: orbits.Orbit, note: object, unit: float, event: str) -> Row:
+    assert isinstance(note, Note)
+    properties, cycles, turn = note
+    largest = one.multipliers[0]
+    return (
+        one.p * unit, event, float(one.stable), float(cycles), *properties[:-1], *properties.energy,
+        float(largest.real), float(largest.imag), one.residual, turn,
+    )  # fmt: skip
+
+
+def _exponent(task: StudyTask, over: str, value: float, start: Start, cycles: int, windows: int) -> list[Row]:
+    place = at(task.place, over, value)
+    rig = _begun(place, start, task.settings)
+    reading = rig.measure(place.frequency_hz, place.amplitude)
+    strobe = Stroboscope(place, FREQUENCY, 1.0)
+    try:
+        z = None if reading.regime == FAILED else strobe.seen(rig, place.frequency_hz, reading)
+    except SimulationError:
+        z = None
+    if z is None:
+        return [(value, FAILED, math.nan, math.nan, math.nan)]
+    strobe.cycles = 1
+    found = exponent.largest(lambda z, n: strobe(z, place.frequency_hz, n), z, cycles, windows)
+    rate = place.frequency_hz
+    return [(value, reading.regime, reading.dt, rate * found.value, rate * found.uncertainty)]
+
+
+def _attractors(
+    place: Place, settings: Settings, positions: Sequence[float], speeds: Sequence[float]
+) -> list[tuple[str | float, ...]]:
+    """Return the periodic motions that a few starts lead to: DT, impacts per cycle, period, and their states."""
+    some = [
+        [values[i] for i in sorted({*np.linspace(0, len(values) - 1, _LOOKED).astype(int).tolist()})]
+        for values in (positions, speeds)
+    ]
+    found: list[tuple[str | float, ...]] = []
+    for start in itertools.product(*some):
+        rig = _begun(place, start, settings)
+        reading = rig.measure(place.frequency_hz, place.amplitude)
+        if not math.isfinite(reading.period) or not reading.impacts_per_cycle:
+            continue
+        states = _states(rig, place, int(reading.period))
+        if states and all(_distance(states[0], one, size(place, states[0])) > _SAME for one in found):
+            found.append((reading.dt, reading.impacts_per_cycle, reading.period, *np.concatenate(states).tolist()))
+    return sorted(found)
+
+
+def _states(rig: MapRig, place: Place, cycles: int) -> list[np.ndarray]:
+    """Return the state at the beginning of each cycle; none of a motion that cannot be told at one of them."""
+    states = []
+    for _ in range(cycles):
+        state = rig.simulation.state()
+        if state is None:
+            return []
+        states.append(state)
+        try:
+            rig.advance(place.frequency_hz, place.amplitude, 1)
+        except SimulationError:
+            return []
+    return states
+
+
+def _distance(state: np.ndarray, attractor: Sequence[str | float], scale: np.ndarray) -> float:
+    """Return how far a state is from the nearest of an attractor's."""
+    states = np.array(attractor[3:], float).reshape(-1, len(state))
+    return float(np.abs((states - state) / scale).max(axis=1).min())
+
+
+def _basin(
+    task: StudyTask, positions: Sequence[float], speed: float, attractors: Sequence[Sequence[str | float]]
+) -> list[Row]:
+    place = task.place
+    rig = MapRig(place.config, task.settings)
+    rows: list[Row] = []
+    for position in positions:
+        rig.reset((position, speed))
+        try:
+            label, cycles = _led_to(rig, place, attractors)
+        except SimulationError:
+            rows.append((position, speed, -1.0, FAILED, math.nan, math.nan, math.nan))
+            continue
+        if label >= 0:
+            dt, impacts = (float(value) for value in attractors[label][:2])
+            rows.append((position, speed, float(label), "periodic", dt, impacts, float(cycles)))
+            continue
+        reading: Reading = rig.measure(place.frequency_hz, place.amplitude)
+        rows.append(
+            (position, speed, -1.0, reading.regime, reading.dt, reading.impacts_per_cycle, cycles + reading.cycles)
+        )
+    return rows
+
+
+def _led_to(rig: MapRig, place: Place, attractors: Sequence[Sequence[str | float]]) -> tuple[int, int]:
+    """Return which attractor the motion comes ever nearer to, −1 where it is seen near none, and the cycles of that.
+
+    Raises:
+        SimulationError: the motion cannot be resolved.
+    """
+    sizes = [size(place, np.array(one[3:10], float)) for one in attractors]
+    near, cycles = math.inf, 0
+    while cycles < _MOST_CYCLES:
+        motion = rig.advance(place.frequency_hz, place.amplitude, CHUNK)
+        cycles += CHUNK
+        state = rig.simulation.state()
+        if not len(motion.impacts):
+            break  # at rest, or drifting: the measurement tells
+        if state is None or not attractors:
+            continue
+        away = [_distance(state, one, size) for one, size in zip(attractors, sizes, strict=True)]
+        nearest = int(np.argmin(away))
+        if away[nearest] < _NEAR and away[nearest] <= near:
+            return nearest, cycles
+        near = away[nearest] if away[nearest] < _NEAR else math.inf
+    return -1, cycles
+
+
+_RUNNERS: Mapping[str, Callable[..., list[Row]]] = {
+    SECTION: _section, BIFURCATION: _bifurcation, BASIN: _basin, ORBIT: _orbit, CONTINUE: _continue,
+    EXPONENT: _exponent,
+}  # fmt: skip

@@ -1,0 +1,264 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""The rig seen once in so many cycles of its drive: a map of its state onto the next, with exact events between.
+
+The state is (x_1, v_1, d, d') and, where the base is not prescribed, (x_b, v_b) and a coil's current; d = x_2 − x_1.
+It is divided by what the motion reaches, so that a step of 1 means as much in each. The section is the phase of the
+drive at which one looks; it lies where the sphere is longest without a contact, because a contact under way is not told
+by its state alone.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.analysis.calibration import Real
+from impact_rig.errors import ConfigError, SimulationError
+from impact_rig.physics import SEGMENT, Motion, Simulation
+from impact_rig.physics.linear import constants
+from impact_rig.physics.model import Model, build
+from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig_studies.dynamics.orbits import Orbit
+from impact_rig_studies.maps.measure import MapRig, Reading
+from impact_rig_studies.maps.plan import CURRENT, FREQUENCY, GAP
+
+COORDINATES = {"prescribed": (0, 1, 5, 6), "current": (0, 1, 2, 3, 5, 6), "voltage": (0, 1, 2, 3, 4, 5, 6)}
+"""Places of the coordinates in `Simulation.state`, by kind of drive."""
+SPHERE = (5, 6)  # those of the sphere
+CLOSE = 0.02  # turns of the drive between an impact and the section below which another section is chosen
+_TURN = 2.0 * math.pi
+_FINE = 64  # parts of a cycle at which a place for the section is looked for
+
+
+class Place(NamedTuple):
+    """Where a rig is driven."""
+
+    config: RigConfig
+    frequency_hz: float
+    amplitude: float
+
+
+class Energy(NamedTuple):
+    """Energies per cycle of the drive [J]."""
+
+    work: float  # what the shaker, or a prescribed base, gives
+    columns: float  # lost in the columns
+    shaker: float  # lost in the shaker
+    contact: float  # lost in the contacts
+    friction: float  # lost on the guide
+    imbalance: float  # work − losses − what is stored
+
+
+class Properties(NamedTuple):
+    """What an orbit does."""
+
+    dt: float  # |X_1| / |X_b| of the fundamentals
+    phase_rad: float  # of X_1 / X_b
+    base_m: float  # |X_b|
+    superior_m: float  # |X_1|
+    impacts_per_cycle: float  # of all impacts
+    slowest_m_s: float  # approach speed of the slowest impact; NaN without one
+    loss_factor: float  # of the damper from energy: its loss per cycle over π m_1 ω² |X_1|²
+    dt_loss_factor: float  # the same from DT alone: −Im N / (m_1 ω²), N the sphere's force per x_1
+    added_mass: float  # of the damper from DT alone, over m_1: Re N / (m_1 ω²)
+    energy: Energy  # per cycle
+
+
+class Note(NamedTuple):
+    """What an orbit does, after how many cycles it repeats, and the section of its coordinates [turns]."""
+
+    properties: Properties
+    cycles: int
+    turn: float
+
+
+class Stroboscope:
+    """The map of a rig along one parameter, in dimensionless coordinates.
+
+    Args:
+        place: the rig and its drive.
+        over: name of the parameter: frequency_hz, current_a, gap_m, or a number of the configuration by dotted name.
+        unit: what a step of 1 of the dimensionless parameter is.
+
+    Attributes:
+        cycles: of the drive, after which an orbit repeats.
+        turn: the section: where in the drive's cycle, in turns.
+        scale: of each coordinate.
+    """
+
+    def __init__(self, place: Place, over: str, unit: float) -> None:
+        self._place, self._over, self._unit, self.cycles = place, over, unit, 1
+        self.turn = 0.0
+        self._quiet, self._aside = False, 0.0
+        self._free = list(COORDINATES[place.config.drive.kind])
+        self.scale = np.ones(len(self._free))
+        self._at = self._model = build(place.config)
+        self._simulation = Simulation(place.config, model=self._model)
+        self._found = functools.lru_cache(maxsize=8)(self._find)
+
+    def _find(self, p: float) -> tuple[Place, Model]:
+        """Return the place and its model; a change of the drive alone changes no model."""
+        place = at(self._place, self._over, p * self._unit)
+        return place, self._model if place.config is self._place.config else build(place.config)
+
+    def __call__(self, z: Real, p: float, returns: int = 1) -> Real:
+        """Return the coordinates after `cycles`; NaN where the motion stands in a contact, or cannot be resolved."""
+        try:
+            motion = self._run(z, p, self.cycles * returns)
+            state = None if self._quiet and len(motion.impacts) else self._simulation.state()
+        except (SimulationError, ConfigError):
+            state = None
+        return np.full(len(z), math.nan) if state is None else state[self._free] / self.scale
+
+    def seen(self, rig: MapRig, p: float, reading: Reading) -> Real:
+        """Return the coordinates of a settled motion, and choose scale and section for it; it has gone on then."""
+        place, _ = self._found(p)
+        frequency, amplitude = place.frequency_hz, place.amplitude
+        self.cycles = int(reading.period) if math.isfinite(reading.period) else 1
+        self._quiet = not reading.impacts_per_cycle
+        if self._quiet:  # without impacts it does not matter where the sphere is, and without friction not how fast
+            sphere = place.config.sphere
+            left_out = SPHERE[:1] if sphere.present and sphere.guide_friction > 0.0 else SPHERE
+            self._free = [i for i in self._free if i not in left_out]
+        motion = rig.advance(frequency, amplitude, self.cycles)
+        self.turn = _longest_flight(motion, self.cycles)
+        part = np.zeros(1, SEGMENT)
+        part["duration"], part["omega"], part["amplitude"] = self.turn / frequency, _TURN * frequency, amplitude
+        rig.simulation.advance(part)
+        state = rig.simulation.state()
+        if state is None:
+            raise SimulationError("the sphere is never free of the walls: there is no section")
+        d, rate = state[list(SPHERE)]
+        self._aside = d if rate else 0.0  # one that is held may lie at a wall, where its neighbours would strike
+        self.scale = size(place, state)[self._free]
+        return state[self._free] / self.scale
+
+    def moved(self, points: Sequence[tuple[Real, float]]) -> list[Real] | None:
+        """Return points of a branch at another section if an impact of the last is near this one, else None."""
+        motion = self._run(*points[-1], self.cycles)
+        turns = motion.impacts["offset"] / motion.segments["duration"][0]
+        if not len(turns) or np.abs((turns + 0.5) % 1.0 - 0.5).min() > CLOSE:
+            return None
+        turn, old = (self.turn + _longest_flight(motion, self.cycles)) % 1.0, self.turn
+        found = []
+        for z, p in points:
+            self.turn = old
+            found.append(self._moved(z, p, turn))
+        return found
+
+    def note(self, one: Orbit) -> Note:
+        """Return what an orbit does that stands in the coordinates of now."""
+        return Note(self.properties(one.z, one.p), self.cycles, self.turn)
+
+    def properties(self, z: Real, p: float) -> Properties:
+        """Return what the orbit through z does."""
+        place, model = self._found(p)
+        config, frequency = place.config, place.frequency_hz
+        simulation = Simulation(config, account=True, model=model)
+        simulation.set_state(self._whole(z, place))
+        motion = simulation.advance(self._segments(place, self.cycles))
+        energy = simulation.energy()
+        cycles = motion.cycles()
+        base, superior = cycles["x_b"].mean(), cycles["x_1"].mean()
+        ratio, speeds = superior / base, motion.impacts["approach_speed"]
+        c, s = constants(config), 1j * _TURN * frequency
+        k, inertia = c.k_1 + c.c_1 * s, c.m_1 * abs(s) ** 2
+        force = k - inertia - k / ratio
+        per_cycle = [getattr(energy, name) / self.cycles for name in Energy._fields]
+        damper = (energy.contact + energy.friction) / self.cycles
+        return Properties(
+            dt=float(abs(ratio)),
+            phase_rad=float(np.angle(ratio)),
+            base_m=float(abs(base)),
+            superior_m=float(abs(superior)),
+            impacts_per_cycle=len(speeds) / self.cycles,
+            slowest_m_s=float(speeds.min()) if len(speeds) else math.nan,
+            loss_factor=damper / (math.pi * inertia * float(abs(superior)) ** 2),
+            dt_loss_factor=float(-force.imag / inertia),
+            added_mass=float(force.real / inertia),
+            energy=Energy(*per_cycle),
+        )
+
+    def _run(self, z: Real, p: float, cycles: float) -> Motion:
+        place, model = self._found(p)
+        if model is not self._at:
+            self._simulation.configure(place.config, model)
+            self._at = model
+        self._simulation.set_state(self._whole(z, place))
+        return self._simulation.advance(self._segments(place, cycles))
+
+    def _segments(self, place: Place, cycles: float) -> NDArray[np.void]:
+        """Return the drive from the section on, a segment a cycle; a part of a cycle is one segment."""
+        segments = np.zeros(max(1, int(cycles)), SEGMENT)
+        segments["duration"] = min(cycles, 1.0) / place.frequency_hz
+        segments["omega"], segments["phase"] = _TURN * place.frequency_hz, _TURN * self.turn
+        segments["amplitude"] = place.amplitude
+        return segments
+
+    def _whole(self, z: Real, place: Place) -> Real:
+        """Return all that `Simulation.set_state` wants."""
+        state = np.zeros(7)
+        state[self._free] = z * self.scale
+        if self._quiet and SPHERE[1] in self._free:
+            state[SPHERE[0]] = self._aside
+        elif self._quiet:
+            state[list(SPHERE)] = -state[:2]
+        if place.config.drive.kind == "prescribed":
+            angle = _TURN * self.turn
+            state[2] = place.amplitude * math.sin(angle)
+            state[3] = place.amplitude * _TURN * place.frequency_hz * math.cos(angle)
+        return state
+
+    def _moved(self, z: Real, p: float, turn: float) -> Real:
+        """Return the coordinates at another section, which is the one from now on."""
+        later = (turn - self.turn) % 1.0
+        if later == 0.0 or not np.isfinite(z).all():  # one that stood in a contact at an earlier section stays unknown
+            return z
+        self._run(z, p, later)
+        state = self._simulation.state()
+        self.turn = turn
+        return np.full(len(z), math.nan) if state is None else state[self._free] / self.scale
+
+
+def at(place: Place, over: str, value: float) -> Place:
+    """Return a place with another value of one parameter.
+
+    Raises:
+        ConfigError: there is no such number in a configuration, or it is out of range.
+    """
+    config, frequency, amplitude = place
+    if over == FREQUENCY:
+        return Place(config, value, amplitude)
+    if over == CURRENT:
+        return Place(config, frequency, value)
+    changed = from_flat(config, {"barriers.gap_m" if over == GAP else over: value})
+    return Place(changed, frequency, amplitude)
+
+
+def _longest_flight(motion: Motion, cycles: int) -> float:
+    """Return the middle of the longest stretch of the drive's cycle without a contact in any cycle, in turns."""
+    period = float(motion.segments["duration"][0])
+    number = np.repeat(np.arange(motion.first_tick, motion.last_tick + 1), _FINE)
+    part = np.tile(np.arange(_FINE) / _FINE, cycles)
+    force = motion.quantities(("force_left", "force_right"), number, part * period)
+    busy = (force != 0.0).any(axis=0).reshape(cycles, _FINE).any(axis=0)
+    busy[(motion.impacts["offset"] / period * _FINE).astype(np.int64) % _FINE] = True
+    if not busy.any():
+        return 0.0
+    places = np.flatnonzero(busy)
+    lengths = np.diff(np.append(places, places[0] + _FINE))
+    best = int(np.argmax(lengths))
+    return float((places[best] + 0.5 + 0.5 * lengths[best]) / _FINE % 1.0)
+
+
+def size(place: Place, state: Real) -> Real:
+    """Return what a motion reaches in each of the coordinates of `Simulation.state`, shape (7,)."""
+    omega, half = _TURN * place.frequency_hz, 0.5 * place.config.barriers.gap_m
+    x, b = (max(math.hypot(at, rate / omega), 1e-9) for at, rate in (state[0:2], state[2:4]))
+    return np.array([x, omega * x, b, omega * b, max(place.amplitude, 1e-9), half, omega * half])

@@ -1,0 +1,160 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""What a test is made of: plans as YAML, and histories from CSV, WAV, npz and other files, or a run."""
+
+from __future__ import annotations
+
+import itertools
+from fractions import Fraction
+from pathlib import Path
+from typing import TypeVar
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from impact_rig import topics
+from impact_rig.errors import ConfigError, RecordingError, did_you_mean
+from impact_rig.recording import open_run
+from impact_rig.system import budget
+from impact_rig_studies.campaign.tasks import load_plan
+from impact_rig_studies.excitation.random import Spectrum
+from impact_rig_studies.excitation.response import Response
+from impact_rig_studies.importing import readers
+from impact_rig_studies.importing.limits import VALUES
+from impact_rig_studies.importing.units import unit_factor
+
+P = TypeVar("P", bound=attrs.AttrsInstance)
+MOST_RATIO = 1000  # the smaller of two rates in smallest numbers: what is resampled between them
+
+
+def load(path: Path, kind: type[P]) -> P:
+    """Return a plan of one kind; its keys are the attributes of the kind.
+
+    Raises:
+        ConfigError: a key or value is wrong; the message names key, value and file.
+    """
+    return load_plan(path, "excitation", lambda document, _: read(document, kind))
+
+
+def read(document: object, kind: type[P]) -> P:
+    """Return a plan of a YAML document.
+
+    Raises:
+        ConfigError: see `load`.
+    """
+    fields = {one.name: one for one in attrs.fields(kind)}
+    if not isinstance(document, dict):
+        raise ConfigError(f"a mapping is needed, with {', '.join(fields)}")
+    values: dict[str, object] = {}
+    for key, value in document.items():
+        if key not in fields:
+            raise ConfigError(f"unknown key {key}{did_you_mean(str(key), fields)}")
+        values[key] = _value(str(key), value, fields[key].type)
+    try:
+        return kind(**values)
+    except (ValueError, TypeError) as error:
+        raise ConfigError(" ".join(str(error.args[0]).split())) from error
+
+
+def _value(key: str, value: object, kind: object) -> object:
+    if kind == "Spectrum":
+        found = read(value, Spectrum)
+        corners = np.array([found.frequency_hz, found.density], float)
+        if len(corners[0]) < 2 or not np.all(corners > 0.0) or not np.all(np.diff(corners[0]) > 0.0):
+            raise ConfigError(
+                f"{key} needs two corners or more, ascending, with frequency and density > 0, got {value}"
+            )
+        return found
+    if kind == "tuple[float, ...]":
+        if not isinstance(value, list) or not all(isinstance(one, (int, float)) for one in value):
+            raise ConfigError(f"{key} must be a list of numbers, got {str(value)[:60]!r}")
+        return tuple(float(one) for one in value)
+    if kind in ("Response", "str"):
+        if kind == "Response" and value not in [*Response]:
+            raise ConfigError(f"{key} must be one of {', '.join(Response)}, got {str(value)[:60]!r}")
+        return value
+    if isinstance(value, bool) or not isinstance(value, int if kind == "int" else (int, float)):
+        raise ConfigError(f"{key} must be {'a whole number' if kind == 'int' else 'a number'}, got {str(value)[:60]!r}")
+    return value if kind == "int" else float(value)
+
+
+def history(
+    path: Path,
+    rate_hz: int,
+    wanted: str,
+    name: str | None = None,
+    channel: str | None = None,
+    unit: str = "",
+    scale: float = 1.0,
+    file_hz: float | None = None,
+) -> NDArray[np.float64]:
+    """Return a signal of a file or run in SI units, resampled.
+
+    Args:
+        path: a run, or what `impact-rig import` reads.
+        rate_hz: wanted.
+        wanted: SI unit wanted.
+        name: of the signal; None: the only one of a file, or `channel` of a run.
+        channel: of a run; None: current.
+        unit: of the file's values, where it does not say or says wrongly.
+        scale: what values are multiplied by.
+        file_hz: rate of a file that says neither times nor a rate.
+
+    Raises:
+        ConfigError: which signal or rate is meant is not known, or its unit is of another kind.
+        RecordingError: the file is damaged, or scans of the run are missing.
+    """
+    if path.is_dir() or path.suffix == ".mcap":
+        values, found_hz, unit = *_of_run(path, name or channel or "current"), ""
+    else:
+        values, found_hz, unit = _of_file(path, name, unit, file_hz)
+    if unit:
+        to_si = unit_factor(unit, wanted)
+        if to_si is None:
+            raise ConfigError(f"{path}: {unit!r} is no unit of {wanted}")
+        scale *= to_si
+    if rate_hz < 1:
+        raise ConfigError(f"a rate must be a whole number of Hz above 0, got {rate_hz}")
+    if not len(values) or not np.all(np.isfinite(values)):
+        raise RecordingError(f"{path}: the signal has no samples, or some that are not finite")
+    if rate_hz >= found_hz:
+        ratio = Fraction(rate_hz / found_hz).limit_denominator(MOST_RATIO)
+    else:  # of a small number with such a denominator little is left
+        ratio = 1 / Fraction(found_hz / rate_hz).limit_denominator(MOST_RATIO)
+    budget.allow(f"samples at {rate_hz} Hz of {path}", int(len(values) * ratio), VALUES)
+    if ratio == 1:
+        return scale * values
+    return np.asarray(scale * signal.resample_poly(values, ratio.numerator, ratio.denominator), np.float64)
+
+
+def _of_run(path: Path, name: str) -> tuple[NDArray[np.float64], float]:
+    with open_run(path) as run:
+        tables = list(run.tables(topics.SCAN, recorded_order=True))
+    if not tables or name not in (tables[0].rows.dtype.names or ()):
+        raise ConfigError(f"{path} has no channel {name!r}")
+    rows = np.concatenate([table.rows[name] for table in tables]).astype(float)
+    seconds = (tables[-1].stamp_ns - tables[0].stamp_ns) * 1e-9 + float(tables[-1].rows["time"][-1])
+    if not seconds > 0.0:
+        raise RecordingError(f"{path}: {len(rows)} scans in {seconds:g} s are no signal")
+    rate_hz = (len(rows) - 1) / seconds
+    for table, after in itertools.pairwise(tables):
+        if abs((after.stamp_ns - table.stamp_ns) * 1e-9 * rate_hz - len(table.rows)) > 0.5:
+            raise RecordingError(f"{path}: scans are missing: what is played must be without a gap")
+    return rows, round(rate_hz, 3)
+
+
+def _of_file(path: Path, name: str | None, unit: str, file_hz: float | None) -> tuple[NDArray[np.float64], float, str]:
+    signals = readers.read(path).signals
+    if name is None and len(signals) == 1:
+        name = next(iter(signals))
+    if name is None or name not in signals:
+        raise ConfigError(f"{path}: which signal? --signal NAME of {', '.join(signals)[:300]}")
+    one = signals[name]
+    rate = one.rate_hz or file_hz
+    if rate is None and one.time_s is not None and len(one.time_s) > 1:
+        rate = (len(one.time_s) - 1) / float(one.time_s[-1] - one.time_s[0])
+    if rate is None or not rate > 0.0:
+        raise ConfigError(f"{path}: the file says neither times nor a rate: --file-rate HZ")
+    return one.values, rate, unit or one.unit

@@ -1,0 +1,170 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Random control: the drive is equalised line by line until a response has the power spectral density asked for.
+
+Frames of the drive's line amplitudes with random phases are windowed (a half sine) and overlapped by a half, which
+gives a stationary, nearly Gaussian signal. After each loop the drive's density goes towards asked / |H|², line by
+line, with |H|² the density of the response over that of the drive as measured meanwhile, distortion included.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import attrs
+import numpy as np
+from scipy import signal, stats
+
+from impact_rig.analysis.calibration import Real
+from impact_rig.client.hardware import Exchange, Hardware
+from impact_rig.errors import CommandError
+from impact_rig_studies.excitation.response import Response
+
+MOST_STEP_DB = 6.0  # by which a line of the drive changes in one loop, at most
+LEAST_DRIVE_DB = -60.0  # of a line below the strongest, at the least: a line that answers to nothing is not driven away
+
+
+@attrs.frozen(kw_only=True)
+class Spectrum:
+    """A power spectral density by its corners, straight lines between them on logarithmic axes."""
+
+    frequency_hz: tuple[float, ...]  # of the corners, ascending
+    density: tuple[float, ...]  # there, unit² / Hz
+
+    def at(self, frequency_hz: Real) -> Real:
+        """Return the density at some frequencies, 0 outside of the corners."""
+        inside = (frequency_hz >= self.frequency_hz[0]) & (frequency_hz <= self.frequency_hz[-1])
+        found = np.zeros(len(frequency_hz))
+        at = np.log(frequency_hz[inside])
+        found[inside] = np.exp(np.interp(at, np.log(self.frequency_hz), np.log(self.density)))
+        return found
+
+
+@attrs.frozen(kw_only=True)
+class RandomPlan:
+    """How a spectrum is held.
+
+    Attributes:
+        spectrum: what is asked for, in the response's unit² / Hz.
+        response: what is controlled, of `RESPONSES`.
+        frame_s: length of a frame [s]: lines lie 1 / frame_s apart.
+        loops: corrections of the drive.
+        frames: frames in each of them, half overlapped.
+        averages: frames of the measurement after the last, likewise.
+        gain: exponent of a correction.
+        start_rms: of the drive in the first loop [A].
+        crest: the drive is clipped at this many times its rms.
+        abort_db: a line this far above what is asked ends the test.
+        seed: of the phases.
+    """
+
+    spectrum: Spectrum = Spectrum(frequency_hz=(5.0, 15.0, 200.0), density=(0.02, 0.25, 0.25))
+    response: Response = attrs.field(default=Response.BASE_ACCELERATION, converter=Response)
+    frame_s: float = attrs.field(default=4.0, validator=attrs.validators.gt(0.0))
+    loops: int = attrs.field(default=5, validator=attrs.validators.ge(1))
+    frames: int = attrs.field(default=8, validator=attrs.validators.ge(2))
+    averages: int = attrs.field(default=60, validator=attrs.validators.ge(2))
+    gain: float = attrs.field(default=0.8, validator=[attrs.validators.gt(0.0), attrs.validators.le(1.0)])
+    start_rms: float = attrs.field(default=0.5, validator=attrs.validators.gt(0.0))
+    crest: float = attrs.field(default=4.0, validator=attrs.validators.gt(1.0))
+    abort_db: float = attrs.field(default=20.0, validator=attrs.validators.gt(0.0))
+    seed: int = 1
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Reached:
+    """What was asked and what came."""
+
+    frequency_hz: Real  # the lines within the band, shape (n,)
+    asked: Real  # density, shape (n,)
+    reached: Real  # likewise, by the averages after the last correction
+    noise: Real  # density of the sensor's own, likewise
+    coherence: Real  # of response and drive, shape (n,): what is missing is noise and distortion
+    loops: tuple[float, ...]  # rms error of the lines in each loop [dB]
+    drive_rms: float  # of the drive at the end [A]
+    kurtosis: float  # of the response, 3 for a Gaussian one
+    clipped: int  # samples of the drive that were clipped
+
+    @property
+    def error_db(self) -> Real:
+        """Error of each line, shape (n,)."""
+        return np.asarray(10.0 * np.log10(self.reached / self.asked))
+
+    @property
+    def distortion(self) -> Real:
+        """Density of what the drive causes and is not proportional to it, shape (n,)."""
+        return np.maximum((1.0 - self.coherence) * self.reached - self.noise, 0.0)
+
+    def share(self, density: Real) -> float:
+        """Return what of the mean square within the band a density is."""
+        return float(np.sum(density) / np.sum(self.reached))
+
+    def within(self, bound_db: float) -> float:
+        """Return the share of lines whose error is within a bound."""
+        return float(np.mean(np.abs(self.error_db) <= bound_db))
+
+
+class _Drive:
+    """Makes frames of random phase, windowed and overlapped, without end."""
+
+    def __init__(self, length: int, random: np.random.Generator) -> None:
+        self._length, self._random = length, random
+        self._window = np.sin(np.pi * (np.arange(length) + 0.5) / length)
+        self._tail = np.zeros(length // 2)
+
+    def samples(self, amplitude: Real, frames: int) -> Real:
+        """Return `frames` halves of frames with these amplitudes of the lines, shape (frames · length // 2,)."""
+        half = self._length // 2
+        out = np.empty(frames * half)
+        for k in range(frames):
+            phases = np.exp(2j * np.pi * self._random.random(len(amplitude)))
+            frame = self._window * np.fft.irfft(0.5 * self._length * amplitude * phases, self._length)
+            out[k * half : (k + 1) * half] = self._tail + frame[:half]
+            self._tail = frame[half:]
+        return out
+
+
+def control(hardware: Hardware, plan: RandomPlan) -> Iterator[Reached]:
+    """Hold a spectrum by hardware of one rate; yields after each loop, at last the averages.
+
+    Raises:
+        CommandError: the shaker trips or refuses, or a line is too strong.
+        TimeoutError: the rig did not go on.
+    """
+    rate_hz = hardware.wire.rate_hz
+    length = 2 * round(plan.frame_s * rate_hz / 2)
+    lines: Real = np.asarray(np.fft.rfftfreq(length, 1.0 / rate_hz), np.float64)
+    asked = plan.spectrum.at(lines)
+    band = asked > 0.0
+    scale = np.where(band, plan.response.weight(np.maximum(lines, lines[1])), 0.0)
+    noise = plan.response.noise(hardware.wire.info(), lines[band])
+    drive = _Drive(length, np.random.default_rng(plan.seed))
+    density = band * plan.start_rms**2 / (np.count_nonzero(band) * rate_hz / length)
+    exchange = Exchange(hardware, length // 2)
+    errors, clipped = [], 0
+    for loop in range(plan.loops + 1):
+        frames = 2 * (plan.averages if loop == plan.loops else plan.frames)
+        samples = drive.samples(np.sqrt(2.0 * density * rate_hz / length), frames + 4)
+        drive_rms = float(np.sqrt(np.sum(density) * rate_hz / length))
+        clipped += int(np.count_nonzero(np.abs(samples) > plan.crest * drive_rms))
+        played, rows = exchange.exchange(np.clip(samples, -plan.crest * drive_rms, plan.crest * drive_rms))
+        settled = slice(4 * (length // 2), None)  # what was before has died away
+        y, x = plan.response.of(rows)[settled], played[settled]
+        options = {"fs": rate_hz, "nperseg": length, "noverlap": length // 2}
+        reached, sent = signal.welch(y, **options)[1] * scale, signal.welch(x, **options)[1]
+        error = 10.0 * np.log10(np.maximum(reached[band], 1e-30) / asked[band])
+        errors.append(float(np.sqrt(np.mean(error**2))))
+        yield Reached(
+            frequency_hz=lines[band], asked=asked[band], reached=reached[band], noise=noise,
+            coherence=signal.coherence(x, y, **options)[1][band], loops=tuple(errors), drive_rms=drive_rms,
+            kurtosis=float(stats.kurtosis(y, fisher=False)), clipped=clipped,
+        )  # fmt: skip
+        if loop > 1 and error.max() > plan.abort_db:
+            worst = lines[band][np.argmax(error)]
+            raise CommandError(f"the line at {worst:g} Hz is {error.max():.1f} dB above what is asked")
+        # by what came of what was sent: that these frames were not their mean is not to be corrected
+        wanted = sent[band] * 10.0 ** (-error / 10.0) / density[band]
+        step = np.clip(plan.gain * 10.0 * np.log10(wanted), -MOST_STEP_DB, MOST_STEP_DB)
+        density[band] *= 10.0 ** (step / 10.0)
+        density[band] = np.maximum(density[band], density.max() * 10.0 ** (LEAST_DRIVE_DB / 10.0))
+    hardware.output.stop()

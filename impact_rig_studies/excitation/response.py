@@ -1,0 +1,151 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Frequency response of a rig to its current: burst random, pseudo-random or chirp, frame by frame, with coherence.
+
+A burst fills the first part of a frame and has died away at its end, a pseudo-random frame or a chirp repeats: nothing
+leaks, so no window is needed. Of a rig with its sphere this is the best linear approximation at this level: what the
+coherence lacks is noise and distortion (Pintelon & Schoukens 2012, System Identification, chapter 4).
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Iterator
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from impact_rig.analysis.calibration import Calibration, Real
+from impact_rig.analysis.frf import Frf, frf
+from impact_rig.analysis.scans import CHANNELS
+from impact_rig.client.hardware import Exchange, Hardware
+from impact_rig.errors import ConfigError
+from impact_rig.system import budget
+
+BURST, PSEUDO, CHIRP = KINDS = ("burst_random", "pseudo_random", "chirp")
+
+
+class Response(enum.StrEnum):
+    """What may be controlled: the reading of a channel, or its second derivative."""
+
+    BASE = "base"
+    SUPERIOR = "superior"
+    BASE_ACCELERATION = "base_acceleration"
+    SUPERIOR_ACCELERATION = "superior_acceleration"
+
+    @property
+    def channel(self) -> str:
+        """The channel that reads it."""
+        return {"superior": "laser", "superior_acceleration": "accelerometer"}.get(self, "base")
+
+    @property
+    def unit(self) -> str:
+        """SI unit."""
+        return "m/s²" if self.endswith("acceleration") else "m"
+
+    def of(self, rows: NDArray[np.void]) -> Real:
+        """Return the channel of scans, shape (n,)."""
+        return rows[self.channel].astype(float)
+
+    def weight(self, frequency_hz: Real) -> Real:
+        """Return what the density of the channel is multiplied by to be that of the response."""
+        power = 4 if self is Response.BASE_ACCELERATION else 0
+        return np.asarray((2.0 * np.pi * frequency_hz) ** power)
+
+    def noise(self, info: NDArray[np.void], frequency_hz: Real) -> Real:
+        """Return the density of the sensor's own noise, white over what the scans can show."""
+        calibration, channel = Calibration.from_info(info), CHANNELS.index(self.channel)
+        white = 2.0 * calibration.noise[channel] ** 2 * calibration.noise_crowding()[channel] / calibration.rate_hz
+        return np.asarray(self.weight(frequency_hz) * white)
+
+
+MOST_SAMPLES = 50_000_000  # of an excitation, in memory at once
+
+
+@attrs.frozen(kw_only=True)
+class Excitation:
+    """What drives the rig for a frequency response."""
+
+    kind: str = attrs.field(default=BURST, validator=attrs.validators.in_(KINDS))  # one of `KINDS`
+    frames: int = attrs.field(default=20, validator=attrs.validators.ge(3))
+    """That are measured; of a repeated one, one more goes ahead."""
+    frame_s: float = attrs.field(default=8.0, validator=attrs.validators.gt(0.0))  # length of a frame [s]
+    burst: float = attrs.field(default=0.5, validator=[attrs.validators.gt(0.0), attrs.validators.le(1.0)])
+    """Share of a frame that a burst fills."""
+    low_hz: float = attrs.field(default=4.0, validator=attrs.validators.gt(0.0))  # lower edge of the band
+    high_hz: float = attrs.field(default=60.0, validator=attrs.validators.gt(0.0))  # upper edge
+    rms: float = attrs.field(default=0.2, validator=attrs.validators.gt(0.0))  # of the drive while it is on [A]
+    seed: int = attrs.field(default=1, validator=attrs.validators.ge(0))  # of its random numbers
+
+    def samples(self, rate_hz: int) -> Real:
+        """Return all frames one after the other, shape (n,)."""
+        length, random = round(self.frame_s * rate_hz), np.random.default_rng(self.seed)
+        budget.allow(f"samples of {self.frames} frames at {rate_hz} Hz", (self.frames + 1) * length, MOST_SAMPLES)
+        if not self.low_hz < self.high_hz < 0.5 * rate_hz:
+            raise ConfigError(
+                f"the band must be within 0 to {0.5 * rate_hz:g} Hz, got {self.low_hz:g} to {self.high_hz:g}"
+            )
+        if self.kind == BURST:
+            on = round(self.burst * length)
+            sections = signal.butter(4, (self.low_hz, self.high_hz), "bandpass", fs=rate_hz, output="sos")
+            fade = signal.windows.tukey(on, 0.1)
+            frames = np.zeros((self.frames, length))
+            frames[:, :on] = fade * signal.sosfilt(sections, random.standard_normal((self.frames, 2 * on)))[:, on:]
+            frames *= self.rms / np.sqrt(np.mean(frames[:, :on] ** 2))
+            return frames.ravel()
+        if self.kind == PSEUDO:
+            lines = np.fft.rfftfreq(length, 1.0 / rate_hz)
+            inside = (lines >= self.low_hz) & (lines <= self.high_hz)
+            frame = np.fft.irfft(inside * np.exp(2j * np.pi * random.random(len(lines))), length)
+        else:
+            t = np.arange(length) / rate_hz
+            frame = signal.chirp(t, self.low_hz, self.frame_s, self.high_hz) * signal.windows.tukey(length, 0.05)
+        return np.tile(frame * (self.rms / frame.std()), self.frames + 1)
+
+
+def measure(hardware: Hardware, excitation: Excitation, channel: str, reference: str = "current") -> Iterator[Frf]:
+    """Drive the rig and yield channel / reference after each frame from the third on.
+
+    Lag, skew and gain of the sensors are corrected as calibrated.
+
+    Args:
+        hardware: output and acquisition, of one rate.
+        excitation: the drive.
+        channel: of the response.
+        reference: of the excitation.
+
+    Raises:
+        ConfigError: the band does not fit the rate.
+        CommandError: the shaker trips, or refuses the drive.
+        TimeoutError: the rig did not go on.
+    """
+    rate_hz = hardware.wire.scan_rate_hz
+    samples, length = excitation.samples(rate_hz), round(excitation.frame_s * rate_hz)
+    calibration = Calibration.from_info(hardware.wire.info())
+    x, y = CHANNELS.index(reference), CHANNELS.index(channel)
+    gain = np.hypot(calibration.gain_uncertainty[x], calibration.gain_uncertainty[y])
+    exchange = Exchange(hardware, length)
+    settling = len(samples) - excitation.frames * length + exchange.lag
+    samples = np.concatenate([samples, np.zeros(exchange.lag)])
+    read = {name: np.empty(0) for name in (reference, channel)}
+    for at in range(0, len(samples), length):
+        rows = exchange.exchange(samples[at : at + length])[1]
+        read = {name: np.concatenate([before, rows[name]]) for name, before in read.items()}
+        frames = (len(read[channel]) - settling) // length
+        if frames < 3:
+            continue
+        part = slice(settling, settling + frames * length)
+        found = frf(read[reference][part], read[channel][part], rate_hz, length, overlap=0.0, window="boxcar")
+        lag = calibration.response(x, found.frequency_hz) / calibration.response(y, found.frequency_hz)
+        if reference == "current":
+            # of straight lines between samples: scans at the samples fold its harmonics onto it
+            lag = lag / np.sinc(found.frequency_hz / rate_hz) ** 2
+        lines = found.frequency_hz[found.excited]
+        inside = (lines >= excitation.low_hz) & (lines <= excitation.high_hz)  # others hold what the edges let through
+        yield attrs.evolve(
+            found, h1=found.h1 * lag, h2=found.h2 * lag, hv=found.hv * lag, u_relative=np.hypot(found.u_relative, gain),
+            excited=found.excited[inside] if inside.any() else found.excited,
+        )  # fmt: skip
+    hardware.output.stop()

@@ -1,0 +1,164 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Shocks: a half sine with compensation, so that a shaker can make it, and shock response spectra.
+
+A half sine of acceleration changes the velocity for good, which no table can. Two low pulses of the opposite sign,
+before and after, each a quarter of a cosine wide at its ends, take the velocity and the displacement back to zero.
+
+    shock response spectrum: the largest |response| of x'' + 2ζω x' + ω² x = −a over time, for each natural frequency
+
+by the ramp-invariant filter (Smallwood 1981, Shock and Vibration Bulletin 51, 279–287), which is exact for an
+acceleration of straight lines between its samples.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import attrs
+import numpy as np
+from scipy import signal
+
+from impact_rig.analysis.calibration import Real
+from impact_rig.client.hardware import Hardware
+from impact_rig_studies.excitation.history import Replicated, ReplicatePlan, replicate
+
+
+@attrs.frozen(kw_only=True)
+class Pulse:
+    """A half sine with its compensation."""
+
+    peak: float = attrs.field(default=20.0, validator=attrs.validators.gt(0.0))  # of the acceleration [m/s²]
+    duration_s: float = attrs.field(default=11e-3, validator=attrs.validators.gt(0.0))  # of the half sine
+    compensation_s: float = attrs.field(default=0.15, validator=attrs.validators.gt(0.0))
+    """Of each of the two pulses beside it."""
+
+    def acceleration(self, rate_hz: int) -> Real:
+        """Return the acceleration [m/s²], shape (n,); its sum and the sum of its running sum are zero."""
+        on, beside = round(self.duration_s * rate_hz), round(self.compensation_s * rate_hz)
+        pulse = self.peak * np.sin(np.pi * (np.arange(on) + 0.5) / on)
+        hill = np.sin(np.pi * (np.arange(beside) + 0.5) / beside) ** 2
+        before, after = np.zeros(on + 2 * beside), np.zeros(on + 2 * beside)
+        whole = np.zeros(on + 2 * beside)
+        before[:beside], after[-beside:], whole[beside : beside + on] = hill, hill, pulse
+        sums = np.array([[one.sum(), one.cumsum().sum()] for one in (before, after)]).T
+        low = np.linalg.solve(sums, [-whole.sum(), -whole.cumsum().sum()])
+        return np.asarray(whole + low[0] * before + low[1] * after)
+
+    def displacement(self, rate_hz: int) -> Real:
+        """Return the base's displacement that has this acceleration [m], shape (n,); it begins and ends at zero."""
+        acceleration = self.acceleration(rate_hz)
+        velocity = np.cumsum(acceleration) / rate_hz
+        return np.asarray((np.cumsum(velocity) - 0.5 * velocity) / rate_hz)
+
+
+def shock_response_spectrum(acceleration: Real, rate_hz: float, frequency_hz: Real, quality: float = 10.0) -> Real:
+    """Return the largest absolute acceleration of single degrees of freedom, during and after, shape as frequencies.
+
+    Args:
+        acceleration: of the base [m/s²], shape (n,).
+        rate_hz: samples per second.
+        frequency_hz: natural frequencies.
+        quality: 1 / (2 ζ); infinite without damping.
+    """
+    zeta = 0.5 / quality
+    found = np.empty(len(frequency_hz))
+    for i, natural in enumerate(frequency_hz):
+        omega, t = 2.0 * math.pi * natural, 1.0 / rate_hz
+        damped = omega * math.sqrt(1.0 - zeta * zeta)
+        e, k = math.exp(-zeta * omega * t), damped * t
+        c, s = e * math.cos(k), e * math.sin(k)
+        ratio = s / k
+        numerator = (1.0 - ratio, 2.0 * (ratio - c), e * e - ratio)
+        ring = np.zeros(math.ceil(rate_hz / natural))  # the residual: a whole period of what rings on
+        response = signal.lfilter(numerator, (1.0, -2.0 * c, e * e), np.concatenate([acceleration, ring]))
+        found[i] = np.abs(response).max()
+    return found
+
+
+def half_sine_spectrum(peak: float, duration_s: float, frequency_hz: Real) -> Real:
+    """Return the undamped shock response spectrum of an ideal half sine, in closed form.
+
+    With r = 2 f τ the residual is 2 r |cos(π r / 2)| / |1 − r²|; where r > 1, an extreme within the pulse may be larger
+    (Harris & Piersol 2002, Shock and Vibration Handbook, chapter 8).
+    """
+    r = 2.0 * frequency_hz * duration_s
+    found = np.empty(len(r))
+    for i, ratio in enumerate(r):
+        if abs(ratio - 1.0) < 1e-9:
+            found[i] = 0.5 * math.pi
+            continue
+        residual = 2.0 * ratio * abs(math.cos(0.5 * math.pi * ratio) / (1.0 - ratio * ratio))
+        primary = 0.0
+        if ratio > 1.0:
+            # x''_abs = r/(r² − 1) (r sin θ − sin r θ), θ = πt/τ in 0 … π: extremes at θ = 2 π n / (r + 1)
+            at = 2.0 * math.pi * np.arange(1, int((ratio + 1.0) / 2.0) + 1) / (ratio + 1.0)
+            primary = float(np.abs(ratio / (ratio**2 - 1.0) * (ratio * np.sin(at) - np.sin(ratio * at))).max())
+        found[i] = max(primary, residual)
+    return peak * found
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Shocked:
+    """A shock of the inferior base, as its displacement sensor saw it, and what was asked."""
+
+    followed: Replicated  # the displacement
+    asked: Real  # acceleration [m/s²], shape (n,)
+    reached: Real  # likewise, below `CORNER` / duration of the pulse
+    frequency_hz: Real  # natural frequencies of the spectra, shape (k,)
+    srs_asked: Real  # shock response spectra [m/s²], Q = 10, shape (k,)
+    srs_reached: Real  # likewise
+    srs_ideal: Real  # of the half sine alone, in closed form without damping
+    peak_error: float  # relative, of the acceleration
+    velocity_error: float  # relative, of the velocity that the pulse changes
+    left_m: float  # displacement at the end
+
+    @property
+    def srs_worst_db(self) -> float:
+        """The largest difference of the spectra."""
+        return float(np.abs(20.0 * np.log10(self.srs_reached / self.srs_asked)).max())
+
+
+CORNER = 3.0
+"""Over the pulse's duration, the frequency up to which a displacement is differentiated: noise grows as its square."""
+
+
+def differentiated(displacement: Real, rate_hz: int, corner_hz: float) -> tuple[Real, Real]:
+    """Return velocity and acceleration of what begins and ends at rest, without phase, up to about `corner_hz`."""
+    padded = np.concatenate([displacement, np.zeros(len(displacement))])
+    frequency: Real = np.asarray(np.fft.rfftfreq(len(padded), 1.0 / rate_hz), np.float64)
+    i_omega = 2j * np.pi * frequency
+    lines = np.fft.rfft(padded) / (1.0 + (frequency / corner_hz) ** 8)
+    velocity, acceleration = (np.fft.irfft(i_omega**n * lines, len(padded))[: len(displacement)] for n in (1, 2))
+    return velocity, acceleration
+
+
+def shock(hardware: Hardware, pulse: Pulse) -> Iterator[Shocked]:
+    """Let the inferior base make a shock; yields after each trial.
+
+    Args:
+        hardware: output and acquisition, of one rate.
+        pulse: what is asked for; its displacement is replicated from rest up to `CORNER` / duration.
+
+    Raises:
+        CommandError: the shaker trips, or refuses the drive.
+        TimeoutError: the rig did not go on.
+    """
+    rate_hz, corner_hz = hardware.wire.rate_hz, CORNER / pulse.duration_s
+    plan = ReplicatePlan(low_hz=0.0, high_hz=corner_hz, rest_s=1.0, identify_s=16.0, identify_rms=3.0, enough=1e-3)
+    frequency = np.geomspace(5.0, corner_hz, 60)
+    asked = pulse.acceleration(rate_hz)
+    on = slice(round(pulse.compensation_s * rate_hz), round((pulse.compensation_s + pulse.duration_s) * rate_hz))
+    ideal = half_sine_spectrum(pulse.peak, pulse.duration_s, frequency)
+    for followed in replicate(hardware, pulse.displacement(rate_hz), plan):
+        velocity, reached = differentiated(followed.reached, rate_hz, corner_hz)
+        wanted, smooth = differentiated(followed.asked, rate_hz, corner_hz)  # by the same filter
+        yield Shocked(
+            followed=followed, asked=asked, reached=reached, frequency_hz=frequency,
+            srs_asked=shock_response_spectrum(smooth, rate_hz, frequency),
+            srs_reached=shock_response_spectrum(reached, rate_hz, frequency), srs_ideal=ideal,
+            peak_error=float(reached.max() / smooth.max() - 1.0),
+            velocity_error=float(np.ptp(velocity[on]) / np.ptp(wanted[on]) - 1.0),
+            left_m=float(followed.reached[-1]),
+        )  # fmt: skip

@@ -1,0 +1,295 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""What identification is given: results of the analysis, with noise kept apart from errors of calibration.
+
+Errors of calibration are common to all points: one gain and one curve per sensor (`analysis.calibration`). They become
+nuisance parameters with the certificate's standard uncertainties; what is left per point is noise.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig import topics
+from impact_rig.analysis.calibration import U_CUBIC, Calibration, Real
+from impact_rig.analysis.scans import BASE, CURRENT, LASER, Recent, samples_of
+from impact_rig.blocks import joined
+from impact_rig.errors import RecordingError, SimulationError
+from impact_rig.physics.linear_response import transmissibility
+from impact_rig.recording import Run, is_measured
+from impact_rig.rig import InputKind, Rig
+from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.rig.gaps import NO_SPHERE
+from impact_rig.runs.wholes import calibration_rows, last_record
+from impact_rig.simtime import NS_PER_S
+from impact_rig.states import Regime
+from impact_rig_studies.campaign.results import Curves, Point
+from impact_rig_studies.decay import Decay, DecayMethod, fit_decay, measure_decay
+from impact_rig_studies.maps.measure import FAILED, MapRig, Settings
+from impact_rig_studies.reduction import repeatability
+
+LEAST_NOISE = 1e-4  # relative; repeatability that is not claimed to be better, whatever a few seconds of signal suggest
+CALIBRATION = ("gain laser", "gain base", "gain current", "curve laser", "curve base")
+NUISANCES = (*CALIBRATION, "DT without sphere", "e")
+"""Errors that several data share. "DT without sphere" is the noise of the point that all reductions are taken against,
+e the error of the nominal restitution that is taken as known."""
+RESTITUTION = NUISANCES.index("e")
+U_RESTITUTION = 0.02
+"""Standard uncertainty of the nominal e, unless a better one is given: the reductions tell more if they are several."""
+
+
+@attrs.frozen(eq=False)
+class SineData:
+    """The stepped sine without sphere; arrays of shape (n,), u_: standard uncertainty by noise alone, relative, rad."""
+
+    frequency_hz: Real  # of the points
+    dt: Real  # transmissibility
+    phase_rad: Real  # of x_1 to x_b
+    base_per_a: Real  # amplitude of the base over that of the current [m/A]
+    laser_m: Real  # amplitude
+    base_m: Real  # amplitude
+    u_amplitude: Real  # relative, of dt and of base_per_a
+    u_phase: Real  # [rad]
+
+
+@attrs.frozen(eq=False)
+class Reduced:
+    """DT with the sphere over DT without, at one frequency."""
+
+    frequency_hz: float  # of the drive
+    current_a: float  # of the drive
+    ratio: Mapping[float, float]  # by gap [m]
+    u: Real  # relative standard uncertainty by the noise of DT with the sphere, shape (n,)
+    u_without: float  # that of DT without
+    effects: Real  # d ln ratio / d nuisance, shape (n, 7); that of e is left to the simulation
+    regimes: Mapping[float, str]
+    """What the motion with the sphere was measured to be, by gap; unknown where nobody counted the impacts: a light
+    sphere strikes irregularly while the amplitude stands still."""
+
+
+@attrs.frozen(eq=False)
+class Gains:
+    """Errors of calibration: standard uncertainties and what they do."""
+
+    u: Real  # of `CALIBRATION`, shape (5,)
+    calibration: Calibration  # the certificate
+
+    @classmethod
+    def of(cls, info: NDArray[np.void]) -> Gains:
+        """Read the certificate, rows of `daq/info`."""
+        calibration = Calibration.from_info(info)
+        halves = [(channel, _half_range(calibration, channel)) for channel in (LASER, BASE)]
+        bent = [float(calibration.linearity[one]) / half if math.isfinite(half) else 0.0 for one, half in halves]
+        curve = [U_CUBIC * one for one in bent]
+        gains = [float(calibration.gain_uncertainty[channel]) for channel in (LASER, BASE, CURRENT)]
+        # the certificate counts the curve's slope at mid-range among the gains; here the curve has a parameter itself
+        for place, one in enumerate(curve):
+            gains[place] = math.sqrt(max(gains[place] ** 2 - (1.5 * one) ** 2, 0.0))
+        return cls(np.array([*gains, *curve]), calibration)
+
+    def relative(self, channel: int, amplitude: Real) -> Real:
+        """Return d ln(amplitude) / d nuisance for a channel, shape (n, 7)."""
+        effect = np.zeros((len(amplitude), len(NUISANCES)))
+        effect[:, (LASER, BASE, CURRENT).index(channel)] = 1.0
+        if channel != CURRENT:
+            share = amplitude / _half_range(self.calibration, channel)
+            effect[:, 3 + (LASER, BASE).index(channel)] = np.where(np.isfinite(share), 1.875 * share**2 - 1.5, 0.0)
+        return effect
+
+
+def _half_range(calibration: Calibration, channel: int) -> float:
+    return float(calibration.high[channel] - calibration.low[channel]) / 2.0
+
+
+def sine_of(points: Sequence[Point], gains: Gains) -> SineData:
+    """Return settled points without sphere as a stepped sine."""
+    rows = np.concatenate([point.rows[:1] for point in points])
+    u = np.array([_noise(point, gains) for point in points])
+    return SineData(
+        frequency_hz=rows["frequency"].copy(),
+        dt=rows["transmissibility"].copy(),
+        phase_rad=rows["phase"].copy(),
+        base_per_a=rows["base_amplitude"] / rows["current_amplitude"],
+        laser_m=rows["laser_amplitude"].copy(),
+        base_m=rows["base_amplitude"].copy(),
+        u_amplitude=u,
+        u_phase=np.maximum(rows["phase_uncertainty"], LEAST_NOISE),
+    )
+
+
+def reduced_of(curves: Curves, frequency_hz: float, gaps_m: Sequence[float], gains: Gains) -> Reduced | None:
+    """Return the ratios at one frequency, or None if there are none; only impacting orbits tell anything.
+
+    Where no accelerometer was there, nobody counted: then the simulated motion says.
+    """
+    without = curves.at(NO_SPHERE, frequency_hz)
+    at = [point for gap in gaps_m if (point := curves.at(gap, frequency_hz)) is not None]
+    points = [point for point in at if point.impacts or not _counted(point)]
+    if without is None or not points:
+        return None
+    effects = np.zeros((len(points), len(NUISANCES)))
+    for sign, channel, column in ((1.0, LASER, "laser_m"), (-1.0, BASE, "base_m")):
+        with_sphere = gains.relative(channel, np.array([getattr(point, column) for point in points]))
+        effects += sign * (with_sphere - gains.relative(channel, np.array([getattr(without, column)])))
+    effects[:, NUISANCES.index("DT without sphere")] = -1.0
+    return Reduced(
+        frequency_hz=frequency_hz,
+        current_a=without.current_a,
+        ratio={point.gap_m: point.dt / without.dt for point in points},
+        u=np.array([_noise(point, gains) for point in points]),
+        u_without=_noise(without, gains),
+        effects=effects,
+        regimes={point.gap_m: point.regime if _counted(point) else Regime.UNKNOWN.value for point in points},
+    )
+
+
+def _counted(point: Point) -> bool:
+    return not math.isnan(point.impacts_per_cycle)
+
+
+def _noise(point: Point, gains: Gains) -> float:
+    """Return the relative standard uncertainty of DT less what the calibration contributes to it."""
+    return max(repeatability(point.rows, gains.calibration), LEAST_NOISE)
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Measured:
+    """Everything that was measured; None where it was not. `u_restitution`: how well the nominal e is known."""
+
+    gains: Gains
+    decay: Decay | None = None
+    sine: SineData | None = None
+    reduced: Reduced | None = None
+    u_restitution: float = U_RESTITUTION
+
+
+# --- The free decay with the base locked: measured on a rig in this process, or taken from a recorded run
+
+DISPLACEMENT_M = 5e-3
+RECORD_S = 20.0  # five time constants of the structure
+SETTLE_S = 0.05  # left out at the beginning: the laser's lag dies away
+
+
+def measured_decay(config: RigConfig, method: DecayMethod = fit_decay) -> Decay:
+    """Pluck the rig without its sphere and measure f_n and ζ by a fit, or by `method`."""
+    config = from_flat(config, {"sphere.present": False, "daq.block_scans": min(config.daq.rate_hz, 10_000)})
+    rig = Rig(config)
+    rig.pluck(DISPLACEMENT_M)
+    blocks = rig.advance(round(RECORD_S * NS_PER_S))
+    rows = joined([block.scan.rows for block in blocks])
+    return measure_decay(rows[round(SETTLE_S * config.daq.rate_hz) :], rig.info().rows, method)
+
+
+def recorded_decay(run: Run, method: DecayMethod = fit_decay) -> Decay:
+    """Measure the decay after the last pluck of a recorded run by a fit, or by `method`.
+
+    It ends where the rig is reset, or where scans are missing: the scans of a decay are consecutive.
+
+    A measurement of somebody's own rig has no journal: its decay begins where the structure is farthest from where it
+    comes to rest.
+
+    Raises:
+        RecordingError: nothing was plucked, or the run holds no scans after it.
+    """
+    if not run.holds(topics.JOURNAL) and is_measured(run.provenance):
+        record = last_record(run)
+        x_1 = samples_of(record.rows, "laser")
+        rest = x_1[-max(1, len(x_1) // 4) :].mean()
+        begin = int(np.argmax(np.abs(x_1 - rest))) + round(SETTLE_S * record.rate_hz)
+        return measure_decay(record.rows[begin:], calibration_rows(run), method)
+    begin_ns: int | None = None
+    end_ns = math.inf
+    for table in run.tables(topics.JOURNAL.name, recorded_order=True):
+        for row in table.rows:
+            at_ns = table.stamp_ns + round(float(row["time"]) * NS_PER_S)
+            if row["kind"] == InputKind.PLUCK.value.encode():
+                begin_ns, end_ns = at_ns, math.inf
+            elif row["kind"] == InputKind.RESET.value.encode():
+                end_ns = min(end_ns, at_ns)
+    if begin_ns is None:
+        raise RecordingError(f"{run.path}: nothing was plucked in this run (rig/pluck)")
+    info = list(run.tables(topics.INFO.name, recorded_order=True))[-1]
+    first = begin_ns + round(SETTLE_S * NS_PER_S)
+    decay = Recent(float(info.rows["rate"][0]), sys.maxsize)
+    for table in run.tables(topics.SCAN.name, recorded_order=True):
+        if first <= table.stamp_ns < end_ns:
+            if decay.count and not decay.follows(table):
+                break
+            decay.add(table)
+    if not decay.count:
+        raise RecordingError(f"{run.path}: no scans after the pluck")
+    return measure_decay(decay.rows(), info.rows, method)
+
+
+# --- Simulated reductions, and their derivatives along one orbit: the mechanics alone, settled to 1e-6. ln(DT with /
+# DT without) is smooth in the constants of the rig as long as the sphere strikes in the same pattern; where the pattern
+# changes it has a kink or a jump, and a difference across one is no derivative. So a difference counts only where the
+# motion on its sides repeats after as many cycles, with as many impacts, as the motion between, and where both sides
+# give one slope.
+
+SETTLED = Settings(settle_tolerance=1e-6, settle_cycles=1200, cycles=400)
+STEPS = (1e-3, 3e-4, 1e-4)  # for differences; the next one where the one before crosses a change of orbit
+SAME_SLOPE, LEAST_SLOPE = 0.1, 0.05  # the slopes of both sides differ by at most this share of them, plus this
+
+
+class SettledMotion(NamedTuple):
+    """What the rig settles to with its sphere."""
+
+    log_ratio: float  # ln(DT with sphere / DT without)
+    regime: str  # periodic, modulated or chaotic
+    period: float  # cycles after which it repeats; NaN if it does not
+    impacts: float  # that many in a period
+
+    def orbit(self) -> tuple[float, int] | None:
+        """Return period and impacts of an orbit, None of a motion that does not repeat."""
+        if self.regime != Regime.PERIODIC.value:
+            return None
+        return self.period, round(self.impacts)
+
+
+def simulated(config: RigConfig, gap_m: float, frequency_hz: float, current_a: float) -> SettledMotion:
+    """Return the motion of a rig, from its reset on; without the sphere DT is known in closed form.
+
+    Raises:
+        SimulationError: it could not be resolved.
+    """
+    config = from_flat(config, {"sphere.present": True, "barriers.gap_m": gap_m})
+    found = MapRig(config, SETTLED).measure(frequency_hz, current_a)
+    if found.regime == FAILED or not found.dt > 0.0:
+        raise SimulationError(f"gap {gap_m * 1e3:g} mm, {frequency_hz:g} Hz: the motion cannot be resolved")
+    without = abs(complex(transmissibility(config, frequency_hz)))
+    return SettledMotion(
+        math.log(found.dt / without), found.regime, found.period, found.impacts_per_cycle * found.period
+    )
+
+
+def slope(at: Callable[[float], SettledMotion], here: SettledMotion) -> float | None:
+    """Return the derivative of `log_ratio` along the orbit of `here`, or None where its neighbours have no such one.
+
+    Args:
+        at: the motion a step away; the step is of the order of a relative change.
+        here: the motion at step 0.
+    """
+    orbit = here.orbit()
+    if orbit is None:
+        return None
+    one_sided = None
+    for step in STEPS:
+        sides = [
+            ((other.log_ratio - here.log_ratio) / h, other.orbit() == orbit)
+            for h in (step, -step)
+            for other in (at(h),)
+        ]
+        (right, right_same), (left, left_same) = sides
+        if right_same and left_same and abs(right - left) <= SAME_SLOPE * (abs(right) + abs(left)) + LEAST_SLOPE:
+            return 0.5 * (right + left)
+        if right_same != left_same:
+            one_sided = right if right_same else left
+    return one_sided

@@ -1,0 +1,134 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Guess of which signal is which channel, from names and units, and the option that says it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping as AnyMapping
+
+import attrs
+
+from impact_rig.analysis.scans import CHANNELS
+from impact_rig.errors import ConfigError
+from impact_rig_studies.importing import file_names
+from impact_rig_studies.importing.mapping import UNITS, Channel, Mapping
+from impact_rig_studies.importing.signals import ImportedSignals, Signal, SignalKind
+from impact_rig_studies.importing.units import quantity
+
+HINTS = {
+    "accelerometer": ("accelerometer", "acceleration", "beschleunigung", "accel", "acc", "a_1", "a1"),
+    "laser": (
+        "laser", "structure", "struktur", "superior", "response", "antwort", "top", "oben", "mass", "masse", "x_1",
+        "x1",
+        "out", "output",
+    ),
+    "base": (
+        "base", "inferior", "table", "tisch", "shaker", "input", "ground", "bottom", "unten", "fusspunkt", "reference",
+        "x_b", "xb", "x_0", "in",
+    ),
+    "current": ("current", "coil", "strom", "i", "drive", "amp"),
+}  # fmt: skip
+"""Words in the headings of other programs, lower case, by channel."""
+_ORDER = ("accelerometer", "laser", "base", "current")
+_SEPARATORS = re.compile(r"[\s_.:/()\[\]-]+")
+LONGEST_GUESSED = 200  # characters of a heading
+
+
+def guess(source: ImportedSignals) -> Mapping:
+    """Return the mapping that headings, units and the name of a file suggest; what they do not tell is left out.
+
+    Our own names come first, then words of other programs, then units that only one channel has. An accelerometer on
+    the structure also stands for its motion where nothing else does.
+    """
+    free = _of_one_time_base(source.signals)
+    chosen: dict[str, Channel] = {}
+
+    def take(channel: str, name: str) -> None:
+        chosen[channel] = Channel(column=name, unit=free.pop(name).unit)
+
+    for channel in CHANNELS:
+        if channel in free:
+            take(channel, channel)
+    words = {name: _words(name) for name in free}
+    for channel in _ORDER:
+        for hint in HINTS[channel] if channel not in chosen else ():
+            matching = [name for name, one in free.items() if hint in words[name] and _fits(one, channel)]
+            if len(matching) == 1:
+                take(channel, matching[0])
+                break
+    for channel in ("accelerometer", "current"):
+        if channel not in chosen:
+            matching = [name for name, one in free.items() if one.unit and quantity(one.unit) == UNITS[channel][0]]
+            if len(matching) == 1:
+                take(channel, matching[0])
+    if "laser" not in chosen and "accelerometer" in chosen and "base" in chosen:
+        chosen["laser"] = chosen["accelerometer"]
+    stem = source.path.stem[:LONGEST_GUESSED]
+    frequency: float | str | None = file_names.frequency_hz(stem)
+    gap: float | str | None = file_names.gap_m(stem)
+    guessed = {name for name, value in (("frequency", frequency), ("gap", gap)) if value is not None}
+    if "frequency" in free:
+        frequency = "frequency"
+    if "gap" in free:
+        gap = "gap"
+    return Mapping(channels=chosen, frequency=frequency, gap=gap, guessed=frozenset(guessed - set(free)))
+
+
+def _of_one_time_base(signals: AnyMapping[str, Signal]) -> dict[str, Signal]:
+    """Return the time responses that most signals share times with; a run has one time base."""
+    bases: dict[object, dict[str, Signal]] = {}
+    for name, one in signals.items():
+        if one.kind is SignalKind.TIME_RESPONSE:
+            times = one.abscissa.values
+            last = float(times[-1]) if times is not None and len(times) else None
+            bases.setdefault((len(one.values), one.abscissa.step, last), {})[name] = one
+    largest = max((len(base) for base in bases.values()), default=0)
+    return next((base for base in bases.values() if len(base) == largest), {})
+
+
+def _words(name: str) -> frozenset[str]:
+    """Return the words of a heading and the heading itself, lower case."""
+    lower = name[:LONGEST_GUESSED].lower()
+    return frozenset({lower, *_SEPARATORS.split(lower)})
+
+
+def _fits(signal: Signal, channel: str) -> bool:
+    """Return whether the unit of a signal, where it is known, can be that of a channel."""
+    found = quantity(signal.unit) if signal.unit else None
+    return found is None or found == "V" or found in UNITS[channel]
+
+
+def with_channel(channels: AnyMapping[str, Channel], text: str, signals: AnyMapping[str, Signal]) -> dict[str, Channel]:
+    """Return channels with one as a text says it: `laser=ai0`, `laser=ai0 mm`, `laser=ai0 V, 500 mV/mm`, `laser=`.
+
+    Raises:
+        ConfigError: the text has another form.
+    """
+    name, equals, rest = text.partition("=")
+    name = name.strip()
+    if not equals or name not in CHANNELS:
+        raise ConfigError(
+            f"--channel must be like laser=ai0, laser='ai0 mm' or laser='ai0 V, 500 mV/mm', for {', '.join(CHANNELS)}; "
+            f"got {text!r}"
+        )
+    changed = dict(channels)
+    rest = rest.strip()
+    if not rest:
+        changed.pop(name, None)
+        return changed
+    column = _longest(rest, signals)
+    unit, comma, sensitivity = rest[len(column) :].strip().partition(",")
+    unit, sensitivity = unit.strip(), sensitivity.strip()
+    if not comma and "/" in unit and unit[:1].isdigit():  # only a sensitivity
+        unit, sensitivity = "", unit
+    stated = signals[column].unit if column in signals else ""
+    known = attrs.evolve(channels[name], column=column) if name in channels else Channel(column=column)
+    changed[name] = attrs.evolve(known, unit=unit or stated or ("V" if sensitivity else ""), sensitivity=sensitivity)
+    return changed
+
+
+def _longest(text: str, signals: AnyMapping[str, Signal]) -> str:
+    """Return the longest name of a signal that a text begins with, else its first word."""
+    matching = [name for name in signals if text == name or text.startswith((f"{name} ", f"{name},"))]
+    return max(matching, key=len) if matching else re.split(r"[\s,]", text, maxsplit=1)[0]

@@ -1,0 +1,272 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Columns of a table as signals: times are taken out, a rate or period by name is understood."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.blocks import MOST_HZ
+from impact_rig.simtime import NS_PER_S
+from impact_rig_studies.importing import cells, headings, units
+from impact_rig_studies.importing.limits import allow_columns
+from impact_rig_studies.importing.signals import (
+    NO_ABSCISSA,
+    Abscissa,
+    AbscissaKind,
+    ImportedSignals,
+    Real,
+    Signal,
+    SignalKind,
+    UniqueNames,
+)
+
+Column = NDArray[np.generic]
+
+RATES = re.compile(
+    r"(time_)?(fs|f_s|rate|sample_?rate|sampling_?rate|rate_hz|samplerate|frequency_s|sr)", re.IGNORECASE
+)
+PERIODS = re.compile(r"(dt|d_t|delta_?t|period|step|ts|tsample)(_s)?", re.IGNORECASE)
+DAY_S = 86_400.0
+EXCEL_DAYS = (36_526.0, 73_050.0)  # serial dates of the years 2000 to 2100
+EXCEL_EPOCH_DAYS = 25_569.0  # 1970-01-01
+LONGEST_NAME = 200
+MOST_SCALARS = 100
+
+
+@attrs.define
+class _Axis:
+    """Abscissa of a table as far as it is known."""
+
+    kind: AbscissaKind = AbscissaKind.NONE
+    name: str = ""
+    unit: str = ""
+    values: Real | None = None  # shape (n,)
+    start_ns: int | None = None
+    note: str = ""
+    is_clock: bool = False
+
+
+def signals_of(
+    path: Path,
+    file_format: str,
+    columns: Mapping[str, Column],
+    column_units: Mapping[str, str] | None = None,
+    rate_hz: float | None = None,
+    remarks: tuple[str, ...] = (),
+    left_out: Mapping[str, str] | None = None,
+) -> ImportedSignals:
+    """Return columns as signals.
+
+    A column of two dimensions is as many signals as its shorter side has. What is no signal is left out with its
+    reason.
+
+    Args:
+        path: the file.
+        file_format: for people.
+        columns: by heading, shape (n,) or (n, k); one value where it is a rate or a period.
+        column_units: by heading, where they are not part of it.
+        rate_hz: that the file states besides the columns; None: it states none.
+        remarks: assumptions of the reader.
+        left_out: parts that the reader has left out.
+    """
+    allow_columns(len(columns))
+    column_units = column_units or {}
+    omitted = dict(left_out or {})
+    texts: dict[str, list[str]] = {}
+    numeric: dict[str, Column] = {}
+    clocks: list[tuple[str, cells.Times]] = []
+    stamps: NDArray[np.int64] | None = None
+    for name, column in columns.items():
+        values = np.asarray(column)
+        name = name[:LONGEST_NAME]  # noqa: PLW2901  # the heading of a damaged file may be megabytes long
+        if values.dtype.kind in "SUO" and values.ndim == 1 and values.size:
+            words = [one.decode("utf-8", "replace") if isinstance(one, bytes) else str(one) for one in values.tolist()]
+            if cells.is_time(words[0]) and (headings.is_time_name(headings.split_unit(name)[0]) or not numeric):
+                try:
+                    clocks.append((name, cells.Times(words)))
+                    continue
+                except ValueError as error:
+                    omitted[name] = f"a time that cannot be read: {error}"
+                    continue
+            texts[name] = words
+        elif values.dtype.kind in "Mm" and values.ndim == 1:
+            ns = values.astype("datetime64[ns]" if values.dtype.kind == "M" else "timedelta64[ns]").astype(np.int64)
+            if values.dtype.kind == "M" and stamps is None:
+                stamps = ns
+            else:
+                numeric[f"{name} [s]"] = ns / NS_PER_S
+        elif values.dtype.kind == "c":
+            omitted[name] = "complex numbers: a spectrum or frequency response"
+        elif values.dtype.kind not in "fiub":
+            omitted[name] = "no numbers"
+        elif values.size == 1 and (RATES.fullmatch(name) or PERIODS.fullmatch(name)):
+            one = float(values.reshape(-1)[0])
+            if math.isfinite(one) and one > 0.0:
+                rate_hz = one if RATES.fullmatch(name) else 1.0 / one
+            else:
+                omitted[name] = f"no rate or period: {one:g}"
+        elif name == headings.STAMP and values.ndim == 1:
+            stamps = values.astype(np.int64)
+        else:
+            numeric[name] = values
+    axis = _axis(numeric, column_units, clocks, stamps)
+    abscissa, kind = _abscissa(axis, rate_hz)
+    names = UniqueNames()
+    signals: dict[str, Signal] = {}
+    scalars = 0
+    for place, (heading, values) in enumerate(numeric.items(), 1):
+        if values.ndim == 0 or (values.size == 1 and len(numeric) > 1 and any(v.size > 1 for v in numeric.values())):
+            scalars += 1
+            if scalars <= MOST_SCALARS:
+                omitted[heading] = f"one value: {float(values.reshape(-1)[0]):g}"
+            continue
+        squeezed = np.atleast_1d(np.squeeze(values))
+        if squeezed.ndim > 2:
+            omitted[heading] = "a table of tables"
+            continue
+        rows = squeezed[None] if squeezed.ndim == 1 else squeezed if len(squeezed) < len(squeezed.T) else squeezed.T
+        allow_columns(len(rows) + len(signals))
+        plain, unit = headings.split_unit(heading)
+        for number, row in enumerate(rows):
+            own, full = (plain, heading) if len(rows) == 1 else (f"{plain}_{number}", f"{heading}_{number}")
+            own = names.unique(own if own not in signals else full)
+            signals[own] = Signal(
+                np.ascontiguousarray(row, np.float64), column_units.get(heading, "") or unit, abscissa, kind,
+                f"column {place}" if len(rows) == 1 else f"{heading}, row {number}",
+            )  # fmt: skip
+    said = tuple(filter(None, (*remarks, abscissa.note)))
+    return ImportedSignals(path, file_format, signals, axis.start_ns, texts, omitted, said)
+
+
+def _axis(
+    numeric: dict[str, Column],
+    column_units: Mapping[str, str],
+    clocks: list[tuple[str, cells.Times]],
+    stamps: NDArray[np.int64] | None,
+) -> _Axis:
+    """Take the columns of times, or of frequencies, out of the others and return what they say."""
+    if clocks:
+        return _clock_axis(clocks)
+    timed = next((name for name in numeric if headings.is_time_name(_name(name)) and _is_column(numeric[name])), None)
+    if timed is None:
+        timed = next(
+            (name for name in list(numeric)[:1] if _unit(name, column_units) and _is_column(numeric[name])), None
+        )
+        if timed is not None and units.quantity(_unit(timed, column_units)) != "s":
+            timed = None
+    if stamps is not None and len(stamps):
+        since = np.zeros(len(stamps)) if timed is None else _float(numeric.pop(timed))
+        begin = float(since[0]) if len(since) else 0.0
+        # a table that was cut begins amid a block: its first sample is then later than its first stamp
+        start_ns = int(stamps[0]) + (round(begin * NS_PER_S) if math.isfinite(begin) else 0)
+        return _Axis(AbscissaKind.TIME, headings.STAMP, "s", since + (stamps - stamps[0]) / NS_PER_S, start_ns)
+    if timed is not None:
+        values = _float(numeric.pop(timed))
+        return _time_axis(timed, headings.time_unit(_name(timed), _unit(timed, column_units)), values)
+    first = next(iter(numeric), None)
+    if first is not None and _is_column(numeric[first]) and len(numeric) > 1:
+        is_frequency = headings.bare(_name(first)) in headings.FREQUENCY_NAMES
+        if (is_frequency or units.quantity(_unit(first, column_units)) == "Hz") and _rises(_float(numeric[first])):
+            unit = _unit(first, column_units)
+            return _Axis(AbscissaKind.FREQUENCY, first, unit, _float(numeric.pop(first)))
+    return _Axis()
+
+
+def _clock_axis(clocks: list[tuple[str, cells.Times]]) -> _Axis:
+    """Return times from dates, clocks, or a column of each."""
+    name, times = clocks[0]
+    ns = times.ns
+    has_date = times.has_date
+    for _, other in clocks[1:]:
+        if len(other.ns) == len(ns) and other.has_date != has_date and not (times.has_date and times.has_clock):
+            date, clock = (times, other) if times.has_date else (other, times)
+            ns, has_date = date.ns + clock.ns % (86_400 * NS_PER_S), True
+            break
+    seconds = (ns - ns[0]) / NS_PER_S if len(ns) else np.zeros(0)
+    start_ns = int(ns[0]) if has_date and len(ns) else None
+    note = next((one.note for _, one in clocks if one.note), "")
+    return _Axis(AbscissaKind.TIME, name, "s", seconds, start_ns, note, is_clock=True)
+
+
+def _time_axis(name: str, unit: str, values: Real) -> _Axis:
+    """Return times in seconds; a unit that is not understood leaves them without a meaning."""
+    note = ""
+    word = headings.bare(_name(name))
+    finite = values[np.isfinite(values)]
+    if not unit and len(finite) > 1:
+        step = float(np.median(np.diff(finite[:1000])))
+        in_range = EXCEL_DAYS[0] <= float(finite.min()) and float(finite.max()) <= EXCEL_DAYS[1]
+        too_fast = 0.0 < step < 1.0 / MOST_HZ
+        if (in_range and (word in headings.DATE_NAMES or too_fast)) or (too_fast and 0.0 <= finite[0] < 1.0):
+            unit, note = "d", f"column {_name(name)!r} was read as days of a spreadsheet"
+    if unit == "d":
+        start_ns = None
+        if len(finite) and EXCEL_DAYS[0] <= finite[0] <= EXCEL_DAYS[1]:
+            start_ns = (
+                round((float(values[0]) - EXCEL_EPOCH_DAYS) * DAY_S * 1e3) * 1_000_000
+                if np.isfinite(values[0])
+                else None
+            )
+            values = values - values[0]
+        return _Axis(AbscissaKind.TIME, name, "d", values * DAY_S, start_ns, note)
+    if not unit:
+        return _Axis(
+            AbscissaKind.TIME, name, "", values, None, f"no unit is given for column {_name(name)!r}: seconds assumed"
+        )
+    factor = units.unit_factor(unit, "s") if units.quantity(unit) == "s" else None
+    if factor is None:
+        kind = AbscissaKind.FREQUENCY if units.quantity(unit) == "Hz" else AbscissaKind.OTHER
+        return _Axis(kind, name, unit, values)
+    scaled = values * factor if factor >= 1.0 else values / round(1.0 / factor)  # 8 ms is 0.008 s to the last bit
+    return _Axis(AbscissaKind.TIME, name, unit, scaled)
+
+
+def _abscissa(axis: _Axis, rate_hz: float | None) -> tuple[Abscissa, SignalKind]:
+    """Return the abscissa of all signals and their kind."""
+    values = axis.values
+    if axis.kind is AbscissaKind.FREQUENCY:
+        return Abscissa(axis.kind, axis.unit, _first(values), None, values), SignalKind.SPECTRUM
+    if axis.kind is AbscissaKind.OTHER:
+        note = f"the unit {axis.unit!r} of column {_name(axis.name)!r} is not understood"
+        return Abscissa(axis.kind, axis.unit, _first(values), None, values, 0.0, note), SignalKind.TIME_RESPONSE
+    step = None if rate_hz is None else 1.0 / rate_hz
+    if values is None or not len(values):
+        if step is None:
+            return NO_ABSCISSA, SignalKind.TIME_RESPONSE
+        return Abscissa(AbscissaKind.TIME, "s", 0.0, step), SignalKind.TIME_RESPONSE
+    begin = _first(values)
+    since = values - values[0]
+    start = begin if axis.start_ns is None and not axis.is_clock else 0.0
+    return Abscissa(AbscissaKind.TIME, axis.unit, start, step, since, 0.0, axis.note), SignalKind.TIME_RESPONSE
+
+
+def _first(values: Real | None) -> float:
+    return float(values[0]) if values is not None and len(values) and np.isfinite(values[0]) else 0.0
+
+
+def _name(heading: str) -> str:
+    return headings.split_unit(heading)[0]
+
+
+def _unit(heading: str, column_units: Mapping[str, str]) -> str:
+    return column_units.get(heading, "") or headings.split_unit(heading)[1]
+
+
+def _is_column(values: Column) -> bool:
+    return values.size > 1 and values.size == max(values.shape, default=0)
+
+
+def _float(values: Column) -> Real:
+    return np.asarray(values, np.float64).reshape(-1)
+
+
+def _rises(values: Real) -> bool:
+    return len(values) > 2 and bool(np.all(np.diff(values) > 0.0))

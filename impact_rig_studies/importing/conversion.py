@@ -1,0 +1,333 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Conversion of imported signals to scans, calibration, drive and labels of a run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from collections.abc import Mapping as AnyMapping
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig import topics
+from impact_rig.analysis.scans import CHANNELS
+from impact_rig.analysis.settings import GapLabel
+from impact_rig.blocks import DAQ_INFO, Column, row_type
+from impact_rig.errors import ConfigError, RecordingError, did_you_mean
+from impact_rig.simtime import NS_PER_S, stamp_ns
+from impact_rig_studies.importing import units
+from impact_rig_studies.importing.mapping import CALIBRATION, Channel, Mapping
+from impact_rig_studies.importing.signals import Abscissa, ImportedSignals, Real
+from impact_rig_studies.importing.uniform import Rate, uniform
+
+POWERS = {"m": 0, "m/s": 1, "m/s^2": 2, "A": 0}  # of frequency, by which a spectrum is that of a displacement
+REFERENCES = ("base", "current", "laser", "accelerometer")  # whose frequency is that of the drive: the first measured
+NAMED_WITHIN = 0.005  # relative departure of a frequency in a file name from that of the data
+FREQUENCY_S = 20  # length of the end of a record whose frequency is measured
+
+
+@attrs.frozen(eq=False)
+class ImportedRun:
+    """Content of a file as a run holds it."""
+
+    source: ImportedSignals  # what was read
+    mapping: Mapping  # in use
+    rate_hz: Rate  # scans per second
+    start_ns: int  # stamp of the first scan
+    index: NDArray[np.int64]  # number of each scan, counted from the first; a gap is a loss. Shape (n,)
+    rows: NDArray[np.void]  # scans, `time` unused, shape (n,)
+    info: NDArray[np.void]  # rows of `daq/info`
+    drive: tuple[tuple[int, float, float], ...]  # instants [ns], frequencies [Hz] and amplitudes [A] commanded
+    labels: tuple[str, ...]  # remarks
+    doubts: tuple[str, ...] = ()  # assumptions and guesses that the user should confirm, for people
+
+
+def convert(
+    source: ImportedSignals,
+    mapping: Mapping,
+    drive: ImportedSignals | None = None,
+    sheet: ImportedSignals | None = None,
+) -> ImportedRun:
+    """Return the content of a file as scans, calibration, drive and labels.
+
+    Args:
+        source: content of the file.
+        mapping: which of its signals is which channel.
+        drive: table with `frequency`, `current` and `time` or `stamp_ns`: the commands; None: as mapped.
+        sheet: table with columns of `daq/info`, a row a channel: the calibration; None: as mapped.
+
+    Raises:
+        ConfigError: no channel is mapped, a signal or unit is not there, or times are not uniform.
+        RecordingError: lengths or abscissas differ.
+    """
+    if not mapping.channels:
+        raise ConfigError(_unassigned(source))
+    found: dict[str, Real] = {}
+    used: dict[str, Channel] = {}
+    si_units: dict[str, str] = {}
+    doubts = list(source.remarks)
+    for name in CHANNELS:
+        if name not in mapping.channels:
+            continue
+        one = mapping.channels[name]
+        signal = source.signals.get(one.column)
+        if signal is None:
+            there = f"there are {', '.join(source.signals)[:300]}"
+            hint = did_you_mean(one.column, source.signals, "did you mean {!r}?", there)
+            raise ConfigError(f"{source.path} has no signal {one.column!r} for {name}: {hint}")
+        one = used[name] = attrs.evolve(one, unit=one.unit or signal.unit)
+        factor, si_units[name] = one.to_si(name)
+        found[name] = one.sign * one.scale * factor * signal.values
+        if one.offset:
+            found[name] += one.offset
+        doubts += _unit_doubts(name, one, si_units[name])
+    mapping = attrs.evolve(mapping, channels=used)
+    abscissa, count = _common(source, used)
+    followed: dict[str, Real] = {}
+    for key, column in (("frequency", mapping.frequency), ("gap", mapping.gap)):
+        if isinstance(column, str):
+            if column not in source.signals or len(source.signals[column].values) != count:
+                raise ConfigError(f"{key}: {source.path} has no signal {column!r} of {count} values")
+            followed[key] = source.signals[column].values
+    grid = uniform(source.path, abscissa, mapping, found, followed)
+    rate, index, found, followed = grid.rate_hz, grid.index, grid.signals, grid.followed
+    info = _calibration(mapping, si_units, rate, sheet)
+    start_ns = source.start_ns or 0
+    if (
+        sheet is not None
+        and "since_start" in sheet.signals
+        and sheet.start_ns is not None
+        and source.start_ns is not None
+    ):
+        start_ns = sheet.start_ns - round(float(sheet.signals["since_start"].values[0]) * NS_PER_S)
+        index = index + round((source.start_ns - start_ns) * rate / NS_PER_S)
+    rows = _scans(found, si_units, info)
+    instants = _Instants(index, rate, start_ns)
+    measured_hz, is_sine = _frequency_of(found, si_units, float(rate))
+    mapping, guesses = _confirmed(mapping, measured_hz if is_sine else 0.0, len(index) / rate)
+    commands = _commands(source, mapping, drive, followed.get("frequency"), instants)
+    if not commands:
+        commands = ((start_ns, measured_hz, math.nan),)
+    commands = tuple(_with_amplitude(commands, found, instants))
+    labels = list(mapping.notes)
+    if "gap" in followed:
+        gaps = followed["gap"]
+        labels += [GapLabel(float(gaps[scan]), instants.exact(scan)).text() for scan in _changes(gaps)]
+    elif isinstance(mapping.gap, float):
+        labels.append(GapLabel(mapping.gap, start_ns).text())
+    return ImportedRun(
+        source,
+        mapping,
+        rate,
+        start_ns,
+        index,
+        rows,
+        info,
+        commands,
+        tuple(labels),
+        tuple(dict.fromkeys(doubts + guesses)),
+    )
+
+
+def _unassigned(source: ImportedSignals) -> str:
+    known = ", ".join(f"{name} [{one.unit}]" if one.unit else name for name, one in source.signals.items())
+    example = next(iter(source.signals), "NAME")
+    return (
+        f"{source.path}: which signal is which channel is not known; it has: {known[:500]}. Say it: "
+        f'--channel laser="{example}" for the structure, --channel base=… for its base'
+    )
+
+
+def _unit_doubts(name: str, one: Channel, si_unit: str) -> list[str]:
+    """Return what the unit of a channel was taken for, where that is not certain."""
+    said = f'--channel {name}="{one.column} mm" gives another'
+    if not one.unit and not one.sensitivity:
+        return [f"no unit is given for {one.column}: {si_unit} was taken; {said}"]
+    doubt = units.doubt(one.unit) if not one.sensitivity else units.doubt(one.sensitivity.rpartition("/")[2])
+    return (
+        [f"unit {one.unit if not one.sensitivity else one.sensitivity!r} of {one.column} was read as {doubt}"]
+        if doubt
+        else []
+    )
+
+
+def _common(source: ImportedSignals, used: AnyMapping[str, Channel]) -> tuple[Abscissa, int]:
+    """Return the abscissa and the length that the signals of all channels have."""
+    signals = {name: source.signals[one.column] for name, one in used.items()}
+    lengths = {name: len(one.values) for name, one in signals.items()}
+    if len(set(lengths.values())) != 1:
+        raise RecordingError(
+            f"{source.path}: signals differ in length: " + ", ".join(f"{name} {n}" for name, n in lengths.items())
+        )
+    first, count = next(iter(signals.values())).abscissa, next(iter(lengths.values()))
+    for name, one in signals.items():
+        other = one.abscissa
+        if other is first:
+            continue
+        period = first.step or (float(first.values[1]) if first.values is not None and count > 1 else 0.0)
+        same_start = abs(other.start - first.start) <= 0.5 * period
+        if other.kind is not first.kind or not same_start or not _same_steps(first, other, period, count):
+            raise RecordingError(
+                f"{source.path}: {name} ({other}) has other times than {next(iter(signals))} ({first}); "
+                "import signals of one time base"
+            )
+    return first, count
+
+
+def _same_steps(first: Abscissa, other: Abscissa, period: float, count: int) -> bool:
+    """Return whether two abscissas of one length agree within half a period at their ends."""
+    ends = [
+        one.step * (count - 1) if one.step else float(one.values[-1]) if one.values is not None and count else 0.0
+        for one in (first, other)
+    ]
+    return abs(ends[1] - ends[0]) <= 0.5 * period
+
+
+def _scans(found: AnyMapping[str, Real], si_units: AnyMapping[str, str], info: NDArray[np.void]) -> NDArray[np.void]:
+    """Return rows of `daq/scan` with the bits of readings out of range."""
+    names = tuple(info["name"].astype(str))
+    columns = (topics.SCAN.fields[0], *(Column(n, si_units[n], "") for n in names), topics.SCAN.fields[1])
+    rows = np.zeros(len(found[names[0]]), row_type(columns))
+    for bit, name in enumerate(names):
+        rows[name] = found[name]
+        with np.errstate(invalid="ignore"):
+            beyond = (found[name] <= info["range_low"][bit]) | (found[name] >= info["range_high"][bit])
+        rows["status"] |= beyond.astype(np.uint8) << bit
+    return rows
+
+
+@attrs.frozen(eq=False)
+class _Instants:
+    """Instants of scans."""
+
+    index: NDArray[np.int64]
+    rate_hz: Rate
+    start_ns: int
+
+    def exact(self, scan: int) -> int:
+        """Return the stamp of a scan [ns]."""
+        return stamp_ns(int(self.index[scan]), self.rate_hz, self.start_ns)
+
+    def first_at(self, instant_ns: float) -> int:
+        """Return the number of the first scan at or after an instant."""
+        if math.isinf(instant_ns):
+            return len(self.index)
+        return int(np.searchsorted(self.index, (instant_ns - self.start_ns) * self.rate_hz / NS_PER_S - 1e-6))
+
+
+def _calibration(
+    mapping: Mapping, si_units: AnyMapping[str, str], rate: Rate, sheet: ImportedSignals | None
+) -> NDArray[np.void]:
+    """Return rows of `daq/info`: what the sheet and the mapping say; beyond that, without limit and without error."""
+    names = [name for name in CHANNELS if name in mapping.channels]
+    rows = np.zeros(len(names), DAQ_INFO)
+    rows["name"], rows["unit"] = names, [si_units[name] for name in names]
+    rows["range_low"], rows["range_high"], rows["sensitivity"] = -math.inf, math.inf, 1.0
+    listed = (sheet.texts.get("name") or []) if sheet is not None else []
+    for place, name in enumerate(names):
+        if sheet is not None and name in listed:
+            for key in CALIBRATION:
+                if key in sheet.signals and len(sheet.signals[key].values) == len(listed):
+                    rows[key][place] = sheet.signals[key].values[listed.index(name)]
+        for key, value in mapping.channels[name].calibration.items():
+            rows[key][place] = value
+        if not rows["range_low"][place] < rows["range_high"][place]:
+            raise ConfigError(f"channels.{name}: range_low must be < range_high")
+    rows["rate"], rows["since_start"] = rate, 0.0  # its stamp in the run is that of scan 0
+    return rows
+
+
+def _confirmed(mapping: Mapping, measured_hz: float, seconds: float) -> tuple[Mapping, list[str]]:
+    """Return the mapping with guesses from the file name compared with the data, and what was guessed."""
+    said = []
+    if "frequency" in mapping.guessed and isinstance(mapping.frequency, float):
+        named = mapping.frequency
+        within = max(NAMED_WITHIN * named, 0.5 / seconds)
+        if measured_hz > 0.0 and abs(named - measured_hz) > within:
+            said.append(
+                f"the file name says {named:g} Hz, the data say {measured_hz:.5g} Hz, which is used; "
+                f"--frequency HZ decides"
+            )
+            mapping = attrs.evolve(mapping, frequency=measured_hz)
+        else:
+            data = f"the data say {measured_hz:.5g} Hz" if measured_hz > 0.0 else "the data hold no clear sine"
+            said.append(f"frequency {named:g} Hz guessed from the file name; {data}")
+    if "gap" in mapping.guessed and isinstance(mapping.gap, float):
+        gap = f"{mapping.gap * 1e3:g} mm" if mapping.gap else "none (no sphere)"
+        said.append(f"gap {gap} guessed from the file name; --gap decides")
+    return mapping, said
+
+
+def _commands(
+    source: ImportedSignals,
+    mapping: Mapping,
+    drive: ImportedSignals | None,
+    followed: Real | None,
+    instants: _Instants,
+) -> tuple[tuple[int, float, float], ...]:
+    """Return when which drive was commanded: by a table, by a signal, or one value for all; empty: nothing says so."""
+    if drive is not None:
+        frequency, current = (drive.signals.get(key) for key in ("frequency", "current"))
+        times = None if frequency is None else frequency.time_s
+        if frequency is None or times is None:
+            raise ConfigError(f"{drive.path} must have the columns `time` or `stamp_ns`, and `frequency`")
+        amplitude = current.values if current is not None else np.full(len(frequency.values), mapping.amplitude)
+        if not np.all(np.isfinite(times)):
+            raise ConfigError(f"{drive.path}: a time is no number")
+        first = instants.start_ns + round((drive.begins_s - source.begins_s) * NS_PER_S)  # both count from one instant
+        if drive.start_ns is not None and source.start_ns is not None:
+            first = drive.start_ns
+        stamps = [first + round(float(one) * NS_PER_S) for one in times]
+        return tuple(zip(stamps, frequency.values.tolist(), amplitude.tolist(), strict=True))
+    if followed is not None:
+        return tuple((instants.exact(scan), float(followed[scan]), mapping.amplitude) for scan in _changes(followed))
+    if isinstance(mapping.frequency, float):
+        return ((instants.start_ns, mapping.frequency, mapping.amplitude),)
+    return ()
+
+
+def _changes(values: Real) -> list[int]:
+    """Return where a signal has another value than before, the first scan included; NaN is one value, unknown."""
+    same = (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
+    return [0, *(np.flatnonzero(~same) + 1).tolist()]
+
+
+def _with_amplitude(
+    commands: Sequence[tuple[int, float, float]], found: AnyMapping[str, Real], instants: _Instants
+) -> Iterator[tuple[int, float, float]]:
+    """Yield the commands; where none says an amplitude, that of current or base as measured: √2 times its rms."""
+    values = found[next(name for name in ("current", *REFERENCES) if name in found)]
+    ends = [*(one[0] for one in commands[1:]), math.inf]
+    for (instant, frequency, amplitude), end in zip(commands, ends, strict=True):
+        part = values[instants.first_at(instant) : instants.first_at(end)]
+        known = not math.isnan(amplitude) or not len(part)
+        yield instant, frequency, amplitude if known else math.sqrt(2.0) * float(np.std(np.nan_to_num(part)))
+
+
+def _frequency_of(found: AnyMapping[str, Real], si_units: AnyMapping[str, str], rate: float) -> tuple[float, bool]:
+    """Return the frequency of the largest line of the first measured reference, 0 if there is none, and if it is clear.
+
+    Lines are compared as displacements; a clear one has more power than the rest of the signal.
+    """
+    from impact_rig.analysis.sine import fit_sine_frequency  # noqa: PLC0415  # heavy
+    from impact_rig.states import Status  # noqa: PLC0415  # as above
+
+    name = next(name for name in REFERENCES if name in found)
+    values = found[name]
+    part = values[-min(len(values), round(FREQUENCY_S * rate)) :]
+    if len(part) < 4 or not np.all(np.isfinite(part)) or not float(np.ptp(part)) > 0.0:
+        return 0.0, False
+    lines = np.abs(np.fft.rfft((part - part.mean()) * np.hanning(len(part))))
+    lines[2:] /= np.arange(2, len(lines)) ** float(POWERS[si_units[name]])
+    lines[:2] = 0.0  # the mean, as the window spreads it
+    coarse = float(np.argmax(lines)) * rate / len(part)
+    try:
+        fit = fit_sine_frequency(part, rate, coarse)
+    except np.linalg.LinAlgError:  # at half the rate there is no sine
+        return coarse, False
+    if fit.status is not Status.OK:
+        return coarse, False
+    return fit.frequency_hz, bool(fit.amplitude**2 > 2.0 * fit.residual_rms**2)

@@ -1,0 +1,151 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Headings of columns: name and unit, in the notations that programs use."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from impact_rig_studies.importing.units import is_unit
+
+STAMP = "stamp_ns"  # column of our own exports that is an exact integer; `time` counts from it
+TIME_NAMES = frozenset({
+    "time", "times", "t", "zeit", "temps", "tiempo", "tempo", "abscissa", "timedomain", "timestamp", "timestamps",
+    "elapsed", "elapsedtime", "reltime", "relativetime", "relativezeit", "messzeit", "xvalue", "datetime", "date",
+    "datum",
+    "uhrzeit", "zeitstempel", "seconds", "second", "sekunden", "secs", "sec", "milliseconds", "msec", "microseconds",
+    "usec",
+    "dateandtime", "timeofday", "timeaxis", "timevector", "tim", "datumuhrzeit", "datetimestamp",
+})  # fmt: skip
+"""Names of columns of times: lower case, letters only."""
+DATE_NAMES = frozenset(
+    {"date", "datum", "datetime", "dateandtime", "zeitstempel", "datumuhrzeit", "timestamp", "datetimestamp"}
+)
+FREQUENCY_NAMES = frozenset({"frequency", "freq", "frequenz", "frequence", "f"})
+_UNIT_OF_NAME = {
+    "seconds": "s", "second": "s", "sekunden": "s", "secs": "s", "sec": "s", "milliseconds": "ms", "msec": "ms",
+    "microseconds": "us", "usec": "us",
+}  # fmt: skip
+_SUFFIXES = {
+    "mm": "mm", "um": "um", "cm": "cm", "ms2": "m/s^2", "mps2": "m/s^2", "ms": "ms", "us": "us", "ns": "ns", "s": "s",
+    "mmps": "mm/s", "mps": "m/s", "m": "m", "sec": "s",
+}  # fmt: skip
+"""Ends of names after an underscore that are units: of times all, of other columns those without another meaning."""
+_TIME_SUFFIXES = ("s", "ms", "us", "ns", "sec")
+_SIGNAL_SUFFIXES = ("mm", "um", "cm", "ms2", "mps2", "mmps", "mps")
+_UNIT_LABELS = frozenset({"unit", "units", "einheit", "einheiten", "unité", "unidad"})
+_NOT_LETTERS = re.compile(r"[\W\d_]+")
+
+
+def bare(name: str) -> str:
+    """Return a name in lower case, letters only."""
+    return _NOT_LETTERS.sub("", name[:80].lower())
+
+
+def is_time_name(name: str) -> bool:
+    """Return whether a column of this name, without its unit, holds times."""
+    word = bare(name)
+    return word in TIME_NAMES or _time_suffix(name) is not None
+
+
+def _time_suffix(name: str) -> str | None:
+    head, underscore, tail = name[:80].strip().lower().rpartition("_")
+    return tail if underscore and tail in _TIME_SUFFIXES and bare(head) in TIME_NAMES else None
+
+
+def time_unit(name: str, unit: str) -> str:
+    """Return the unit of a column of times by its heading; empty: the file names none."""
+    suffix = _time_suffix(name)
+    return unit or _UNIT_OF_NAME.get(bare(name), "") or (_SUFFIXES[suffix] if suffix else "")
+
+
+def split_unit(heading: str) -> tuple[str, str]:
+    """Return name and unit of a heading such as `base [mm]`, `acc (m/(s^2))`, `Weg / mm`, `Weg in mm`, `x_mm`."""
+    text = heading.strip()
+    name, unit = _bracketed(text)
+    if unit:
+        return name, unit
+    for separator in ("/", " in ", ",", " "):
+        head, found, tail = text.rpartition(separator)
+        short = len(tail.strip()) == 1  # a letter may be part of a name: x/s
+        if (
+            found
+            and head.strip()
+            and is_unit(tail)
+            and not (short and separator in ("/", " ") and head == head.strip())
+        ):
+            return head.strip(), tail.strip()
+    _, underscore, tail = text.rpartition("_")
+    if underscore and tail in _SIGNAL_SUFFIXES:
+        return text, _SUFFIXES[tail]
+    return text, ""
+
+
+def _bracketed(text: str) -> tuple[str, str]:
+    """Return name and content of the brackets at the end of a heading; no unit where there are none."""
+    if not text.endswith(("]", ")")):
+        return text, ""
+    opened, closed = ("[", "]") if text.endswith("]") else ("(", ")")
+    depth = 0
+    for place in range(len(text) - 1, max(-1, len(text) - 80), -1):
+        depth += (text[place] == closed) - (text[place] == opened)
+        if depth == 0:
+            name, unit = text[:place].strip(), text[place + 1 : -1].strip()
+            return (name, unit) if name else (text, "")
+    return text, ""
+
+
+def is_units_row(cells: Sequence[str]) -> bool:
+    """Return whether every filled cell of a row is a unit, or the row is labelled as one of units."""
+    filled = [cell for cell in cells if cell.strip()]
+    if filled and cells[0].strip().strip(":").lower() in _UNIT_LABELS:
+        return True
+    return bool(filled) and all(is_unit(cell) for cell in filled)
+
+
+def unit_cells(cells: Sequence[str]) -> list[str]:
+    """Return the units in a row of units."""
+    units = [cell.strip().strip("[]").strip() for cell in cells]
+    units = [unit[1:-1] if unit.startswith("(") and unit.endswith(")") else unit for unit in units]
+    return ["", *units[1:]] if units and units[0].strip(":").lower() in _UNIT_LABELS else units
+
+
+_RATE = re.compile(
+    r"(?:sampl\w{0,8}[\s_-]?(?:rate|freq\w{0,8})|scan[\s_-]?rate|\brate|\bfs|abtast(?:rate|frequenz))\b[^\d\n]{0,20}?"
+    r"(\d[\d.,]{0,20}(?:[eE][+-]?\d{1,3})?)\s*(k?Hz|MHz|k?S/s|1/s)?",
+    re.IGNORECASE,
+)
+_STEP = re.compile(
+    r"(?:delta[\s_-]?[xt]|\bdt|sampl\w{0,8}[\s_-]?(?:interval|period|time)|\bincrement|abtastintervall)\b[^\d\n]{0,20}?"
+    r"(\d[\d.,]{0,20}(?:[eE][+-]?\d{1,3})?)\s*(s|ms|us|µs|sec)?\b",
+    re.IGNORECASE,
+)
+
+
+def stated_rate(lines: Sequence[str]) -> float | None:
+    """Return the rate [Hz] that lines around a table state, such as `Sample rate: 51200 Hz` or `Delta_X 0.008`."""
+    for line in lines:
+        for pattern, is_rate in ((_RATE, True), (_STEP, False)):
+            match = pattern.search(line[:300])
+            if match is None:
+                continue
+            try:
+                value = float(_plain(match[1]))
+            except ValueError:
+                continue
+            unit = (match[2] or "").lower()
+            if is_rate:
+                value *= 1e3 if unit.startswith("k") else 1e6 if unit.startswith("m") else 1.0
+            else:
+                value = value * {"ms": 1e-3, "us": 1e-6, "µs": 1e-6}.get(unit, 1.0)
+                value = 1.0 / value if value > 0.0 else 0.0
+            if 0.0 < value < 1e9:
+                return value
+    return None
+
+
+def _plain(text: str) -> str:
+    """Return a number with a decimal point; a last comma or point of a sentence is dropped."""
+    text = text.rstrip(".,")
+    return text.replace(",", ".") if text.count(",") == 1 and "." not in text else text.replace(",", "")

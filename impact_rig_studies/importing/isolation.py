@@ -1,0 +1,190 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Process of its own for a reader: memory and time have a limit, and a crash of a library is only an error."""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import json
+import os
+import resource
+import select
+import signal
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, BinaryIO, NoReturn
+
+import numpy as np
+
+from impact_rig.errors import ImpactRigError, RecordingError
+from impact_rig.system import budget
+from impact_rig_studies.importing.limits import WORKING_BYTES, WORKING_PER_BYTE
+from impact_rig_studies.importing.signals import Abscissa, AbscissaKind, ImportedSignals, Real, Signal, SignalKind
+
+LIMIT_S, LIMIT_PER_MIB_S = 8.0, 2.0
+"""Computing time of a reader: so long, and so much longer for each MiB of its file."""
+READ_BYTES = 2**20
+_REFUSED, _DAMAGED, _MEMORY = "refused", "damaged", "memory"
+
+
+def run(
+    path: Path, what: str, file_bytes: int, reader: Callable[[], ImportedSignals], prepare: Callable[[], object]
+) -> ImportedSignals:
+    """Return what a reader gives, computed in a child process.
+
+    Args:
+        path: the file, for messages.
+        what: its format, for messages.
+        file_bytes: its size, by which memory and time are limited.
+        reader: reads it.
+        prepare: imports what the reader needs, before the process is divided.
+
+    Raises:
+        RecordingError: the reader refuses the file, fails, crashes, or exceeds memory or time.
+        BudgetError: the reader refuses it as too large.
+    """
+    prepare()
+    seconds = (LIMIT_S + LIMIT_PER_MIB_S * file_bytes / budget.MIB) * budget.factor()
+    source, sink = os.pipe()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of threads of libraries, which the child does not use
+        child = os.fork()
+    if not child:
+        os.close(source)
+        _child(reader, sink, file_bytes, seconds)
+    os.close(sink)
+    try:
+        received = _receive(source, time.monotonic() + 4.0 * seconds)
+    except TimeoutError:
+        received = b""
+        os.kill(child, signal.SIGKILL)
+    finally:
+        os.close(source)
+        status = os.waitpid(child, 0)[1]
+    head, _, numbers = received.partition(b"\n")
+    if not head:
+        if os.WIFSIGNALED(status) and os.WTERMSIG(status) in (signal.SIGXCPU, signal.SIGKILL):
+            raise RecordingError(f"{path} takes longer than {seconds:.0f} s to read: it is damaged, or made to")
+        raise RecordingError(f"{path} is damaged: the library that reads it crashed")
+    told: dict[str, Any] = json.loads(head)
+    if _REFUSED in told:
+        kind = budget.BudgetError if told["budget"] else RecordingError
+        message = str(told[_REFUSED])
+        raise kind(message if str(path) in message else f"{path}: {message}")
+    if _MEMORY in told:
+        raise RecordingError(f"{path} asks for more memory than a file of {file_bytes} bytes may")
+    if _DAMAGED in told:
+        raise RecordingError(f"{path} cannot be read as {what}: {str(told[_DAMAGED])[:300]}")
+    return _decoded(path, told, memoryview(numbers))
+
+
+def _child(reader: Callable[[], ImportedSignals], sink: int, file_bytes: int, seconds: float) -> NoReturn:
+    """Read, send what was found, and end."""
+    faulthandler.disable()
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # messages of a library while it fails
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    told: dict[str, object] | None = None
+    found: ImportedSignals | None = None
+    try:
+        _limit(file_bytes, seconds)
+        found = reader()
+    except ImpactRigError as error:
+        told = {_REFUSED: str(error), "budget": isinstance(error, budget.BudgetError)}
+    except MemoryError:
+        told = {_MEMORY: True}
+    except BaseException as error:  # whatever a library raises of a file that is damaged or of another format
+        told = {_DAMAGED: " ".join(str(error).split()) or type(error).__name__}
+    try:
+        with os.fdopen(sink, "wb") as out:
+            if found is not None:
+                _send(found, out)
+            else:
+                out.write(json.dumps(told).encode() + b"\n")
+    finally:
+        os._exit(0)
+
+
+def _limit(file_bytes: int, seconds: float) -> None:
+    """Limit memory beyond what the process has, and computing time."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+    more = (WORKING_BYTES + WORKING_PER_BYTE * file_bytes) * budget.factor()
+    for kind, limit in (
+        (resource.RLIMIT_AS, pages * resource.getpagesize() + round(more)),
+        (resource.RLIMIT_CPU, round(time.process_time() + seconds) + 1),
+    ):
+        soft, hard = resource.getrlimit(kind)
+        ends = [one for one in (soft, hard) if one != resource.RLIM_INFINITY]
+        with contextlib.suppress(ValueError):
+            resource.setrlimit(kind, (min([limit, *ends]), hard))
+
+
+def _receive(source: int, deadline: float) -> bytes:
+    """Return all that a pipe gives.
+
+    Raises:
+        TimeoutError: it goes on after the deadline [s of the monotonic clock].
+    """
+    parts: list[bytes] = []
+    while True:
+        if not select.select([source], [], [], max(0.0, deadline - time.monotonic()))[0]:
+            raise TimeoutError
+        part = os.read(source, READ_BYTES)
+        if not part:
+            return b"".join(parts)
+        parts.append(part)
+
+
+def _send(found: ImportedSignals, out: BinaryIO) -> None:
+    """Write what was read: a line of JSON, then all numbers; an abscissa that signals share is sent once."""
+    arrays: list[Real] = []
+    places: dict[int, int] = {}
+
+    def place(values: Real | None) -> int | None:
+        if values is None:
+            return None
+        if id(values) not in places:
+            places[id(values)] = len(arrays)
+            arrays.append(np.ascontiguousarray(values, np.float64))
+        return places[id(values)]
+
+    signals = []
+    for name, one in found.signals.items():
+        x = one.abscissa
+        about = [x.kind.value, x.unit, x.start, x.step, place(x.values), x.resolution, x.note]
+        signals.append([name, place(one.values), one.unit, about, one.kind.value, one.origin])
+    told = {
+        "format": found.format, "signals": signals, "lengths": [len(one) for one in arrays], "start_ns": found.start_ns,
+        "texts": {name: list(words) for name, words in found.texts.items()}, "left_out": dict(found.left_out),
+        "remarks": list(found.remarks),
+    }  # fmt: skip
+    out.write(json.dumps(told).encode() + b"\n")
+    for values in arrays:
+        out.write(values.data)
+
+
+def _decoded(path: Path, told: dict[str, Any], numbers: memoryview) -> ImportedSignals:
+    arrays: list[Real] = []
+    at = 0
+    for length in told["lengths"]:
+        arrays.append(np.frombuffer(numbers, np.float64, length, at))
+        at += 8 * length
+    shared: dict[str, Abscissa] = {}
+
+    def abscissa(about: list[Any]) -> Abscissa:
+        key = json.dumps(about)
+        if key not in shared:
+            kind, unit, start, step, place, resolution, note = about
+            values = None if place is None else arrays[place]
+            shared[key] = Abscissa(AbscissaKind(kind), unit, start, step, values, resolution, note)
+        return shared[key]
+
+    signals = {
+        name: Signal(arrays[place], unit, abscissa(about), SignalKind(kind), origin)
+        for name, place, unit, about, kind, origin in told["signals"]
+    }
+    return ImportedSignals(
+        path, told["format"], signals, told["start_ns"], told["texts"], told["left_out"], tuple(told["remarks"])
+    )

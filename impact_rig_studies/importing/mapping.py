@@ -1,0 +1,222 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Assignment of signals to channels, with units and calibration: guessed, refined by a YAML text and by options.
+
+SI value = sign · scale · value [unit] / sensitivity + offset       delay and lag as in `analysis.calibration`
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping as AnyMapping
+from collections.abc import Sequence
+
+import attrs
+
+from impact_rig.analysis.scans import CHANNELS
+from impact_rig.blocks import DAQ_INFO_COLUMNS
+from impact_rig.errors import ConfigError, did_you_mean
+from impact_rig.system import budget
+from impact_rig_studies.importing.units import Sensitivity, quantity, unit_factor
+
+MAPPING_CHARACTERS = 100_000
+_MOTION = ("m", "m/s", "m/s^2")
+UNITS = {"accelerometer": ("m/s^2",), "laser": _MOTION, "base": _MOTION, "current": ("A",)}
+"""SI units that a channel may have: structure and base move in displacement, velocity or acceleration."""
+
+
+@attrs.frozen(kw_only=True)
+class Channel:
+    """Signal of a channel, with its unit and calibration."""
+
+    column: str  # name of the signal in the file
+    unit: str = ""  # of its values; empty: SI
+    scale: float = 1.0  # what a value is multiplied by, before its unit
+    sensitivity: str = ""  # such as `100 mV/g`, where the unit is that of a voltage; empty: none
+    sign: float = 1.0  # -1 for a sensor mounted the other way round
+    offset: float = 0.0  # added after all that [SI unit]
+    calibration: AnyMapping[str, float] = attrs.field(factory=dict)
+    """Columns of `daq/info` by name: range, noise, resolution, lag, skew, uncertainties."""
+
+    def to_si(self, name: str) -> tuple[float, str]:
+        """Return the factor of a value for a channel of this name, and the SI unit that it then has.
+
+        Raises:
+            ConfigError: the unit or the sensitivity is not understood, or of another quantity.
+        """
+        allowed = UNITS[name]
+        if self.sensitivity:
+            found = Sensitivity.parse(self.sensitivity)
+            volts = unit_factor(self.unit or "V", "V")
+            if found is None or found.unit not in allowed or volts is None:
+                raise ConfigError(
+                    f"channels.{name}.sensitivity must be like `100 mV/{allowed[0].split('/')[0]}` of a signal in V, "
+                    f"got {self.sensitivity!r} of {self.unit!r}"
+                )
+            return volts / found.volts, found.unit
+        if not self.unit:
+            return 1.0, allowed[0]
+        target = quantity(self.unit)
+        factor = unit_factor(self.unit, target) if target in allowed else None
+        if factor is None or target is None:
+            is_voltage = unit_factor(self.unit, "V") is not None
+            raise ConfigError(
+                f"channels.{name}.unit must be a unit of {' or '.join(allowed)}, got {self.unit!r} of signal "
+                f"{self.column!r}"
+                + (
+                    f'; a voltage needs a sensitivity: --channel {name}="{self.column} V, 100 mV/{allowed[0]}"'
+                    if is_voltage
+                    else f'; --channel {name}="{self.column} mm" gives another'
+                )
+            )
+        return factor, target
+
+
+def _above_zero(_mapping: object, _field: object, value: float | str | None) -> None:
+    if isinstance(value, float) and not 0.0 < value < math.inf:
+        raise ConfigError(f"frequency must be above 0 Hz, got {value:g}")
+
+
+def _not_negative(_mapping: object, _field: object, value: float | str | None) -> None:
+    if isinstance(value, float) and not 0.0 <= value < math.inf:
+        raise ConfigError(f"gap must be 0 (no sphere) or more, got {value * 1e3:g} mm")
+
+
+@attrs.frozen(kw_only=True)
+class Mapping:
+    """Channels, drive and labels of a file."""
+
+    channels: AnyMapping[str, Channel]  # by name
+    rate_hz: float | None = None  # where the file has neither times nor a rate
+    resample_hz: int | None = None  # rate to bring scans to that are not uniform in time; None: they are refused
+    frequency: float | str | None = attrs.field(default=None, validator=_above_zero)
+    """Of the drive [Hz], or name of the signal that holds it; None: measured from the base."""
+    amplitude: float = math.nan  # commanded [A], of the base [m] where its motion is prescribed; NaN: as measured
+    gap: float | str | None = attrs.field(default=None, validator=_not_negative)
+    """Label [m], 0 without sphere, or name of the signal that holds it [m]; None: unknown."""
+    notes: tuple[str, ...] = ()  # remarks for the run
+    guessed: frozenset[str] = attrs.field(default=frozenset(), eq=False)
+    """Fields that the name of the file suggests and no option confirms: frequency, gap."""
+
+
+def refined(mapping: Mapping, text: str) -> Mapping:
+    """Return a mapping with what a YAML text says of it.
+
+        rate_hz: 5000
+        frequency: 9.1               # Hz, or the name of a column
+        gap_mm: 6                    # 0 without sphere; or gap: the name of a column, in metres
+        channels:
+          laser: {column: ai0, unit: V, sensitivity: 500 mV/mm, sign: -1, sensitivity_uncertainty: 0.01}
+
+    Raises:
+        ConfigError: a key or value is wrong; the message names both.
+    """
+    try:
+        content = budget.load_yaml(text, MAPPING_CHARACTERS)
+    except budget.PlainYamlError as error:
+        raise ConfigError(f"the mapping is no YAML: {error}") from error
+    given = _section("the mapping", content)
+    _refuse_unknown(
+        "", given, ("rate_hz", "resample_hz", "frequency", "amplitude", "gap", "gap_mm", "notes", "channels")
+    )
+    channels = dict(mapping.channels)
+    for name, value in _section("channels", given.get("channels")).items():
+        if name not in CHANNELS:
+            raise ConfigError(f"channels: unknown channel {name}; there are {', '.join(CHANNELS)}")
+        if value is None:
+            channels.pop(name, None)
+        else:
+            channels[name] = _channel(name, _section(f"channels.{name}", value), channels.get(name))
+    changes: dict[str, object] = {"channels": channels}
+    for key in ("rate_hz", "amplitude"):
+        if key in given:
+            changes[key] = _number(key, given[key])
+    if "resample_hz" in given:
+        changes["resample_hz"] = round(_number("resample_hz", given["resample_hz"]))
+    for key in ("frequency", "gap"):
+        if key in given:
+            value = given[key]
+            changes[key] = value if isinstance(value, str) else _number(key, value)
+    if "gap_mm" in given:
+        changes["gap"] = 1e-3 * _number("gap_mm", given["gap_mm"])
+    if "notes" in given:
+        notes = given["notes"]
+        changes["notes"] = tuple(map(_text, notes)) if isinstance(notes, list) else (_text(notes),)
+    changes["guessed"] = mapping.guessed - {"gap" if key == "gap_mm" else key for key in given}
+    return attrs.evolve(mapping, **changes)  # type: ignore[arg-type]  # checked above
+
+
+def as_yaml(mapping: Mapping) -> str:
+    """Return a mapping as the text that `refined` takes."""
+    content: dict[str, object] = {
+        "channels": {
+            name: {
+                **{key: value for key, value in attrs.asdict(one).items() if key != "calibration"},
+                **dict(one.calibration),
+            }
+            for name, one in mapping.channels.items()
+        },
+        **{key: getattr(mapping, key) for key in ("rate_hz", "resample_hz", "frequency", "gap")},
+        "amplitude": None if math.isnan(mapping.amplitude) else mapping.amplitude,
+        "notes": list(mapping.notes),
+    }
+    texts = {key: json.dumps(value, ensure_ascii=False) for key, value in content.items() if value not in (None, [])}
+    lines = [f"{key}: {_WHOLE_BY_POWER.sub(lambda m: m[1] or f'{m[2]}.0e', text)}" for key, text in texts.items()]
+    return "\n".join(lines) + "\n"
+
+
+_WHOLE_BY_POWER = re.compile(r'("(?:[^"\\]|\\.)*")|(?<![\d.])(\d+)e')
+"""A text, or the begin of a number such as 1e-06: JSON writes it so, and in YAML it is a text without a point."""
+
+CALIBRATION = tuple(column.name for column in DAQ_INFO_COLUMNS if column.name not in ("name", "unit", "rate"))
+_OWN = ("column", "unit", "scale", "sensitivity", "sign", "offset")
+
+
+def _channel(name: str, given: AnyMapping[str, object], known: Channel | None) -> Channel:
+    _refuse_unknown(f"channels.{name}.", given, (*_OWN, *CALIBRATION))
+    values: dict[str, object] = {}
+    for key in ("column", "unit", "sensitivity"):
+        if key in given:
+            values[key] = _text(given[key])
+    for key in ("scale", "sign", "offset"):
+        if key in given:
+            values[key] = _number(f"channels.{name}.{key}", given[key])
+    figures = {k: _number(f"channels.{name}.{k}", given[k]) for k in CALIBRATION if k in given and k not in _OWN}
+    if known is None:
+        if "column" not in values:
+            raise ConfigError(f"channels.{name}.column is missing: the name of a signal in the file")
+        known = Channel(column=str(values["column"]))
+    return attrs.evolve(known, **values, calibration={**known.calibration, **figures})  # type: ignore[arg-type]
+
+
+def _section(key: str, value: object) -> dict[str, object]:
+    if value is None:
+        return {}
+    if not isinstance(value, dict):
+        raise ConfigError(f"{key} must be a mapping, got {_text(value)[:60]!r}")
+    return {str(name): one for name, one in value.items()}
+
+
+def _refuse_unknown(where: str, given: AnyMapping[str, object], known: Sequence[str]) -> None:
+    for name in given:
+        if name not in known:
+            raise ConfigError(f"unknown key {where}{name}{did_you_mean(name, known)}")
+
+
+def _number(key: str, value: object) -> float:
+    try:
+        number = float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else math.nan
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise ConfigError(f"{key} must be a finite number, got {_text(value)[:60]!r}")
+    return number
+
+
+def _text(value: object) -> str:
+    try:
+        return str(value)
+    except ValueError:  # Python does not write out the longest integers
+        return "a number beyond all measure"

@@ -1,0 +1,123 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Readers of imported files, one module a format, and the registry that chooses one."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import stat
+import warnings
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import ModuleType
+
+import attrs
+import numpy as np
+
+from impact_rig.errors import RecordingError
+from impact_rig.system import budget, files
+from impact_rig_studies.importing import isolation
+from impact_rig_studies.importing.limits import FILE_BYTES
+from impact_rig_studies.importing.readers import (
+    delimited,
+    hdf5,
+    labview,
+    matlab,
+    npz,
+    parquet,
+    rattlesnake,
+    tdms,
+    universal,
+    wav,
+)
+from impact_rig_studies.importing.signals import ImportedSignals
+
+
+@attrs.frozen
+class Format:
+    """File format and its reader."""
+
+    name: str  # for people: a WAV file
+    read: Callable[..., ImportedSignals]  # of path and content, and of the library where there is one
+    library: str = ""  # that the reader is given; empty: none
+    package: str = ""  # that brings it
+
+    def load(self) -> tuple[ModuleType, ...]:
+        """Return the library as arguments for the reader.
+
+        Raises:
+            RecordingError: it is not installed.
+        """
+        if not self.library:
+            return ()
+        try:
+            return (importlib.import_module(self.library),)
+        except ImportError as error:
+            raise RecordingError(f"{self.name} needs {self.package}: pip install 'impact_rig[import]'") from error
+
+
+TEXT = Format("a text table", delimited.read)
+MATLAB_5 = Format("a MATLAB 5 file", matlab.read_5, "scipy.io", "scipy")
+MATLAB_7_3 = Format("a MATLAB 7.3 file", matlab.read_7_3, "h5py", "h5py")
+NETCDF = Format("a Rattlesnake netCDF4 file", rattlesnake.read, "h5py", "h5py")
+UNIVERSAL = Format("a universal file", universal.read, "pyuff", "pyuff")
+FORMATS: Mapping[str, Format] = {
+    ".csv": TEXT, ".txt": TEXT, ".tsv": TEXT, ".dat": TEXT, ".asc": TEXT,
+    ".lvm": Format("a LabVIEW measurement file", labview.read),
+    ".tdms": Format("a TDMS file", tdms.read, "nptdms", "npTDMS"),
+    ".npz": Format("an npz file", npz.read),
+    ".parquet": Format("a Parquet file", parquet.read, "pyarrow.parquet", "pyarrow"),
+    ".wav": Format("a WAV file", wav.read),
+    ".uff": UNIVERSAL, ".unv": UNIVERSAL, ".uf": UNIVERSAL,
+    ".nc": NETCDF, ".nc4": NETCDF,
+    ".mat": MATLAB_5,
+}  # fmt: skip
+"""Formats by suffix."""
+
+
+def format_of(path: Path, content: bytes) -> Format:
+    """Return the format of a file: by its suffix, of MATLAB files by their content.
+
+    Raises:
+        RecordingError: the suffix is of no format.
+    """
+    found = FORMATS.get(path.suffix.lower())
+    if found is None:
+        raise RecordingError(f"{path}: its suffix must be one of {', '.join(FORMATS)}")
+    return MATLAB_7_3 if found is MATLAB_5 and hdf5.is_hdf5(content) else found
+
+
+def read(path: Path) -> ImportedSignals:
+    """Return the signals in a file; its suffix names the format.
+
+    The reader runs in a process of its own, with a limit on memory and time: a file that crashes or occupies a library
+    is an error.
+
+    Raises:
+        RecordingError: unknown suffix, a library is missing, or the file is damaged, empty or of another format.
+        BudgetError: it is larger than the budget.
+    """
+    if path.suffix.lower() not in FORMATS:
+        format_of(path, b"")
+    try:
+        if not stat.S_ISREG(path.stat().st_mode):
+            what = "a directory" if path.is_dir() else "no regular file"
+            raise RecordingError(f"{path} is {what}: a file of measurements is needed")
+        content = files.read_bytes(path, math.ceil(FILE_BYTES * budget.factor()))
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from error
+    if not content:
+        raise RecordingError(f"{path} is empty")
+    chosen = format_of(path, content)
+    found = isolation.run(path, chosen.name, len(content), lambda: _read(chosen, path, content), chosen.load)
+    if not any(len(one.values) for one in found.signals.values()) and not found.texts:
+        reasons = "; ".join(f"{name}: {why}" for name, why in found.left_out.items())[:300]
+        raise RecordingError(f"{path} holds no column of numbers{': ' + reasons if reasons else ''}")
+    return found
+
+
+def _read(chosen: Format, path: Path, content: bytes) -> ImportedSignals:
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")  # of libraries, about files they then refuse or read
+        return chosen.read(path, content, *chosen.load())

@@ -1,0 +1,271 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Reader of text tables of any locale: separator, decimal sign, code page, headings, units and times are found."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.errors import RecordingError
+from impact_rig_studies.importing import cells, headings
+from impact_rig_studies.importing.columns import signals_of
+from impact_rig_studies.importing.encodings import decode, split_lines
+from impact_rig_studies.importing.limits import allow_columns, allow_values
+from impact_rig_studies.importing.readers import labview
+from impact_rig_studies.importing.signals import ImportedSignals, UniqueNames
+
+HEADER_LINES = 200  # before the first row of numbers
+TRAILING_LINES = 20  # after the last row of numbers
+SAMPLED_LINES = 40
+DELIMITERS = ("\t", ";", ",", "|", None)  # None: blanks
+CHUNK_CELLS = 200_000
+COMMENTS = ("#", "%", "//", "!")
+WHOLE = 2**53  # up to which whole numbers are exact in a double
+LONGEST_QUOTED = 100_000  # characters of a line in which quotes have a meaning
+SHOWN = 40  # characters of a cell in a message
+_QUOTED = re.compile(r'"[^"]*"|\S+')
+
+
+@attrs.frozen
+class Layout:
+    """Structure of a text table."""
+
+    delimiter: str | None  # None: blanks
+    decimal: str  # `.` or `,`
+    width: int  # cells of a row
+    first: int  # line of the first row of numbers
+    words: frozenset[int] = frozenset()  # columns of words
+
+
+def read(path: Path, content: bytes) -> ImportedSignals:
+    """Read a text table.
+
+    Raises:
+        RecordingError: it has no rows of numbers, or a row that does not fit the others; the message names the line.
+    """
+    text, encoding = decode(content)
+    lines = split_lines(text)
+    if labview.is_labview(lines):
+        return labview.read_lines(path, lines)
+    layout = find_layout(lines)
+    if layout is None:
+        raise RecordingError(f"{path} has no row of numbers within its first {HEADER_LINES} lines")
+    names, units, others = _headings(lines[: layout.first], layout)
+    end = _end(lines, layout)
+    trailing = [line for line in lines[end:] if line.strip()]
+    allow_values(float(end - layout.first) * layout.width, len(content))
+    columns, skipped = read_rows(path, lines, layout, layout.first, end)
+    named = {}
+    for name, column in zip(names, columns, strict=True):
+        is_empty = column.dtype.kind == "f" and bool(np.all(np.isnan(column)))
+        if not (is_empty and name.startswith("column_")):  # a separator at the end of each row
+            named[name] = column
+    left_out = {f"line {end + 1} and after": f"no row of numbers: {trailing[0].strip()[:SHOWN]!r}"} if trailing else {}
+    left_out |= {f"line {number + 1}": "a comment" for number in skipped[:TRAILING_LINES]}
+    remarks = () if encoding.startswith("utf") else (f"the text was read as code page {encoding}",)
+    rate_hz = headings.stated_rate([*others, *trailing])
+    return signals_of(path, "text table", named, units, rate_hz, remarks, left_out)
+
+
+def find_layout(lines: Sequence[str]) -> Layout | None:
+    """Return separator, decimal sign, width and first row of a table; None: there are no rows of numbers."""
+    sample = _sample(lines)
+    best: tuple[int, int, int] = (0, 0, 0)
+    found: tuple[str | None, int, frozenset[int]] | None = None
+    for preference, delimiter in enumerate(DELIMITERS):
+        if delimiter is None and found is not None and found[1] > 1:
+            break  # blanks separate only where nothing else does: times contain them, too
+        rows = [split(line, delimiter) for line in sample]
+        if not rows:
+            return None
+        width, _ = Counter(map(len, rows)).most_common(1)[0]
+        fitting = [row for row in rows if len(row) == width]
+        numeric = [sum(_is_value(cell) for cell in column) for column in zip(*fitting, strict=True)]
+        filled = [sum(bool(cell.strip()) for cell in column) for column in zip(*fitting, strict=True)]
+        words = frozenset(j for j in range(width) if filled[j] and numeric[j] <= 0.5 * len(fitting))
+        if len(words) == width or not any(numeric[j] and filled[j] for j in range(width) if j not in words):
+            continue
+        rank = (len(fitting) * (width - len(words)) if width > 1 else 1, -len(words), -preference)
+        if rank > best:
+            best, found = rank, (delimiter, width, words)
+    if found is None:
+        return None
+    delimiter, width, words = found
+    rows = [row for row in (split(line, delimiter) for line in sample) if len(row) == width]
+    decimal = cells.decimal_sign([cell for row in rows for cell in row], delimiter)
+    layout = Layout(delimiter, decimal, width, 0, words)
+    for number, line in enumerate(lines[: HEADER_LINES + 1]):
+        if is_row(line, layout):
+            return attrs.evolve(layout, first=number)
+    return None
+
+
+def _sample(lines: Sequence[str]) -> list[str]:
+    """Return lines from the second half of a file, where there are hardly headings."""
+    usable = [number for number in range(len(lines) // 2, len(lines)) if lines[number].strip()]
+    usable = usable[: max(1, len(usable) - len(usable) // 20)]
+    picked = usable[:: max(1, len(usable) // SAMPLED_LINES)][:SAMPLED_LINES]
+    return [lines[number] for number in picked if not lines[number].startswith(COMMENTS)]
+
+
+def split(line: str, delimiter: str | None) -> list[str]:
+    """Return the cells of a line."""
+    if '"' in line and len(line) <= LONGEST_QUOTED:
+        if delimiter is None:
+            return [cell.strip('"') for cell in _QUOTED.findall(line)]
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])]
+    return [cell.strip() for cell in line.split(delimiter)]
+
+
+def _is_value(cell: str) -> bool:
+    """Return whether a cell is a number, a missing one or a time."""
+    return cells.number(cell) is not None or cells.number(cell, ",") is not None or cells.is_time(cell)
+
+
+def is_row(line: str, layout: Layout) -> bool:
+    """Return whether a line is a row of the table: its width, and a value in every column of numbers."""
+    if not line.strip() or line.startswith(COMMENTS):
+        return False
+    row = split(line, layout.delimiter)
+    if len(row) != layout.width:
+        return False
+    numbers = [row[j] for j in range(layout.width) if j not in layout.words]
+    return all(cells.number(cell, layout.decimal) is not None or cells.is_time(cell) for cell in numbers) and any(
+        cell for cell in numbers
+    )
+
+
+def _end(lines: Sequence[str], layout: Layout) -> int:
+    """Return the line after the last row of numbers; what follows it is no table."""
+    end = len(lines)
+    for _ in range(TRAILING_LINES):
+        while end > layout.first and not lines[end - 1].strip():
+            end -= 1
+        if end <= layout.first + 1 or is_row(lines[end - 1], layout):
+            break
+        end -= 1
+    return end
+
+
+def _headings(lines: Sequence[str], layout: Layout) -> tuple[list[str], dict[str, str], list[str]]:
+    """Return a name for each column, units by name, and the lines that are neither."""
+    width = layout.width
+    usable: list[tuple[int, list[str]]] = []
+    for number, line in enumerate(lines):
+        if not line.strip():
+            continue
+        row = split(line.lstrip("#%!/").strip("\r"), layout.delimiter)
+        if len(row) > width and not any(row[width:]):
+            row = row[:width]
+        if len(row) == width:
+            usable.append((number, row))
+    rows = usable[-3:]
+    used: set[int] = set()
+    names, units = [""] * width, [""] * width
+    if rows:
+        at = len(rows) - 1
+        if headings.is_units_row(rows[at][1]) and (at > 0 or width > 1):
+            units = headings.unit_cells(rows[at][1])
+            used.add(rows[at][0])
+            at -= 1
+        if at >= 0:
+            names = rows[at][1]
+            used.add(rows[at][0])
+            if not any(units) and at > 0 and headings.is_units_row(rows[at - 1][1]):
+                units = headings.unit_cells(rows[at - 1][1])
+                used.add(rows[at - 1][0])
+    allow_columns(width)
+    reserved = tuple({name for name in names if name})
+    given: set[str] = set()
+    later = UniqueNames(reserved)
+    unique = []
+    for j, name in enumerate(names):
+        if name and name not in given:
+            given.add(name)
+            unique.append(name)
+        else:
+            unique.append(later.unique(f"{name or 'column'}_{j}"))
+    others = [line for number, line in enumerate(lines) if number not in used]
+    return unique, {name: unit for name, unit in zip(unique, units, strict=True) if unit}, others
+
+
+def read_rows(
+    path: Path, lines: Sequence[str], layout: Layout, first: int, end: int
+) -> tuple[list[NDArray[np.generic]], list[int]]:
+    """Return the columns of rows first <= line < end, and the lines among them that are comments.
+
+    Raises:
+        RecordingError: a row does not fit; the message names line and cell.
+    """
+    step = max(1, CHUNK_CELLS // layout.width)
+    parts: list[list[NDArray[np.generic]]] = [[] for _ in range(layout.width)]
+    skipped: list[int] = []
+    for begin in range(first, end, step):
+        chunk = list(enumerate(lines[begin : min(begin + step, end)], begin))
+        for part, column in zip(parts, _chunk(path, chunk, layout, skipped), strict=True):
+            part.append(column)
+    columns = []
+    for j, part in enumerate(parts):
+        if {one.dtype.kind for one in part if one.size} > {"U"}:
+            raise RecordingError(f"{path}: column {j + 1} mixes numbers and words")
+        columns.append(np.concatenate(part) if part else np.zeros(0))
+    return columns, skipped
+
+
+def _chunk(path: Path, chunk: list[tuple[int, str]], layout: Layout, skipped: list[int]) -> list[NDArray[np.generic]]:
+    """Return the columns of some rows: by NumPy's reader where all cells are plain numbers, else cell by cell."""
+    plain = [(number, line) for number, line in chunk if line.strip()]
+    if not layout.words and not any('"' in line or "_" in line for _, line in plain):
+        rows = [line for _, line in plain]
+        if layout.decimal == ",":
+            rows = [line.replace(",", ".") for line in rows] if not any("." in line for line in rows) else []
+        try:
+            table = np.loadtxt(rows, np.float64, comments=None, delimiter=layout.delimiter, ndmin=2) if rows else None
+        except ValueError:
+            table = None
+        fits = table is not None and table.shape == (len(plain), layout.width)
+        if table is not None and fits and np.abs(table[:, 0]).max(initial=0.0) < WHOLE:
+            return list(np.ascontiguousarray(table.T))
+    kept: list[list[str]] = []
+    numbers: list[int] = []
+    for number, line in plain:
+        if line.startswith(COMMENTS):
+            skipped.append(number)
+            continue
+        row = split(line, layout.delimiter)
+        if len(row) > layout.width and not any(row[layout.width :]):
+            row = row[: layout.width]
+        if len(row) != layout.width:
+            raise RecordingError(
+                f"{path}: line {number + 1} has {len(row)} cells, the first row of numbers (line "
+                f"{layout.first + 1}) has "
+                f"{layout.width}"
+            )
+        kept.append(row)
+        numbers.append(number)
+    return [_column(path, [row[j] for row in kept], numbers, j, layout) for j in range(layout.width)]
+
+
+def _column(path: Path, column: list[str], numbers: list[int], j: int, layout: Layout) -> NDArray[np.generic]:
+    """Return a column of cells as whole numbers, numbers, or words (times are among these)."""
+    if j in layout.words or (column and cells.is_time(column[0]) and cells.number(column[0], layout.decimal) is None):
+        return np.array(column, dtype=str) if column else np.zeros(0)
+    if j == 0 and column and all(cell.isascii() and cell.isdigit() and len(cell) < 20 for cell in column):
+        whole = [int(cell) for cell in column]
+        if max(whole) >= WHOLE:
+            return np.array(whole, np.int64) if max(whole) < 2**63 else np.array(whole, np.float64)
+    values = np.empty(len(column))
+    for place, cell in enumerate(column):
+        value = cells.number(cell, layout.decimal)
+        if value is None:
+            raise RecordingError(f"{path}: line {numbers[place] + 1}, column {j + 1}: {cell[:SHOWN]!r} is no number")
+        values[place] = value
+    return values

@@ -1,0 +1,84 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Safe access to HDF5 files: only what is inside the file itself is read."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from types import ModuleType
+from typing import Any  # objects of h5py, which is of an extra
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.errors import RecordingError
+from impact_rig_studies.importing.limits import COLUMNS, allow_columns, allow_values
+
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+DEEPEST = 8
+PLACES = (0, 512, 1024, 2048)  # where the content of a file may begin
+
+
+def is_hdf5(content: bytes) -> bool:
+    """Return whether a file is HDF5."""
+    return any(content[place : place + len(SIGNATURE)] == SIGNATURE for place in PLACES)
+
+
+@attrs.define
+class Hdf5Tree:
+    """Groups and datasets of a file, and what was left out of it."""
+
+    library: ModuleType  # h5py
+    file_bytes: int
+    left_out: dict[str, str] = attrs.field(factory=dict)
+    _values: int = 0
+
+    def open(self, content: bytes) -> Any:
+        """Return the root of a file."""
+        return self.library.File(io.BytesIO(content), "r")
+
+    def members(self, group: Any) -> Iterator[tuple[str, Any]]:
+        """Yield names and objects of a group; links that leave the file are left out."""
+        for number, name in enumerate(group):
+            if number >= COLUMNS:
+                self.left_out[f"{group.name}"] = f"members after the first {COLUMNS}"
+                return
+            link = group.get(name, getlink=True)
+            if isinstance(link, self.library.ExternalLink):
+                self.left_out[name] = "a link to another file, which is not followed"
+            elif isinstance(link, self.library.SoftLink):
+                self.left_out[name] = "a soft link, which is not followed"
+            else:
+                yield name, group[name]
+
+    def array(self, name: str, dataset: Any) -> NDArray[Any] | None:
+        """Return the content of a dataset; None: it is left out."""
+        if dataset.external:
+            raise RecordingError(f"{name} keeps its data in another file, which is not opened")
+        if dataset.is_virtual:
+            raise RecordingError(f"{name} is a view of other datasets, which are not opened")
+        self._values += int(dataset.size or 0)
+        allow_values(self._values, self.file_bytes)
+        if dataset.shape is None:
+            self.left_out[name] = "empty"
+            return None
+        return np.asarray(dataset[...])
+
+    def texts(self, name: str, dataset: Any) -> list[str]:
+        """Return a dataset of texts."""
+        values = self.array(name, dataset)
+        words = [] if values is None else values.reshape(-1).tolist()
+        allow_columns(len(words))
+        return [one.decode("utf-8", "replace") if isinstance(one, bytes) else str(one) for one in words]
+
+
+def attribute(holder: Any, name: str) -> Any:
+    """Return an attribute as a plain value; None: it has none of this name."""
+    if name not in holder.attrs:
+        return None
+    value = holder.attrs[name]
+    if isinstance(value, np.ndarray):
+        value = value.reshape(-1)[0] if value.size else None
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else value

@@ -1,0 +1,49 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Reader of NumPy archives (npz)."""
+
+from __future__ import annotations
+
+import io
+import math
+import zipfile
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.errors import RecordingError
+from impact_rig_studies.importing.columns import signals_of
+from impact_rig_studies.importing.limits import allow_bytes, allow_columns
+from impact_rig_studies.importing.signals import ImportedSignals
+
+
+def read(path: Path, content: bytes) -> ImportedSignals:
+    """Read all arrays; their sizes are checked before they are decompressed.
+
+    Raises:
+        RecordingError: an array is shorter than it claims.
+    """
+    columns: dict[str, NDArray[np.generic]] = {}
+    left_out: dict[str, str] = {}
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        members = archive.infolist()
+        allow_columns(len(members))
+        allow_bytes(sum(one.file_size for one in members), len(content))
+        for member in members:
+            name = member.filename.removesuffix(".npy")
+            with archive.open(member) as stream:
+                version = np.lib.format.read_magic(stream)
+                form = np.lib.format
+                header = form.read_array_header_1_0 if version == (1, 0) else form.read_array_header_2_0
+                shape, _, dtype = header(stream)
+            if dtype.hasobject:
+                left_out[name] = "Python objects, which are not loaded"
+                continue
+            if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > member.file_size:
+                raise RecordingError(
+                    f"{path}: {member.filename} has {member.file_size} bytes and claims {shape} of {dtype}"
+                )
+            with archive.open(member) as stream:
+                columns[name] = np.lib.format.read_array(stream, allow_pickle=False)
+    return signals_of(path, "npz", columns, left_out=left_out)

@@ -1,0 +1,35 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Reader of Parquet files, by pyarrow."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from types import ModuleType
+
+from impact_rig_studies.importing.columns import signals_of
+from impact_rig_studies.importing.limits import allow_bytes, allow_columns, allow_values
+from impact_rig_studies.importing.signals import ImportedSignals
+
+
+def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
+    """Read all columns; what the file claims to hold is checked before it is decompressed."""
+    pyarrow = __import__("pyarrow")
+    pyarrow.set_memory_pool(pyarrow.system_memory_pool())  # the others reserve far more than they use
+    file = library.ParquetFile(io.BytesIO(content))
+    allow_columns(file.metadata.num_columns)
+    allow_values(float(file.metadata.num_rows) * file.metadata.num_columns, len(content))
+    groups = range(file.metadata.num_row_groups)
+    allow_bytes(sum(file.metadata.row_group(number).total_byte_size for number in groups), len(content))
+    table = file.read(use_threads=False)
+    units = {
+        field.name: (field.metadata or {}).get(b"unit", b"").decode("utf-8", "replace") for field in file.schema_arrow
+    }
+    columns, left_out = {}, {}
+    for name in table.column_names:
+        try:
+            columns[name] = table.column(name).to_numpy()
+        except (TypeError, ValueError, NotImplementedError) as error:  # those of pyarrow derive from these
+            left_out[name] = f"no numbers: {error}"[:100]
+    return signals_of(path, "Parquet", columns, {name: unit for name, unit in units.items() if unit}, left_out=left_out)

@@ -1,0 +1,73 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Reader of the netCDF4 files that Rattlesnake streams: `time_data`, further streams `time_data_N`, table `channels`.
+
+Each start of a stream makes a new variable (Rattlesnake, `components/streaming.py`).
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+
+from impact_rig.errors import RecordingError
+from impact_rig_studies.importing.limits import allow_columns
+from impact_rig_studies.importing.readers.hdf5 import Hdf5Tree, attribute
+from impact_rig_studies.importing.signals import ImportedSignals, Signal, UniqueNames, even_times
+
+STREAM = re.compile(r"time_data(?:_(\d{1,6}))?")
+
+
+def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
+    """Read all streams; where there are several, the names of the longest are plain.
+
+    Raises:
+        RecordingError: it is no such file.
+    """
+    tree = Hdf5Tree(library, len(content))
+    with tree.open(content) as file:
+        members = dict(tree.members(file))
+        streams = {name: one for name, one in members.items() if STREAM.fullmatch(name) and hasattr(one, "shape")}
+        rate = attribute(file, "sample_rate")
+        if not streams or rate is None:
+            raise RecordingError(
+                f"{path} has no variable time_data or no attribute sample_rate: Rattlesnake writes both"
+            )
+        rate_hz = float(rate)
+        if not (np.isfinite(rate_hz) and rate_hz > 0.0):
+            raise RecordingError(f"{path}: its sample_rate is {rate_hz:g} Hz")
+        table = dict(tree.members(members["channels"])) if "channels" in members else {}
+        longest = max(streams, key=lambda name: streams[name].shape[-1] if streams[name].shape else 0)
+        signals: dict[str, Signal] = {}
+        names = UniqueNames()
+        for name in sorted(streams, key=lambda name: (name != longest, name)):
+            values = tree.array(name, streams[name])
+            if values is None:
+                continue
+            rows = np.atleast_2d(values.astype(np.float64))
+            allow_columns(len(rows))
+            words = {
+                key: texts if len(texts) == len(rows) else [""] * len(rows)
+                for key in ("comment", "node_number", "node_direction", "unit")
+                for texts in [tree.texts(key, table[key]) if key in table else []]
+            }
+            for number, row in enumerate(rows):
+                node = f"{words['node_number'][number]}{words['node_direction'][number]}".strip()
+                plain = words["comment"][number].strip() or node or f"channel_{number}"
+                own = plain if name == longest else f"{name} {plain}"
+                signals[names.unique(own)] = Signal(
+                    row, words["unit"][number].strip(), even_times(rate_hz), origin=f"{name}, channel {number + 1}"
+                )
+    remarks: tuple[str, ...] = ()
+    if len(streams) > 1:
+        lengths = ", ".join(f"{name} {streams_s:g} s" for name, streams_s in _lengths(signals, rate_hz).items())
+        remarks = (f"{len(streams)} streams ({lengths}): plain names are those of the longest, {longest}",)
+    return ImportedSignals(path, "Rattlesnake netCDF4", signals, left_out=tree.left_out, remarks=remarks)
+
+
+def _lengths(signals: dict[str, Signal], rate_hz: float) -> dict[str, float]:
+    """Return the length of each stream [s]."""
+    return {one.origin.partition(",")[0]: len(one.values) / rate_hz for one in signals.values()}

@@ -1,0 +1,131 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Reader of LabVIEW TDMS files, by npTDMS."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+
+from impact_rig.errors import RecordingError
+from impact_rig.simtime import NS_PER_S
+from impact_rig_studies.importing import headings, units
+from impact_rig_studies.importing.limits import allow_columns, allow_values
+from impact_rig_studies.importing.signals import (
+    NO_ABSCISSA,
+    Abscissa,
+    AbscissaKind,
+    ImportedSignals,
+    Real,
+    Signal,
+    SignalKind,
+    UniqueNames,
+)
+
+UNIT_KEYS = ("unit_string", "NI_UnitDescription", "NI_ChannelUnit", "Unit", "unit", "Units", "units", "UnitSymbol")
+
+
+def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
+    """Read all channels of all groups.
+
+    Raises:
+        RecordingError: it holds no channel of numbers.
+    """
+    file = library.TdmsFile.read_metadata(io.BytesIO(content))
+    channels = [channel for group in file.groups() for channel in group.channels()]
+    allow_columns(len(channels))
+    allow_values(sum(len(channel) for channel in channels), len(content))
+    file = library.TdmsFile.read(io.BytesIO(content))
+    left_out: dict[str, str] = {}
+    signals: dict[str, Signal] = {}
+    names = UniqueNames()
+    several = len(file.groups()) > 1
+    counts: dict[str, int] = {}
+    for group in file.groups():
+        for channel in group.channels():
+            counts[channel.name] = counts.get(channel.name, 0) + 1
+    start_ns: int | None = None
+    for group in file.groups():
+        listed = _listed_times(group)
+        for channel in group.channels():
+            origin = f"{group.name}/{channel.name}"
+            values = np.asarray(channel[:])
+            if values.dtype.kind == "M" or (listed is not None and channel.name == listed[0]):
+                if listed is None or channel.name != listed[0]:
+                    left_out[origin] = "time stamps"
+                continue
+            if values.dtype.kind not in "fiub":
+                left_out[origin] = "complex numbers" if values.dtype.kind == "c" else "no numbers"
+                continue
+            if not len(values):
+                left_out[origin] = "no values"
+                continue
+            unit = next((str(channel.properties[key]).strip() for key in UNIT_KEYS if channel.properties.get(key)), "")
+            plain, own = headings.split_unit(channel.name)
+            abscissa, kind = _abscissa(channel, None if listed is None else listed[1], len(values))
+            name = plain if counts[channel.name] == 1 or not several else f"{group.name} {plain}"
+            signals[names.unique(name)] = Signal(values.astype(np.float64), unit or own, abscissa, kind, origin)
+            if start_ns is None:
+                start_ns = _start_ns(channel)
+    if not signals:
+        reasons = "; ".join(f"{name}: {why}" for name, why in left_out.items())[:200]
+        raise RecordingError(f"{path} holds no channel of numbers{': ' + reasons if reasons else ''}")
+    return ImportedSignals(path, "TDMS", signals, start_ns, left_out=left_out)
+
+
+def _abscissa(channel: object, listed: Real | None, count: int) -> tuple[Abscissa, SignalKind]:
+    """Return the abscissa of a channel: of its waveform, or listed in another channel of its group."""
+    properties: dict[str, object] = channel.properties  # type: ignore[attr-defined]  # of an untyped library
+    step = _number(properties.get("wf_increment"))
+    offset = _number(properties.get("wf_start_offset")) or 0.0
+    words = " ".join(str(properties.get(key, "")) for key in ("wf_xname", "wf_xunit_string")).lower()
+    if step is not None and step > 0.0:
+        if "freq" in words or "hz" in words.split():
+            return Abscissa(AbscissaKind.FREQUENCY, "Hz", offset, step), SignalKind.SPECTRUM
+        unit = str(properties.get("wf_xunit_string") or "s").strip()
+        factor = units.unit_factor(unit, "s") if units.quantity(unit) == "s" else None
+        if factor is None:
+            return Abscissa(AbscissaKind.OTHER, unit, offset, step), SignalKind.OTHER
+        return Abscissa(AbscissaKind.TIME, unit, offset * factor, step * factor), SignalKind.TIME_RESPONSE
+    if listed is not None and len(listed) == count:
+        return Abscissa(AbscissaKind.TIME, "s", float(listed[0]), None, listed - listed[0]), SignalKind.TIME_RESPONSE
+    return NO_ABSCISSA, SignalKind.TIME_RESPONSE
+
+
+def _listed_times(group: object) -> tuple[str, Real] | None:
+    """Return name and times [s] of the channel of a group that holds times."""
+    for channel in group.channels():  # type: ignore[attr-defined]  # as above
+        name, unit = headings.split_unit(channel.name)
+        values = np.asarray(channel[:])
+        if values.dtype.kind == "M" and len(values) > 1:
+            ns = values.astype("datetime64[ns]").astype(np.int64)
+            return channel.name, (ns - ns[0]) / NS_PER_S
+        unit = unit or next((str(channel.properties[key]) for key in UNIT_KEYS if channel.properties.get(key)), "")
+        unit = headings.time_unit(name, unit) or "s"
+        if (
+            headings.is_time_name(name)
+            and values.dtype.kind in "fiu"
+            and len(values) > 1
+            and units.quantity(unit) == "s"
+        ):
+            return channel.name, values.astype(np.float64) * (units.unit_factor(unit, "s") or 1.0)
+    return None
+
+
+def _start_ns(channel: object) -> int | None:
+    begin = channel.properties.get("wf_start_time")  # type: ignore[attr-defined]  # as above
+    if not isinstance(begin, np.datetime64) or np.isnat(begin):
+        return None
+    ns = int(begin.astype("datetime64[ns]").astype(np.int64))
+    return ns if 0 < ns < 2**62 else None
+
+
+def _number(value: object) -> float | None:
+    try:
+        number = float(value)  # type: ignore[arg-type]  # whatever a property holds
+    except (TypeError, ValueError):
+        return None
+    return number if np.isfinite(number) else None

@@ -1,0 +1,160 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Reader of universal files (UFF 58 and 58b), by pyuff: every abscissa and function type keeps its meaning."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from types import ModuleType
+from typing import Any  # datasets of pyuff
+
+import numpy as np
+
+from impact_rig.errors import RecordingError
+from impact_rig_studies.importing import units
+from impact_rig_studies.importing.limits import allow_columns, allow_values
+from impact_rig_studies.importing.signals import (
+    Abscissa,
+    AbscissaKind,
+    ImportedSignals,
+    Signal,
+    SignalKind,
+    UniqueNames,
+)
+
+FUNCTIONS = {
+    0: "general or unknown", 1: "time response", 2: "auto spectrum", 3: "cross spectrum",
+    4: "frequency response function",
+    5: "transmissibility", 6: "coherence", 7: "auto correlation", 8: "cross correlation", 9: "power spectral density",
+    10: "energy spectral density", 11: "probability density function", 12: "spectrum",
+    13: "cumulative frequency distribution",
+    14: "peaks valley", 15: "stress/cycles", 16: "strain/cycles", 17: "orbit", 18: "mode indicator function",
+    19: "force pattern", 20: "partial power", 21: "partial coherence", 22: "eigenvalue", 23: "eigenvector",
+    24: "shock response spectrum", 25: "finite impulse response filter", 26: "multiple coherence", 27: "order function",
+    28: "phase compensation",
+}  # fmt: skip
+TIME, FREQUENCY, UNKNOWN = 17, 18, 0  # specific data types of an abscissa
+QUANTITIES = {8: "displacement", 11: "velocity", 12: "acceleration"}  # specific data types of an ordinate
+SYSTEMS = {1: "m", 3: "m", 5: "mm", 6: "cm", 7: "in", 9: "mm"}  # unit of length by the code of dataset 164
+_PER_SECONDS = {8: "", 11: "/s", 12: "/s^2"}
+SINGLE_DIGITS = 6  # significant digits of header values (format 13.5e)
+READABLE = (58, 164)
+
+
+def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
+    """Read the time responses; all other datasets are left out with their reason.
+
+    Raises:
+        RecordingError: there is none, or the file is cut off.
+    """
+    if not content.rstrip().endswith(b"-1"):
+        raise RecordingError(
+            f"{path} is no complete universal file: it does not end with the line -1, it may be cut off"
+        )
+    with tempfile.TemporaryDirectory(prefix="impact_rig_uff_") as folder:  # pyuff opens files by name only
+        named = Path(folder) / "all.uff"
+        named.write_bytes(content)
+        file = library.UFF(str(named))
+        types = [int(kind) for kind in file.get_set_types()]
+        allow_columns(len(types))
+        left_out: dict[str, str] = {}
+        signals: dict[str, Signal] = {}
+        names = UniqueNames()
+        system = ""
+        total = 0
+        for number, kind in enumerate(types):
+            label = f"dataset {number + 1}"
+            if kind not in READABLE:
+                left_out[label] = f"of type {kind}: no function"
+                continue
+            try:
+                one = file.read_sets(number)
+            except Exception as error:  # whatever pyuff raises of a damaged dataset
+                left_out[label] = f"damaged or cut off: {' '.join(str(error).split())[:80] or type(error).__name__}"
+                continue
+            if kind == 164:
+                system = SYSTEMS.get(int(one.get("units_code", 0)), "")
+                continue
+            data = np.asarray(one["data"])
+            total += data.size
+            allow_values(total, len(content))
+            _add(one, data, number, system, signals, names, left_out)
+    if not signals:
+        reasons = "; ".join(f"{name}: {why}" for name, why in left_out.items())
+        raise RecordingError(f"{path} holds no time response (dataset 58, function type 1): {reasons[:300]}")
+    return ImportedSignals(path, "universal file", signals, left_out=left_out)
+
+
+def _add(
+    one: dict[str, Any],
+    data: Any,
+    number: int,
+    system: str,
+    signals: dict[str, Signal],
+    names: UniqueNames,
+    left_out: dict[str, str],
+) -> None:
+    """Add a dataset 58 to the signals, or to what is left out."""
+    words = [str(one.get(key, "")).strip() for key in ("id1", "rsp_ent_name")]
+    plain = next((word for word in words if word and word.upper() != "NONE"), f"dataset_{number}")
+    label = f"dataset {number + 1} ({plain})"
+    function = int(one.get("func_type", 0))
+    abscissa = _abscissa(one, len(data))
+    quantity = int(one.get("abscissa_spec_data_type", 0) or 0)
+    if function not in (0, 1):
+        left_out[label] = f"a function of type {function}: {FUNCTIONS.get(function, 'unknown')}"
+        return
+    if np.iscomplexobj(data):
+        left_out[label] = "complex numbers: a spectrum"
+        return
+    if abscissa.kind is AbscissaKind.FREQUENCY:
+        left_out[label] = "a spectrum: its abscissa is a frequency"
+        return
+    if abscissa.kind is not AbscissaKind.TIME:
+        left_out[label] = f"no time response: its abscissa is of type {quantity} [{abscissa.unit or 'no unit'}]"
+        return
+    if not np.isfinite(abscissa.start):
+        left_out[label] = "its abscissa begins with no number"
+        return
+    node = f"{one.get('rsp_node', 0)}:{one.get('rsp_dir', 0)}"
+    name = names.unique(plain if plain not in signals else f"{plain} {node}")
+    signals[name] = Signal(
+        np.asarray(data, np.float64), _unit(one, system), abscissa, SignalKind.TIME_RESPONSE, f"dataset {number + 1}"
+    )
+
+
+def _abscissa(one: dict[str, Any], count: int) -> Abscissa:
+    """Return the abscissa of a dataset: its header states kind, spacing and unit."""
+    quantity = int(one.get("abscissa_spec_data_type", UNKNOWN) or UNKNOWN)
+    unit = _label(one.get("abscissa_axis_units_lab"))
+    words = _label(one.get("abscissa_axis_lab")).lower()
+    if quantity not in (TIME, UNKNOWN) or units.quantity(unit or "s") == "Hz" or words.startswith("freq"):
+        kind = AbscissaKind.FREQUENCY if quantity in (FREQUENCY, TIME, UNKNOWN) else AbscissaKind.OTHER
+        return Abscissa(kind, unit)
+    factor = units.unit_factor(unit, "s") if unit and units.quantity(unit) == "s" else None if unit else 1.0
+    if factor is None:
+        return Abscissa(AbscissaKind.OTHER, unit)
+    x = np.asarray(one["x"], np.float64) * factor
+    if int(one.get("abscissa_spacing", 0)) == 1:
+        step = float(one.get("abscissa_inc", 0.0)) * factor
+        start = float(one.get("abscissa_min", 0.0)) * factor
+        if not (np.isfinite(step) and step > 0.0):
+            return Abscissa(AbscissaKind.OTHER, unit, note=f"its increment is {step:g}")
+        resolution = 0.51 * 10.0 ** (np.floor(np.log10(step)) - SINGLE_DIGITS + 1)
+        return Abscissa(AbscissaKind.TIME, unit or "s", start, step, None, float(resolution))
+    if len(x) != count or not count:
+        return Abscissa(AbscissaKind.OTHER, unit, note="times and values differ in number")
+    return Abscissa(AbscissaKind.TIME, unit or "s", float(x[0]), None, x - x[0])
+
+
+def _unit(one: dict[str, Any], system: str) -> str:
+    """Return the unit of the ordinate: its label, else what its quantity has in the file's system of units."""
+    label = _label(one.get("ordinate_axis_units_lab"))
+    quantity = int(one.get("ordinate_spec_data_type", 0) or 0)
+    return label or (system + _PER_SECONDS[quantity] if system and quantity in QUANTITIES else "")
+
+
+def _label(value: object) -> str:
+    text = str(value or "").strip()
+    return "" if text.upper() == "NONE" else text

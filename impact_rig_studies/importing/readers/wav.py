@@ -1,0 +1,99 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Reader of WAV files: PCM of 8 to 64 bits and floating point, with the length that is really there."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+
+from impact_rig.errors import RecordingError
+from impact_rig_studies.importing.limits import allow_columns, allow_values
+from impact_rig_studies.importing.signals import ImportedSignals, Real, Signal, even_times
+
+PCM, FLOAT, EXTENSIBLE = 1, 3, 0xFFFE
+UNIT = "full scale"
+_UNKNOWN_SIZE = (0, 0xFFFFFFFF)  # of a chunk that was written to a stream
+
+
+def read(path: Path, content: bytes) -> ImportedSignals:
+    """Read all channels; full scale is 1.
+
+    Raises:
+        RecordingError: it is no WAV file, or of an encoding that holds no samples as they are.
+    """
+    if content[:4] not in (b"RIFF", b"RIFX", b"RF64") or content[8:12] != b"WAVE":
+        raise RecordingError(f"{path} is no WAV file: it does not begin with RIFF … WAVE")
+    order = ">" if content[:4] == b"RIFX" else "<"
+    form, data, claimed = _chunks(path, content, order)
+    code, channels, rate, _, block, bits = struct.unpack(f"{order}HHIIHH", form[:16])
+    if code == EXTENSIBLE and len(form) >= 26:
+        code = struct.unpack(f"{order}H", form[24:26])[0]
+    if code not in (PCM, FLOAT):
+        raise RecordingError(f"{path}: a WAV file of encoding {code:#x}; PCM (1) and floating point (3) are read")
+    width = block // channels if channels else 0
+    if not (
+        channels and rate and width in (1, 2, 3, 4, 5, 6, 7, 8) and block == width * channels and 0 < bits <= 8 * width
+    ):
+        raise RecordingError(
+            f"{path}: damaged WAV header: {channels} channels, {rate} Hz, {bits} bits in {block} bytes a scan"
+        )
+    if code == FLOAT and width not in (4, 8):
+        raise RecordingError(f"{path}: a WAV file of floating point with {bits} bits; 32 and 64 are read")
+    allow_columns(channels)
+    count = len(data) // block
+    allow_values(count * channels, len(content))
+    values = _samples(data[: count * block], order, code, width, bits).reshape(count, channels)
+    signals = {
+        f"channel_{j}": Signal(
+            np.ascontiguousarray(values[:, j]), UNIT, even_times(float(rate)), origin=f"channel {j + 1}"
+        )
+        for j in range(channels)
+    }
+    left_out = {}
+    if claimed > len(data):
+        left_out["end of the file"] = (
+            f"the header claims {claimed // block} scans, {count} are there: "
+            f"{(claimed - len(data)) / claimed:.0%} is missing"
+        )
+    return ImportedSignals(path, "WAV", signals, left_out=left_out)
+
+
+def _chunks(path: Path, content: bytes, order: str) -> tuple[bytes, memoryview, int]:
+    """Return the format chunk, the samples that are there, and how many bytes of them the header claims."""
+    form, at, wide = b"", 12, 0
+    while at + 8 <= len(content):
+        name, size = content[at : at + 4], struct.unpack(f"{order}I", content[at + 4 : at + 8])[0]
+        begin = at + 8
+        if name == b"ds64" and size >= 16:
+            wide = struct.unpack(f"{order}Q", content[begin + 8 : begin + 16])[0]
+        elif name == b"fmt ":
+            form = content[begin : begin + size]
+        elif name == b"data":
+            if len(form) < 16:
+                raise RecordingError(f"{path}: damaged WAV file: no format before its samples")
+            if size == 0xFFFFFFFF and wide:
+                size = wide
+            there = len(content) - begin
+            claimed = there if size in _UNKNOWN_SIZE else size
+            return form, memoryview(content)[begin : begin + min(claimed, there)], claimed
+        at = begin + size + size % 2
+    raise RecordingError(f"{path}: damaged WAV file: it has no {'samples' if form else 'format'}")
+
+
+def _samples(data: memoryview, order: str, code: int, width: int, bits: int) -> Real:
+    """Return samples as parts of full scale, shape (n,); PCM is signed, but 8 bits and less are unsigned."""
+    if code == FLOAT:
+        return np.frombuffer(data, f"{order}f{width}").astype(np.float64)
+    if bits <= 8 and width == 1:
+        return (np.frombuffer(data, np.uint8).astype(np.float64) - 128.0) / 128.0
+    if width in (2, 4, 8):
+        whole = np.frombuffer(data, f"{order}i{width}")
+        return whole.astype(np.float64) / 2.0 ** (8 * width - 1)
+    parts = np.frombuffer(data, np.uint8).reshape(-1, width)
+    parts = parts if order == "<" else parts[:, ::-1]
+    padded = np.zeros((len(parts), 8), np.uint8)  # the sample as the upper bytes of a 64-bit number
+    padded[:, 8 - width :] = parts
+    return padded.view("<i8").reshape(-1).astype(np.float64) / 2.0**63

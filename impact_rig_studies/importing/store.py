@@ -1,0 +1,117 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Imported measurements as runs on disk, with what the analysis finds in them."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+import impact_rig
+from impact_rig import codec, topics
+from impact_rig.analysis.settings import parse_label
+from impact_rig.analysis.tracker import Findings, Tracker
+from impact_rig.blocks import APPLIED, Table
+from impact_rig.errors import RecordingError
+from impact_rig.recording import Attachment, Provenance, RunWriter, TopicDescription
+from impact_rig.recording.description import MEASURED, MODE_KEY
+from impact_rig.simtime import NS_PER_S, stamp_ns
+from impact_rig_studies.importing.conversion import ImportedRun
+from impact_rig_studies.importing.mapping import as_yaml
+
+MAPPING_FILE = "mapping.yaml"  # attachment with the mapping in use
+SOURCE_FILE = "source.json"  # attachment with what was read, assumed and left out
+BLOCK_S, BLOCK_SCANS = 0.1, 4000
+WRITTEN = (topics.INFO, topics.APPLIED, topics.NOTES, topics.SCAN, topics.TRANSMISSIBILITY_TABLE, topics.IMPACTS)
+
+
+def write(found: ImportedRun, directory: Path, clock_ns: int | None = None) -> Path:
+    """Write a measurement as a run, with what the analysis finds in it; return the directory.
+
+    Raises:
+        RecordingError: it cannot be written, or holds a recording already.
+    """
+    now = time.time_ns() if clock_ns is None else clock_ns
+    about = {MODE_KEY: MEASURED, "source": found.source.path.name, "format": found.source.format}
+    provenance = Provenance(version=impact_rig.__version__, seed=0, wall_start_ns=now, extra=about)
+    kept = (
+        Attachment(MAPPING_FILE, as_yaml(found.mapping).encode(), "application/yaml"),
+        Attachment(SOURCE_FILE, json.dumps(describe(found), ensure_ascii=False, indent=1).encode(), "application/json"),
+    )
+    if directory.is_dir() and any(directory.iterdir()):
+        raise RecordingError(f"{directory} is not empty: nothing is overwritten")
+    numbers: dict[str, int] = {}
+    with RunWriter(directory, provenance=provenance, attachments=kept, clock=time.monotonic) as writer:
+        for topic in WRITTEN:
+            writer.add_topic(TopicDescription(name=f"/{topic.name}", type_name=topic.type_name))
+
+        def put(topic: topics.Topic, data: bytes) -> None:
+            numbers[topic.name] = numbers.get(topic.name, 0) + 1
+            writer.write(f"/{topic.name}", data, now, numbers[topic.name])
+
+        def put_findings(findings: Findings) -> None:
+            for one in findings.impacts:
+                put(topics.IMPACTS, codec.encode(one))
+            for one in findings.measurements:
+                put(topics.TRANSMISSIBILITY_TABLE, codec.encode(one))
+
+        tracker = Tracker()
+        for topic, one in _heads(found):
+            put(topic, one if isinstance(one, bytes) else codec.encode(one))
+            if isinstance(one, Table):
+                (tracker.configure if topic is topics.INFO else tracker.on_applied)(one)
+        for label in filter(None, map(parse_label, found.labels)):
+            tracker.label(label.gap_m, label.stamp_ns)
+        for block in _blocks(found):
+            put(topics.SCAN, codec.encode(block))
+            put_findings(tracker.feed(block))
+        put_findings(tracker.flush())
+    return directory
+
+
+def describe(found: ImportedRun) -> dict[str, object]:
+    """Return what was read from a file, assumed about it and left out, for programs."""
+    source = found.source
+    used = {one.column: name for name, one in found.mapping.channels.items()}
+    return {
+        "file": str(source.path), "format": source.format, "rate_hz": found.rate_hz, "scans": len(found.rows),
+        "channels": {name: one.column for name, one in found.mapping.channels.items()},
+        "signals": [
+            {
+                "name": name, "unit": one.unit, "kind": one.kind.value, "values": len(one.values),
+                "abscissa": str(one.abscissa), "origin": one.origin, "channel": used.get(name, ""),
+            }
+            for name, one in source.signals.items()
+        ],
+        "drive": [{"stamp_ns": t, "frequency_hz": f, "amplitude": a} for t, f, a in found.drive],
+        "notes": list(found.labels), "assumptions": list(found.doubts), "left_out": dict(source.left_out),
+    }  # fmt: skip
+
+
+def _heads(found: ImportedRun) -> Iterator[tuple[topics.Topic, Table | bytes]]:
+    """Yield what is known before the first scan."""
+    yield topics.INFO, Table(found.start_ns, found.info)
+    for instant, frequency, current in found.drive:
+        row = np.zeros(1, APPLIED)
+        row["frequency"], row["current"] = frequency, current
+        row["sample"] = max(0, round((instant - found.start_ns) * found.rate_hz / NS_PER_S))
+        yield topics.APPLIED, Table(instant, row)
+    for text in found.labels:
+        words = text.encode() + b"\0"
+        yield topics.NOTES, b"\x00\x01\x00\x00" + len(words).to_bytes(4, "little") + words
+
+
+def _blocks(found: ImportedRun) -> Iterator[Table]:
+    """Yield the scans in blocks, a new one after each loss."""
+    length = max(1, min(BLOCK_SCANS, round(BLOCK_S * found.rate_hz)))
+    cuts = [0, *(np.flatnonzero(np.diff(found.index) != 1) + 1).tolist(), len(found.index)]
+    for first, end in itertools.pairwise(cuts):
+        for begin in range(first, end, length):
+            rows = found.rows[begin : min(begin + length, end)].copy()
+            rows["time"] = np.arange(len(rows)) / found.rate_hz
+            yield Table(stamp_ns(int(found.index[begin]), found.rate_hz, found.start_ns), rows)

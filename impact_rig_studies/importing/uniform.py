@@ -1,0 +1,221 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Uniform time base of imported signals: the rate that a file states, or that its times have, whole or not.
+
+Times and steps are written with few digits. A rate is therefore known within an interval; the whole number in it is
+taken, else the rate of a usual clock divided by a whole number, else what was measured.
+"""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.blocks import LONGEST_S, MOST_HZ
+from impact_rig.errors import ConfigError, RecordingError
+from impact_rig.system import budget
+from impact_rig_studies.importing.limits import VALUES
+from impact_rig_studies.importing.mapping import Mapping
+from impact_rig_studies.importing.signals import Abscissa, AbscissaKind, Real
+
+LEAST_HZ = 1.0
+EVEN = 0.02  # of a period: departure from a uniform grid that counts as jitter of the clock
+HOLE = 2.5  # in periods: a step this long between two scans is no unevenness; scans are missing there
+STATED = 0.5  # of a period: departure of listed times from the rate that the same file states
+CLOCKS_HZ = (51_200.0, 102_400.0, 204_800.0, 65_536.0, 131_072.0, 48_000.0, 96_000.0, 44_100.0, 50_000.0, 100_000.0)
+"""Rates that data acquisition boards divide by whole numbers."""
+LARGEST_DIVISOR = 4096
+EXACT = 1e-9  # relative uncertainty of a rate that is written with all its digits
+DECIMALS = 9
+MOSTLY = 0.9
+Rate = int | float  # scans per second: int where it is whole
+
+
+@attrs.frozen(eq=False)
+class Grid:
+    """Signals on a uniform grid; missing scans are left open."""
+
+    rate_hz: Rate
+    index: NDArray[np.int64]  # number of each scan, counted from the first, shape (n,)
+    signals: dict[str, Real]  # values by channel, shape (n,) each
+    followed: dict[str, Real]  # frequency and gap where signals give them, shape (n,) each
+
+
+def likely_rate(measured_hz: float, uncertainty_hz: float) -> Rate:
+    """Return the rate that a measured one most likely is: a whole number, a clock over a whole number, or itself."""
+    low, high = measured_hz - uncertainty_hz, measured_hz + uncertainty_hz
+    whole = round(measured_hz)
+    if whole >= 1 and low <= whole <= high:
+        return whole
+    for clock in CLOCKS_HZ:
+        divisor = round(clock / measured_hz)
+        if 1 <= divisor <= LARGEST_DIVISOR and low <= clock / divisor <= high:
+            return clock / divisor
+    return measured_hz
+
+
+def uniform(
+    path: Path, abscissa: Abscissa, mapping: Mapping, found: dict[str, Real], followed: dict[str, Real]
+) -> Grid:
+    """Return signals on a uniform grid.
+
+    Raises:
+        ConfigError: neither times nor a rate are known, or the times are not uniform.
+        RecordingError: times and values differ in number.
+    """
+    count = len(next(iter(found.values())))
+    times, stated = _basis(path, abscissa, mapping, count)
+    if times is None:
+        assert stated is not None
+        rate, index = stated, np.arange(count)
+        times = index / float(rate)
+    else:
+        rate, index = _measured(path, times, resampled=mapping.resample_hz is not None)
+    if not float(times[-1]) <= LONGEST_S:
+        raise ConfigError(f"{path}: its times span {float(times[-1]):.3g} s, more than {LONGEST_S:g}")
+    if mapping.resample_hz is not None:
+        return _resampled(path, times, found, followed, float(rate), mapping.resample_hz)
+    if not LEAST_HZ <= rate <= MOST_HZ:
+        raise ConfigError(
+            f"{path}: its rate of {rate:.6g} scans per second is outside {LEAST_HZ:g} to {MOST_HZ:g}; "
+            "if the file errs, give the rate (--rate HZ)"
+        )
+    return Grid(rate, index, found, followed)
+
+
+def _basis(path: Path, abscissa: Abscissa, mapping: Mapping, count: int) -> tuple[Real | None, Rate | None]:
+    """Return the listed times, or the rate where one is stated that they do not contradict."""
+    if mapping.rate_hz is not None:
+        if not 0.0 < mapping.rate_hz <= MOST_HZ:
+            raise ConfigError(f"rate_hz must be > 0 and <= {MOST_HZ:g}, got {mapping.rate_hz:g}")
+        whole = round(mapping.rate_hz)
+        return None, whole if whole == mapping.rate_hz else mapping.rate_hz
+    if abscissa.kind is AbscissaKind.NONE:
+        raise ConfigError(f"{path} has neither times nor a rate: give the rate (--rate HZ), in scans per second")
+    if abscissa.kind is not AbscissaKind.TIME:
+        raise ConfigError(
+            f"{path}: its abscissa [{abscissa.unit or 'no unit'}] is no time{_explained(abscissa)}; "
+            "if it is one, give the rate (--rate HZ), in scans per second"
+        )
+    times = abscissa.values
+    if times is not None and len(times) != count:
+        raise RecordingError(f"{path}: {len(times)} times for {count} values")
+    if abscissa.step is None:
+        return times, None
+    rate = 1.0 / abscissa.step
+    if times is not None and not np.all(np.abs(times * rate - np.arange(count)) < STATED):
+        return times, None
+    return None, likely_rate(rate, rate * max(EXACT, abscissa.resolution / abscissa.step))
+
+
+def _explained(abscissa: Abscissa) -> str:
+    return f" ({abscissa.note})" if abscissa.note else ""
+
+
+def _measured(path: Path, times: Real, *, resampled: bool) -> tuple[Rate, NDArray[np.int64]]:
+    """Return the rate of listed times and the number of each scan.
+
+    Raises:
+        ConfigError: they do not increase, or are not uniform where they need be.
+    """
+    count = len(times)
+    if count < 2 or not np.all(np.isfinite(times)):
+        place = int(np.argmin(np.isfinite(times))) if count > 1 else 0
+        raise ConfigError(f"{path}: times must increase, and do not at value {place + 1} of {count}")
+    steps = np.diff(times)
+    digit = 0.0 if _mostly_equal(steps) else last_digit(times)
+    span = float(times[-1])
+    if span > 0.0:  # no scans missing, times rounded
+        mean = (count - 1) / span
+        rate = likely_rate(mean, mean * max(EXACT, digit / span))
+        if np.all(np.abs(times - np.arange(count) / rate) <= 1.05 * digit + EVEN / rate) and (
+            digit * mean > 0.5 or np.all(steps > 0.0)
+        ):
+            return rate, np.arange(count)
+    if not np.all(steps > 0.0):
+        place = int(np.argmin(steps)) + 1
+        raise ConfigError(f"{path}: times must increase, and do not at value {place + 1} of {count}")
+    rate = 1.0 / float(np.median(steps))
+    if resampled:
+        return rate, np.arange(count)
+    rate = _without_holes(times, rate, digit)
+    index = np.round(times * rate).astype(np.int64)
+    if index[-1] > 0:
+        rate = likely_rate(index[-1] / span, index[-1] / span * max(EXACT, digit / span))
+        index = np.round(times * rate).astype(np.int64)
+    off = np.abs(times * rate - index)
+    if np.any(np.diff(index) < 1) or float(off.max()) > EVEN + digit * rate:
+        scan = int(np.argmax(off))
+        raise ConfigError(
+            f"{path}: not uniform in time: value {scan + 1} is {off[scan]:.2f} of a period off {rate:.7g} "
+            f"scans per second; "
+            "resample it (--resample HZ), or give its rate (--rate HZ) if the times are not to be believed"
+        )
+    return rate, index
+
+
+def _without_holes(times: Real, rate: float, digit: float) -> float:
+    """Return the rate of the longest stretch of times in which no scan is missing."""
+    holes = np.flatnonzero(np.diff(times) > (1.5 + digit * rate) / rate) + 1
+    cuts = [0, *holes.tolist(), len(times)]
+    begin, end = max(itertools.pairwise(cuts), key=lambda cut: cut[1] - cut[0])
+    seconds = float(times[end - 1] - times[begin])
+    if not seconds > 0.0:
+        return rate
+    measured = (end - 1 - begin) / seconds
+    return float(likely_rate(measured, measured * max(EXACT, digit / seconds)))
+
+
+def _mostly_equal(steps: Real) -> bool:
+    """Return whether most steps are the same: then they are exact, and the others are holes."""
+    middle = float(np.median(steps))
+    return bool(np.mean(np.abs(steps - middle) <= 1e-6 * abs(middle)) > MOSTLY)
+
+
+def last_digit(times: Real) -> float:
+    """Return the last digit in which times are written [s]; 0 where they have all digits of a double."""
+    for decimals in range(DECIMALS + 1):
+        scaled = times * 10.0**decimals
+        noise = 8.0 * float(np.spacing(np.abs(scaled).max()))
+        if noise < 0.1 and np.all(np.abs(scaled - np.round(scaled)) <= max(noise, 1e-6)):
+            return float(10.0**-decimals)
+    return float(np.spacing(np.float32(times[-1])))  # times are often kept in single precision
+
+
+def _resampled(
+    path: Path, times: Real, found: dict[str, Real], followed: dict[str, Real], exact: float, rate: int
+) -> Grid:
+    """Return signals on another grid, by a cubic through the values around; never a coarser one, which would alias.
+
+    What is followed keeps its value until the next. Nothing is made up where scans are missing: each stretch between
+    two holes has a cubic of its own.
+    """
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415  # heavy: only where it is asked for
+
+    if not exact * (1.0 - 1e-4) <= rate <= MOST_HZ:
+        raise ConfigError(f"{path}: resample to at least its {exact:.6g} Hz, at most {MOST_HZ:g}, got {rate}")
+    budget.allow("values after resampling", float(times[-1]) * rate * len(found), VALUES)
+    for name, values in found.items():
+        if not np.all(np.isfinite(values)):
+            wrong = int(np.argmin(np.isfinite(values)))
+            raise ConfigError(f"{path}: {name} cannot be resampled: value {wrong + 1} is no finite number")
+    index = np.arange(int(times[-1] * rate) + 1, dtype=np.int64)
+    place = np.searchsorted(times, (index + 1e-3) / rate, side="right") - 1  # a time may be rounded up
+    cuts = [0, *(np.flatnonzero(np.diff(times) * exact > HOLE) + 1).tolist(), len(times)]
+    parts = []
+    for begin, end in itertools.pairwise(cuts):
+        first, last = np.searchsorted(index / rate, (times[begin], times[end - 1] + 1e-9 / rate))
+        if end - begin > 1:
+            parts.append((slice(begin, end), index[first:last]))
+    if not parts:
+        raise ConfigError(f"{path}: its times have more holes than scans")
+    splined = {
+        name: np.concatenate([CubicSpline(times[part], values[part])(own / rate) for part, own in parts])
+        for name, values in found.items()
+    }
+    index = np.concatenate([own for _, own in parts])
+    return Grid(rate, index, splined, {key: values[place[index]] for key, values in followed.items()})

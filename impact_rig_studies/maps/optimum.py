@@ -1,0 +1,137 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""The value of one parameter that reduces DT most under bounds, the region nearly as good, and what it hangs on.
+
+DT over the gap is smooth where the response is one motion and ragged beyond the fold, so nothing here follows a slope:
+a look over the whole range, then closer looks around the best place.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import attrs
+import numpy as np
+
+from impact_rig.errors import ConfigError
+from impact_rig.rig.config import to_flat
+from impact_rig_studies.maps.measure import Reading
+from impact_rig_studies.maps.plan import CURRENT, FREQUENCY, GAP, MapPlan, Search, measure_line
+
+REGION_POINTS = 1.0  # reductions within so many points of the best one belong to its region
+_ROUNDS, _LOOKS, _HALVINGS = 4, 9, 10
+_SHARE = 0.005  # of a value, either way, for its sensitivity
+SENSITIVE = (
+    "barriers.gap_m",
+    "sphere.density_kg_m3",
+    "contact.restitution",
+    "structure.damping_ratio",
+    "structure.mass_kg",
+)
+
+
+@attrs.frozen(kw_only=True)
+class Optimum:
+    """The best place."""
+
+    over: str
+    value: float  # where DT is reduced most
+    reading: Reading  # what the mechanics do there
+    region: tuple[float, float]  # lowest and highest value around it whose reductions are within 1 point of the best
+    points_per_percent: dict[str, float]  # what 1 % more of a value changes the reduction there [points], by name
+
+    def plain(self) -> dict[str, object]:
+        """Return it for JSON."""
+        return {
+            "over": self.over, "value": self.value, "reduction_percent": self.reading.reduction_percent,
+            "dt": self.reading.dt, "regime": self.reading.regime, "impacts_per_cycle": self.reading.impacts_per_cycle,
+            "region": list(self.region), "points_per_percent": self.points_per_percent,
+        }  # fmt: skip
+
+
+def find(plan: MapPlan, search: Search) -> Optimum:
+    """Return the optimum; every place is measured from a reset rig, with the plan's rig, frequency and current."""
+    known: dict[float, Reading] = {}
+
+    def look(values: Sequence[float]) -> None:
+        new = tuple(value for value in values if value not in known)
+        known.update(zip(new, _measured(plan, search.over, new), strict=True))
+
+    def reduction(value: float) -> float:
+        look((value,))
+        return known[value].reduction_percent
+
+    look(np.linspace(search.low, search.high, search.points).tolist())
+    for _ in range(_ROUNDS):
+        places = sorted(known)
+        i = places.index(_best(known))
+        look(np.linspace(places[max(i - 1, 0)], places[min(i + 1, len(places) - 1)], _LOOKS).tolist())
+    best = _best(known)
+    enough = known[best].reduction_percent - REGION_POINTS
+    places = sorted(known)
+    at = places.index(best)
+    edges = []
+    for side in (places[at::-1], places[at:]):
+        inside = best
+        for value in side:
+            if not known[value].reduction_percent >= enough:
+                outside = value
+                for _ in range(_HALVINGS):
+                    middle = 0.5 * (inside + outside)
+                    inside, outside = (middle, outside) if reduction(middle) >= enough else (inside, middle)
+                break
+            inside = value
+        edges.append(inside)
+    return Optimum(
+        over=search.over,
+        value=best,
+        reading=known[best],
+        region=(edges[0], edges[1]),
+        points_per_percent=_sensitivity(plan, search.over, best),
+    )
+
+
+def _best(known: dict[float, Reading]) -> float:
+    return max(sorted(known), key=lambda value: np.nan_to_num(known[value].reduction_percent, nan=-np.inf))
+
+
+def _measured(plan: MapPlan, over: str, values: tuple[float, ...], **changed: float) -> list[Reading]:
+    """Return the readings at values of one parameter, others changed by their names."""
+    return measure_line(plan.search_line(over, values, {name: one for name, one in changed.items() if name != over}))
+
+
+def _sensitivity(plan: MapPlan, over: str, best: float) -> dict[str, float]:
+    values = to_flat(plan.base)
+    nominal = {GAP if name == "barriers.gap_m" else name: float(values[name]) for name in SENSITIVE}  # type: ignore[arg-type]  # numbers
+    nominal |= {FREQUENCY: plan.frequency_hz, CURRENT: plan.current_a, over: best}
+    found = {}
+    for name, value in nominal.items():
+        reductions = []
+        for factor in (1.0 - _SHARE, 1.0 + _SHARE):
+            try:
+                one = (
+                    _measured(plan, over, (factor * best,))[0]
+                    if name == over
+                    else _measured(plan, over, (best,), **{name: factor * value})[0]
+                )
+            except ConfigError:  # beyond the range of the value: the difference to the other side alone
+                continue
+            reductions.append((factor, one.reduction_percent))
+        if len(reductions) < 2:
+            reductions.append((1.0, _measured(plan, over, (best,))[0].reduction_percent))
+        (_, low), (_, high) = sorted(reductions)
+        sides = sum(factor != 1.0 for factor, _ in reductions)
+        found[name] = (high - low) / (100.0 * sides * _SHARE)
+    return found
+
+
+def from_map(reductions: Sequence[float], values: Sequence[float]) -> tuple[float, tuple[float, float]]:
+    """Return the best of measured values, and the neighbours around it that are within `REGION_POINTS`."""
+    order = np.argsort(values)
+    x, y = np.asarray(values, float)[order], np.asarray(reductions, float)[order]
+    i = int(np.nanargmax(y))
+    good = y >= y[i] - REGION_POINTS
+    low = i - sum(1 for _ in itertools.takewhile(bool, good[:i][::-1]))
+    high = i + sum(1 for _ in itertools.takewhile(bool, good[i + 1 :]))
+    return float(x[i]), (float(x[low]), float(x[high]))

@@ -1,0 +1,316 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""`MapPlan`: what a map file asks for, checked, and the lines it is measured in.
+
+A map is one YAML file: two or three axes, everything else held. Wrong files are refused as a whole before anything
+runs; the message names key, value, range and file. So is a map that would take too long, with that time.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import attrs
+
+from impact_rig.config.tree import Value
+from impact_rig.errors import ConfigError
+from impact_rig.rig.config import RigConfig, differences, from_flat
+from impact_rig.system import budget
+from impact_rig.system.budget import BudgetError
+from impact_rig_studies.campaign import axes
+from impact_rig_studies.campaign.paper import CURRENT_A, FREQUENCY_HZ
+from impact_rig_studies.campaign.plan import STARTS
+from impact_rig_studies.campaign.tasks import Keyed, Row, load_plan
+from impact_rig_studies.maps.measure import FAILED, MapRig, Reading, Settings
+
+FREQUENCY, CURRENT, GAP = "frequency_hz", "current_a", "gap_m"
+POSITION, SPEED = "sphere_position_m", "sphere_speed_m_s"
+"""Where the sphere begins, from the middle between the walls, and how fast: positive to the right."""
+NAMED = (FREQUENCY, CURRENT, GAP, POSITION, SPEED)
+"""Axes with a name of their own; all others are configuration values by dotted name."""
+FASTEST_M_S = 100.0  # of a sphere at its beginning
+RESET, UP, DOWN, BOTH = "reset", "up", "down", "both"
+DIRECTIONS = (RESET, UP, DOWN, BOTH)
+OWNED = ("daq.", "instruments.", "time.", "step.", "pluck.", "output.", "drive.waveform", "drive.frequency_hz")
+"""Configuration that means nothing to a map, or that it decides itself."""
+POINT_S = 0.004  # what a point costs on one core, about: narrow gaps and chaos cost twice as much, wide gaps a fifth
+LIMIT_S = 3600.0  # estimated time above which a map is refused
+
+
+@attrs.frozen(kw_only=True)
+class MapLine(Keyed):
+    """Places measured one after the other, the unit that is measured, stored and never repeated."""
+
+    changes: Mapping[str, Value]  # configuration values that differ from the default rig, by dotted name
+    settings: Settings
+    held: Mapping[str, float]  # what stays along the line, by name of axis
+    along: str  # name of the axis that changes
+    values: tuple[float, ...]  # its values, in the order of the visit
+    direction: str
+    """Up or down: with what the place before left; else every place begins at rest, and this is `reset` or where the
+    sphere starts."""
+    frequency_hz: float  # of the drive, unless it is an axis
+    current_a: float  # amplitude of the drive (A, m or V by `drive.kind`), unless it is an axis
+
+    def describe(self) -> str:
+        """Return a short name for people."""
+        held = ", ".join(f"{name} {value:g}" for name, value in self.held.items())
+        return f"{held}, {self.direction}"
+
+    def read(self, rows: Sequence[Row]) -> list[Reading]:
+        """Return stored rows as readings.
+
+        Raises:
+            ValueError: they are none.
+        """
+        if len(rows) != len(self.values):
+            raise ValueError("not the readings of this line")
+        return [_reading(row) for row in rows]
+
+    def place(self, value: float) -> tuple[dict[str, Value], float, float, tuple[float, float] | None]:
+        """Return configuration values, frequency, amplitude and sphere of the place with this value of the axis.
+
+        The sphere is where it begins and its speed, or None where that is `sphere.start`.
+        """
+        at = {**self.held, self.along: value}
+        frequency, current = at.pop(FREQUENCY, self.frequency_hz), at.pop(CURRENT, self.current_a)
+        sphere = (at.pop(POSITION, 0.0), at.pop(SPEED, 0.0)) if {POSITION, SPEED} & set(at) else None
+        changes: dict[str, Value] = {"barriers.gap_m" if name == GAP else name: one for name, one in at.items()}
+        return changes, frequency, current, sphere
+
+
+def _reading(row: Row) -> Reading:
+    regime, *numbers = row
+    if len(row) != len(Reading._fields) or any(isinstance(value, str) for value in numbers):
+        raise ValueError("not a reading")
+    if not (regime == FAILED or float(numbers[0]) > 0.0):
+        raise ValueError("not a reading")
+    return Reading(str(regime), *map(float, numbers))
+
+
+def measure_line(line: MapLine) -> list[Reading]:
+    """Return the readings of a line, in the order of the visit."""
+    base = from_flat(RigConfig(), line.changes)
+    rig: MapRig | None = None
+    readings, config, before = [], base, None
+    for value in line.values:
+        changes, frequency, current, sphere = line.place(value)
+        if changes != before:
+            config, before = from_flat(base, changes), changes
+        rig = rig or MapRig(config, line.settings)
+        rig.change(config)
+        if line.direction not in (UP, DOWN):
+            rig.reset(sphere)
+        readings.append(rig.measure(frequency, current))
+    return readings
+
+
+@attrs.frozen(kw_only=True)
+class Search:
+    """Where the best value of one parameter is looked for."""
+
+    over: str
+    low: float
+    high: float
+    points: int = 41
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class MapPlan:
+    """A whole map."""
+
+    title: str
+    base: RigConfig
+    axes: Mapping[str, tuple[float, ...]]
+    """Two or three, by name, in the order of the file: across, up, and one picture each."""
+    direction: str  # reset, up, down or both
+    starts: tuple[str, ...]
+    """Values of `sphere.start` that are measured one beside the other, for `reset`; none: that of `base`."""
+    sweep: str  # the axis along which places are visited one after the other
+    frequency_hz: float  # of the drive, unless it is an axis
+    current_a: float  # amplitude of the drive, unless it is an axis
+    settings: Settings
+    search: Search | None  # for the best value, or None
+    text: str
+
+    @property
+    def layers(self) -> tuple[str, ...]:
+        """The directions, or starts, that are measured."""
+        return (UP, DOWN) if self.direction == BOTH else self.starts or (self.direction,)
+
+    @property
+    def points(self) -> int:
+        """How many places are measured, each direction counted."""
+        return len(self.layers) * math.prod(map(len, self.axes.values()))
+
+    def changes(self) -> dict[str, Value]:
+        """Return the rig's values that differ from the default."""
+        return differences(self.base)
+
+    def search_line(self, over: str, values: tuple[float, ...], held: Mapping[str, float] | None = None) -> MapLine:
+        """Return the line of values of one parameter from a reset rig, which a search measures, others held."""
+        return MapLine(
+            changes=self.changes(),
+            settings=self.settings,
+            held=held or {},
+            along=over,
+            values=values,
+            direction=RESET,
+            frequency_hz=self.frequency_hz,
+            current_a=self.current_a,
+        )
+
+    def lines(self) -> list[MapLine]:
+        """Return all lines in order."""
+        others = {name: values for name, values in self.axes.items() if name != self.sweep}
+        values, changes = self.axes[self.sweep], self.changes()
+        return [
+            MapLine(
+                changes={**changes, "sphere.start": layer} if layer in STARTS else changes,
+                settings=self.settings,
+                held=dict(zip(others, held, strict=True)),
+                along=self.sweep,
+                values=values[::-1] if layer == DOWN else values,
+                direction=layer,
+                frequency_hz=self.frequency_hz,
+                current_a=self.current_a,
+            )
+            for layer in self.layers
+            for held in itertools.product(*others.values())
+        ]
+
+
+def allow_time(points: int, workers: int | None = None) -> None:
+    """Refuse a map that would take too long.
+
+    Raises:
+        BudgetError: names the points, the time they would take and how to raise the limit.
+    """
+    cores = workers or len(os.sched_getaffinity(0))
+    seconds, limit = points * POINT_S / cores, LIMIT_S * budget.factor()
+    if seconds > limit:
+        raise BudgetError(
+            f"{points} points would take about {seconds / 3600.0:.1f} h on {cores} cores, "
+            f"more than {limit / 3600.0:g} h; if you have the time: {budget.VARIABLE}=N allows N times as much"
+        )
+
+
+def load_map(path: Path, workers: int | None = None, resolved: RigConfig | None = None) -> MapPlan:
+    """Return the map in a YAML file.
+
+    Args:
+        path: of the file.
+        workers: cores it would run on; None: those of this machine.
+        resolved: the rig, instead of the file's `config` and `set`: of a map that is there, which need not be run.
+
+    Raises:
+        ConfigError: the file cannot be read or is wrong; the message names key, value, range and file.
+        BudgetError: it would take too long.
+    """
+
+    def read(document: object, text: str) -> MapPlan:
+        plan = _read(axes.mapping("a map", document), path, text, resolved)
+        if resolved is None:
+            allow_time(plan.points, workers)
+        _check_corners(plan)
+        return plan
+
+    return load_plan(path, "map", read)
+
+
+def _read(top: Mapping[str, object], path: Path, text: str, resolved: RigConfig | None) -> MapPlan:
+    known = ("title", "config", "set", "axes", "direction", "starts", "sweep", FREQUENCY, CURRENT, "measure", "optimum")
+    axes.check_keys("", top, known)
+    given = _axes(axes.mapping("axes", top.get("axes")))
+    sweep = axes.word("sweep", top.get("sweep", FREQUENCY if FREQUENCY in given else next(iter(given))), given)
+    for name in (FREQUENCY, CURRENT):
+        if name in top and name in given:
+            raise ConfigError(f"{name} is an axis, and cannot be held as well")
+    direction = axes.word("direction", top.get("direction", RESET), DIRECTIONS)
+    starts = axes.values("starts", top["starts"]) if "starts" in top else []
+    for name in ("starts", POSITION, SPEED):
+        if direction != RESET and (name in given or name in top):
+            raise ConfigError(f"{name} is how a place begins: direction must be {RESET}, got {direction!r}")
+    if starts and {POSITION, SPEED} & set(given):
+        raise ConfigError(f"starts and an axis {POSITION} or {SPEED} exclude each other")
+    return MapPlan(
+        title=str(top.get("title", path.stem)),
+        base=resolved or axes.rig(top, path.parent, refuse_owned),
+        axes=given,
+        direction=direction,
+        starts=tuple(axes.word("starts", start, STARTS) for start in starts),
+        sweep=sweep,
+        frequency_hz=axes.number(FREQUENCY, top.get(FREQUENCY, FREQUENCY_HZ), 0.0, 1e4),
+        current_a=axes.number(CURRENT, top.get(CURRENT, CURRENT_A), 0.0),
+        settings=axes.settings("measure", top.get("measure"), Settings),
+        search=_search(top.get("optimum")),
+        text=text,
+    )
+
+
+def _axes(given: Mapping[str, object]) -> dict[str, tuple[float, ...]]:
+    plain = {name: value for name, value in given.items() if name in NAMED or "." in name}
+    nested = {name: value for name, value in given.items() if name not in plain}
+    if nested:
+        raise ConfigError(f"unknown axis {next(iter(nested))!r}: {', '.join(NAMED)}, or a value by its dotted name")
+    if not 2 <= len(plain) <= 3:
+        raise axes.wrong("axes", "two or three", list(given))
+    found = {}
+    for name, value in plain.items():
+        refuse_owned(f"axes.{name}", name)
+        found[name] = tuple(sorted(axes.numbers(f"axes.{name}", value, -math.inf)))
+        if len(found[name]) < 2:
+            raise axes.wrong(f"axes.{name}", "two values or more", value)
+    return found
+
+
+def _search(given: object) -> Search | None:
+    if given is None:
+        return None
+    wanted = axes.mapping("optimum", given)
+    axes.check_keys("optimum", wanted, ("over", "from", "to", "points"))
+    over = str(wanted.get("over", GAP))
+    refuse_owned("optimum.over", over)
+    if over not in NAMED and "." not in over:
+        raise ConfigError(f"optimum.over: unknown axis {over!r}: {', '.join(NAMED)}, or a value by its dotted name")
+    low = axes.number("optimum.from", wanted.get("from"), 0.0)
+    return Search(
+        over=over,
+        low=low,
+        high=axes.number("optimum.to", wanted.get("to"), low),
+        points=axes.whole("optimum.points", wanted.get("points", 41), 5, 10_000),
+    )
+
+
+def refuse_owned(key: str, name: str) -> None:
+    """Refuse the name of a value that is no parameter of the mechanics, or has a shorter one."""
+    if name == "sphere.start" and key.startswith("axes."):
+        raise ConfigError(f"{key}: use starts: [left, centre, right]")
+    if name == "barriers.gap_m" and not key.startswith("set."):
+        raise ConfigError(f"{key}: use gap_m")
+    if name.startswith(OWNED):
+        raise ConfigError(f"{key}: means nothing to a map")
+
+
+def _check_corners(plan: MapPlan) -> None:
+    """Refuse values at the ends of the axes and of the search that cannot be simulated, before anything runs."""
+    lines = plan.lines()
+    ends = lines[:: max(1, len(lines) - 1)]
+    if plan.search is not None:
+        ends.append(plan.search_line(plan.search.over, (plan.search.low, plan.search.high)))
+    for line in ends:
+        for value in (line.values[0], line.values[-1]):
+            changes, frequency, current, sphere = line.place(value)
+            if not (frequency > 0.0 and current > 0.0):
+                raise ConfigError(f"frequency and current must be > 0, got {frequency:g} Hz and {current:g} A")
+            config = from_flat(from_flat(RigConfig(), line.changes), changes)
+            place, speed = sphere or (0.0, 0.0)
+            half = 0.5 * config.barriers.gap_m
+            if abs(place) > half:
+                raise axes.wrong(POSITION, f">= {-half:g} and <= {half:g} m, half the gap", place)
+            if abs(speed) > FASTEST_M_S:
+                raise axes.wrong(SPEED, f">= {-FASTEST_M_S:g} and <= {FASTEST_M_S:g} m/s", speed)

@@ -1,0 +1,101 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""A map's directory: what `impact_rig_studies.campaign.tasks.TaskStore` keeps in it, and its results.
+
+| file | content |
+|---|---|
+| `map.csv` | every place, every direction |
+| `map.json` | figures for programs: points, regimes, the optimum |
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.system import files
+from impact_rig_studies.campaign.tasks import TaskStore
+from impact_rig_studies.maps.measure import Reading
+from impact_rig_studies.maps.plan import DOWN, MapLine, MapPlan, load_map
+
+CSV_FILE, JSON_FILE = "map.csv", "map.json"
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class FinishedMap:
+    """A map with what is measured of it."""
+
+    plan: MapPlan  # what was asked for
+    directory: Path
+    values: dict[str, dict[str, NDArray[np.generic]]]
+    """By direction and name of a reading, or of what was added beside: arrays in the order of the axes, NaN (or "")
+    where not measured."""
+
+
+def store(directory: Path) -> TaskStore[MapLine]:
+    """Return what keeps a map's lines in a directory."""
+    return TaskStore(directory, "map", "lines", ("maps",))
+
+
+def finished(plan: MapPlan, directory: Path) -> FinishedMap:
+    """Return a map with everything that is stored of it."""
+    kept = store(directory)
+    shape, names = tuple(map(len, plan.axes.values())), list(plan.axes)
+    values: dict[str, dict[str, NDArray[np.generic]]] = {}
+    for line in plan.lines():
+        if line.direction not in values:
+            values[line.direction] = {
+                name: np.full(shape, "", "U12") if name == "regime" else np.full(shape, math.nan)
+                for name in Reading._fields
+            }
+        readings = kept.get(line)
+        if readings is None:
+            continue
+        place = tuple(slice(None) if name == line.along else plan.axes[name].index(line.held[name]) for name in names)
+        ordered = readings[::-1] if line.direction == DOWN else readings
+        for i, name in enumerate(Reading._fields):
+            values[line.direction][name][place] = [reading[i] for reading in ordered]
+    return FinishedMap(plan=plan, directory=directory, values=values)
+
+
+def open_map(directory: Path) -> FinishedMap:
+    """Return the map in a directory.
+
+    Raises:
+        ConfigError: it is no map's directory.
+    """
+    kept = store(directory)
+    return finished(load_map(kept.file, resolved=kept.configuration()), directory)
+
+
+def write_results(done: FinishedMap, more: dict[str, object]) -> None:
+    """Write `map.csv` and `map.json`."""
+    files.write_csv(done.directory / CSV_FILE, *table(done))
+    regimes = {
+        layer: dict(sorted(Counter(str(word) for word in values["regime"].ravel() if word).items()))
+        for layer, values in done.values.items()
+    }
+    content = {"title": done.plan.title, "points": done.plan.points, "measured_on": "mechanics", "regimes": regimes}
+    files.write_text(done.directory / JSON_FILE, json.dumps({**content, **more}, indent=2) + "\n")
+
+
+def table(done: FinishedMap) -> tuple[list[str], list[list[object]]]:
+    """Return the names of the columns and a row a measured place; NaN where a reading is none."""
+    return [*done.plan.axes, "direction", *next(iter(done.values.values()))], list(_rows(done))
+
+
+def _rows(done: FinishedMap) -> Iterable[list[object]]:
+    axes = list(done.plan.axes.values())
+    for layer, values in done.values.items():
+        for place in np.ndindex(*map(len, axes)):
+            if not values["regime"][place]:
+                continue
+            cells = [array[place].item() for array in values.values()]
+            yield [*(axis[i] for axis, i in zip(axes, place, strict=True)), layer, *cells]

@@ -1,0 +1,588 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Resonance search, track and dwell: which setpoint comes next, as a pure state machine.
+
+    idle ── start ──► seeking ── phase crosses −90° ──► tracking ⇄ locked ── dwelt ──► finished
+                         └──────────────── rule broken ─────────────┴───────────────► aborted
+
+Seeking steps the frequency coarsely towards the side that the phase says, until it has crossed. Tracking turns the
+frequency by the detuning that each look shows, a part at a time, for ever: an integral controller. Against the base
+the detuning is known, whatever the damping: 1/T = 1 − r² + 2iζr, so it is f/2 Re(X_b/X_1). Against the current it is
+tan φ' (φ' = phase + 90°) times the resonance's own slope, which the search has shown and which is corrected under way:
+where the detuning changes sign from look to look it was taken for too large, where it keeps its sign for too small.
+
+A look (`PhasorMeter`) is quicker than a settled measurement: of every stretch of constant frequency the scans of its
+last whole cycles are fitted by a sine of that frequency, and corrected for skew and lag by the certificate.
+
+`LockedSine` locks by the news that an operator hears. Who lets rig time pass by looking (`LoopApparatus`) goes on with
+`follow` and `lock_on`, and finds the backbone, a ladder of locks, with `climb`.
+"""
+
+from __future__ import annotations
+
+import cmath
+import enum
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, Protocol
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.analysis.calibration import Calibration
+from impact_rig.analysis.scans import BASE, CHANNELS, CURRENT, LASER
+from impact_rig.analysis.spread import student_factor, variance_of_mean
+from impact_rig.blocks import PHASE_LOCK, Table
+from impact_rig.errors import ConfigError
+from impact_rig.simtime import NS_PER_S
+from impact_rig_studies.operate.stepped_sine import SAME, Setpoint, SweepState, positive
+
+MIN_CYCLES = 2
+
+
+class Look(NamedTuple):
+    """One stretch of scans."""
+
+    end_ns: int  # rig time of its end
+    frequency_hz: float  # of the drive
+    base: complex  # complex amplitude [m]; only ratios of the three mean anything
+    superior: complex  # complex amplitude [m]
+    current: complex  # complex amplitude [A]
+    u_gain: float = 0.0  # relative standard uncertainty of DT by the sensitivities, at these amplitudes
+
+    @property
+    def dt(self) -> float:
+        """|X_1| / |X_b|."""
+        return abs(self.superior) / abs(self.base)
+
+    @property
+    def sound(self) -> bool:
+        """Whether all three are numbers, and base and current move at all."""
+        sizes = abs(self.base), abs(self.superior), abs(self.current)
+        return all(map(math.isfinite, sizes)) and sizes[0] > 0.0 and sizes[2] > 0.0
+
+
+class PhasorMeter:
+    """Fits the newest scans."""
+
+    def __init__(self, info: NDArray[np.void]) -> None:
+        self._calibration = Calibration.from_info(info)
+
+    def look(self, rows: NDArray[np.void], frequency_hz: float, end_ns: int) -> Look | None:
+        """Return the phasors of consecutive scans at one frequency, or None if they are fewer than `MIN_CYCLES`.
+
+        Args:
+            rows: of `daq/scan`, shape (n,).
+            frequency_hz: of the drive during all of them.
+            end_ns: rig time of the scan after the last.
+        """
+        period = self._calibration.rate_hz / frequency_hz
+        cycles = math.floor(len(rows) / period)
+        if cycles < MIN_CYCLES:
+            return None
+        kept = rows[len(rows) - round(cycles * period) :]
+        angle = 2.0 * np.pi / period * np.arange(len(kept))
+        basis = np.stack([np.ones(len(kept)), np.cos(angle), np.sin(angle)])
+        values = np.stack([kept[CHANNELS[channel]].astype(float) for channel in (BASE, LASER, CURRENT)])
+        found = np.linalg.solve(basis @ basis.T, basis @ values.T)
+        phasors = found[1] - 1j * found[2]
+        seen = [complex(self._calibration.response(channel, frequency_hz)) for channel in (BASE, LASER, CURRENT)]
+        base, superior, current = (complex(y / r) for y, r in zip(phasors, seen, strict=True))
+        u = [self._calibration.gain_uncertainty_at(ch, abs(x)) for ch, x in ((BASE, base), (LASER, superior))]
+        return Look(end_ns, frequency_hz, base, superior, current, math.hypot(*u))
+
+
+STEEPEST = 4.0  # tan φ' that is believed: beyond, the phase says only on which side the resonance is
+MEAN_S = 1.0  # the phase that counts is a mean over so long
+SMALLER, LARGER = 0.6, 1.25  # factors of the slope when the detuning overshoots, and when it stays
+SLUGGISH = 4
+"""Looks with a detuning of one sign, none of them within the bound, after which the slope counts as too small."""
+DIGITS = 6  # of a commanded frequency [Hz]
+
+
+class Reference(enum.StrEnum):
+    """What the superior base's phase is measured against."""
+
+    BASE = "base"
+    CURRENT = "current"
+
+
+def _amount(default: float) -> float:
+    value: float = attrs.field(default=default, validator=positive)
+    return value
+
+
+@attrs.frozen(kw_only=True)
+class LockPlan:
+    """A search, and what follows it.
+
+    Raises:
+        ConfigError: a value that cannot work; the message names it.
+    """
+
+    start_hz: float = attrs.field(validator=positive)  # where the search begins
+    current_a: float = attrs.field(validator=positive)  # peak current
+    low_hz: float = _amount(5.0)  # the frequency goes no lower
+    high_hz: float = _amount(20.0)  # nor higher
+    reference: Reference = attrs.field(default=Reference.BASE, converter=Reference)
+    """Of the phase; against the base, −90° is where the structure on a fixed base would resonate."""
+    step_hz: float = _amount(0.2)  # of the coarse search
+    seek_s: float = _amount(1.5)  # each of them is held so long
+    look_s: float = _amount(0.5)  # when tracking, the frequency is held so long between two corrections
+    time_constant_s: float = _amount(3.0)  # in which a detuning is corrected; longer than the structure's answer takes
+    within_deg: float = _amount(2.0)  # bound of the mean phase of a second that counts as locked
+    seek_limit_s: float = _amount(60.0)  # rig time until the first lock after which it is given up
+    lose_limit_s: float = _amount(20.0)  # rig time without lock after which it is given up
+    dwell_s: float = _amount(30.0)  # rig time to stay, counted from the first lock
+    superior_limit_m: float = _amount(0.05)  # a superior base beyond it aborts
+
+    def __attrs_post_init__(self) -> None:
+        if not self.low_hz < self.start_hz < self.high_hz:
+            raise ConfigError(
+                f"start_hz must be within low_hz = {self.low_hz:g} and high_hz = {self.high_hz:g}, "
+                f"got {self.start_hz:g}"
+            )
+
+
+class Stage(enum.StrEnum):
+    """What a running lock does."""
+
+    SEEKING = "seeking"
+    TRACKING = "tracking"
+    LOCKED = "locked"
+
+
+class PhaseLock:
+    """Seeks a resonance, tracks it, dwells there.
+
+    Attributes:
+        state: running, finished, aborted.
+        stage: of a running one.
+        reason: why it was aborted, in words; empty otherwise.
+        frequency_hz: commanded.
+        current_a: commanded.
+        locked_ns: rig time of the first lock, or None.
+    """
+
+    def __init__(self, plan: LockPlan) -> None:
+        self._plan = plan
+        self.state, self.stage, self.reason = SweepState.IDLE, Stage.SEEKING, ""
+        self.frequency_hz, self.current_a = plan.start_hz, plan.current_a
+        self.locked_ns: int | None = None
+        self.u_gain = 0.0
+        self._began_ns = self._held_ns = 0
+        self._tracked_ns = 0  # since when it is tracked at these settings
+        self._rows: list[tuple[float, ...]] = []
+        self._slope = 0.0  # Hz per tan φ'
+        self._before: tuple[float, float] | None = None
+        self._looks: list[tuple[int, complex]] = []
+        self._signs = 0  # looks in a row with a detuning of one sign, negative for a negative one
+
+    @property
+    def look_s(self) -> float:
+        """How long the next look is to be [s]."""
+        return self._plan.seek_s if self.stage is Stage.SEEKING else self._plan.look_s
+
+    @property
+    def rows(self) -> NDArray[np.void]:
+        """Every look so far: rows of `blocks.PHASE_LOCK`, `time` from the start."""
+        return np.array(self._rows, PHASE_LOCK)
+
+    @property
+    def newest(self) -> NDArray[np.void]:
+        """The last look, shape (1,); (0,) before the first."""
+        return np.array(self._rows[-1:], PHASE_LOCK)
+
+    @property
+    def locked(self) -> bool:
+        """Whether the phase is held now."""
+        return self.state is SweepState.RUNNING and self.stage is Stage.LOCKED
+
+    def start(self, now_ns: int) -> Setpoint:
+        """Begin."""
+        self._began_ns = self._held_ns = now_ns
+        self.state = SweepState.RUNNING
+        return self._setpoint()
+
+    def set_current(self, current_a: float, now_ns: int) -> Setpoint:
+        """Go on with another current; what was locked must lock again within the limit."""
+        self.current_a = current_a
+        self.unlock(now_ns)
+        return self._setpoint()
+
+    def unlock(self, now_ns: int) -> None:
+        """Forget the lock: something was changed, the phase must be found again."""
+        if self.stage is Stage.LOCKED:
+            self.stage = Stage.TRACKING
+        self._held_ns = self._tracked_ns = now_ns
+        self._looks.clear()
+
+    def on_look(self, look: Look) -> Setpoint:
+        """Take what the rig does; return what to set next, the same as before where nothing is to change."""
+        if self.state is not SweepState.RUNNING:
+            return self._setpoint()
+        if not look.sound:
+            return self.abort("base or current do not move")
+        if abs(look.superior) > self._plan.superior_limit_m:
+            return self.abort(f"the superior base swings {abs(look.superior) * 1e3:.3g} mm")
+        turned = look.superior / (look.base if self._plan.reference is Reference.BASE else look.current)
+        if self.stage is Stage.SEEKING:
+            self._seek(turned)
+            self._tracked_ns = look.end_ns
+        else:
+            self._track(look.end_ns, turned)
+        self.u_gain = look.u_gain
+        self._note(look, turned)
+        self._watch(look.end_ns)
+        return self._setpoint()
+
+    def abort(self, reason: str) -> Setpoint:
+        """End: the rig tripped, or the operator wants it."""
+        if self.state is SweepState.RUNNING:
+            self.state, self.reason = SweepState.ABORTED, reason
+        return self._setpoint()
+
+    def _setpoint(self) -> Setpoint:
+        return Setpoint(self.frequency_hz, self.current_a if self.state is SweepState.RUNNING else 0.0)
+
+    def _seek(self, turned: complex) -> None:
+        detuned = _detuning(turned)  # > 0: the resonance is above
+        other, was = self._before or (self.frequency_hz, detuned)
+        # where the range has held the frequency back the phase crosses by itself, as a transient dies: that is no slope
+        if (was > 0.0) != (detuned > 0.0) and other != self.frequency_hz:
+            self._slope = (self.frequency_hz - other) / (was - detuned)
+            self.stage = Stage.TRACKING
+            self._turn_to(self.frequency_hz + self._slope * detuned)
+            return
+        self._before = self.frequency_hz, detuned
+        self._turn_to(self.frequency_hz + math.copysign(self._plan.step_hz, detuned))
+
+    def _track(self, now_ns: int, turned: complex) -> None:
+        share = min(1.0, self._plan.look_s / self._plan.time_constant_s)
+        self._turn_to(self.frequency_hz + share * self._detuning_hz(turned))
+        self._looks.append((now_ns, turned / abs(turned)))
+        first = now_ns - round(MEAN_S * NS_PER_S)
+        self._looks = [one for one in self._looks if one[0] > first]
+        whole = now_ns - self._tracked_ns >= MEAN_S * 0.999 * NS_PER_S  # between two looks a command may take its time
+        mean = sum(one for _, one in self._looks)
+        if whole and abs(math.degrees(_turn_from_quarter(mean))) <= self._plan.within_deg:
+            self.stage, self._held_ns = Stage.LOCKED, now_ns
+            if self.locked_ns is None:
+                self.locked_ns = now_ns
+        elif whole:
+            self.stage = Stage.TRACKING
+
+    def _detuning_hz(self, turned: complex) -> float:
+        """Return how far above the present frequency the resonance is, at most a step of the search."""
+        if self._plan.reference is Reference.BASE:
+            detuning = 0.5 * self.frequency_hz * (1.0 / turned).real
+        else:
+            detuned = _detuning(turned)
+            if abs(detuned) > math.tan(math.radians(self._plan.within_deg)):
+                self._adapt(detuned)
+            detuning = self._slope * detuned
+        return min(max(detuning, -self._plan.step_hz), self._plan.step_hz)
+
+    def _adapt(self, detuned: float) -> None:
+        """Correct the slope by what the detunings' signs say of it."""
+        if self._signs * detuned < 0.0:
+            self._slope *= SMALLER
+            self._signs = 0
+        self._signs += 1 if detuned > 0.0 else -1
+        if abs(self._signs) >= SLUGGISH:
+            self._slope *= LARGER
+            self._signs = 0
+
+    def _turn_to(self, frequency_hz: float) -> None:
+        self.frequency_hz = round(min(max(frequency_hz, self._plan.low_hz), self._plan.high_hz), DIGITS)
+
+    def _note(self, look: Look, turned: complex) -> None:
+        time_s = (look.end_ns - self._began_ns) / NS_PER_S
+        self._rows.append((
+            time_s, look.frequency_hz, cmath.phase(turned), look.dt, abs(look.superior), abs(look.base),
+            abs(look.current), float(self.stage is Stage.LOCKED),
+        ))  # fmt: skip
+
+    def _watch(self, now_ns: int) -> None:
+        plan, waited = self._plan, (now_ns - self._held_ns) / NS_PER_S
+        if self.locked_ns is None:
+            if waited > plan.seek_limit_s:
+                self.abort(f"no resonance was found from {plan.start_hz:g} Hz within {plan.seek_limit_s:g} s")
+        elif waited > plan.lose_limit_s:
+            self.abort(f"the phase was not held for {plan.lose_limit_s:g} s")
+        elif now_ns - self.locked_ns >= plan.dwell_s * NS_PER_S and self.stage is Stage.LOCKED:
+            self.state = SweepState.FINISHED
+
+
+def _turn_from_quarter(turned: complex) -> float:
+    """Return φ' = phase + 90°, in (−π, π]."""
+    return cmath.phase(turned * 1j)
+
+
+def _detuning(turned: complex) -> float:
+    """Return tan φ', bounded: what a resonance is detuned, in units of its slope."""
+    angle = _turn_from_quarter(turned)
+    if abs(angle) >= math.atan(STEEPEST):
+        return math.copysign(STEEPEST, angle)
+    return math.tan(angle)
+
+
+class LockedSine:
+    """Seeks a resonance, tracks it, dwells there.
+
+    Args:
+        info: rows of `daq/info`.
+        accept_limit_s: rig time within which a command must be accepted, and the next scans must come.
+    """
+
+    def __init__(self, plan: LockPlan, info: NDArray[np.void], accept_limit_s: float = 5.0) -> None:
+        self._lock, self._meter = PhaseLock(plan), PhasorMeter(info)
+        self._rate_hz, self._limit_s = float(info["rate"][0]), accept_limit_s
+        self._wanted = Setpoint(plan.start_hz, plan.current_a)
+        self._since_ns: int | None = None  # from when the setpoint is in force
+        self._heard_ns = 0
+        self._scans: list[NDArray[np.void]] = []
+        self._end_ns = 0
+        self.measured = 0  # looks so far
+
+    @property
+    def state(self) -> SweepState:
+        """Where the lock stands."""
+        return self._lock.state
+
+    @property
+    def reason(self) -> str:
+        """Why it was aborted, in words; empty otherwise."""
+        return self._lock.reason
+
+    @property
+    def rows(self) -> NDArray[np.void]:
+        """Every look so far: rows of `blocks.PHASE_LOCK`."""
+        return self._lock.rows
+
+    @property
+    def newest(self) -> NDArray[np.void]:
+        """The last of them, shape (1,); (0,) before the first."""
+        return self._lock.newest
+
+    def describe(self) -> str:
+        """Say what it does, for people."""
+        at = f"{self._lock.frequency_hz:.6g} Hz"
+        return (
+            f"{self._lock.stage} at {at}" if self.state is SweepState.RUNNING else f"finished, the resonance is at {at}"
+        )
+
+    def figures(self) -> dict[str, float]:
+        """Return how far it is, for programs."""
+        phase = math.degrees(float(self.newest["phase"][0])) if self.measured else math.nan
+        locked = float(self._lock.locked)
+        return {"looks": self.measured, "frequency_hz": self._lock.frequency_hz, "phase_deg": phase, "locked": locked}
+
+    def start(self, now_ns: int) -> Setpoint:
+        """Begin."""
+        return self._ask(self._lock.start(now_ns), now_ns)
+
+    def on_applied(self, frequency_hz: float, current_a: float, now_ns: int) -> Setpoint | None:
+        """Take an accepted change of the drive; one that is not ours ends the lock."""
+        if self.state is not SweepState.RUNNING:
+            return None
+        wanted = self._wanted
+        if math.isclose(frequency_hz, wanted.frequency_hz, rel_tol=SAME) and math.isclose(
+            current_a, wanted.current_a, rel_tol=SAME
+        ):
+            if self._since_ns is None:
+                self._since_ns = self._heard_ns = now_ns
+            return None
+        if self._since_ns is not None:
+            return self.abort(f"somebody else set {frequency_hz:g} Hz and {current_a:g} A")
+        return None  # frequency and current come one after the other
+
+    def on_measurement(self, row: np.void, now_ns: int) -> Setpoint | None:
+        """Leave a settled measurement to others: a lock is quicker."""
+        del row, now_ns
+        return None
+
+    def on_scans(self, table: Table) -> Setpoint | None:
+        """Take a block of `daq/scan`; return what to set next once a stretch is whole."""
+        rows, step_ns = table.rows, NS_PER_S / self._rate_hz
+        if self.state is not SweepState.RUNNING or self._since_ns is None or not len(rows):
+            return None
+        if self._scans and abs(table.stamp_ns - self._end_ns) > step_ns / 2.0:
+            self._scans.clear()  # scans are missing: the stretch begins anew
+        self._heard_ns = self._end_ns = table.stamp_ns + round(len(rows) * step_ns)
+        early = max(0, math.ceil((self._since_ns - table.stamp_ns) / step_ns - 0.5))
+        self._scans.append(rows[early:])
+        if sum(map(len, self._scans)) < round(self._lock.look_s * self._rate_hz):
+            return None
+        look = self._meter.look(np.concatenate(self._scans), self._wanted.frequency_hz, self._end_ns)
+        if look is None:
+            return None  # a very low frequency: more scans are needed
+        self._scans.clear()
+        setpoint = self._lock.on_look(look)
+        self.measured += 1
+        if self.state is SweepState.RUNNING and setpoint == self._wanted:
+            return None
+        return self._ask(setpoint, self._end_ns)
+
+    def on_time(self, now_ns: int) -> Setpoint | None:
+        """Take the rig time; ends the lock when a command is not accepted, or no scans come."""
+        if self.state is not SweepState.RUNNING or (now_ns - self._heard_ns) / NS_PER_S <= self._limit_s:
+            return None
+        if self._since_ns is None:
+            return self.abort(f"{self._wanted.frequency_hz:g} Hz was not accepted within {self._limit_s:g} s")
+        return self.abort(f"no scans came for {self._limit_s:g} s")
+
+    def abort(self, reason: str) -> Setpoint | None:
+        """End a lock under way: the rig tripped, or the operator wants it."""
+        return self._lock.abort(reason) if self.state is SweepState.RUNNING else None
+
+    def _ask(self, setpoint: Setpoint, now_ns: int) -> Setpoint:
+        self._wanted, self._since_ns, self._heard_ns = setpoint, None, now_ns
+        self._scans.clear()
+        return setpoint
+
+
+FEWEST = 6  # looks from which their scatter says something
+NEVER_S = 1e9  # rig time that no test takes
+
+
+class LoopApparatus(Protocol):
+    """A rig that lets rig time pass only when it is looked at."""
+
+    def now_ns(self) -> int:
+        """Return the rig time."""
+
+    def set(self, setpoint: Setpoint) -> None:
+        """Command frequency, then current."""
+
+    def look(self, seconds: float) -> Look | str:
+        """Let so much rig time pass and return what the rig did in it, or why it goes on no more."""
+
+
+def follow(lock: PhaseLock, apparatus: LoopApparatus, until: Callable[[PhaseLock], bool]) -> None:
+    """Go on with a lock until it ends, or until a condition holds; it must have been started."""
+    while lock.state is SweepState.RUNNING and not until(lock):
+        now = apparatus.look(lock.look_s)
+        setpoint = lock.abort(now) if isinstance(now, str) else lock.on_look(now)
+        apparatus.set(setpoint)
+
+
+def lock_on(plan: LockPlan, apparatus: LoopApparatus) -> PhaseLock:
+    """Search, track and dwell; return the lock as it ended."""
+    lock = PhaseLock(plan)
+    apparatus.set(lock.start(apparatus.now_ns()))
+    follow(lock, apparatus, lambda _: False)
+    return lock
+
+
+class Mean(NamedTuple):
+    """A locked stretch: means with standard uncertainties."""
+
+    frequency_hz: float  # of the resonance
+    u_frequency_hz: float
+    """By the scatter of the looks, correlation included, and by the mean phase's distance from −90°."""
+    dt: float  # |X_1| / |X_b|
+    u_dt: float  # by the scatter of the looks and by the sensitivities, which are common to all that a rig measures
+
+
+def mean(rows: NDArray[np.void], u_gain: float) -> Mean:
+    """Return the means of looks (`PHASE_LOCK`), shape (n,); uncertainties are NaN for fewer than `FEWEST`.
+
+    Against the base the resonance lies (f/2) Re(X_b/X_1) above the frequency of a look, whatever the damping; where the
+    mean phase is not −90°, that much is uncertain.
+    """
+    frequency = float(np.mean(rows["frequency"]))
+    dt = float(np.mean(rows["laser_amplitude"]) / np.mean(rows["base_amplitude"]))
+    if len(rows) < FEWEST:
+        return Mean(frequency, math.nan, dt, math.nan)
+    widened = student_factor(len(rows))
+    left = 0.5 * frequency * float(np.mean(np.cos(rows["phase"]) / rows["transmissibility"]))
+    u_frequency = math.sqrt(variance_of_mean(rows["frequency"].astype(float)) * widened)
+    u_dt = math.sqrt(variance_of_mean(rows["transmissibility"].astype(float)) * widened)
+    return Mean(frequency, math.hypot(u_frequency, left), dt, math.hypot(u_dt, dt * u_gain))
+
+
+@attrs.frozen(kw_only=True)
+class Ladder:
+    """A backbone: the locked loop over currents, visited up, then down."""
+
+    currents_a: tuple[float, ...]  # ascending
+    lock: LockPlan  # of the loop; its current and dwell are not used, and its bound of lost locks is that of each rung
+    wait_s: float = 8.0
+    """Rig time on each rung, locked or given up, before it is measured; bounds what a transient leaves."""
+    mean_s: float = 6.0  # rig time over which a rung is averaged
+    jump: float = 0.25  # relative change of DT from one rung to the next that is told as a jump, not joined by a line
+
+
+@attrs.frozen(kw_only=True)
+class Rung:
+    """One amplitude of a backbone."""
+
+    direction: str  # up or down
+    current_a: float  # commanded
+    frequency_hz: float  # mean; u_frequency_hz: its standard uncertainty, see `Mean`
+    u_frequency_hz: float
+    dt: float  # ratio of the mean amplitudes; u_dt likewise
+    u_dt: float
+    spread: float  # relative standard deviation of DT from look to look
+    superior_m: float  # mean amplitude
+    base_m: float  # mean amplitude
+    phase_deg: float  # mean
+    locked: bool  # whether the phase was held in every look; where not, the numbers are means of a motion that wanders
+    jumped: bool  # the response is another one than on the rung before: DT jumped, or the lock came or went
+
+
+def climb(ladder: Ladder, apparatus: LoopApparatus) -> tuple[list[Rung], str]:
+    """Follow the backbone up and down; return its rungs, and why it ended early ("" if it did not)."""
+    currents, bound = ladder.currents_a, ladder.lock
+    lock = PhaseLock(attrs.evolve(bound, current_a=currents[0], dwell_s=NEVER_S, lose_limit_s=NEVER_S))
+    apparatus.set(lock.start(apparatus.now_ns()))
+    rungs: list[Rung] = []
+    steps = [("up", current) for current in currents] + [("down", current) for current in currents[-2::-1]]
+    for number, (direction, current) in enumerate(steps):
+        if number:
+            apparatus.set(lock.set_current(current, apparatus.now_ns()))
+        limit_s = bound.lose_limit_s if number else bound.seek_limit_s
+        _pass(lock, apparatus, limit_s, lambda one: one.locked)
+        _pass(lock, apparatus, ladder.wait_s)
+        first = len(lock.rows)
+        _pass(lock, apparatus, ladder.mean_s)
+        if lock.state is not SweepState.RUNNING:
+            return rungs, lock.reason
+        rungs.append(_rung(direction, current, lock.rows[first:], lock.u_gain, rungs[-1:], ladder.jump))
+    lock.abort("done")
+    apparatus.set(Setpoint(lock.frequency_hz, 0.0))
+    return rungs, ""
+
+
+def _pass(
+    lock: PhaseLock, apparatus: LoopApparatus, seconds: float, until: Callable[[PhaseLock], bool] = lambda _: False
+) -> None:
+    """Follow a lock for so much rig time, or until a condition holds."""
+    end_ns = apparatus.now_ns() + round(seconds * NS_PER_S)
+    follow(lock, apparatus, lambda one: until(one) or apparatus.now_ns() >= end_ns)
+
+
+def _rung(
+    direction: str, current: float, rows: NDArray[np.void], u_gain: float, before: Sequence[Rung], jump: float
+) -> Rung:
+    ratio = np.mean(rows["transmissibility"] * np.exp(1j * rows["phase"]))
+    means = mean(rows, u_gain)
+    dt = means.dt
+    locked = bool(np.all(rows["locked"] == 1.0))
+    jumped = any(abs(math.log(dt / one.dt)) > math.log1p(jump) or one.locked != locked for one in before)
+    return Rung(
+        direction=direction,
+        current_a=current,
+        frequency_hz=means.frequency_hz,
+        u_frequency_hz=means.u_frequency_hz,
+        dt=dt,
+        u_dt=means.u_dt,
+        spread=float(np.std(rows["transmissibility"]) / dt),
+        superior_m=float(np.mean(rows["laser_amplitude"])),
+        base_m=float(np.mean(rows["base_amplitude"])),
+        phase_deg=math.degrees(float(np.angle(ratio))),
+        locked=locked,
+        jumped=jumped,
+    )

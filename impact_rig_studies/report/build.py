@@ -1,0 +1,221 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""What the report says, in which order."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from urllib.parse import quote
+
+from markupsafe import Markup
+
+from impact_rig.drawing import Drawn, style
+from impact_rig.errors import ConfigError, RecordingError
+from impact_rig.rig.config import fields, to_flat
+from impact_rig.rig.gaps import NO_SPHERE
+from impact_rig.system import files
+from impact_rig_studies.campaign import run
+from impact_rig_studies.campaign.paper import FREQUENCIES_HZ, FREQUENCY_HZ
+from impact_rig_studies.campaign.results import Point
+from impact_rig_studies.campaign.run import Finished
+from impact_rig_studies.campaign.statements import Variation, variations
+from impact_rig_studies.dynamics import plan as dynamics
+from impact_rig_studies.report import content as kept
+from impact_rig_studies.report import cover, dt, findings, measured
+from impact_rig_studies.report.content import Cell, Content, number
+from impact_rig_studies.report.dt import phase_plane, time_trace
+from impact_rig_studies.report.findings import value_cell
+from impact_rig_studies.report.page import Section, contents, folded, links, page, paragraph, section
+from impact_rig_studies.report.studies import continued, reduction_over_gap, study_figures
+
+PAGE_FILE, FIGURES_FOLDER = "report.html", "figures"
+PEAK_HZ = 0.1  # studies that stay this near to 9.1 Hz are shown as the peaks of the curves
+
+
+def build_report(
+    directory: Path, target: Path | None = None, margins: Path | None = None, branches: Sequence[Path] = ()
+) -> Path:
+    """Write the report of a campaign or of a run, its numbers and its figures; return the page.
+
+    Args:
+        directory: of the campaign or of the run; an MCAP file is a run.
+        target: the page; `report.html` in the directory if None. `report.json` is written beside it.
+        margins: directory of a campaign that varies constants, for the table of what the statements owe to them.
+        branches: directories of `impact-rig dynamics continue`, whose motions are drawn beside what was measured.
+
+    Raises:
+        ConfigError: a directory holds neither campaign nor run, that of the margins no variation, one of the branches
+            another rig; or margins or branches are given to something that was not simulated.
+        RecordingError: nothing was measured yet, or the page cannot be written.
+    """
+    folder = directory if directory.is_dir() else directory.parent
+    target = target or folder / PAGE_FILE
+    content = Content()
+    is_campaign = (directory / run.CAMPAIGN_FILE).exists()
+    if not is_campaign and (directory.is_file() or any(directory.glob("*.mcap*"))):
+        _refuse_comparisons(directory, margins, branches)
+        data = measured.of_run(directory)
+        paths = [*directory.glob("*.mcap")] if directory.is_dir() else [directory]
+        html = measured.document(data, content, _links([target.parent / kept.FILE_NAME, *sorted(paths)], target.parent))
+        return _write(folder, target, content, data.title, html)
+    done = run.open_finished(directory)
+    if not done.points:
+        raise RecordingError(f"{directory} holds no measured point yet")
+    if done.imported:
+        _refuse_comparisons(directory, margins, branches)
+        data = measured.of_campaign(done)
+        html = measured.document(data, content, _links(_paths(done, target.parent), target.parent))
+        return _write(folder, target, content, data.title, html)
+    varied = variations(run.open_finished(margins).points) if margins else variations(done.points)
+    if margins and not varied:
+        raise ConfigError(f"{margins} holds no campaign that varies constants: see config/campaigns/margins.yaml")
+    with style():
+        opening = list(cover.opening(done, content))
+        beside = [
+            continued(f"continued_{i}", *dynamics.stored(one, dynamics.CONTINUE), done.points, done.campaign.base)
+            for i, one in enumerate(branches)
+        ]
+        sections = list(filter(None, _sections(done, varied, beside, content, target.parent)))
+    html = page(done.campaign.title, [*opening, contents(sections), *sections])
+    return _write(folder, target, content, done.campaign.title, html)
+
+
+def _refuse_comparisons(directory: Path, margins: Path | None, branches: Sequence[Path]) -> None:
+    """Refuse what compares with a simulated campaign."""
+    if margins or branches:
+        raise ConfigError(f"--margins and --branches belong to a simulated campaign, {directory} is a measurement")
+
+
+def _write(directory: Path, target: Path, content: Content, title: str, html: str) -> Path:
+    """Write page, numbers and figures."""
+    try:
+        folder = directory / FIGURES_FOLDER
+        files.make_folder(folder)
+        for one in content.drawn:
+            one.save(folder)
+        content.write(target.parent / kept.FILE_NAME, title)
+        files.write_text(target, html)
+    except OSError as error:
+        raise RecordingError(f"cannot write the report: {error.strerror} ({error.filename})") from error
+    return target
+
+
+def _sections(
+    done: Finished, varied: list[Variation], beside: list[Drawn], content: Content, folder: Path
+) -> Iterator[Section | None]:
+    """Yield the sections of the page that goes into `folder`."""
+    curves, config, keep = done.curves, done.campaign.base, content.figures
+    reductions = done.reductions()
+    compared = itertools.chain(
+        dt.without_sphere(curves, config),
+        dt.reductions_by_gap(reductions),
+        dt.differences(reductions),
+        dt.errors_without_sphere(curves, config),
+    )
+    details = itertools.chain(dt.peaks(curves), dt.amplitudes(curves), dt.regime_map(curves))
+    yield section("Set-up and instruments", *cover.apparatus(done, content), part=True)
+    yield section("Transmissibility", keep(dt.by_frequency(curves, config), large=True), part=True)
+    yield section(
+        "Reductions: the paper and this rig", *findings.reductions_table(done, content), keep(compared), part=True
+    )
+    by_frequency = keep(dt.damper_by_frequency(curves, done.calibration))
+    yield section("What DT tells of the damper", *findings.damper(done, content), by_frequency)
+    yield section("The paper's statements", *findings.statements(done, content))
+    yield section("Uncertainty of one transmissibility", *findings.uncertainty(done, content))
+    yield section("What was chosen, and what a verdict is worth", *findings.chosen(config, content))
+    yield section("What the statements owe to the choice", *findings.margins(varied, content))
+    yield section("Each gap beside the curve without sphere", keep(dt.figure_8(curves)))
+    yield section("Peak, amplitudes, regimes", keep(details))
+    yield section("Stable and unstable motions of the model", keep(beside))
+    yield section("Motion", keep(_motions(done)))
+    yield section("Further studies", keep(_studies(done)))
+    yield section("Points without a settled measurement", _failed(done.failed(), content))
+    yield section("The rig", *_configuration(done, content))
+    yield section("Versions and files", *_files(done, content, folder))
+
+
+def _motions(done: Finished) -> Iterator[Drawn]:
+    shown: dict[float, Point] = {}
+    for point in done.points:
+        at_resonance = point.reference and point.frequency_hz == FREQUENCY_HZ and point.gap_m != NO_SPHERE
+        if at_resonance and done.outcomes[point.key].trace:
+            shown.setdefault(point.gap_m, point)
+    for draw in (time_trace, phase_plane):
+        for gap, point in shown.items():
+            yield draw(done.outcomes[point.key].trace, gap, point.frequency_hz)
+
+
+def _studies(done: Finished) -> Iterator[Drawn]:
+    for study in done.campaign.studies:
+        own = [point for point in done.points if point.study == study.name]
+        known = set(study.frequencies_hz) == set(FREQUENCIES_HZ) or max(study.frequencies_hz) - FREQUENCY_HZ < PEAK_HZ
+        if known and len(study.frequencies_hz) > 1 and all(point.reference for point in own):
+            continue  # the paper's own curves and their peaks, above
+        theory = None
+        if own and len(study.frequencies_hz) == 1 and all(set(point.axes) <= {"sphere.start"} for point in own):
+            theory = reduction_over_gap(done.campaign.base, own[0].frequency_hz, own[0].current_a)
+        yield from study_figures(study.name, own, done.curves, done.calibration, theory)
+
+
+def _failed(failed: Sequence[Point], content: Content) -> Markup:
+    if not failed:
+        return paragraph("None.")
+    rows: list[list[str | Cell]] = [
+        [point.study, ", ".join([point.label, *(f"{n}={v}" for n, v in point.axes.items())]),
+         number(point.frequency_hz, "g"), point.direction, point.status]
+        for point in failed
+    ]  # fmt: skip
+    return content.table("failed", ["study", "case", "frequency (Hz)", "direction", "why"], rows, [2])
+
+
+def _configuration(done: Finished, content: Content) -> Iterator[Markup]:
+    values = to_flat(done.campaign.base)
+    varied = {name for study in done.campaign.studies for name in study.vary} | {"barriers.gap_m", "sphere.present"}
+    rows: list[list[str | Cell]] = [
+        [
+            name, value_cell(values[name]), about.unit,
+            "this campaign" if values[name] != default else about.origin.value,
+            "yes" if name in varied else "", about.doc,
+        ]
+        for name, about, default in fields()
+        if not name.startswith(("time.", "step.", "pluck.", "output."))
+    ]  # fmt: skip
+    yield paragraph(
+        "Origin: paper = printed there, identified = chosen so that its published statements hold, assumed = plausible "
+        "catalogue value or a choice of this project, this campaign = changed in its file."
+    )
+    table = content.table("configuration", ["name", "value", "unit", "origin", "varied", "meaning"], rows, [1])
+    yield folded(f"All {content.fact('values', len(rows))} values", table)
+
+
+def _files(done: Finished, content: Content, folder: Path) -> Iterator[Markup]:
+    rows = [[name.replace("_", " "), str(value)] for name, value in cover.versions(done).items()]
+    yield content.table("versions", ["what", "version"], rows)
+    paths = _paths(done, folder)
+    yield _links(paths, folder)
+    if not any(path.suffix == ".mcap" for path in paths):
+        yield paragraph(
+            "No MCAP files: this campaign was measured without the recorder. `impact-rig demo` records the same cases.",
+            "muted",
+        )
+
+
+def _paths(done: Finished, folder: Path) -> list[Path]:
+    """Return the files of a campaign that its page in `folder` leads to."""
+    names = [run.CSV_FILE, "summary.json", kept.FILE_NAME, run.CAMPAIGN_FILE, run.CONFIGURATION_FILE]
+    if done.imported:
+        names.remove(run.CONFIGURATION_FILE)  # of the nominal rig: nothing was measured on it
+    paths = [folder / name if name == kept.FILE_NAME else done.directory / name for name in names]
+    paths = [path for path in paths if path.exists() or path.name == kept.FILE_NAME]
+    return paths + sorted(done.directory.rglob("*.mcap"))
+
+
+def _links(paths: Sequence[Path], folder: Path) -> Markup:
+    """Return a list of links to files for a page in `folder`: relative where it can be, so that it can be moved."""
+    resolved, here = [path.resolve() for path in paths], folder.resolve()
+    addresses = [
+        quote(path.relative_to(here).as_posix()) if path.is_relative_to(here) else path.as_uri() for path in resolved
+    ]
+    return links(zip(addresses, (path.name for path in paths), strict=True))

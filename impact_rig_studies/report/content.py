@@ -1,0 +1,89 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""What the page says, as data: every table, figure and number that is shown goes through here into `report.json`.
+
+So no number of the page exists only as text: it is in `report.json` at full precision, in the unit it is shown in, or
+in `points.csv` or `summary.json`, which a test proves.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import attrs
+from markupsafe import Markup
+
+from impact_rig.drawing import Drawn
+from impact_rig.system import files
+from impact_rig_studies.report import page
+
+FILE_NAME = "report.json"
+COVERAGE = 2.0  # standard uncertainties that an error bar, or a number behind ±, is long
+
+
+@attrs.frozen
+class Cell:
+    """A cell of a table: what is read, and the number or numbers behind it."""
+
+    text: str
+    value: float | Sequence[float] | None
+    """As it is kept, in the unit that is shown; value and expanded uncertainty where there are two."""
+
+
+def number(value: float, spec: str = ".6g") -> Cell:
+    """Return a number, or an empty cell if there is none."""
+    return Cell(format(value, spec), value) if math.isfinite(value) else Cell("", None)
+
+
+def plus_minus(value: float, u: float, spec: str) -> Cell:
+    """Return a value with its expanded uncertainty, `COVERAGE` standard ones."""
+    if not (math.isfinite(value) and math.isfinite(u)):
+        return number(value, spec)
+    return Cell(f"{value:{spec}} ± {COVERAGE * u:{spec}}", (value, COVERAGE * u))
+
+
+class Content:
+    """Collects what the page shows while it is put together."""
+
+    def __init__(self) -> None:
+        self.drawn: list[Drawn] = []
+        self._facts: dict[str, object] = {"coverage_factor": COVERAGE}
+        self._tables: dict[str, object] = {}
+
+    def fact(self, name: str, value: float | str, spec: str = "") -> str:
+        """Keep a number or a text of the prose under a name, and return it as it is read."""
+        self._facts[name] = value
+        return format(value, spec)
+
+    def table(
+        self, name: str, headings: Sequence[str], rows: Iterable[Sequence[str | Cell]], numeric: Iterable[int] = ()
+    ) -> Markup:
+        """Return a table for the page; its cells are kept under a name."""
+        kept = [list(row) for row in rows]
+        self._tables[name] = {
+            "columns": list(headings),
+            "rows": [[cell.value if isinstance(cell, Cell) else cell for cell in row] for row in kept],
+        }
+        texts = [[cell.text if isinstance(cell, Cell) else cell for cell in row] for row in kept]
+        return page.table(headings, texts, numeric)
+
+    def figures(self, found: Iterable[Drawn], *, large: bool = False) -> Markup:
+        """Return figures for the page; they are kept to be saved beside it."""
+        new = list(found)
+        self.drawn += new
+        return page.figures(new, large=large)
+
+    def write(self, path: Path, title: str) -> None:
+        """Write everything for programs."""
+        figures = {
+            one.name: {
+                "caption": one.caption,
+                "cases": [{"case": line.label, **{n: list(v) for n, v in line.columns.items()}} for line in one.lines],
+            }
+            for one in self.drawn
+        }
+        content = {"title": title, "facts": self._facts, "tables": self._tables, "figures": figures}
+        files.write_text(path, json.dumps(files.plain(content), indent=1, ensure_ascii=False) + "\n")

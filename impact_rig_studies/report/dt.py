@@ -1,0 +1,512 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""What was measured, drawn: DT over frequency and gap beside paper and theory, what is left, motion and regimes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any  # Any: what matplotlib takes
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from impact_rig.analysis.calibration import Calibration
+from impact_rig.drawing import (
+    CHAOTIC,
+    GRID,
+    INK,
+    MEASURED,
+    MODULATED,
+    MUTED,
+    PAPER_RED,
+    PERIODIC,
+    PREDICTED,
+    QUIET,
+    SERIES,
+    Drawn,
+    Line,
+    legend_below,
+    new_axes,
+    style,
+)
+from impact_rig.rig.config import RigConfig
+from impact_rig.rig.gaps import NO_SPHERE, case_of
+from impact_rig.system import files
+from impact_rig_studies.campaign import paper
+from impact_rig_studies.campaign.job import Trace
+from impact_rig_studies.campaign.paper import FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT, Reductions
+from impact_rig_studies.campaign.results import Curves, Point
+from impact_rig_studies.campaign.statements import MissingError, peak_hz
+from impact_rig_studies.reduction import Damper, damper
+from impact_rig_studies.report.content import COVERAGE
+from impact_rig_studies.report.studies import Stretch, predicted
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+NEAR_HZ = (8.85, 9.35)  # where the cases differ
+HEIGHT_INCH = 6.6
+FINE = 400  # frequencies at which a prediction is drawn
+
+
+def without_sphere(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
+    """Draw DT without the sphere: measured, and the closed form of the configured rig."""
+    points = curve(curves, NO_SPHERE)
+    if not points:
+        return
+    figure, (axis,) = new_axes(2.9)
+    fine = np.linspace(FREQUENCIES_HZ[0], FREQUENCIES_HZ[-1], FINE)
+    (exact,) = predicted(config, NO_SPHERE, fine, paper.CURRENT_A)
+    axis.plot(fine, exact.dt, color=PREDICTED, linewidth=0.9, label="closed form")
+    _errorbar(axis, points, MEASURED, "none", label="measured, ± 2u")
+    axis.axvline(FREQUENCY_HZ, color=PAPER_RED, linewidth=0.9, linestyle=":", label="paper: 9.1 Hz")
+    axis.set(xlabel="frequency (Hz)", ylabel="transmissibility", title="DT without sphere", ylim=(0.0, None))
+    axis.legend(loc="upper left")
+    caption = "Displacement transmissibility without the sphere (the paper's Fig. 6)."
+    lines = [measured_line(NO_SPHERE, points), _predicted_line(NO_SPHERE, exact)]
+    yield Drawn("fig6_without_sphere", figure, caption, lines)
+
+
+def by_frequency(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
+    """Draw DT of all cases, linear and logarithmic, the phase beneath, predictions as lines: whole, and at resonance.
+
+    Near resonance everything measured is drawn, elsewhere the paper's frequencies are what there is.
+    """
+    cases = [gap for gap in (NO_SPHERE, *REDUCTION_PERCENT) if curve(curves, gap)]
+    if len(cases) < 2:
+        return
+    explained = (
+        "Linear above, logarithmic in the middle, and the phase of the superior base to the inferior one. Points: "
+        "measured, ± 2u. Full lines: predicted without simulation; dotted: from point to point, where no prediction "
+        "exists. Diamonds: our DT without sphere, less the reduction the paper prints."
+    )
+    whole = (FREQUENCIES_HZ[0], FREQUENCIES_HZ[-1])
+    ranges = (
+        ("fig7_all_gaps", whole, "All cases over the frequency (the paper's Fig. 7)."),
+        ("fig7_near_resonance", NEAR_HZ, "The same near resonance, where the cases differ."),
+    )
+    for name, (low, high), what in ranges:
+        measured = {gap: _within(curves, gap, low, high) for gap in cases}
+        theory = {gap: predicted(config, gap, np.linspace(low, high, FINE), paper.CURRENT_A) for gap in cases}
+        lines = [measured_line(gap, points) for gap, points in measured.items()]
+        lines += [_predicted_line(gap, part) for gap, parts in theory.items() for part in parts]
+        figure, axes = new_axes(HEIGHT_INCH, (1.5, 1.5, 1.0))
+        for gap in cases:
+            _draw_case(axes, gap, measured[gap], theory[gap])
+            wanted = papers_dt(curves, gap) if gap != NO_SPHERE else None
+            if wanted is None:
+                continue
+            for axis in axes[:2]:
+                axis.plot(FREQUENCY_HZ, wanted, "D", color=PAPER_RED, markerfacecolor="none", markersize=5.0)
+        axes[2].plot([], [], "D", color=PAPER_RED, markerfacecolor="none", markersize=5.0, label="paper")
+        axes[0].set(ylabel="transmissibility", ylim=(0.0, None), title=f"At {paper.CURRENT_A * 1e3:g} mA")
+        axes[1].set(ylabel="transmissibility", yscale="log")
+        axes[1].yaxis.set_major_formatter("{x:g}")
+        axes[1].yaxis.set_minor_formatter(_label_if_first)
+        axes[2].set(ylabel="phase (°)", xlabel="frequency (Hz)", ylim=(-190.0, 10.0))
+        axes[2].set_yticks([-180, -90, 0])
+        legend_below(axes[2], 4)
+        yield Drawn(name, figure, f"{what} {explained}", lines)
+
+
+def _within(curves: Curves, gap: float, low: float, high: float) -> list[Point]:
+    """Return everything that was measured of a case between two frequencies, at the paper's current."""
+    points = (p for f, p in sorted(curves.by_gap[gap].items()) if low <= f <= high)
+    return [p for p in points if p.current_a == paper.CURRENT_A]
+
+
+def _label_if_first(value: float, _: float) -> str:
+    """Return the label of a minor tick: 2 and 5 of a decade only, so that none stands in another."""
+    return f"{value:g}" if f"{value:e}"[0] in "25" else ""
+
+
+def _draw_case(axes: Sequence[Axes], gap: float, points: Sequence[Point], theory: Sequence[Stretch]) -> None:
+    """Draw one case into the three axes: points with bars, the theory's lines, or a faint line from point to point."""
+    frequency, shade = [p.frequency_hz for p in points], colour(gap)
+    phases = _lag_deg([p.phase_rad for p in points])
+    bars = [COVERAGE * math.degrees(float(p.rows["phase_uncertainty"][0])) for p in points]
+    for axis in axes[:2]:
+        _errorbar(axis, points, shade, "none", markersize=3.0, capsize=1.5)
+        for part in theory:
+            axis.plot(part.frequency_hz, part.dt, color=shade, linewidth=1.0, linestyle="-")
+        if not theory:
+            axis.plot(frequency, [p.dt for p in points], color=shade, linewidth=0.8, linestyle=":")
+    axes[2].errorbar(
+        frequency, phases, bars, color=shade, marker="o", markersize=3.0, linestyle="none", capsize=1.5, label=case(gap)
+    )
+    for part in theory:
+        axes[2].plot(part.frequency_hz, _lag_deg(part.phase_rad), color=shade, linewidth=1.0, linestyle="-")
+
+
+def _lag_deg(phase_rad: ArrayLike) -> NDArray[np.float64]:
+    """Return phases [°] as they are drawn: as a lead of almost half a turn comes a lag of a little more."""
+    degrees = np.degrees(phase_rad)
+    return np.where(degrees > 90.0, degrees - 360.0, degrees)
+
+
+def _predicted_line(gap: float, part: Stretch) -> Line:
+    columns = {
+        "frequency_hz": part.frequency_hz.tolist(),
+        "transmissibility": part.dt.tolist(),
+        "phase_deg": np.degrees(part.phase_rad).tolist(),
+    }
+    return Line(f"{case(gap)}, predicted", columns)
+
+
+# --- The reductions beside the paper's
+
+
+@style()
+def draw_reductions(reductions: Reductions, path: Path) -> Path:
+    """Draw transmissibility and its reduction by gap beside the paper's five numbers; return `path`."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415  # a second of import, only for figures
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    gaps = sorted(reductions.dt)
+    names = [f"{gap * 1e3:g}" for gap in gaps]
+    ours, spread = reductions.percent(), reductions.percent_uncertainty
+    figure = Figure(figsize=(9.0, 3.8), layout="constrained")
+    FigureCanvasAgg(figure)
+    left, right = figure.subplots(1, 2, width_ratios=[1.0, 1.35])
+
+    heights = [reductions.dt_no_sphere, *(reductions.dt[gap] for gap in gaps)]
+    left.bar(["none", *names], heights, color=[MUTED] + [MEASURED] * len(gaps), width=0.65)
+    for i, height in enumerate(heights):
+        left.text(i, height, f"{height:.1f}", ha="center", va="bottom", fontsize=8)
+    left.set(xlabel="gap (mm)", ylabel="displacement transmissibility", title="DT at 9.1 Hz, constant current")
+    left.margins(y=0.12)
+
+    places = range(len(gaps))
+    right.bar(
+        [i - 0.2 for i in places], [REDUCTION_PERCENT.get(g, 0.0) for g in gaps], 0.38, color=PAPER_RED, label="paper"
+    )
+    right.bar(
+        [i + 0.2 for i in places], [ours[g] for g in gaps], 0.38, yerr=[2.0 * spread[g] for g in gaps],
+        color=MEASURED, ecolor=INK, capsize=3, label="this run (± 2u)",
+    )  # fmt: skip
+    for i, gap in enumerate(gaps):
+        published = REDUCTION_PERCENT.get(gap, 0.0)
+        for x, y, value in ((i - 0.2, published, published), (i + 0.2, ours[gap] + 2.0 * spread[gap], ours[gap])):
+            right.text(x, y, f"{value:.1f}", ha="center", va="bottom", fontsize=8)
+    right.set_xticks(list(places), names)
+    right.set(xlabel="gap (mm)", ylabel="reduction of DT (%)", title="Reduction by the sphere")
+    right.legend(frameon=False, loc="upper left")
+    right.margins(y=0.2)
+    for axes in (left, right):
+        axes.grid(visible=False, axis="x")
+    with files.written_whole(path) as file:
+        figure.savefig(file, format="png", dpi=140)
+    return path
+
+
+# --- What is left: by gap, and without the sphere against theory
+
+
+def reductions_by_gap(reductions: Reductions) -> Iterator[Drawn]:
+    """Draw our reductions beside the paper's."""
+    ours, spread = reductions.percent(), reductions.percent_uncertainty
+    if not ours:
+        return
+    figure, (axis,) = new_axes(3.0)
+    gaps = sorted(ours)
+    millimetres = np.array(gaps) * 1e3
+    axis.errorbar(
+        millimetres, [ours[g] for g in gaps], [COVERAGE * spread[g] for g in gaps],
+        color=MEASURED, marker="o", capsize=3.0, label="this rig, ± 2u",
+    )  # fmt: skip
+    published = [REDUCTION_PERCENT[g] for g in gaps]
+    axis.plot(millimetres, published, "D", color=PAPER_RED, markerfacecolor="none", markersize=6.0, label="paper")
+    axis.set(xlabel="gap (mm)", ylabel="reduction of DT at 9.1 Hz (%)", title="Reduction by the sphere", ylim=(20, 55))
+    axis.set_xticks(millimetres)
+    axis.legend(loc="lower right")
+    caption = "Reduction at 9.1 Hz by gap. A fit: constants of the rig were chosen on these five numbers."
+    numbers = {
+        "gap_mm": millimetres.tolist(),
+        "reduction_percent": [ours[g] for g in gaps],
+        "expanded_uncertainty_points": [COVERAGE * spread[g] for g in gaps],
+        "paper_percent": published,
+    }
+    yield Drawn("reductions", figure, caption, [Line("reduction at 9.1 Hz", numbers)])
+
+
+def differences(reductions: Reductions) -> Iterator[Drawn]:
+    """Draw by how much our reductions differ from the paper's."""
+    errors, spread = reductions.errors(), reductions.percent_uncertainty
+    if not errors:
+        return
+    gaps = sorted(errors)
+    x, y, bars = [gap * 1e3 for gap in gaps], [errors[gap] for gap in gaps], [COVERAGE * spread[gap] for gap in gaps]
+    figure, axis = _residuals(x, y, bars, (PAPER_RED, "paper"), "this rig less the paper, ± 2u")
+    reach = 1.25 * max(0.5, *(abs(error) for error in errors.values()))
+    axis.set(xlabel="gap (mm)", ylabel="difference (points)", title="Residuals", ylim=(-reach, reach))
+    axis.set_xticks(x)
+    caption = "Our reduction at 9.1 Hz less the paper's, in points. The bars are ours; the paper states none."
+    columns = {"gap_mm": x, "difference_points": y, "expanded_uncertainty_points": bars}
+    yield Drawn("residuals", figure, caption, [Line("this rig less the paper", columns)])
+
+
+def errors_without_sphere(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
+    """Draw by how much DT without the sphere differs from the closed form: what the instruments add."""
+    points = curve(curves, NO_SPHERE)
+    if not points:
+        return
+    frequency = np.array([p.frequency_hz for p in points])
+    (exact,) = predicted(config, NO_SPHERE, frequency, paper.CURRENT_A)
+    errors = 100.0 * (np.array([p.dt for p in points]) / exact.dt - 1.0)
+    bars = 100.0 * COVERAGE * np.array([p.u_dt / p.dt for p in points])
+    figure, axis = _residuals(frequency, errors, bars, (MUTED, "closed form"), "measured, ± 2u")
+    axis.set(xlabel="frequency (Hz)", ylabel="difference (%)", title="Without sphere, against theory")
+    caption = "DT without the sphere against the closed form of the configured rig: errors of instruments and analysis."
+    columns = {
+        "frequency_hz": frequency.tolist(), "difference_percent": errors.tolist(),
+        "expanded_uncertainty_percent": bars.tolist(),
+    }  # fmt: skip
+    yield Drawn("residuals_without_sphere", figure, caption, [Line("no sphere", columns)])
+
+
+def _residuals(
+    x: ArrayLike, errors: ArrayLike, bars: ArrayLike, zero: tuple[str, str], label: str
+) -> tuple[Figure, Axes]:
+    """Draw differences with their bars about a line of a colour and a name."""
+    figure, (axis,) = new_axes(3.0)
+    axis.axhline(0.0, color=zero[0], linewidth=1.0, label=zero[1])
+    axis.errorbar(x, errors, bars, color=MEASURED, marker="o", linestyle="none", capsize=3.0, label=label)
+    legend_below(axis, 2)
+    return figure, axis
+
+
+# --- The paper's figures from our runs: curves over frequency, base amplitude, regimes
+
+FIGURE_8 = "abcde"
+REGIMES = {"periodic": PERIODIC, "modulated": MODULATED, "chaotic": CHAOTIC}
+
+
+def colour(gap_m: float) -> str:
+    """Return the colour of a case, the same in all figures."""
+    gaps = list(REDUCTION_PERCENT)
+    return MUTED if gap_m == NO_SPHERE else SERIES[gaps.index(gap_m)] if gap_m in gaps else INK
+
+
+def curve(curves: Curves, gap_m: float) -> list[Point]:
+    """Return a case's points at the paper's frequencies."""
+    return [point for frequency in FREQUENCIES_HZ if (point := curves.at(gap_m, frequency)) is not None]
+
+
+def papers_dt(curves: Curves, gap_m: float) -> float | None:
+    """Return the DT at 9.1 Hz that the paper's reduction means for our curve without sphere."""
+    without = curves.at(NO_SPHERE, FREQUENCY_HZ)
+    return None if without is None else without.dt * (1.0 - REDUCTION_PERCENT[gap_m] / 100.0)
+
+
+def case(gap_m: float) -> str:
+    """Return the name of a case in legends."""
+    return case_of(gap_m).removeprefix("gap ")
+
+
+def measured_line(gap_m: float, points: Sequence[Point]) -> Line:
+    """Return what was measured of a case, as its curve is drawn."""
+    return Line(
+        case(gap_m),
+        {
+            "frequency_hz": [p.frequency_hz for p in points],
+            "transmissibility": [p.dt for p in points],
+            "expanded_uncertainty": [COVERAGE * p.u_dt for p in points],
+            "phase_deg": [math.degrees(p.phase_rad) for p in points],
+        },
+    )
+
+
+def figure_8(curves: Curves) -> Iterator[Drawn]:
+    """Draw each gap beside the curve without sphere."""
+    without = curve(curves, NO_SPHERE)
+    for letter, gap in zip(FIGURE_8, REDUCTION_PERCENT, strict=True):
+        points = curve(curves, gap)
+        if not points:
+            continue
+        figure, (axis,) = new_axes(2.9)
+        if without:
+            _errorbar(axis, without, colour(NO_SPHERE), "--", label="no sphere")
+        _errorbar(axis, points, colour(gap), "-", label=f"gap {gap * 1e3:g} mm")
+        wanted = papers_dt(curves, gap)
+        if wanted is not None:
+            label = f"paper, −{REDUCTION_PERCENT[gap]:g} %"
+            axis.plot(FREQUENCY_HZ, wanted, "D", color=PAPER_RED, markerfacecolor="none", markersize=6.0, label=label)
+        axis.set(xlabel="frequency (Hz)", ylabel="transmissibility", title=f"Gap {gap * 1e3:g} mm", ylim=(0.0, None))
+        axis.legend(loc="upper left")
+        lines = [measured_line(at, one) for at, one in ((NO_SPHERE, without), (gap, points)) if one]
+        yield Drawn(f"fig8{letter}_gap_{gap * 1e3:g}mm", figure, f"Gap {gap * 1e3:g} mm (Fig. 8{letter}).", lines)
+
+
+def peaks(curves: Curves) -> Iterator[Drawn]:
+    """Draw the curves around their peaks, on the fine grid, with the peaks marked."""
+    figure, (axis,) = new_axes(3.4)
+    lines: list[Line] = []
+    for gap in (NO_SPHERE, *REDUCTION_PERCENT):
+        try:
+            peak = peak_hz(curves, gap)
+        except MissingError:
+            continue
+        points = [p for f, p in sorted(curves.by_gap[gap].items()) if abs(f - FREQUENCY_HZ) < 0.0999]
+        lines.append(measured_line(gap, points))
+        dash = "--" if gap == NO_SPHERE else "-"
+        axis.plot([p.frequency_hz for p in points], [p.dt for p in points], dash, color=colour(gap), label=case(gap))
+        axis.axvline(peak, color=colour(gap), linewidth=0.7, linestyle=":")
+    if not lines:
+        return
+    axis.set(xlabel="frequency (Hz)", ylabel="transmissibility", title="Where the curves peak")
+    legend_below(axis, 3)
+    caption = "Grid of 0.01 Hz. Dotted: where each curve peaks; with the sphere a little lower, as the paper saw."
+    yield Drawn("peaks", figure, caption, lines)
+
+
+def dampers(curves: Curves, calibration: Calibration) -> dict[float, dict[float, Damper]]:
+    """Return what DT with and without the sphere tells of it, by gap and frequency, where both were measured."""
+    found: dict[float, dict[float, Damper]] = {}
+    for gap in curves.gaps():
+        for frequency, point in sorted(curves.by_gap[gap].items()):
+            without = curves.at(NO_SPHERE, frequency)
+            if without is not None:
+                found.setdefault(gap, {})[frequency] = damper(without.rows, point.rows, calibration)
+    return found
+
+
+def damper_by_frequency(curves: Curves, calibration: Calibration) -> Iterator[Drawn]:
+    """Draw added mass and loss factor over frequency, with their expanded uncertainties."""
+    found = {gap: own for gap, own in dampers(curves, calibration).items() if len(own) > 1}
+    if not found:
+        return
+    figure, (upper, lower) = new_axes(4.8, (1.0, 1.0))
+    lines: list[Line] = []
+    for gap, own in found.items():
+        frequency = list(own)
+        columns: dict[str, list[float]] = {"frequency_hz": frequency}
+        for axis, name in ((upper, "added_mass"), (lower, "loss_factor")):
+            columns[name] = [100.0 * getattr(one, name) for one in own.values()]
+            columns[f"u_{name}"] = [100.0 * getattr(one, f"u_{name}") for one in own.values()]
+            bars = [COVERAGE * u for u in columns[f"u_{name}"]]
+            axis.errorbar(frequency, columns[name], bars, marker="o", capsize=2.0, color=colour(gap), label=case(gap))
+        lines.append(Line(case(gap), columns))
+    upper.set(ylabel="added mass (%)", title="What the sphere does to the structure")
+    lower.set(ylabel="loss factor (%)", xlabel="frequency (Hz)")
+    legend_below(lower, 3, upper)
+    caption = (
+        "From DT and phase with and without the sphere alone: the force on the structure over its inertia force, in "
+        "phase with its displacement (added mass, a share of m_1) and in quadrature (loss factor)."
+    )
+    yield Drawn("damper", figure, caption, lines)
+
+
+def amplitudes(curves: Curves) -> Iterator[Drawn]:
+    """Draw the amplitudes of both bases over frequency: the damper works by raising the inferior one."""
+    cases = {gap: points for gap in (NO_SPHERE, *REDUCTION_PERCENT) if (points := curve(curves, gap))}
+    if not cases:
+        return
+    figure, (upper, lower) = new_axes(4.8, (1.0, 1.0))
+    lines: list[Line] = []
+    for gap, points in cases.items():
+        frequency = [p.frequency_hz for p in points]
+        dash = "--" if gap == NO_SPHERE else "-"
+        columns = {"superior_base_mm": [p.laser_m * 1e3 for p in points], "base_um": [p.base_m * 1e6 for p in points]}
+        lines.append(Line(case(gap), {"frequency_hz": frequency, **columns}))
+        for axis, y, label in zip((upper, lower), columns.values(), (case(gap), None), strict=True):
+            axis.plot(frequency, y, dash, marker="o", color=colour(gap), label=label)
+    upper.set(ylabel="superior base (mm)", title=f"Amplitudes at {paper.CURRENT_A * 1e3:g} mA")
+    lower.set(ylabel="inferior base (µm)", xlabel="frequency (Hz)", yscale="log")
+    lower.set_yticks([50, 100, 200, 500], ["50", "100", "200", "500"])
+    lower.minorticks_off()
+    legend_below(lower, 3, upper)
+    caption = (
+        "At constant current the superior base moves nearly as far with the sphere as without; what changes is the "
+        "base beneath it. At resonance the structure holds the base still, like a tuned absorber; losses in the "
+        "sphere's impacts weaken that hold, the base moves more, and so DT falls."
+    )
+    yield Drawn("amplitudes", figure, caption, lines)
+
+
+def regime_map(curves: Curves) -> Iterator[Drawn]:
+    """Draw, for each gap and frequency, what the response does and how often the sphere strikes."""
+    cases = {gap: points for gap in REDUCTION_PERCENT if (points := curve(curves, gap))}
+    if not cases:
+        return
+    figure, (axis,) = new_axes(0.55 + 0.36 * (len(cases) + 2))
+    for row, gap in enumerate(cases):
+        for column, frequency in enumerate(FREQUENCIES_HZ):
+            point = curves.at(gap, frequency)
+            counted = point is not None and not math.isnan(point.impacts_per_cycle)  # else nobody knows of none
+            shade = GRID if point is None else REGIMES.get(point.regime, GRID)
+            if point is not None and counted and not point.impacts:
+                shade = QUIET
+            axis.fill_between([column - 0.48, column + 0.48], row - 0.46, row + 0.46, color=shade, linewidth=0)
+            if point is not None and counted:
+                axis.text(column, row, f"{point.impacts_per_cycle:.1f}", ha="center", va="center", fontsize=8.0)
+    axis.set_xticks(range(len(FREQUENCIES_HZ)), [f"{frequency:g}" for frequency in FREQUENCIES_HZ])
+    axis.set_yticks(range(len(cases)), [f"{gap * 1e3:g}" for gap in cases])
+    axis.set(xlabel="frequency (Hz)", ylabel="gap (mm)", xlim=(-0.6, len(FREQUENCIES_HZ) - 0.4))
+    axis.grid(visible=False)
+    for name, shade in (*REGIMES.items(), ("no impacts", QUIET)):
+        axis.fill_between([], [], [], color=shade, label=name)
+    legend_below(axis, 4)
+    caption = "Regime map: what the response does from cycle to cycle, and impacts per cycle, from the accelerometer."
+    lines = [
+        Line(case(gap), {name: [getattr(p, name) for p in one] for name in ("frequency_hz", "impacts_per_cycle")})
+        for gap, one in cases.items()
+    ]
+    yield Drawn("regimes", figure, caption, lines)
+
+
+def _errorbar(axis: Axes, points: Sequence[Point], shade: str, line: str, capsize: float = 2.0, **more: Any) -> None:
+    frequency, bars = [p.frequency_hz for p in points], [COVERAGE * p.u_dt for p in points]
+    dt = [p.dt for p in points]
+    axis.errorbar(frequency, dt, bars, color=shade, marker="o", linestyle=line, capsize=capsize, **more)
+
+
+# --- Time traces and phase planes of single runs, from their last blocks
+
+CYCLES = 3  # drive cycles in a time trace
+DRAWN_HZ = 2000.0  # displacements are drawn at this rate; pulses of the accelerometer keep every scan
+
+
+def time_trace(trace: Trace, gap_m: float, frequency_hz: float) -> Drawn:
+    """Draw the motion over time."""
+    time = np.asarray(trace["time"], float)
+    shown = time <= CYCLES / frequency_hz
+    coarse = np.flatnonzero(shown)[:: max(1, round(1.0 / (time[1] - time[0]) / DRAWN_HZ))]
+    laser, truth_1, truth_2 = (np.asarray(trace[column], float)[coarse] * 1e3 for column in ("laser", "x_1", "x_2"))
+    half = gap_m * 500.0
+    figure, (upper, lower) = new_axes(4.0, (1.5, 1.0))
+    upper.fill_between(
+        1e3 * time[coarse], truth_1 - half, truth_1 + half, color=MUTED, alpha=0.18, linewidth=0,
+        label="between the barriers",
+    )  # fmt: skip
+    upper.plot(1e3 * time[coarse], laser, color=SERIES[0], label="superior base (laser)")
+    upper.plot(1e3 * time[coarse], truth_2, color=SERIES[2], linewidth=1.0, label="sphere (truth)")
+    upper.set(ylabel="displacement (mm)", title=_case(gap_m, frequency_hz))
+    lower.plot(1e3 * time[shown], np.asarray(trace["accelerometer"], float)[shown], color=INK, linewidth=0.7)
+    lower.set(xlabel="time (ms)", ylabel="accel. (m/s²)")
+    legend_below(lower, 2, upper)
+    caption = f"Time traces, gap {gap_m * 1e3:g} mm: {CYCLES} cycles. The spikes are impacts."
+    columns = {"time_s": time[coarse].tolist(), "superior_base_mm": laser.tolist(), "sphere_mm": truth_2.tolist()}
+    return Drawn(f"trace_gap_{gap_m * 1e3:g}mm", figure, caption, [Line("truth and laser", columns)])
+
+
+def phase_plane(trace: Trace, gap_m: float, frequency_hz: float) -> Drawn:
+    """Draw the sphere's motion between the barriers; arguments as in `time_trace`."""
+    place = 1e3 * (np.asarray(trace["x_2"], float) - np.asarray(trace["x_1"], float))
+    speed = np.asarray(trace["v_2"], float) - np.asarray(trace["v_1"], float)
+    figure, (axis,) = new_axes()
+    axis.plot(place[::2], speed[::2], color=SERIES[2], linewidth=0.7)
+    for wall in (-gap_m * 500.0, gap_m * 500.0):
+        axis.axvline(wall, color=MUTED, linewidth=1.0)
+    axis.set(
+        xlabel="sphere less superior base (mm)", ylabel="relative velocity (m/s)", title=_case(gap_m, frequency_hz)
+    )
+    caption = f"Phase plane of the sphere between the barriers, gap {gap_m * 1e3:g} mm (truth)."
+    columns = {"place_mm": place[::2].tolist(), "relative_velocity_m_s": speed[::2].tolist()}
+    return Drawn(f"phase_gap_{gap_m * 1e3:g}mm", figure, caption, [Line("sphere (truth)", columns)])
+
+
+def _case(gap_m: float, frequency_hz: float) -> str:
+    return f"Gap {gap_m * 1e3:g} mm, {frequency_hz:g} Hz"

@@ -1,0 +1,178 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""What was found: reductions and residuals, statements and their worth, the budget of one transmissibility."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from markupsafe import Markup
+
+from impact_rig.analysis.uncertainty_budget import budget
+from impact_rig.config import Origin
+from impact_rig.config.tree import Value
+from impact_rig.physics.contact import from_config
+from impact_rig.rig.config import RigConfig, fields, to_flat
+from impact_rig.rig.gaps import NO_SPHERE
+from impact_rig_studies.campaign.paper import CURRENT_A, FREQUENCY_HZ, REDUCTION_PERCENT
+from impact_rig_studies.campaign.results import Point
+from impact_rig_studies.campaign.run import Finished
+from impact_rig_studies.campaign.statements import Variation
+from impact_rig_studies.report.content import COVERAGE, Cell, Content, number, plus_minus
+from impact_rig_studies.report.dt import dampers
+from impact_rig_studies.report.page import paragraph
+
+BUDGETED_GAP_M = 6e-3  # the uncertainty of this case is taken apart, where it was measured
+
+
+def value_cell(value: Value) -> str | Cell:
+    """Return a configuration's value as a cell."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+    return number(float(value)) if isinstance(value, float) else Cell(str(value), value)
+
+
+def reductions_table(done: Finished, content: Content) -> Iterator[Markup]:
+    """Yield DT and reduction by gap beside the paper's."""
+    reductions = done.reductions()
+    ours, spread, errors = reductions.percent(), reductions.percent_uncertainty, reductions.errors()
+    if not ours:
+        return
+    u = reductions.dt_uncertainty
+    rows: list[list[str | Cell]] = [["none", plus_minus(reductions.dt_no_sphere, u[NO_SPHERE], ".2f"), "", "", ""]]
+    for gap in sorted(ours):
+        difference = round(errors[gap], 1) + 0.0
+        rows.append([
+            number(gap * 1e3, "g"), plus_minus(reductions.dt[gap], u[gap], ".2f"),
+            number(REDUCTION_PERCENT[gap], ".1f"), plus_minus(ours[gap], spread[gap], ".2f"),
+            Cell(f"{difference:+.1f}", errors[gap]),
+        ])  # fmt: skip
+    headings = ["gap (mm)", f"DT at {FREQUENCY_HZ:g} Hz", "paper (%)", "ours (%)", "difference"]
+    yield content.table("reductions", headings, rows, range(5))
+    largest = content.fact("max_abs_error_points", reductions.max_abs_error(), ".2f")
+    rms = content.fact("rms_error_points", reductions.rms_error(), ".2f")
+    yield paragraph(f"Largest difference {largest} points, rms {rms}. A fit, not a prediction: see below.", "muted")
+
+
+def damper(done: Finished, content: Content) -> Iterator[Markup]:
+    """Yield what DT tells of the damper, at the frequency where most gaps were measured."""
+    found = dampers(done.curves, done.calibration)
+    counts = [frequency for own in found.values() for frequency in own]
+    if not counts:
+        return
+    at_hz = max(counts, key=lambda frequency: (counts.count(frequency), -abs(frequency - FREQUENCY_HZ)))
+    rows: list[list[str | Cell]] = [
+        [
+            number(gap * 1e3, "g"), plus_minus(100.0 * one.added_mass, 100.0 * one.u_added_mass, ".3f"),
+            plus_minus(100.0 * one.loss_factor, 100.0 * one.u_loss_factor, ".3f"),
+        ]
+        for gap, own in found.items() if (one := own.get(at_hz)) is not None
+    ]  # fmt: skip
+    headings = ["gap (mm)", f"added mass at {at_hz:g} Hz (% of m_1)", "loss factor (%)"]
+    yield content.table("damper", headings, rows, range(3))
+
+
+def statements(done: Finished, content: Content) -> Iterator[Markup]:
+    """Yield the paper's statements with verdict, kind and margin."""
+    verdicts = done.verdicts()
+    if all(verdict.result is None for verdict in verdicts):
+        return
+    yield paragraph(
+        "Each verdict is computed from the points of this campaign. What it is worth stands beside it: a statement "
+        "that other values of the chosen constants would break is a fit, one that says again what was fitted follows "
+        "from it, and only the rest are predictions. The margin is how far the figure is from its limit. Limits in "
+        "words of ours (“here”) are not the paper’s."
+    )
+    rows: list[list[str | Cell]] = []
+    for i, one in enumerate(verdicts, 1):
+        figures: list[str | Cell] = ["", "", "", ""]
+        if one.result is not None and one.margin is not None:
+            values = (number(one.result.value, ".4g"), number(one.result.limit, ".4g"), number(one.margin, ".3g"))
+            figures = [*values, "" if one.unit == "-" else one.unit]
+        rows.append([Cell(str(i), i), one.text, one.word, one.kind.value, one.detail, *figures])
+    headings = ["no.", "statement", "verdict", "worth", "found", "value", "limit", "margin", "unit"]
+    yield content.table("statements", headings, rows, [5, 6, 7])
+
+
+def uncertainty(done: Finished, content: Content) -> Iterator[Markup]:
+    """Yield the uncertainty budget of one transmissibility."""
+    chosen: Point | None = None
+    for gap in (BUDGETED_GAP_M, NO_SPHERE):
+        chosen = chosen or done.curves.at(gap, FREQUENCY_HZ)
+    if chosen is None:
+        return
+    found = budget(chosen.rows, done.calibration)
+    relative = found.u_transmissibility / found.transmissibility
+    name, frequency = content.fact("budget_case", chosen.label), content.fact("budget_hz", chosen.frequency_hz, "g")
+    repetitions = content.fact("budget_measurements", len(chosen.rows))
+    yield paragraph(
+        f"DT of one case, {name} at {frequency} Hz; settled measurements: {repetitions}. Type A comes from the "
+        "measurement itself, B from the certificate. The sensitivity of a sensor is taken at the amplitude of this "
+        "case: its curve is part of it, so it differs from u(S) of the certificate, that of a small vibration. What "
+        "the sensitivities add is the same in every DT of this report, so it cancels in reductions."
+    )
+    rows: list[list[str | Cell]] = [
+        [
+            part.source, part.what, part.evaluation, number(100.0 * part.u_relative, ".2g"),
+            number(part.u_relative * found.transmissibility, ".2g"), number(100.0 * found.share(part), ".1f"),
+        ]
+        for part in found.parts
+    ]  # fmt: skip
+    sums = (100.0 * relative, found.u_transmissibility, 100.0)
+    rows.append(["combined", "standard uncertainty", "", *(number(v, ".2g" if v < 100.0 else ".0f") for v in sums)])
+    expanded = COVERAGE * found.u_transmissibility
+    whole = [number(100.0 * COVERAGE * relative, ".2g"), number(expanded, ".2g")]
+    rows.append(["expanded", f"{COVERAGE:g} combined", "", *whole, ""])
+    headings = ["source", "error", "type", "relative u (%)", "u(DT)", "share of variance (%)"]
+    yield content.table("uncertainty_budget", headings, rows, [3, 4, 5])
+    result = Cell(f"{found.transmissibility:.2f} ± {expanded:.2f}", (found.transmissibility, expanded))
+    yield content.table("uncertainty_result", ["result", "DT"], [[chosen.label, result]], [1])
+
+
+def chosen(config: RigConfig, content: Content) -> Iterator[Markup]:
+    """Yield the constants that were chosen, and what a verdict owes to them."""
+    values = to_flat(config)
+    rows: list[list[str | Cell]] = [
+        [name, value_cell(values[name]), about.unit, about.doc]
+        for name, about, _ in fields()
+        if about.origin is Origin.IDENTIFIED
+    ]
+    rows.append(["current", number(CURRENT_A), "A", "Constant coil current, peak."])
+    yield paragraph(
+        f"The paper prints neither amplitudes nor these {content.fact('constants_chosen', len(rows))} constants; they "
+        "were chosen so that its five reductions, its natural frequency and its statements come out. The five "
+        "reductions of this page are therefore a fit, not a validation; of m₁, ζ and the current they determine two "
+        "combinations, not all three (docs/identification.md)."
+    )
+    yield content.table("chosen", ["constant", "value", "unit", "meaning"], rows, [1])
+    yield paragraph(
+        "Nothing else on this page was fitted: not DT above resonance, not regimes and impacts per cycle, not the "
+        "optimum gap, and no gap wider than the paper's."
+    )
+    law = from_config(config.contact)
+    nominal = content.fact("restitution_nominal", law.restitution, "g")
+    returned = content.fact("restitution_realised", law.realised_restitution(), ".3f")
+    yield paragraph(
+        f"The contact law {config.contact.law.replace('_', ' ')} with the nominal restitution {nominal} "
+        f"returns {returned} in this simulation."
+    )
+
+
+def margins(varied: list[Variation], content: Content) -> Iterator[Markup]:
+    """Yield the figure of every statement on rigs of which one constant differs."""
+    if not varied:
+        return
+    yield paragraph(
+        "One constant differs from the rig of this page, the others are held: the figure of each statement, and "
+        "whether it still holds. Empty: not judged."
+    )
+    judged = [verdict.result for verdict in varied[0].verdicts]
+    rows: list[list[str | Cell]] = [["limit", *("" if one is None else number(one.limit, ".4g") for one in judged)]]
+    for one in varied:
+        values = {name: value_cell(value) for name, value in one.changed.items()}
+        names = [f"{name} = {cell.text if isinstance(cell, Cell) else cell}" for name, cell in values.items()]
+        cells = [
+            "" if v.result is None else Cell(f"{v.result.value:.4g} {v.word}", v.result.value) for v in one.verdicts
+        ]
+        rows.append([", ".join(names) or "the rig itself", *cells])
+    yield content.table("margins", ["rig", *(str(i) for i in range(1, len(judged) + 1))], rows)

@@ -1,0 +1,145 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Heat maps: reduction over two axes, regimes outlined, and where two symmetric impacts per cycle are predicted."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.drawing import Drawn, new_axes, style
+from impact_rig.errors import ConfigError
+from impact_rig.rig.config import from_flat
+from impact_rig_studies import prediction
+from impact_rig_studies.dynamics.figures import label_of
+from impact_rig_studies.maps.plan import BOTH, CURRENT, DOWN, FREQUENCY, GAP, UP, MapPlan
+from impact_rig_studies.maps.run import FinishedMap
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+QUIET, TWO, OTHER, MODULATED, CHAOTIC, NONE = range(6)
+WORDS = ("no impacts", "two impacts per cycle", "periodic", "modulated", "chaotic or intermittent")
+OUTLINES = {QUIET: "#1b1f24", MODULATED: "#ff9347", CHAOTIC: "#ff6b6b", TWO: "#ffffff"}
+"""Colours of the regimes' borders in the order in which they are drawn; what is left is periodic otherwise."""
+_COLUMNS = 2
+APART = 0.01  # relative difference of DT from which up and down count as two answers
+
+
+def heat_maps(done: FinishedMap) -> Iterator[Drawn]:
+    """Yield the pictures of a map: one per direction and value of the third axis, and where up and down differ."""
+    plan = done.plan
+    pages = list(plan.axes.items())[2:]
+    for layer, values in done.values.items():
+        for i, page in enumerate(pages[0][1] if pages else (None,)):
+            cut = ... if page is None else (slice(None), slice(None), i)
+            words = f"{plan.title}: {layer}" if page is None else f"{plan.title}: {layer}, {pages[0][0]} {page:g}"
+            name = f"map_{layer}" if page is None else f"map_{layer}_{i}"
+            reductions = np.asarray(values["reduction_percent"][cut], float)
+            yield _drawn(plan, name, words, reductions, classes(values)[cut], "reduction of DT (%)", page)
+    if plan.direction == BOTH and not pages:
+        up, down = (np.asarray(done.values[layer]["dt"], float) for layer in (UP, DOWN))
+        apart = 100.0 * (down / up - 1.0)
+        groups = np.where(np.abs(apart) > 100.0 * APART, TWO, QUIET)
+        yield _drawn(
+            plan, "map_up_down", f"{plan.title}: down against up", apart, groups, "DT down / DT up − 1 (%)", None
+        )
+
+
+def classes(values: dict[str, NDArray[np.generic]]) -> NDArray[np.int64]:
+    """Return what each place does as one number: `QUIET` … `CHAOTIC`, `NONE` where nothing was measured."""
+    regime, impacts = values["regime"], np.asarray(values["impacts_per_cycle"], float)
+    period = np.asarray(values["period"], float)
+    found = np.full(regime.shape, NONE)
+    found[regime == "periodic"] = OTHER
+    found[(regime == "periodic") & (period == 1.0) & (np.abs(impacts - 2.0) < 0.01)] = TWO
+    found[(regime == "periodic") & (impacts == 0.0)] = QUIET
+    found[regime == "modulated"] = MODULATED
+    found[np.isin(regime, ("chaotic", "intermittent"))] = CHAOTIC
+    return found
+
+
+def _drawn(
+    plan: MapPlan,
+    name: str,
+    title: str,
+    z: NDArray[np.float64],
+    groups: NDArray[np.int64],
+    unit: str,
+    page: float | None,
+) -> Drawn:
+    (x_name, x), (y_name, y) = list(plan.axes.items())[:2]
+    (x_label, x_factor), (y_label, y_factor) = label_of(x_name), label_of(y_name)
+    x_edges, y_edges = _edges(np.asarray(x) * x_factor), _edges(np.asarray(y) * y_factor)
+    with style():
+        figure, (axis,) = new_axes(4.0)
+        axis.grid(visible=False)
+        signed = "down" in unit
+        limit = float(np.nanmax(np.abs(z))) if signed and np.isfinite(z).any() else None
+        mesh = axis.pcolormesh(
+            x_edges, y_edges, z.T, cmap="RdBu_r" if signed else "viridis", rasterized=True,
+            vmin=-limit if limit else None, vmax=limit,
+        )  # fmt: skip
+        figure.colorbar(mesh, ax=axis, label=unit)
+        if not signed:
+            _outline(axis, x_edges, y_edges, groups)
+            _predicted(axis, plan, page)
+        axis.set(xlabel=x_label, ylabel=y_label, xlim=x_edges[[0, -1]], ylim=y_edges[[0, -1]])
+        axis.set_title(title, loc="left")
+        handles, labels = axis.get_legend_handles_labels()
+        if handles:
+            figure.legend(
+                handles, labels, loc="outside lower center", ncols=_COLUMNS, facecolor="#9aa4b0", frameon=True
+            )
+        what = "Measured on the mechanics, without instruments; lines are the borders of the regimes."
+        return Drawn(name, figure, f"{title}. {what}")
+
+
+def _edges(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the borders of cells around values, shape (n + 1,)."""
+    middle = 0.5 * (x[1:] + x[:-1])
+    return np.concatenate([[1.5 * x[0] - 0.5 * x[1]], middle, [1.5 * x[-1] - 0.5 * x[-2]]])
+
+
+def _outline(axis: Axes, x: NDArray[np.float64], y: NDArray[np.float64], groups: NDArray[np.int64]) -> None:
+    """Draw the borders of each regime."""
+    from matplotlib.collections import LineCollection  # noqa: PLC0415  # only when something is drawn
+
+    for group, colour in OUTLINES.items():
+        inside = np.pad(groups == group, 1)
+        lines = [
+            [(x[i], y[j]), (x[i], y[j + 1])]
+            for i, j in itertools.product(range(len(x)), range(len(y) - 1))
+            if inside[i, j + 1] != inside[i + 1, j + 1]
+        ]
+        lines += [
+            [(x[i], y[j]), (x[i + 1], y[j])]
+            for i, j in itertools.product(range(len(x) - 1), range(len(y)))
+            if inside[i + 1, j] != inside[i + 1, j + 1]
+        ]
+        if lines:
+            axis.add_collection(LineCollection(lines, colors=colour, linewidths=0.7, label=WORDS[group]))
+
+
+def _predicted(axis: Axes, plan: MapPlan, page: float | None) -> None:
+    """Draw where stable symmetric motion with two impacts per cycle is predicted, on maps of gap and frequency."""
+    names = list(plan.axes)
+    if {*names[:2]} != {GAP, FREQUENCY} or plan.base.drive.kind != "current":
+        return
+    frequencies = np.linspace(min(plan.axes[FREQUENCY]), max(plan.axes[FREQUENCY]), 120)
+    config, current = plan.base, plan.current_a
+    if page is not None:
+        config, current = (config, page) if names[2] == CURRENT else (from_flat(config, {names[2]: page}), current)
+    try:
+        found = [prediction.branch(config, float(one), current_a=current) for one in frequencies]
+    except ConfigError:
+        return
+    stable = [one.take(one.stable).gap_m * 1e3 for one in found]
+    ends = [np.array([choose(gaps) if len(gaps) else np.nan for gaps in stable]) for choose in (np.min, np.max)]
+    for gaps, label in zip(ends, ("two symmetric impacts: predicted", None), strict=True):
+        x, y = (gaps, frequencies) if names[0] == GAP else (frequencies, gaps)
+        axis.plot(x, y, "--", color="#e59bc8", linewidth=1.4, label=label)

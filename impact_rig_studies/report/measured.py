@@ -1,0 +1,320 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Report of what was measured, whatever the rig: an imported campaign, or a single run, recorded or imported.
+
+It says only what its data say: nothing of the paper, and nothing of a configuration unless the run was simulated.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any  # Any: what matplotlib takes
+
+import attrs
+import numpy as np
+from markupsafe import Markup
+from numpy.typing import NDArray
+
+import impact_rig
+from impact_rig.analysis import drawings
+from impact_rig.analysis.calibration import Calibration
+from impact_rig.analysis.scans import samples_of
+from impact_rig.analysis.tracker import Findings
+from impact_rig.analysis.uncertainty_budget import Budget, budget
+from impact_rig.blocks import TRANSMISSIBILITY
+from impact_rig.drawing import SERIES, WIDTH_INCH, Drawn, Line, legend_below, new_axes, style
+from impact_rig.recording import Run, open_run
+from impact_rig.recording.description import MEASURED, MODE_KEY
+from impact_rig.rig.gaps import NO_SPHERE, case_of
+from impact_rig.runs import reanalysis
+from impact_rig.runs.drawings import MOTIONS, TRACED_CYCLES
+from impact_rig.runs.wholes import calibration_rows, last_excerpt
+from impact_rig.simtime import NS_PER_S
+from impact_rig.states import Method
+from impact_rig_studies.campaign.run import Finished
+from impact_rig_studies.reduction import reduction
+from impact_rig_studies.report import cover
+from impact_rig_studies.report.content import COVERAGE, Cell, Content, number, plus_minus
+from impact_rig_studies.report.page import contents, heading, page, paragraph, section, tiles, title
+from impact_rig_studies.report.page import cover as cover_block
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MOTION_INCH = 4.4  # height of a drawing of the motion
+BATCHES = 4  # of the scatter of a response that is not periodic: the fewer of the two numbers, see docs/analysis.md
+LEAST_SHARE = 1e-6  # of the variance, below which a line of the budget is left out
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class MeasuredData:
+    """What a report of measurements is made of."""
+
+    title: str
+    kind: str  # one sentence: what was measured, and how
+    about: Sequence[tuple[str, str]]  # entries of the cover
+    rows: NDArray[np.void]  # settled rows of `transmissibility/table`, one per gap and frequency, shape (n,)
+    info: NDArray[np.void]  # rows of `daq/info`
+    failed: Sequence[tuple[str, str]] = ()  # places without a settled measurement, and why
+    drawn: Sequence[Drawn] = ()  # of the motion
+
+
+def of_campaign(done: Finished) -> MeasuredData:
+    """Return what an imported campaign holds."""
+    settled = [point for point in done.points if point.settled]
+    parts = [point.rows[-1:] for point in settled]
+    rows: NDArray[np.void] = np.concatenate(parts) if parts else np.empty(0, TRANSMISSIBILITY)
+    files = sorted({path.parent.name for path in (done.directory / "runs").rglob("*.mcap")})
+    return MeasuredData(
+        title=done.campaign.title,
+        kind="Report of an imported measurement: instruments, rates and labels are those that were given with it.",
+        about=[("Files", ", ".join(files)), ("Imported", cover.written(done)), *_about(rows, done.info)],
+        rows=rows,
+        info=done.info,
+        failed=[(f"{point.label} at {point.frequency_hz:g} Hz", point.status) for point in done.failed()],
+    )
+
+
+def of_run(path: Path) -> MeasuredData:
+    """Return what a run holds.
+
+    Raises:
+        RecordingError: it cannot be read or analysed.
+    """
+    with open_run(path) as run, style():
+        found = list(reanalysis.analyze(run))
+        tables = reanalysis.measurements(iter(found))
+        everything, rows, info = reanalysis.rows(tables), reanalysis.newest_settled(tables), calibration_rows(run)
+        known = run.provenance
+        imported = known.get(MODE_KEY) == MEASURED
+        began = known.get("wall_start_ns", "")
+        stamp = time.strftime("%Y-%m-%dT%H:%M:%S%z", time.localtime(int(began) / NS_PER_S)) if began.isdecimal() else ""
+        about = [
+            ("Source", known.get("source", "") if imported else ""),
+            ("Imported" if imported else "Recorded", stamp),
+            ("Duration", f"{(run.end_ns - run.start_ns) / NS_PER_S:.6g} s"),
+            ("Seed", "" if imported else known.get("seed", "")),
+            ("Recorded by version", known.get("version", "")),
+            *_about(rows, info),
+            ("Remarks", "; ".join(reanalysis.remarks(run))),
+        ]
+        last = everything["status"][-1].decode() if len(everything) else "no measurement was begun"
+        return MeasuredData(
+            title=run.path.name,
+            kind="Report of an imported run." if imported else "Report of a run of the virtual test rig.",
+            about=about, rows=rows, info=info, failed=[] if len(rows) else [("the whole run", last)],
+            drawn=list(_motion(run, found)),
+        )  # fmt: skip
+
+
+def document(data: MeasuredData, content: Content, links: Markup) -> str:
+    """Return the page; `links` lead to the files beside it."""
+    with style():
+        calibration = Calibration.from_info(data.info)
+        best = _largest(data.rows)
+        sections = [
+            section("Transmissibility", *_results(data.rows, content), part=True),
+            section("Reduction by the sphere", *_reductions(data.rows, calibration, content)),
+            section("Uncertainty", *_uncertainty(best, calibration, content)),
+            section("Motion", content.figures(data.drawn)),
+            section("Instruments and their calibration", *cover.instruments_table(data.info, content)),
+            section("Without a settled measurement", *_failed(data, content)),
+            section("Files", links),
+        ]
+        found = [one for one in sections if one is not None]
+        opening = [
+            title(data.title), paragraph(data.kind, "muted"),
+            cover_block([(what, content.fact(what.lower(), value)) for what, value in data.about]),
+            tiles(_tiles(data, best, content)),
+        ]  # fmt: skip
+        return page(data.title, [*opening, contents(found), *found])
+
+
+def _about(rows: NDArray[np.void], info: NDArray[np.void]) -> Iterator[tuple[str, str]]:
+    """Yield what rows and instruments say of the conditions: rate, channels, frequencies, amplitudes."""
+    rates = sorted({float(row["rate"]) for row in info})
+    yield "Rate", f"{', '.join(f'{rate:.10g}' for rate in rates)} scans/s"
+    yield "Instruments", ", ".join(row["name"].decode() for row in info)
+    yield "Frequency", _span(rows["frequency"], 1.0, "Hz")
+    yield "Gap", ", ".join(dict.fromkeys(_case(float(gap)) for gap in rows["gap"]))
+    yield "Amplitude of the base", _span(rows["base_amplitude"], 1e6, "µm")
+    yield "Amplitude of the structure", _span(rows["laser_amplitude"], 1e3, "mm")
+    yield "Amplitude of the current", _span(rows["current_amplitude"], 1.0, "A")
+    yield "Report", f"{time.strftime('%Y-%m-%dT%H:%M:%S%z')}, impact_rig {impact_rig.__version__}"
+
+
+def _span(values: NDArray[np.float64], factor: float, unit: str) -> str:
+    """Return the range of values; empty where none was measured."""
+    known = factor * values[np.isfinite(values) & (values > 0.0)]
+    if not len(known):
+        return ""
+    low, high = (f"{one:.4g}" for one in (known.min(), known.max()))
+    return f"{low} {unit}" if low == high else f"{low} to {high} {unit}"
+
+
+def _case(gap_m: float) -> str:
+    return "gap unknown" if math.isnan(gap_m) else case_of(gap_m)
+
+
+def _largest(rows: NDArray[np.void]) -> NDArray[np.void]:
+    """Return the row with the largest transmissibility, shape (1,), or no row."""
+    return rows[np.argmax(rows["transmissibility"])][None] if len(rows) else rows
+
+
+def _tiles(data: MeasuredData, best: NDArray[np.void], content: Content) -> Iterator[tuple[str, str]]:
+    yield content.fact("measured", len(data.rows)), "settled measurements"
+    yield content.fact("failed", len(data.failed)), "without a settled measurement"
+    for row in best:
+        dt, u = float(row["transmissibility"]), COVERAGE * float(row["transmissibility_uncertainty"])
+        content.fact("largest_dt", dt)
+        content.fact("largest_dt_expanded_uncertainty", u)
+        where = f"{_case(float(row['gap']))}, {content.fact('largest_dt_hz', float(row['frequency']), '.6g')} Hz"
+        yield f"{dt:.3f} ± {u:.3f}", f"largest DT: {where}"
+
+
+def _results(rows: NDArray[np.void], content: Content) -> Iterator[Markup]:
+    if not len(rows):
+        return
+    yield content.figures([transmissibility(rows)], large=True)
+    cells: list[list[str | Cell]] = [
+        [
+            _case(float(row["gap"])), number(float(row["frequency"]), ".6g"),
+            plus_minus(float(row["transmissibility"]), float(row["transmissibility_uncertainty"]), ".3f"),
+            plus_minus(math.degrees(row["phase"]), math.degrees(row["phase_uncertainty"]), ".2f"),
+            number(1e6 * float(row["base_amplitude"]), ".4g"), number(1e3 * float(row["laser_amplitude"]), ".4g"),
+            number(float(row["current_amplitude"]) or math.nan, ".4g"), number(float(row["impacts_per_cycle"]), ".3g"),
+            row["regime"].decode(),
+        ]
+        for row in rows
+    ]  # fmt: skip
+    headings = [
+        "case", "frequency (Hz)", "DT ± 2u", "phase ± 2u (°)", "base (µm)", "structure (mm)", "current (A)",
+        "impacts per cycle", "regime",
+    ]  # fmt: skip
+    yield content.table("measured", headings, cells, range(1, 8))
+
+
+def transmissibility(rows: NDArray[np.void]) -> Drawn:
+    """Draw DT and phase over the frequency with ± 2u, a line per case; to be called within `drawing.style`."""
+    figure, (upper, lower) = new_axes(4.8, (1.6, 1.0))
+    lines: list[Line] = []
+    for i, case in enumerate(dict.fromkeys(_case(float(gap)) for gap in rows["gap"])):
+        own = rows[[_case(float(gap)) == case for gap in rows["gap"]]]
+        own = own[np.argsort(own["frequency"], kind="stable")]
+        columns = {
+            "frequency_hz": own["frequency"], "transmissibility": own["transmissibility"],
+            "expanded_uncertainty": COVERAGE * own["transmissibility_uncertainty"],
+            "phase_deg": np.degrees(own["phase"]),
+            "expanded_phase_uncertainty": COVERAGE * np.degrees(own["phase_uncertainty"]),
+        }  # fmt: skip
+        frequency, dt, u, phase, u_phase = columns.values()
+        look: dict[str, Any] = {
+            "color": SERIES[i % len(SERIES)],
+            "marker": "o",
+            "markersize": 3.0,
+            "linewidth": 0.8,
+            "capsize": 2.0,
+        }
+        upper.errorbar(frequency, dt, u, label=f"{case}, ± 2u", **look)
+        lower.errorbar(frequency, phase, u_phase, **look)
+        lines.append(Line(case, columns))
+    upper.set(ylabel="transmissibility", ylim=(0.0, None), title="Displacement transmissibility")
+    lower.set(ylabel="phase (°)", xlabel="frequency (Hz)")
+    legend_below(lower, 3, upper)
+    caption = "Displacement transmissibility and the phase of the structure to the base, as measured, ± 2u."
+    return Drawn("transmissibility", figure, caption, lines)
+
+
+def _reductions(rows: NDArray[np.void], calibration: Calibration, content: Content) -> Iterator[Markup]:
+    """Yield the reductions against the measurement without sphere at the same frequency."""
+    without = {float(row["frequency"]): row[None] for row in rows if row["gap"] == NO_SPHERE}
+    cells: list[list[str | Cell]] = []
+    for row in rows:
+        reference = without.get(float(row["frequency"]))
+        if reference is None or not row["gap"] > NO_SPHERE:
+            continue
+        found = reduction(reference, row[None], calibration)
+        cells.append([
+            _case(float(row["gap"])), number(float(row["frequency"]), ".6g"),
+            plus_minus(found.percent, found.u_points, ".2f"),
+        ])  # fmt: skip
+    if cells:
+        yield content.table("reductions", ["case", "frequency (Hz)", "reduction of DT ± 2u (%)"], cells, [1, 2])
+
+
+def _uncertainty(row: NDArray[np.void], calibration: Calibration, content: Content) -> Iterator[Markup]:
+    """Yield the uncertainty of one measurement: result, coverage factor, degrees of freedom, conditions, budget."""
+    if not len(row):
+        return
+    found = budget(row, calibration)
+    relative = found.u_transmissibility / found.transmissibility
+    of_a, effective = degrees_of_freedom(found, row[0])
+    dt = content.fact("budget_dt", found.transmissibility, ".3f")
+    expanded = content.fact("budget_expanded_uncertainty", COVERAGE * found.u_transmissibility, ".3f")
+    dof = "more than 1000" if effective > 1000.0 else content.fact("budget_degrees_of_freedom", effective, ".3g")
+    yield paragraph(
+        f"{_case(float(row['gap'][0]))}, {content.fact('budget_hz', float(row['frequency'][0]), '.6g')} Hz: "
+        f"DT = {dt} ± {expanded}. The number behind ± is an expanded uncertainty: the combined standard uncertainty "
+        f"times the coverage factor k = {content.fact('coverage_factor', COVERAGE, 'g')}, coverage about 95 %. "
+        f"Effective degrees of freedom (Welch–Satterthwaite): {dof}; type A has "
+        f"{content.fact('budget_degrees_of_freedom_a', of_a, 'g')}, and Student's factor for them is part of its u; "
+        "type B counts as known."
+    )
+    yield paragraph(
+        f"Conditions: {content.fact('budget_cycles', float(row['cycles'][0]), 'g')} drive cycles after the transient "
+        f"had died; amplitude of the base {_span(row['base_amplitude'], 1e6, 'µm')}, of the structure "
+        f"{_span(row['laser_amplitude'], 1e3, 'mm')}; response {row['regime'][0].decode()}. Type A comes from the "
+        "measurement itself, B from the calibration. The sensitivity of a sensor is that at the amplitude of this case."
+    )
+    cells: list[list[str | Cell]] = [
+        [
+            part.source, part.what, part.evaluation, number(100.0 * part.u_relative, ".2g"),
+            number(part.u_relative * found.transmissibility, ".2g"), number(100.0 * found.share(part), ".1f"),
+        ]
+        for part in found.parts if found.share(part) >= LEAST_SHARE
+    ]  # fmt: skip
+    combined = [number(100.0 * relative, ".2g"), number(found.u_transmissibility, ".2g"), Cell("100", 100.0)]
+    cells.append(["combined", "standard uncertainty", "", *combined])
+    headings = ["source", "error", "type", "relative u (%)", "u(DT)", "share of variance (%)"]
+    yield heading("Budget")
+    yield content.table("uncertainty_budget", headings, cells, [3, 4, 5])
+
+
+def degrees_of_freedom(found: Budget, row: np.void) -> tuple[float, float]:
+    """Return the degrees of freedom of the type A part, and the effective ones of the whole.
+
+    Source: JCGM 100:2008 (GUM), G.4, with infinitely many for every part of type B.
+    """
+    batches = row["method"].decode() == Method.BATCH_MEANS.value
+    own = float(BATCHES if batches else max(row["cycles"], 2.0)) - 1.0
+    relative = found.u_transmissibility / found.transmissibility
+    share = math.fsum(part.u_relative**4 for part in found.parts if part.evaluation == "A") / relative**4
+    return own, own / share if share > 0.0 else math.inf
+
+
+def _motion(run: Run, found: Sequence[Findings]) -> Iterator[Drawn]:
+    """Draw the last settled measurement: time traces, phase plane, spectrum."""
+    excerpt = last_excerpt(run, found)
+    traced = excerpt.newest(TRACED_CYCLES)
+    channel, factor, unit, name = next(one for one in MOTIONS if one[0] in (excerpt.rows.dtype.names or ()))
+    samples = samples_of(excerpt.rows, channel)
+    upto_hz = min(10.5 * excerpt.drive_hz or 100.0, excerpt.rate_hz / 2.0)
+    pictures: Sequence[tuple[str, Figure, str]] = (
+        ("time_traces", drawings.time_traces(traced.rows, traced.impact_times), f"Time traces, {traced}."),
+        (
+            "spectrum",
+            drawings.spectrum(factor * samples, excerpt.rate_hz, unit, excerpt.drive_hz, upto_hz),
+            f"Spectrum of {name.strip('$')}, {excerpt}.",
+        ),
+    )
+    for stem, figure, caption in pictures:
+        figure.set_size_inches(WIDTH_INCH, MOTION_INCH)  # as wide as a phone
+        yield Drawn(stem, figure, caption)
+
+
+def _failed(data: MeasuredData, content: Content) -> Iterator[Markup]:
+    if data.failed:
+        yield content.table("failed", ["case", "why"], [list(one) for one in data.failed])

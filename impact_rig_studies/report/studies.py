@@ -1,0 +1,246 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""One figure for any study: DT, or its reduction, over the axis with the most values, a line per other value.
+
+Theory without simulation stands beside it where there is one: two impacts per cycle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.analysis.calibration import Calibration
+from impact_rig.drawing import INK, PREDICTED, SERIES, Drawn, Line, legend_below, new_axes
+from impact_rig.errors import ConfigError
+from impact_rig.physics.linear_response import transmissibility
+from impact_rig.rig.config import RigConfig, from_flat, to_flat
+from impact_rig.rig.gaps import NO_SPHERE
+from impact_rig_studies import prediction
+from impact_rig_studies.campaign.results import Curves, Point
+from impact_rig_studies.dynamics import figures
+from impact_rig_studies.dynamics.figures import Found
+from impact_rig_studies.dynamics.plan import Plan
+from impact_rig_studies.reduction import reduction
+from impact_rig_studies.report.content import COVERAGE
+
+AXIS_NAMES = {
+    "frequency_hz": ("frequency", "Hz", 1.0),
+    "gap_m": ("gap", "mm", 1e3),
+    "current_a": ("current", "A", 1.0),
+    "contact.restitution": ("nominal restitution", "", 1.0),
+    "sphere.density_kg_m3": ("density of the sphere", "kg/m³", 1.0),
+}
+OF_INSTRUMENTS = ("daq.", "instruments.", "time.", "step.", "output.", "pluck.")
+"""Beginnings of values that the mechanics do not know."""
+OPEN: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 5.0, "markerfacecolor": "white", "zorder": 3}
+"""How a point is drawn whose sphere did not strike."""
+MOST_LINES = 2 * len(SERIES)  # the second half is dashed
+
+
+def study_figures(
+    study: str, points: Sequence[Point], curves: Curves, calibration: Calibration, theory: Line | None = None
+) -> Iterator[Drawn]:
+    """Draw a study; nothing if it has less than three settled points along any axis.
+
+    Reductions are taken against the reference rig, so a study of several sets of instruments shows DT itself.
+    """
+    settled = [point for point in points if point.settled]
+    if not settled:
+        return
+    places = {id(point): _place(point) for point in settled}
+    names = list(next(iter(places.values())))
+    numeric = [name for name in names if all(isinstance(places[id(p)][name], float) for p in settled)]
+    counts = {name: len({places[id(p)][name] for p in settled}) for name in names}
+    if not numeric:
+        return
+    along = max(numeric, key=lambda name: counts[name])
+    if counts[along] < 3:
+        return
+    others = [name for name in names if name != along and counts[name] > 1]
+    one_set = not any(name.startswith(("daq.", "instruments.")) for name in names)
+    relative = along != "frequency_hz" and one_set and all(curves.at(NO_SPHERE, p.frequency_hz) for p in settled)
+    lines: dict[str, list[Point]] = {}
+    for point in settled:
+        if point.gap_m == NO_SPHERE and (relative or along == "gap_m"):
+            continue
+        label = ", ".join(_word(name, places[id(point)][name]) for name in others)
+        lines.setdefault(label, []).append(point)
+    if len(lines) > MOST_LINES:
+        return
+    figure, (axis,) = new_axes(3.5)
+    name, unit, factor = AXIS_NAMES.get(along, (along.rpartition(".")[2], "", 1.0))
+    numbers: list[Line] = []
+    styles = [(shade, line) for line in ("-", "--") for shade in SERIES]
+    for (shade, style), (label, line) in zip(styles, lines.items(), strict=False):
+        ordered = line if along == "frequency_hz" else sorted(line, key=lambda p: float(places[id(p)][along]))
+        x = [factor * float(places[id(p)][along]) for p in ordered]
+        drawn = [_reduction(p, curves, calibration) if relative else (p.dt, p.u_dt) for p in ordered]
+        y, u = zip(*drawn, strict=True)
+        bars = COVERAGE * np.array(u)
+        shown = "reduction_percent" if relative else "transmissibility"
+        place = [float(places[id(p)][along]) for p in ordered]
+        quiet = np.array([bool(p.note) for p in ordered])
+        shown_columns = {along: place, shown: list(y), "expanded_uncertainty": bars.tolist()}
+        numbers.append(Line(label, {**shown_columns, "no_impacts": quiet.astype(float).tolist()}))
+        axis.errorbar(x, y, bars, color=shade, linestyle=style, marker="o", markersize=3.0, linewidth=1.0, label=label)
+        if quiet.any():
+            at = np.flatnonzero(quiet)
+            axis.plot(np.array(x)[at], np.array(y)[at], color=shade, **OPEN)
+    axis.set(
+        xlabel=f"{name} ({unit})" if unit else name,
+        ylabel="reduction of DT (%)" if relative else "transmissibility",
+        title=f"Study: {study}",
+    )
+    if theory is not None and along == "gap_m" and relative:
+        gaps, percent = (np.array(theory.columns[name]) for name in ("gap_m", "reduction_percent"))
+        axis.plot(factor * gaps, percent, color=PREDICTED, linewidth=2.5, zorder=1, label=theory.label)
+        numbers.append(theory)
+    if len(numbers) > 1:
+        legend_below(axis, 2)
+    caption = f"Study “{study}”: {len(settled)} settled points, ± 2u."
+    if notes := [point.note for point in settled if point.note]:
+        caption += f" Open circles: the sphere did not strike ({notes[0]})."
+    yield Drawn(f"study_{study}", figure, caption, numbers)
+
+
+def _place(point: Point) -> dict[str, float | str]:
+    """Return where a point lies on every axis; numbers as floats."""
+    place: dict[str, float | str] = {
+        "frequency_hz": point.frequency_hz,
+        "gap_m": point.gap_m,
+        "current_a": point.current_a,
+        "direction": point.direction,
+    }
+    for name, value in point.axes.items():
+        number = isinstance(value, (int, float)) and not isinstance(value, bool) and name != "daq.seed"
+        place[name] = float(value) if number else str(value)  # type: ignore[arg-type]  # a number is one
+    return place
+
+
+def _word(name: str, value: float | str) -> str:
+    title, unit, factor = AXIS_NAMES.get(name, (name.rpartition(".")[2], "", 1.0))
+    if name == "gap_m" and value == NO_SPHERE:
+        return "no sphere"
+    text = f"{factor * value:g}" if isinstance(value, float) else value.replace("_", " ")
+    return text if isinstance(value, str) else f"{title} {text} {unit}".strip()
+
+
+def _reduction(point: Point, curves: Curves, calibration: Calibration) -> tuple[float, float]:
+    """Return the reduction in percent and its standard uncertainty in points."""
+    without = curves.at(NO_SPHERE, point.frequency_hz)
+    assert without is not None
+    found = reduction(without.rows, point.rows, calibration)
+    return found.percent, found.u_points
+
+
+def continued(name: str, plan: Plan, found: Found, points: Sequence[Point], config: RigConfig) -> Drawn:
+    """Draw DT along the continued motions of the model, and what was measured at their places.
+
+    Raises:
+        ConfigError: the motions are of another rig, or over something that a campaign names otherwise.
+    """
+    others = {"barriers.gap_m", "sphere.start", "sphere.present"}
+    ours, theirs = to_flat(config), to_flat(plan.base)
+    for key in ours:
+        if ours[key] != theirs[key] and key not in others and not key.startswith(OF_INSTRUMENTS):
+            raise ConfigError(f"the branches are of another rig: {key} {theirs[key]}, in the campaign {ours[key]}")
+    task = plan.tasks[0]
+    held = {
+        "frequency_hz": task.frequency_hz, "current_a": task.current_a, "gap_m": plan.base.barriers.gap_m,
+    }  # fmt: skip
+    if plan.over not in held:
+        raise ConfigError(f"branches over {plan.over}: a report shows those over {', '.join(held)}")
+    del held[plan.over]
+    at = [
+        p for p in points
+        if p.reference and p.settled and p.gap_m != NO_SPHERE and all(getattr(p, n) == v for n, v in held.items())
+    ]  # fmt: skip
+    figure, (axis,) = new_axes(3.5)
+    label, factor = figures.label_of(plan.over)
+    numbers: list[Line] = []
+    for i, (one, rows) in enumerate(found):
+        both = figures.draw_branch(axis, plan, rows, "dt", SERIES[i % len(SERIES)], one.name)
+        for word, (x, y) in zip(("stable", "unstable"), both, strict=True):
+            numbers.append(Line(f"{one.name}, {word}", {plan.over: [v / factor for v in x], "transmissibility": y}))
+    x, y, bars = [getattr(p, plan.over) for p in at], [p.dt for p in at], [COVERAGE * p.u_dt for p in at]
+    axis.errorbar(
+        [factor * value for value in x], y, bars, color=INK, marker="o", markersize=3.0, linestyle="none",
+        label="measured, ± 2u",
+    )  # fmt: skip
+    numbers.append(Line("measured", {plan.over: x, "transmissibility": y, "expanded_uncertainty": bars}))
+    axis.set(xlabel=label, ylabel="transmissibility", title=f"Continued: {plan.title}")
+    legend_below(axis, 2)
+    where = ", ".join(f"{key} {value:g}" for key, value in held.items())
+    caption = (
+        f"Motions of the model, without instruments, stable drawn through, unstable dotted ({where}). "
+        f"Beside them {len(at)} measured points; between the motions that are drawn there may be others."
+    )
+    return Drawn(name, figure, caption, numbers)
+
+
+# --- What theory says without simulation: closed form without the sphere, two impacts per cycle with it
+
+
+@attrs.frozen(eq=False)
+class Stretch:
+    """A line without a break; every attribute has the shape (n,)."""
+
+    frequency_hz: NDArray[np.float64]  # ascending
+    dt: NDArray[np.float64]  # transmissibility
+    phase_rad: NDArray[np.float64]  # of the superior base to the inferior one
+
+
+def predicted(
+    config: RigConfig, gap_m: float, frequencies_hz: NDArray[np.float64], current_a: float
+) -> Sequence[Stretch]:
+    """Return the prediction for a gap, or `NO_SPHERE`, at constant current; nothing where no theory holds.
+
+    Args:
+        config: the rig; its own gap does not matter.
+        gap_m: gap.
+        frequencies_hz: ascending, shape (n,).
+        current_a: peak.
+    """
+    if gap_m == NO_SPHERE:
+        ratio = transmissibility(config, frequencies_hz)
+        return [Stretch(frequencies_hz, np.abs(ratio), np.angle(ratio))]
+    try:
+        rig = from_flat(config, {"sphere.present": True, "barriers.gap_m": gap_m})
+        branches = prediction.curves(rig, frequencies_hz, gap_m, current_a=current_a)
+    except ConfigError:  # outside of what the theory holds for: friction, no loss, ...
+        return []
+    return [part for one in branches for part in _lasting(one)]
+
+
+def reduction_over_gap(config: RigConfig, frequency_hz: float, current_a: float) -> Line | None:
+    """Return the predicted reduction of DT by gap at one frequency and constant current; None where no theory holds.
+
+    Args:
+        config: the rig; its own gap does not matter.
+        frequency_hz: of the drive.
+        current_a: peak.
+    """
+    try:
+        rig = from_flat(config, {"sphere.present": True})
+        found = prediction.branch(rig, frequency_hz, current_a=current_a)
+    except ConfigError:  # as above
+        return None
+    lasting = np.flatnonzero(found.stable)
+    order = lasting[np.argsort(found.gap_m[lasting])]
+    if len(order) < 2:
+        return None
+    without = abs(complex(transmissibility(config, frequency_hz)))
+    percent = 100.0 * (1.0 - found.dt[order] / without)
+    return Line("predicted", {"gap_m": found.gap_m[order].tolist(), "reduction_percent": percent.tolist()})
+
+
+def _lasting(branch: prediction.Branch) -> Sequence[Stretch]:
+    """Return the stretches of a branch whose motion is stable."""
+    stable = np.flatnonzero(branch.stable)
+    runs = np.split(stable, np.flatnonzero(np.diff(stable) > 1) + 1)
+    return [Stretch(branch.frequency_hz[i], branch.dt[i], branch.phase_rad[i]) for i in runs if len(i) > 1]

@@ -1,0 +1,355 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""A sweep or a phase lock through the topics: the operator's loop, fed by a node's callbacks; it is the apparatus."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any  # rclpy messages
+
+import attrs
+from std_msgs.msg import Float64
+from std_srvs.srv import Trigger
+
+from impact_rig import codec, states, topics
+from impact_rig.blocks import Table
+from impact_rig.config.fields import Origin, choice, integer, quantities, quantity, switch
+from impact_rig.config.tree import Tree
+from impact_rig.errors import CodecError, ConfigError, ImpactRigError
+from impact_rig.names import one_line
+from impact_rig.nodes.acknowledgements import Acknowledgements
+from impact_rig.nodes.managed import Done, Level, ManagedNode, NodeState
+from impact_rig.nodes.messages import MONITORS
+from impact_rig_studies.operate.operator import Applied, News, Operator, Walk
+from impact_rig_studies.operate.phase_lock import LockedSine, LockPlan, Reference
+from impact_rig_studies.operate.stepped_sine import (
+    ControlledSine,
+    Direction,
+    Hold,
+    HoldPlan,
+    Setpoint,
+    SteppedSine,
+    SweepPlan,
+    SweepState,
+)
+
+WATCH_S = 0.1  # how often the node looks for the rig, while a sweep waits to begin
+STOPPING = {b"trip": "tripped", b"stop": "was stopped", b"timeout": "missed commands", b"reset": "was reset"}
+"""Kinds of journal entries that end a sweep, and what the rig did then."""
+COMMAND, PHASE = "command", "phase"  # what stays constant besides the amplitudes of `Hold`
+
+
+@attrs.frozen(kw_only=True)
+class SteppedSineSettings:
+    """Parameters of the stepped-sine node: those of `SweepPlan`, and when to begin."""
+
+    frequencies_hz: tuple[float, ...] = quantities(
+        (7.5, 8.0, 8.5, 8.9, 9.0, 9.1, 9.2, 9.5, 10.0, 10.5), "Hz", "The points.", Origin.PAPER, above=0, at_most=1000
+    )
+    current_a: float = quantity(
+        0.52, "A", "Peak current at all points (m or V by drive.kind).", Origin.IDENTIFIED, above=0, at_most=1000
+    )
+    direction: str = choice("up", tuple(Direction), "Order of the visit; up_down keeps the state between the two.")
+    measurements_per_point: int = integer(1, "-", "Measurements taken at each point.", at_least=1, at_most=1000)
+    dwell_limit_s: float = quantity(
+        150.0, "s", "Rig time at one point after which the sweep is aborted.", above=0, at_most=1e5
+    )
+    accept_limit_s: float = quantity(
+        5.0, "s", "Rig time within which a command must be accepted.", above=0, at_most=1e5
+    )
+    retries: int = integer(2, "-", "Refused measurements borne per point.", at_least=0, at_most=1000)
+    skip_over_range: bool = switch(True, "Leave out a point where a sensor is over range, instead of aborting.")
+    keep_unsettled: bool = switch(True, "Take a response that does not settle in the analysis' bound.")
+    hold: str = choice(
+        "command",
+        (COMMAND, *Hold, PHASE),
+        "What stays constant: the commanded current, a measured amplitude, for which the current is set anew, or the "
+        "phase at -90 degrees, for which the frequency is: sought from the first point on.",
+    )
+    target: float = quantity(
+        60e-6,
+        "m or A",
+        "Amplitude that is held, peak; of no meaning where hold is command or phase.",
+        above=0,
+        at_most=1000,
+    )
+    tolerance: float = quantity(2e-3, "-", "Relative error up to which it counts as held.", above=0, at_most=0.5)
+    corrections: int = integer(8, "-", "Of the current per point, at most.", at_least=1, at_most=1000)
+    current_limit_a: float = quantity(
+        15.0, "A", "A held amplitude that needs more current aborts the sweep.", above=0, at_most=1000
+    )
+    superior_limit_m: float = quantity(
+        0.05, "m", "A larger superior base aborts the sweep while an amplitude is held.", above=0, at_most=1
+    )
+    reference: str = choice("base", tuple(Reference), "What the superior base's phase is held against.")
+    within_deg: float = quantity(
+        2.0, "deg", "Deviation of a second's mean phase up to which it counts as locked.", above=0, at_most=90
+    )
+    dwell_s: float = quantity(
+        30.0, "s", "Rig time to stay at the resonance, from the first lock on.", above=0, at_most=1e6
+    )
+    begin: bool = switch(False, "Begin when the rig is there; otherwise with ~/start.", read_only=True)
+    autostart: bool = switch(True, "Configure and activate by itself at start.", read_only=True)
+
+    def __attrs_post_init__(self) -> None:
+        self.plan()  # refuses frequencies given twice
+        if self.hold == PHASE:
+            self.lock_plan()  # refuses a beginning out of its range
+
+    def plan(self) -> SweepPlan:
+        """Return the sweep."""
+        return SweepPlan(**{attribute.name: getattr(self, attribute.name) for attribute in attrs.fields(SweepPlan)})
+
+    def lock_plan(self) -> LockPlan:
+        """Return the search, from the first point on, and what follows it."""
+        names = ("current_a", "reference", "within_deg", "dwell_s", "superior_limit_m")
+        return LockPlan(start_hz=self.plan().points()[0], **{name: getattr(self, name) for name in names})
+
+    def sweep(self) -> SteppedSine:
+        """Return what walks through it, with an amplitude held if that is asked for."""
+        if self.hold == COMMAND:
+            return SteppedSine(self.plan())
+        names = [attribute.name for attribute in attrs.fields(HoldPlan)]
+        return ControlledSine(self.plan(), HoldPlan(**{name: getattr(self, name) for name in names}))
+
+
+class SteppedSineNode(ManagedNode[SteppedSineSettings]):
+    """Sets one frequency after the other, waits for the analysis, and publishes the curve; or locks on a resonance.
+
+    Where the phase is held it looks at the scans itself, and acknowledges them, so that it can be a peer.
+    """
+
+    COMPONENT = "sweep"
+    STATES = states.SteppedSineWord
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("stepped_sine", Tree(SteppedSineSettings), **kwargs)
+        self._operator: Operator[Walk] | None = None
+        self._acknowledgements = Acknowledgements(self)
+        self._pending = False  # wanted, but the rig is not there yet
+        self._now_ns: int | None = None
+        self._info: Table | None = None
+        self._scans: Any = None  # subscription, while the phase is what is held
+        self._scans_heard = False
+        self._began_ns = 0
+        self.service(Trigger, "~/start", self._on_start)
+        self.service(Trigger, "~/stop", self._on_stop)
+
+    def configure(self) -> None:
+        """Create the publishers."""
+        self.offer(topics.FREQUENCY, topics.CURRENT, topics.CURVE, topics.HELD, topics.LOCKED, topics.ACK)
+
+    def activate(self) -> None:
+        """Listen; begin the sweep as soon as the rig is there if `begin` says so."""
+        self._now_ns, self._pending = None, self.settings.begin
+        self.until_deactivated(
+            self.subscribe(MONITORS["base"], self._on_time, raw=True),
+            self._follow(topics.APPLIED, self._on_applied),
+            self._follow(topics.JOURNAL, self._on_journal),
+            self._follow(topics.TRANSMISSIBILITY_TABLE, self._on_measurement),
+            self.subscribe_table(topics.INFO, self._on_info),
+        )
+        self._listen(self.settings)
+        self.every(WATCH_S, self._begin_when_ready)
+
+    def deactivate(self) -> None:
+        """Abort a running sweep, the shaker at rest, and stop listening."""
+        if self._operator is not None and self.context.ok():
+            self._operator.abort("the node was deactivated")
+        self._acknowledgements.flush()
+        if self._scans is not None:
+            self.destroy_subscription(self._scans)
+        self._scans = self._info = None
+
+    def cleanup(self) -> None:
+        """Forget the last sweep."""
+        self._operator = None
+
+    def settings_changed(self, settings: SteppedSineSettings, changes: dict[str, Any]) -> None:
+        """Refuse to change a sweep under way; the next one takes the new plan."""
+        if self._running:
+            raise ConfigError(f"{', '.join(sorted(changes))}: a sweep is under way, call ~/stop first")
+        if self.active:
+            self._listen(settings)
+
+    def _listen(self, settings: SteppedSineSettings) -> None:
+        """Listen to the scans where the phase is held, and to none otherwise."""
+        wanted = settings.hold == PHASE
+        if wanted and self._scans is None:
+            self._scans_heard = False
+            self._scans = self.subscribe_table(topics.SCAN, self._on_scan)
+        elif not wanted and self._scans is not None:
+            self.destroy_subscription(self._scans)
+            self._scans = None
+
+    def rig_time_ns(self) -> int | None:
+        """Return the newest instant heard of."""
+        return self._now_ns
+
+    def doing(self) -> NodeState:
+        """Return how the last sweep is."""
+        words = states.SteppedSineWord
+        if self._pending:
+            return NodeState(words.WAITING, self._missing() or "about to begin")
+        if self._operator is None:
+            return NodeState(words.IDLE)
+        sweep = self._operator.sweep
+        if sweep.state is SweepState.ABORTED:
+            return NodeState(words.ABORTED, sweep.reason)
+        return NodeState(words.RUNNING if self._operator.busy else words.DONE)
+
+    def health(self) -> tuple[Level, str]:
+        """Return how far the sweep is."""
+        if self.state != "active":
+            return Level.WARN, self.state
+        if self._pending:
+            return Level.WARN, self._missing() or "about to begin"
+        if self._operator is None:
+            return Level.OK, "idle"
+        sweep = self._operator.sweep
+        if sweep.state is SweepState.ABORTED:
+            return Level.ERROR, f"aborted: {sweep.reason}"
+        return Level.OK, sweep.describe()
+
+    def figures(self) -> Mapping[str, object]:
+        """Return those of the last sweep."""
+        if self.state != "active" or self._pending or self._operator is None:
+            return {}
+        return self._operator.sweep.figures()
+
+    # Start and stop
+
+    def _on_start(self, _request: Trigger.Request, done: Done) -> None:
+        refusal = "a sweep is under way already" if self._running else self._missing()
+        if not self.active:
+            refusal = f"the node is {self.state}, activate it first"
+        if refusal:
+            raise ImpactRigError(refusal)
+        self._begin()
+        done(True, self._announced())
+
+    def _on_stop(self, _request: Trigger.Request, done: Done) -> None:
+        self._pending = False
+        if self._operator is None or not self._operator.busy:
+            done(True, "no sweep is under way")
+            return
+        self._operator.abort("stopped by the operator")
+        done(True, "the shaker is told to rest")
+
+    def _announced(self) -> str:
+        points = self.settings.plan().points()
+        return (
+            f"the resonance is sought from {points[0]:g} Hz" if self.settings.hold == PHASE else f"{len(points)} points"
+        )
+
+    @property
+    def _running(self) -> bool:
+        return self._operator is not None and self._operator.busy
+
+    def _missing(self) -> str:
+        """Return who is not there yet; empty when a sweep can begin."""
+        if any(not self.outputs[topic.name].get_subscription_count() for topic in (topics.FREQUENCY, topics.CURRENT)):
+            return "no rig listens to the shaker's topics"
+        if self.settings.hold == PHASE:
+            if self._info is None or not self._scans_heard:
+                return f"nothing was heard on {topics.SCAN.name if self._info is not None else topics.INFO.name} yet"
+        elif not self.count_publishers(topics.TRANSMISSIBILITY_TABLE.name):
+            return f"nobody publishes {topics.TRANSMISSIBILITY_TABLE.name}"
+        return "" if self._now_ns is not None else "nothing was heard of the rig yet"
+
+    def _begin_when_ready(self) -> None:
+        if self._pending and not self._missing():
+            self._begin()
+
+    def _begin(self) -> None:
+        self._pending = False
+        self._began_ns = self.now_ns()
+        self._operator = Operator(self._walk(), self, self._publish_curve)
+        self._operator.begin()
+
+    def _walk(self) -> Walk:
+        settings = self.settings
+        if settings.hold != PHASE:
+            return settings.sweep()
+        assert self._info is not None
+        return LockedSine(settings.lock_plan(), self._info.rows, settings.accept_limit_s)
+
+    # What the operator's loop asks of an apparatus
+
+    def now_ns(self) -> int:
+        """Return the newest instant heard of."""
+        return self._now_ns or 0
+
+    def set(self, setpoint: Setpoint) -> None:
+        """Send frequency and current; `shaker/applied` tells that they are in force."""
+        self.send(topics.FREQUENCY, Float64(data=setpoint.frequency_hz))
+        self.send(topics.CURRENT, Float64(data=setpoint.current_a))
+
+    def rest(self) -> None:
+        """Set the current to zero, and say why."""
+        assert self._operator is not None
+        self.send(topics.CURRENT, Float64(data=0.0))
+        sweep = self._operator.sweep
+        if sweep.state is SweepState.ABORTED:
+            self.get_logger().error(one_line(f"sweep aborted: {sweep.reason}"))
+        else:
+            self.get_logger().info(f"sweep finished: {sweep.measured} measurements")
+
+    def _publish_curve(self, sweep: Walk) -> None:
+        if isinstance(sweep, LockedSine):
+            if sweep.measured:
+                self.send_table(topics.LOCKED, Table(self._began_ns, sweep.newest))
+            return
+        if sweep.measured:
+            self.send_table(topics.CURVE, Table(self._began_ns, sweep.rows))
+        if sweep.measured and isinstance(sweep, ControlledSine):
+            self.send_table(topics.HELD, Table(self._began_ns, sweep.held))
+
+    # Messages
+
+    def _follow(self, topic: topics.Topic, callback: Callable[[Operator[Walk], Table], None]) -> Any:
+        """Subscribe to a table topic; `callback` gets the operator, and tables newer than the sweep's begin."""
+
+        def take(table: Table) -> None:
+            operator = self._operator
+            if operator is not None and operator.busy and table.stamp_ns >= self._began_ns:
+                callback(operator, table)
+
+        return self.subscribe_table(topic, take)
+
+    def _on_info(self, info: Table) -> None:
+        self._info = info
+        self.adopt_frame(info)
+
+    def _on_scan(self, table: Table) -> None:
+        self._scans_heard = True
+        try:
+            if self._operator is not None:
+                self._operator.hear(News(now_ns=self.now_ns(), scans=[table]))
+        finally:  # a rig that waits for us must not be held up
+            self._acknowledgements.processed(table.stamp_ns)
+
+    def _on_time(self, data: bytes) -> None:
+        try:
+            self._now_ns = codec.header_stamp_ns(data)
+        except CodecError as error:
+            self.refuse(MONITORS["base"].name, str(error))
+            return
+        if self._operator is not None:
+            self._operator.hear(News(now_ns=self._now_ns))
+
+    def _on_applied(self, operator: Operator[Walk], table: Table) -> None:
+        operator.hear(News(now_ns=self.now_ns(), applied=Applied.of(table)))
+
+    def _on_journal(self, operator: Operator[Walk], table: Table) -> None:
+        for row in table.rows:
+            if bytes(row["kind"]) in STOPPING:
+                cause = f" ({bytes(row['key']).decode(errors='replace')})" if row["key"] else ""
+                operator.abort(f"the rig {STOPPING[bytes(row['kind'])]}{cause}")
+
+    def _on_measurement(self, operator: Operator[Walk], table: Table) -> None:
+        operator.hear(News(now_ns=table.stamp_ns, rows=table.rows))
+
+
+PROGRAM = SteppedSineNode
+"""What makes the node of the program `stepped_sine_node`."""

@@ -1,0 +1,169 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Build and test the package with colcon from nothing, look at what it installs, and start it: see `make colcon`.
+
+Stands in for a workspace on an apt-installed Jazzy, whose colcon is the same program. The workspace holds a copy of
+what git knows, so nothing that `make` built can help. Arguments go to pytest, in addition to the names of some quick
+tests, which must run on the installed package and its library of kernels.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))  # not in the environment: what is started must find what is installed
+
+from impact_rig.client import Client, Processes, isolated_domain  # noqa: E402  # found by the line above
+from tools.release import tracked  # noqa: E402
+
+WORKSPACE = ROOT / "build" / "colcon"
+SOURCE = WORKSPACE / "src" / "impact_rig"
+"""Copy of what git knows: a checkout in which nothing was built."""
+PREFIX = WORKSPACE / "install" / "impact_rig"
+SHARE = PREFIX / "share" / "impact_rig"
+PROGRAMS = PREFIX / "lib" / "impact_rig"
+MARKER = PREFIX / "share" / "ament_index" / "resource_index" / "packages" / "impact_rig"
+NODES = ("rig", "analysis", "recorder", "stepped_sine")
+QUICK = (
+    "test/impact_rig/test_codec.py",
+    "test/impact_rig/test_config.py",
+    "test/test_launch.py",
+    "test/impact_rig/nodes/test_convert.py",
+    "test/impact_rig/nodes/test_frames.py",
+    "test/impact_rig_studies/nodes/test_interface.py",
+    "test/impact_rig/nodes/test_managed.py",
+    "test/impact_rig/nodes/test_rig_node.py",
+    "test/impact_rig/nodes/test_standard_services.py",
+)
+BUILD_TYPE = "(ros.ament_python)"
+START_TIMEOUT_S = 120.0
+"""The first start imports all that was just installed."""
+
+
+def run(*command: str | Path, where: Path, more: Mapping[str, str] | None = None) -> str:
+    """Run a program and return what it says.
+
+    Raises:
+        SystemExit: it failed.
+    """
+    environment = {**os.environ, **(more or {})}
+    done = subprocess.run(command, cwd=where, env=environment, stdout=subprocess.PIPE, text=True, check=False)  # noqa: S603  # own arguments
+    if done.returncode:
+        raise SystemExit(f"{' '.join(map(str, command))}: exit code {done.returncode}\n{done.stdout}")
+    return done.stdout
+
+
+def colcon(verb: str, *arguments: str) -> str:
+    """Run colcon; it writes into the workspace only."""
+    return run(sys.executable, "-m", "colcon", "--log-base", str(WORKSPACE / "log"), verb, *arguments, where=WORKSPACE)
+
+
+def absent() -> Iterator[Path]:
+    """Yield what should be installed and is not, or not as it is here."""
+    programs = [PROGRAMS / name for name in ("impact-rig", *(f"{node}_node" for node in NODES))]
+    yield from (program for program in programs if not os.access(program, os.X_OK))
+    if not MARKER.is_file():
+        yield MARKER
+    files = (path for name in ("config", "launch", "examples") for path in (ROOT / name).rglob("*.*"))
+    for path in (ROOT / "package.xml", *files):
+        installed = SHARE / path.relative_to(ROOT)
+        is_source = path.is_file() and "__pycache__" not in path.parts
+        if is_source and not (installed.is_file() and installed.read_bytes() == path.read_bytes()):
+            yield installed
+
+
+def sourced() -> dict[str, str]:
+    """Return what `. install/setup.bash` changes in the environment."""
+    text = run("bash", "-c", '. "$0" && exec env -0', WORKSPACE / "install" / "setup.bash", where=ROOT)
+    found = dict(line.split("=", 1) for line in text.split("\0") if line)
+    return {key: value for key, value in found.items() if value != os.environ.get(key)}
+
+
+def start_everything() -> None:
+    """Start what `ros2 run impact_rig …` starts, and end it."""
+    ours, elsewhere = sourced(), Path("/")
+    ask = "import impact_rig; print(impact_rig.__file__)"
+    found = run(sys.executable, "-c", ask, where=elsewhere, more=ours)
+    if not found.startswith(str(PREFIX)):
+        raise SystemExit(f"after sourcing, impact_rig is not the installed one but {found}")
+    run(PROGRAMS / "impact-rig", "--help", where=elsewhere, more=ours)
+    run(PROGRAMS / "impact-rig", "check", SHARE / "config" / "nominal.yaml", where=elsewhere, more=ours)
+    logs = WORKSPACE / "nodes"
+    with isolated_domain() as domain_id, Processes(domain_id, logs) as processes:
+        for node in NODES:
+            parameters = {"record": False} if node == "recorder" else {}
+            processes.start(node, parameters, environment=ours, command=[str(PROGRAMS / f"{node}_node")])
+        with Client(domain_id, processes=processes) as client:
+            client.wait_active(*NODES, timeout_s=START_TIMEOUT_S)
+        codes = processes.stop()
+    if any(codes.values()):
+        raise SystemExit(f"nodes ended with {codes}, see {logs}")
+
+
+def check_package_under_test() -> None:
+    """Look at what the tests imported.
+
+    Raises:
+        SystemExit: it was not the installed package with its library of kernels.
+    """
+    said = (WORKSPACE / "log" / "latest_test" / "impact_rig" / "stdout.log").read_text(encoding="utf-8")
+    found = next((line for line in said.splitlines() if line.startswith("impact_rig: ")), "nothing")
+    if not found.startswith(f"impact_rig: {PREFIX}/") or not found.endswith("kernels: library"):
+        raise SystemExit(f"colcon test tested {found}; expected the library below {PREFIX}")
+
+
+def tests_run() -> int:
+    """Return how many tests `colcon test` has run."""
+    (suite,) = ET.parse(WORKSPACE / "build" / "impact_rig" / "pytest.xml").getroot()  # noqa: S314  # pytest's own
+    return int(suite.attrib["tests"]) - int(suite.attrib["skipped"])
+
+
+def check_changelog() -> None:
+    """Let catkin_pkg, which colcon needs too, read the changelog as a release does.
+
+    Raises:
+        SystemExit: it finds neither a version nor what is to come.
+    """
+    read = (
+        "from catkin_pkg import changelog, package_version; log = changelog.get_changelog_from_path('.'); "
+        "print(*log.foreach_version(), package_version.get_forthcoming_label(log.rst) or '')"
+    )
+    if not run(sys.executable, "-c", read, where=ROOT).strip():
+        raise SystemExit("catkin_pkg finds no section in CHANGELOG.rst")
+
+
+def main() -> None:
+    """Do it all, and say what was done."""
+    check_changelog()
+    shutil.rmtree(WORKSPACE, ignore_errors=True)
+    for name in tracked():
+        (SOURCE / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(ROOT / name, SOURCE / name)
+    listed = colcon("list", "--paths", str(SOURCE))
+    if not listed.strip().endswith(BUILD_TYPE):
+        raise SystemExit(f"colcon takes the package for another kind than {BUILD_TYPE}: {listed}")
+    places = ("--paths", str(SOURCE), "--packages-select", "impact_rig", "--build-base", str(WORKSPACE / "build"))
+    places = (*places, "--install-base", str(WORKSPACE / "install"))
+    colcon("build", *places)
+    missing = [str(path) for path in absent()]
+    if missing:
+        raise SystemExit("not installed, or not as it is in the sources:\n" + "\n".join(missing))
+    start_everything()
+    chosen = [f" {argument}" for argument in (*sys.argv[1:], *QUICK)]  # the blank keeps colcon from reading options
+    colcon("test", *places, "--return-code-on-test-failure", "--pytest-args", *chosen)
+    check_package_under_test()
+    tests = tests_run()
+    if not tests:
+        raise SystemExit("colcon test ran no test")
+    print(f"colcon built, installed and started the package; it ran {tests} tests, all passed")  # noqa: T201  # the result
+
+
+if __name__ == "__main__":
+    main()

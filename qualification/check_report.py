@@ -1,0 +1,109 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Look at a report as a browser shows it: no label over another, nothing too small, too wide, fetched or complained of.
+
+    python qualification/check_report.py runs/campaign_paper/report.html [SCREENSHOTS]
+
+Needs a Chromium (`apt-get install chromium`), and axe looks for faults of access. Takes screenshots on 1280 and 400
+pixels, light and dark, and a PDF of the printed page, writes them to the second argument (default: beside the report),
+and exits with 1 if something is wrong.
+"""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
+
+from kits.browser import Browser, Page, serious_faults
+
+VIEWS = ((1280, "light"), (1280, "dark"), (400, "light"), (400, "dark"))
+LEAST_TEXT_PX = 9.0
+LONGEST_PX = 16_000  # of a screenshot: longer ones cost gigabytes
+
+TROUBLES = """
+(() => {
+  const found = [];
+  const name = e => (e.textContent || '').trim().slice(0, 40);
+  if (document.documentElement.scrollWidth > innerWidth + 1)
+    found.push(`the page is ${document.documentElement.scrollWidth} px wide, the window ${innerWidth}`);
+  for (const svg of document.querySelectorAll('figure svg')) {
+    const label = svg.closest('figure').getAttribute('aria-label').slice(0, 40);
+    const frame = svg.getBoundingClientRect();
+    if (!frame.width) continue;  // a window of another width shows it
+    const texts = [...svg.querySelectorAll('text')].filter(t => name(t)).map(t => [t, t.getBoundingClientRect()]);
+    if (!texts.length) found.push(`${label}: no text`);
+    texts.forEach(([t, a], i) => {
+      const size = parseFloat(getComputedStyle(t).fontSize) * frame.width / svg.viewBox.baseVal.width;
+      if (size < LEAST) found.push(`${label}: "${name(t)}" is ${size.toFixed(1)} px`);
+      if (a.left < frame.left - 1 || a.right > frame.right + 1 || a.top < frame.top - 1 || a.bottom > frame.bottom + 1)
+        found.push(`${label}: "${name(t)}" leaves the drawing`);
+      for (const [u, b] of texts.slice(i + 1)) {
+        const x = Math.min(a.right, b.right) - Math.max(a.left, b.left);
+        const y = Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top);
+        if (x > 1 && y > 2.5) found.push(`${label}: "${name(t)}" and "${name(u)}" overlap`);
+      }
+    });
+  }
+  for (const e of document.querySelectorAll('h1, h2, p, li, .tile, summary, dt, dd, td, tbody th'))
+    if (e.getBoundingClientRect().right > innerWidth + 1) found.push(`"${name(e)}" leaves the page`);
+  for (const e of document.querySelectorAll('.scroll'))
+    if (e.scrollWidth > e.clientWidth + 1) found.push(`a table is cut off: ${name(e)}`);
+  return found;
+})()
+""".replace("LEAST", str(LEAST_TEXT_PX))
+
+
+@contextlib.contextmanager
+def shown(browser: Browser, file: Path, width: int, scheme: str) -> Iterator[Page]:
+    """Show a file in a window of this width [px], light or dark."""
+    page = browser.page(width, 900, prefers_color_scheme=scheme)
+    page.call("Emulation.setScrollbarsHidden", hidden=True)  # a phone's takes no room
+    page.goto(file.as_uri())
+    try:
+        yield page
+    finally:
+        page.close()
+
+
+def troubles(page: Page) -> list[str]:
+    """Return what is wrong with the page that is shown."""
+    own = page.js("location.href")
+    return [
+        *page.js(TROUBLES),
+        *serious_faults(page),
+        *(f"asks for {address}" for address in page.fetched if address != own and not address.startswith("data:")),
+        *(f"console: {error}" for error in page.errors),
+    ]
+
+
+def main() -> int:
+    """Print what is wrong in every view, and keep the pictures."""
+    if len(sys.argv) not in (2, 3):
+        raise SystemExit(__doc__)
+    file = Path(sys.argv[1]).resolve()
+    folder = Path(sys.argv[2] if len(sys.argv) == 3 else file.parent / "screenshots").resolve()
+    folder.mkdir(parents=True, exist_ok=True)
+    wrong = []
+    with contextlib.closing(Browser()) as browser:
+        for width, scheme in VIEWS:
+            with shown(browser, file, width, scheme) as page:
+                wrong += [f"{width} px, {scheme}: {trouble}" for trouble in troubles(page)]
+                height = min(page.js("document.documentElement.scrollHeight"), LONGEST_PX)
+                clip = {"x": 0, "y": 0, "width": width, "height": height, "scale": 1}
+                picture = page.call("Page.captureScreenshot", format="png", clip=clip, captureBeyondViewport=True)
+                (folder / f"report_{width}_{scheme}.png").write_bytes(base64.b64decode(picture["data"]))
+        with shown(browser, file, *VIEWS[0]) as page:
+            printed = page.call("Page.printToPDF", printBackground=True, preferCSSPageSize=True)
+            (folder / "report_printed.pdf").write_bytes(base64.b64decode(printed["data"]))
+    sys.stdout.write("".join(f"{trouble}\n" for trouble in wrong))
+    sys.stdout.write(f"{len(wrong)} troubles; pictures in {folder}\n")
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

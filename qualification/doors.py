@@ -1,0 +1,133 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Time from a clone to the first result behind each door of the README: `python qualification/doors.py` (ten minutes).
+
+`--lab` only sees that `make lab` of this checkout serves its page, and ends it, for `tools/check_docs.py --run`.
+Without it this repository's last commit is cloned into a temporary directory, with nothing installed and nothing
+compiled, and the README is followed there; what is printed are seconds. Downloads come through pip, so the network
+counts. `make bench ONLY=start` repeats what the demo from a clone took, and what is installed for it.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "test"))
+
+from kits.browser import Browser  # noqa: E402
+
+DOMAIN = "73"
+"""Not that of `make`, where somebody may be at work."""
+SETTLED = "window.lab && lab.now.dt.length && lab.now.dt.at(-1).settled"
+PATIENCE_S = 600.0
+
+
+@contextmanager
+def started(command: list[str], directory: Path, environment: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
+    """Run a program with its children, and end all of them."""
+    with subprocess.Popen(  # noqa: S603  # our own commands
+        command, cwd=directory, env=environment, stdout=subprocess.PIPE, text=True, start_new_session=True
+    ) as process:
+        try:
+            yield process
+        finally:
+            os.killpg(process.pid, signal.SIGINT)
+            process.wait(PATIENCE_S)
+
+
+def line_with(process: subprocess.Popen[str], word: str) -> str:
+    """Return the first line of a program's output that holds a word.
+
+    Raises:
+        RuntimeError: it ended before.
+    """
+    assert process.stdout is not None
+    found = next((line for line in process.stdout if word in line), None)
+    if found is None:
+        raise RuntimeError(f"{process.args} ended without saying {word!r}")
+    return found.strip()
+
+
+def look(arguments: list[str]) -> None:
+    """Start the lab of this checkout, fetch its page, and end it.
+
+    Raises:
+        RuntimeError: what it serves is not its page.
+    """
+    options = " ".join(word.removeprefix("ARGS=") for word in arguments)
+    command = ["make", "lab", f"ARGS={options} --no-browser --port 0 --no-record"]
+    environment = {**os.environ, "ROS_DOMAIN_ID": DOMAIN, "PYTHONUNBUFFERED": "1"}
+    with (
+        started(command, ROOT, environment) as lab,
+        urllib.request.urlopen(line_with(lab, "http"), timeout=PATIENCE_S) as answer,  # noqa: S310  # our own server
+    ):
+        if b"impact_rig" not in answer.read():
+            raise RuntimeError("the lab's page is not there")
+
+
+def measure(say: Callable[[str, float], None], directory: Path) -> None:
+    """Follow the README and say how long each part took [s]."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("ROS_", "AMENT_"))}
+    environment |= {"ROS_DOMAIN_ID": DOMAIN, "PYTHONUNBUFFERED": "1"}
+    checkout = directory / "impact_rig"
+    begin = time.monotonic()
+
+    def run(*command: str) -> str:
+        done = subprocess.run(command, cwd=checkout, env=environment, check=True, stdout=subprocess.PIPE, text=True)  # noqa: S603  # as above
+        return done.stdout
+
+    subprocess.run(["git", "clone", "--quiet", str(ROOT), str(checkout)], check=True)  # noqa: S603, S607  # as above
+    run("make", "demo")
+    demo = time.monotonic()
+    say("from the clone to the demo's five reductions", demo - begin)
+    note("demo_from_clone_s", demo - begin)
+    note("install_run_tier_mb", float(run("du", "-sm", ".venv").split()[0]))
+    with started(["make", "lab", "ARGS=--no-browser --port 0 --no-record"], checkout, environment) as lab:
+        address = line_with(lab, "http")
+        with closing(Browser()) as browser:
+            page = browser.page()
+            page.goto(address)
+            page.wait("window.lab && lab.now.rig?.word === 'at rest'", "a rig at rest", PATIENCE_S)
+            page.key("r")
+            page.wait(SETTLED, "DT on the page", PATIENCE_S)
+        first = time.monotonic()
+        say("then: `make lab`, to DT on the page", first - demo)
+        node = [".venv/bin/python", "-u", "examples/first_node.py", "--ros-args", "-r", "__ns:=/rig"]
+        with started(
+            [*node, "--log-level", "info"], checkout, {**environment, "RCUTILS_LOGGING_USE_STDOUT": "1"}
+        ) as own:
+            line_with(own, "DT = ")
+        say("with the lab running, to DT in a node of one's own", time.monotonic() - first)
+    third = time.monotonic()
+    run("make", "test", "ARGS=-n 0 test/impact_rig/testing/test_examples.py")
+    say("then: the tests' part, to passed tests of three pipelines", time.monotonic() - third)
+
+
+def note(figure: str, value: float) -> None:
+    """Leave a figure to `make bench ONLY=start`."""
+    directory = ROOT / "build" / "start"
+    directory.mkdir(parents=True, exist_ok=True)
+    (directory / figure).write_text(f"{value:.1f}\n", encoding="utf-8")
+
+
+def main() -> None:
+    """Print the table."""
+    if sys.argv[1:2] == ["--lab"]:
+        look(sys.argv[2:])
+        return
+    with tempfile.TemporaryDirectory(prefix="impact_rig_doors_") as directory:
+        measure(lambda what, seconds: print(f"{what:60} {seconds:6.0f} s", flush=True), Path(directory))  # noqa: T201
+
+
+if __name__ == "__main__":
+    main()

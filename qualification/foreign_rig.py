@@ -1,0 +1,212 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Do import, identify and compare find the constants of somebody else's rig? Rigs drawn at random, told only as CSV.
+
+    python qualification/foreign_rig.py --seeds 100 build/foreign
+    python qualification/foreign_rig.py --draw build/foreign      # the picture of docs/own_measurement.md
+
+Each rig has other masses, damping, stiffness and gaps than the default one, its table is measured with a gain wrong by
+3 % (standard deviation, which its calibration states), 1 kS/s, and no accelerometer. Its stepped sine without sphere,
+two gaps and a free decay are written as CSV with headings and units of their own, imported, and given to `identify` and
+`compare`. Who is told that the data leave a constant open (the sphere moved irregularly at both gaps) or that nothing
+settled, measures again as their owner would: longer, at two more gaps. Printed is in how many rigs each constant lies
+within twice its stated uncertainty; one that is not found is not within. What is done stays done.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import json
+import math
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from impact_rig.blocks import joined
+from impact_rig.cli.main import main as impact_rig
+from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig, dump, from_flat
+from impact_rig.rig.gaps import gap_values
+from impact_rig.simtime import NS_PER_S
+
+RATE_HZ, GAIN, COVERAGE = 1000, 0.03, 2.0
+DETUNING = (0.82, 0.93, 0.985, 1.0, 1.015, 1.07, 1.15)
+"""Frequencies of the stepped sine over that of the structure."""
+SECONDS, DECAY_S, AMPLITUDE_M = 16.0, 25.0, 5.5e-3
+ATTEMPTS, LONGER = 3, 1.5
+"""Of measuring a rig, each longer by this factor than the one before."""
+MAPPING = "channels: {laser: {column: tip}, base: {column: table}, current: {column: coil}}\n"
+NAMES = ("f_n", "ζ", "m_1", "K_f", "k_f", "M", "c_f")
+
+
+def drawn(seed: int) -> tuple[dict[str, float], float, tuple[float, ...], np.random.Generator]:
+    """Return the rig of a seed: configuration, gain of its table's sensor, gaps [m], and what draws further."""
+    rng = np.random.default_rng(seed)
+    around = lambda value, share: float(value * math.exp(rng.uniform(-share, share)))  # noqa: E731  # seven times
+    rig = {
+        "structure.natural_frequency_hz": around(9.105, 0.15), "structure.damping_ratio": around(0.0045, 0.25),
+        "structure.mass_kg": around(0.13, 0.25), "shaker.force_factor_n_a": around(5.3, 0.2),
+        "shaker.suspension_stiffness_n_m": around(6300.0, 0.2), "shaker.damping_n_s_m": around(90.0, 0.2),
+        "shaker.base_mass_kg": around(1.84, 0.2),
+    }  # fmt: skip
+    gaps = tuple(round(float(gap), 4) for gap in sorted(rng.uniform(0.003, 0.008, 2)))
+    return rig, float(rng.normal(1.0, GAIN)), gaps, rng
+
+
+def record(
+    rig: dict[str, float], gap_m: float, frequency_hz: float, current_a: float, seconds: float, seed: int
+) -> np.ndarray:
+    """Return scans of a rig: driven, or plucked where the frequency is 0."""
+    own = {**rig, "daq.rate_hz": RATE_HZ, "daq.block_scans": RATE_HZ, "daq.seed": seed, **gap_values(gap_m)}
+    one = Rig(from_flat(RigConfig(), own))
+    if frequency_hz:
+        one.accept(frequency_hz, current_a)
+    else:
+        one.pluck(5e-3)
+    return joined([block.scan.rows for block in one.advance(round(seconds * NS_PER_S))])
+
+
+def write_certificate(path: Path, config: RigConfig) -> None:
+    """Write what the sensors' certificates say, as a table: the base sensor's states the wrong gain."""
+    rows = Rig(config).info().rows
+    names = [name for name in rows.dtype.names or () if name not in ("unit", "rate", "since_start")]
+    rows["sensitivity_uncertainty"][rows["name"] == b"base"] = GAIN
+    lines = [",".join(row[name].decode() if name == "name" else f"{row[name]:.17g}" for name in names) for row in rows]
+    path.write_text("\n".join([",".join(names), *lines]) + "\n", encoding="utf-8")
+
+
+def write_csv(path: Path, rows: np.ndarray, gain: float) -> None:
+    """Write scans as somebody else's program would: its own headings, millimetres, no accelerometer."""
+    columns = np.stack(
+        [np.arange(len(rows)) / RATE_HZ, 1e3 * rows["laser"], 1e3 * gain * rows["base"], rows["current"]], axis=1
+    )
+    np.savetxt(path, columns, "%.9g", delimiter=";", header="t [s];tip [mm];table [mm];coil [A]", comments="")
+
+
+def told(*words: object) -> dict[str, object]:
+    """Return what a command of the package prints as JSON; nothing if it refuses, which it says itself."""
+    with contextlib.redirect_stdout(io.StringIO()) as output:
+        code = impact_rig([str(word) for word in words])
+    return {} if code else dict(json.loads(output.getvalue()))
+
+
+def measure(seed: int, place: Path, attempt: int = 0) -> None:
+    """Measure the rig of a seed as its owner would, and import what was measured."""
+    rig, gain, gaps, rng = drawn(seed)
+    gaps = (*gaps, *(round(float(gap), 4) for gap in rng.uniform(0.003, 0.008, 2 * attempt)))
+    seconds = SECONDS * LONGER**attempt
+    f_n = rig["structure.natural_frequency_hz"]
+    shutil.rmtree(place, ignore_errors=True)
+    (place / "csv").mkdir(parents=True)
+    (place / "mapping.yaml").write_text(MAPPING, encoding="utf-8")
+    (place / "known.yaml").write_text(dump(RigConfig()), encoding="utf-8")
+    stiffness = rig["structure.mass_kg"] * (2.0 * math.pi * f_n) ** 2
+    current = AMPLITUDE_M * stiffness / rig["shaker.force_factor_n_a"]  # what moves x_1 by about that much at resonance
+    for gap in (0.0, *gaps):
+        for detuning in DETUNING if gap == 0.0 else (1.0,):
+            frequency = round(f_n * detuning, 3)
+            rows = record(rig, gap, frequency, current, seconds, seed)
+            name = f"{f'{1e3 * gap:g}mm' if gap else 'no_sphere'}_{frequency:.3f}Hz.csv"
+            write_csv(place / "csv" / name, rows, gain)
+    write_csv(place / "decay.csv", record(rig, 0.0, 0.0, 0.0, DECAY_S, seed), gain)
+    write_certificate(place / "certificate.csv", from_flat(RigConfig(), {"daq.rate_hz": RATE_HZ, "daq.seed": seed}))
+    common = ("--mapping", place / "mapping.yaml", "--calibration", place / "certificate.csv", "--json")
+    sweep = ("--campaign", "--output", place / "sweep", "--config", place / "known.yaml")
+    told("import", *sorted((place / "csv").iterdir()), *sweep, *common)
+    told("import", place / "decay.csv", "--output", place / "decay", *common)
+    shutil.rmtree(place / "csv")
+    (place / "decay.csv").unlink()
+
+
+def judged(seed: int, place: Path) -> dict[str, object]:
+    """Return the truth of a rig, and what the commands find of it."""
+    rig, gain, _, _ = drawn(seed)
+    truth = dict(zip(NAMES, (
+        rig["structure.natural_frequency_hz"], rig["structure.damping_ratio"], rig["structure.mass_kg"],
+        rig["shaker.force_factor_n_a"], rig["shaker.suspension_stiffness_n_m"],
+        rig["shaker.base_mass_kg"] + RigConfig().shaker.armature_mass_kg, rig["shaker.damping_n_s_m"],
+    ), strict=True))  # fmt: skip
+    run = place / "sweep" / "runs" / f"no_sphere_{rig['structure.natural_frequency_hz']:.3f}Hz"
+    for attempt in range(ATTEMPTS):
+        if attempt or not (place / "decay").exists():
+            measure(seed, place, attempt)
+        found = told("identify", place / "sweep", "--decay", place / "decay", "--json")
+        compared = told("compare", run, "--config", place / "known.yaml", "--json")
+        constants = {
+            f"{prefix}{name}": [truth[name], value["value"], value["standard_uncertainty"]]
+            for prefix, told_of in (("", found), ("compare ", compared))
+            for name, value in dict(told_of.get("constants", {})).items()  # type: ignore[call-overload]  # JSON
+        }
+        if all(constants.get(name, [0, None])[1] is not None for name in (*NAMES, "compare f_n", "compare ζ")):
+            break
+    return {
+        "seed": seed, "gain": gain, "consistent": found.get("consistent"), "attempts": attempt + 1,
+        "constants": constants,
+    }  # fmt: skip
+
+
+def draw(place: Path) -> None:
+    """Import one run of five frequencies, and draw it beside a model whose structure is 0.2 % off."""
+    shutil.rmtree(place, ignore_errors=True)
+    place.mkdir(parents=True)
+    own = {"daq.rate_hz": RATE_HZ, "daq.block_scans": RATE_HZ, "sphere.present": False}
+    config = from_flat(RigConfig(), own)
+    one, parts, frequencies = Rig(config), [], []
+    for frequency in (8.5, 8.9, 9.1, 9.3, 9.7):
+        one.accept(frequency, 0.52)
+        blocks = one.advance(one.frontier_ns + round(SECONDS * NS_PER_S))
+        parts += [block.scan.rows for block in blocks]
+        frequencies += [frequency] * sum(len(block.scan.rows) for block in blocks)
+    write_csv(place / "no_sphere.csv", joined(parts), 1.0)
+    lines = (place / "no_sphere.csv").read_text(encoding="utf-8").splitlines()
+    told_hz = ["frequency [Hz]", *map(str, frequencies)]
+    (place / "no_sphere.csv").write_text("\n".join(f"{line};{hz}" for line, hz in zip(lines, told_hz, strict=True)))
+    (place / "mapping.yaml").write_text(MAPPING, encoding="utf-8")
+    write_certificate(place / "certificate.csv", config)
+    model = {"structure.natural_frequency_hz": 1.002 * config.structure.natural_frequency_hz}
+    (place / "model.yaml").write_text(dump(from_flat(config, model)), encoding="utf-8")
+    told(
+        "import", place / "no_sphere.csv", "--output", place / "mine", "--mapping", place / "mapping.yaml",
+        "--calibration", place / "certificate.csv", "--json",
+    )  # fmt: skip
+    impact_rig(["compare", str(place / "mine"), "--config", str(place / "model.yaml"), "--figure", str(place)])
+    shutil.copy(place / "comparison.png", Path(__file__).parents[1] / "docs" / "images" / "comparison.png")
+
+
+def main() -> int:
+    """Return 0."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--seeds", type=int, default=100)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--draw", action="store_true", help="instead: draw docs/images/comparison.png")
+    arguments = parser.parse_args()
+    if arguments.draw:
+        draw(arguments.folder / "drawn")
+        return 0
+    arguments.folder.mkdir(parents=True, exist_ok=True)
+    kept = arguments.folder / "found.jsonl"
+    done = [json.loads(line) for line in kept.read_text(encoding="utf-8").splitlines()] if kept.exists() else []
+    for seed in range(arguments.first, arguments.first + arguments.seeds):
+        if seed not in {one["seed"] for one in done}:
+            done.append(judged(seed, arguments.folder / f"{seed:04d}"))
+            with kept.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(done[-1], ensure_ascii=False) + "\n")
+    sound, again = sum(bool(each["consistent"]) for each in done), sum(each["attempts"] > 1 for each in done)
+    print(f"{len(done)} rigs, {again} measured again; {sound} consistent with the model")  # noqa: T201  # the result
+    for name in (*NAMES, "compare f_n", "compare ζ"):  # of one frequency without a sphere, no more is determined
+        rows = [each["constants"].get(name, [0, None]) for each in done]
+        z = np.array([(value - truth) / u for truth, value, u in (row for row in rows if row[1] is not None)])
+        inside = int(np.count_nonzero(np.abs(z) <= COVERAGE))
+        rms = math.sqrt(float(np.mean(z**2))) if len(z) else math.nan
+        missing = len(done) - len(z)
+        print(f"{name:14s} {inside} of {len(done)} within ± {COVERAGE:g} u, rms z {rms:.2f}, {missing} not found")  # noqa: T201  # as above
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

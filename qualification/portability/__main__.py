@@ -1,0 +1,169 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Run the fixed runs under every mask, compare their bits with the committed ones: `make portability`.
+
+    make portability                           every mask, and other CPUs where qemu-x86_64 (qemu-user) is installed
+    make portability ARGS=--write              take this machine's bits as the ones to compare with
+    make portability ARGS='--only all'         one mask, or one emulated CPU
+
+Writes `portable_bits` into build/bench.json: 1 if every digest agrees everywhere, else 0. Where masks change what Numba
+compiles, they have caches of their own: the first time, each compiles everything.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import attrs
+from rich.console import Console
+from rich.table import Table
+
+from qualification.portability import digests
+from qualification.portability.machine import Machine
+from qualification.portability.masks import BARE, MASKS, Mask, full_environment
+from qualification.portability.runs import INTERPRETED_ELSEWHERE, LONG, SHORT, Run, known
+
+FIGURES = Path("build", "bench.json")
+WORK = Path("build", "portability")
+"""Caches of compiled code, and what the processes complained of."""
+EMULATOR = "qemu-x86_64"
+EMULATED = ("Nehalem", "EPYC")
+"""An Intel CPU without AVX and an AMD one with AVX2 and FMA; NumPy's wheels need at least SSE4.2."""
+
+
+ALL_RUNS = known((*LONG, *SHORT))
+
+
+@attrs.frozen
+class Outcome:
+    """What one mask or CPU gave."""
+
+    name: str  # of the mask or the CPU
+    held: str  # whether the mask took hold
+    equal: int  # runs whose every topic has the committed digest
+    different: dict[str, str]  # those that have not, with the first topic that differs
+    first: str = ""  # where the first of them parts from the unmasked run of this machine
+
+    @property
+    def well(self) -> bool:
+        """Whether this is a proof, and a good one."""
+        return self.equal > 0 and not self.different and self.held != "NO"
+
+
+def main() -> int:
+    """Return 0 if all bits are the committed ones."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--write", action="store_true", help="rewrite the committed digests with this machine's")
+    names = [mask.name for mask in MASKS] + [*EMULATED]
+    parser.add_argument("--only", choices=names, help="this mask or emulated CPU")
+    arguments = parser.parse_args()
+    console = Console()
+    with tempfile.TemporaryDirectory(prefix="impact_rig_bits_") as scratch:
+        bench = Bench(console, Path(scratch))
+        found = bench.record("this machine", full_environment(BARE), ["long", "short"], save=True)
+        if arguments.write:
+            digests.write(found)
+            console.print(f"written: {digests.FILE}")
+        outcomes = [bench.judged("this machine", "-", ALL_RUNS, found)]
+        bare = bench.machine(full_environment(BARE))
+        for mask in MASKS:
+            if arguments.only in (None, mask.name):
+                outcomes.append(bench.masked(mask, bare))
+        for cpu in EMULATED:
+            if arguments.only in (None, cpu) and shutil.which(EMULATOR):
+                outcomes.append(bench.emulated(cpu, bare))
+    return report(console, outcomes, complete=arguments.only is None)
+
+
+class Bench:
+    """Starts a process for each mask and compares what it recorded."""
+
+    def __init__(self, console: Console, scratch: Path) -> None:
+        self._console = console
+        self._scratch = scratch
+        self._reference = scratch / "reference"
+        self._said: list[str] = []
+
+    def machine(self, environment: dict[str, str], prefix: tuple[str, ...] = ()) -> Machine:
+        """Return what a process with this environment runs on."""
+        command = [*prefix, sys.executable, "-m", "qualification.portability.machine"]
+        done = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
+        return Machine(**json.loads(done.stdout))
+
+    def masked(self, mask: Mask, bare: Machine) -> Outcome:
+        """Record every run under a mask."""
+        environment = full_environment(mask)
+        held = mask.verdict(self.machine(environment), bare)
+        return self.judged(mask.name, held, ALL_RUNS, self.record(mask.name, environment, ["long", "short"]))
+
+    def emulated(self, cpu: str, bare: Machine) -> Outcome:
+        """Record two short runs on another CPU, as plain Python."""
+        emulator = (EMULATOR, "-cpu", cpu)
+        # else it starts itself anew, bare
+        environment = full_environment(BARE) | {"_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}
+        seen = self.machine(environment, emulator)
+        held = "NO" if seen == bare else f"LLVM sees {seen.llvm[0]}"
+        found = self.record(cpu, environment | {"IMPACT_RIG_KERNELS": "plain"}, [*INTERPRETED_ELSEWHERE], emulator)
+        runs = [run for run in SHORT if run.name in INTERPRETED_ELSEWHERE]
+        return self.judged(" ".join(emulator), held, runs, found)
+
+    def record(
+        self, name: str, environment: dict[str, str], runs: list[str], prefix: tuple[str, ...] = (), save: bool = False
+    ) -> digests.Digests:
+        """Record runs in a process of its own, show how it gets on, and return their digests; none if it failed."""
+        output = self._scratch / "digests.txt"
+        output.unlink(missing_ok=True)
+        keep = "--save" if save else "--against"
+        command = [*prefix, sys.executable, "-m", "qualification.portability.child", str(output), *runs, keep]
+        command.append(str(self._reference))
+        self._said, began = [], time.monotonic()
+        WORK.mkdir(parents=True, exist_ok=True)
+        with (
+            (WORK / f"{name}.log").open("w", encoding="utf-8") as log,
+            self._console.status(f"{name}: starting") as status,
+            subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=log, text=True) as child,
+        ):
+            for line in child.stdout or ():
+                self._said.append(line.strip())
+                status.update(f"{name}: {line.strip()} after {time.monotonic() - began:.0f} s")
+        trouble = f", {log.name} says why" if child.returncode else ""
+        self._console.print(f"{name}: {time.monotonic() - began:.0f} s{trouble}")
+        return digests.read(output) if output.exists() else {}
+
+    def judged(self, name: str, held: str, runs: Sequence[Run], found: digests.Digests) -> Outcome:
+        """Compare with the committed digests; a run that could not be recorded is different in everything."""
+        different = digests.different(digests.read() if digests.FILE.exists() else {}, found)
+        recorded = {run for run, _ in found}
+        different |= {run.name: "failed" for run in runs if run.name not in recorded}
+        said = (line for line in self._said if " differs: " in line or " failed: " in line)
+        return Outcome(name, held, len(runs) - len(different), different, next(said, ""))
+
+
+def report(console: Console, outcomes: list[Outcome], complete: bool) -> int:
+    """Print the table, write the figure, return the exit code."""
+    table = Table(title=f"{len(ALL_RUNS)} runs against {digests.FILE.name}")
+    for heading in ("machine", "took hold", "equal", "different", "first difference from this machine"):
+        table.add_column(heading, overflow="fold")
+    for one in outcomes:
+        different = ", ".join(f"{run} ({topic})" for run, topic in one.different.items())
+        table.add_row(one.name, one.held, str(one.equal), different or "-", one.first or "-")
+    console.print(table)
+    well = all(one.well for one in outcomes)
+    if complete:
+        figures = json.loads(FIGURES.read_text(encoding="utf-8")) if FIGURES.exists() else {}
+        FIGURES.parent.mkdir(exist_ok=True)
+        FIGURES.write_text(json.dumps(figures | {"portable_bits": int(well)}, indent=2) + "\n", encoding="utf-8")
+    console.print("the same bits everywhere" if well else "[red]not the same bits everywhere[/red]")
+    return 0 if well else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

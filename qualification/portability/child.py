@@ -1,0 +1,104 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Record runs in this process and write their digests: one process, one mask.
+
+    python -m qualification.portability.child OUTPUT RUN... [--save DIRECTORY | --against DIRECTORY]
+
+OUTPUT gets one line per topic; `--save` keeps the rows, `--against` says on stdout where they differ from kept ones.
+Where nothing is compiled, the tables of outcomes are kept ones too: they are made of hundreds of contacts, some of
+which are a run of their own (`short_contacts`). Nor is a rig tried there before it begins, which takes longer than the
+run: the compiled run has been.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import sys
+import traceback
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig import kernels
+from impact_rig.physics import model
+from impact_rig.physics.model import build
+from impact_rig.rig import core
+from qualification.portability import digests
+from qualification.portability.runs import LONG, QUICK, SHORT, known
+
+TABLES = "tables.npz"
+
+
+def main() -> int:
+    """Return 0 if every run could be recorded, whatever its bits."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("output", type=Path)
+    parser.add_argument("runs", nargs="+", help="names, or long, short, quick")
+    parser.add_argument("--save", type=Path)
+    parser.add_argument("--against", type=Path)
+    arguments = parser.parse_args()
+    tables = Tables(arguments.against if kernels.MODE == "plain" else None)
+    if kernels.MODE == "plain":
+        core.tried_model = build
+    found: digests.Digests = {}
+    failed = 0
+    for run in known((*LONG, *SHORT, *(run for run in QUICK if run not in SHORT))):
+        sets = {word for word, runs in (("long", LONG), ("short", SHORT), ("quick", QUICK)) if run in runs}
+        if {run.name, *sets} & set(arguments.runs):
+            try:
+                streams = run.record(run)
+            except Exception as error:  # the other runs are still worth knowing
+                traceback.print_exc()
+                _say(f"{run.name} failed: {error!r}")
+                failed += 1
+                continue
+            found |= {(run.name, topic): digests.digest(rows) for topic, rows in streams.items()}
+            _say(f"{run.name} recorded")
+            if arguments.save:
+                arguments.save.mkdir(parents=True, exist_ok=True)
+                np.savez(arguments.save / f"{run.name}.npz", **streams)
+            if arguments.against:
+                with np.load(arguments.against / f"{run.name}.npz") as kept:
+                    if difference := digests.first_difference(kept, streams):
+                        _say(f"{run.name} differs: {difference}")
+    if arguments.save:
+        tables.keep(arguments.save)
+    digests.write(found, arguments.output)
+    return 1 if failed else 0
+
+
+class Tables:
+    """The tables of outcomes that models asked for, by the numbers of their law; from then on models ask here.
+
+    Args:
+        directory: where tables were kept, if they are not to be made again.
+    """
+
+    def __init__(self, directory: Path | None) -> None:
+        self._make = model.tabulate
+        self._known: dict[str, NDArray[np.void]] = {}
+        if directory:
+            with np.load(directory / TABLES) as kept:
+                self._known.update(kept)
+        model.tabulate = self._of
+
+    def _of(self, p: Any, force: Any) -> Any:
+        law = hashlib.sha256(p.tobytes()).hexdigest()
+        if law not in self._known:
+            self._known[law] = self._make(p, force)
+        return self._known[law].view(np.recarray)
+
+    def keep(self, directory: Path) -> None:
+        """Write them into `directory`."""
+        np.savez(directory / TABLES, **self._known)
+
+
+def _say(line: str) -> None:
+    print(line, flush=True)  # noqa: T201  # what a parent shows
+
+
+if __name__ == "__main__":
+    sys.exit(main())

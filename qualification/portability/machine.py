@@ -1,0 +1,109 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""What a process believes its CPU to be, as the four that choose code by it say: NumPy, LLVM, OpenBLAS, glibc.
+
+python -m qualification.portability.machine     print it as JSON
+"""
+
+from __future__ import annotations
+
+import array
+import ctypes
+import functools
+import importlib
+import json
+import math
+import sys
+import zlib
+from pathlib import Path
+
+import attrs
+
+_CORE_NAMES = tuple(
+    f"{prefix}openblas_get_corename{suffix}" for prefix in ("scipy_", "") for suffix in ("64_", "", "_64")
+)
+_VISIBLE = ("sin", "cos", "tan", "atan")
+"""The loader chooses these themselves; exp, log and pow are wrappers around what it chose: only their values tell."""
+_HIDDEN = {"exp": math.exp, "log": math.log, "pow": functools.partial(math.pow, math.pi)}
+
+
+@attrs.frozen
+class Machine:
+    """What this process runs on, so far as libraries choose code by it."""
+
+    numpy: list[str]  # dispatched CPU features that NumPy uses
+    llvm: list[str]  # the CPU and the features Numba compiles for
+    vectors: bool  # whether compiled arithmetic uses AVX instructions: seen in the machine code itself
+    openblas: dict[str, str]  # core that each loaded OpenBLAS chose, by file name
+    glibc: dict[str, int]
+    """Which variants of its functions libm chose: addresses within the library, or a checksum of values."""
+
+
+def numpy_features() -> list[str]:
+    """Return the dispatched features that NumPy has found and uses."""
+    import numpy as np  # noqa: PLC0415
+
+    core = "_core" if int(np.__version__.split(".", 1)[0]) >= 2 else "core"
+    module = importlib.import_module(f"numpy.{core}._multiarray_umath")
+    features = module.__cpu_features__
+    return [name for name in module.__cpu_dispatch__ if features[name]]
+
+
+def this() -> Machine:
+    """Return what this process has chosen; loads and compiles what is needed to know."""
+    import numba  # noqa: PLC0415  # seconds, which whoever asks for a part only need not wait
+    import numpy as np  # noqa: PLC0415
+    import scipy.linalg  # noqa: F401, PLC0415  # brings an OpenBLAS of its own
+    from numba.core.registry import cpu_target  # noqa: PLC0415
+
+    compiled = numba.njit("f8(f8, f8)")(lambda x, y: x * y)
+    (assembly,) = compiled.inspect_asm().values()
+    _, name, features = cpu_target.target_context.codegen().magic_tuple()
+    np.linalg.inv(np.eye(2))
+    return Machine(
+        numpy=numpy_features(),
+        llvm=[name, features],
+        vectors="vmulsd" in assembly,
+        openblas=_openblas_cores(),
+        glibc=_libm_variants(),
+    )
+
+
+def _loaded() -> dict[str, int]:
+    """Return the files that are mapped into this process, with the lowest address of each."""
+    found: dict[str, int] = {}
+    for line in Path("/proc/self/maps").read_text(encoding="utf-8").splitlines():
+        addresses, *_, path = line.split(maxsplit=5)
+        if path.startswith("/"):
+            start = int(addresses.split("-")[0], 16)
+            found[path] = min(start, found.get(path, start))
+    return found
+
+
+def _openblas_cores() -> dict[str, str]:
+    found = {}
+    for path in _loaded():
+        if "openblas" in Path(path).name:
+            library = ctypes.CDLL(path)
+            for name in _CORE_NAMES:
+                if hasattr(library, name):
+                    function = library[name]
+                    function.restype = ctypes.c_char_p
+                    found[Path(path).name] = function().decode()
+                    break
+    return found
+
+
+def _libm_variants() -> dict[str, int]:
+    """Return where in libm each function is that the loader chose for this CPU."""
+    libm = ctypes.CDLL("libm.so.6")
+    (base,) = (start for path, start in _loaded().items() if Path(path).name.startswith(("libm.so", "libm-2.")))
+    variants = {name: (ctypes.cast(libm[name], ctypes.c_void_p).value or 0) - base for name in _VISIBLE}
+    for name, function in _HIDDEN.items():
+        values = array.array("d", (function(0.5 + 7.5e-6 * k) for k in range(200_000)))
+        variants[name] = zlib.crc32(values)
+    return variants
+
+
+if __name__ == "__main__":
+    json.dump(attrs.asdict(this()), sys.stdout)

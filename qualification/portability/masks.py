@@ -1,0 +1,72 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Environments that make the libraries believe in an older CPU, and how to see that they do."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+
+import attrs
+
+from qualification.portability.machine import Machine, numpy_features
+
+NUMPY = {"NPY_DISABLE_CPU_FEATURES": " ".join(numpy_features())}  # those the CPU lacks are refused
+GLIBC = {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2_Usable,-FMA_Usable,-AVX2,-FMA,-AVX512F"}
+LLVM = {"IMPACT_RIG_KERNELS": "jit", "NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
+
+
+@attrs.frozen
+class Mask:
+    """An environment, and whether a machine (masked, unmasked) shows it; `recompiles`: Numba makes other code."""
+
+    name: str
+    environment: dict[str, str]
+    held: Callable[[Machine, Machine], bool]
+    recompiles: bool = False
+
+    def verdict(self, masked: Machine, bare: Machine) -> str:
+        """Return `yes`, `NO`, or that this CPU has nothing to hide."""
+        if not self.held(masked, bare):
+            return "NO"
+        return "nothing to mask" if attrs.evolve(masked, llvm=bare.llvm) == bare and not self.recompiles else "yes"
+
+
+def full_environment(mask: Mask) -> dict[str, str]:
+    """Return the environment of a process under this mask and no other."""
+    others = ALL.environment.keys()
+    return {name: value for name, value in os.environ.items() if name not in others} | mask.environment
+
+
+def _openblas(*names: str) -> Callable[[Machine, Machine], bool]:
+    return lambda masked, bare: set(masked.openblas.values()) <= set(names)
+
+
+def _glibc(masked: Machine, bare: Machine) -> bool:
+    """See other functions in use; without FMA, AVX2 or FMA4 there is one variant only, and nothing to see."""
+    return masked.glibc != bare.glibc or not bare.vectors
+
+
+BARE = Mask("none", {}, lambda masked, bare: masked == bare)
+# one kernel, two names
+PRESCOTT = Mask("openblas-prescott", {"OPENBLAS_CORETYPE": "Prescott"}, _openblas("Prescott", "Katmai"))
+HASWELL = Mask("openblas-haswell", {"OPENBLAS_CORETYPE": "Haswell"}, _openblas("Haswell"))
+LLVM_GENERIC = Mask(
+    "llvm-generic", LLVM, lambda masked, bare: masked.llvm == ["generic", ""] and not masked.vectors, recompiles=True
+)
+NUMPY_BASELINE = Mask("numpy-baseline", NUMPY, lambda masked, bare: masked.numpy == [])
+GLIBC_BASELINE = Mask("glibc-baseline", GLIBC, _glibc)
+LIBRARIES = Mask(
+    "libraries",
+    PRESCOTT.environment | NUMPY | GLIBC,
+    lambda masked, bare: all(one.held(masked, bare) for one in (PRESCOTT, NUMPY_BASELINE, GLIBC_BASELINE)),
+)
+"""All that need no other compiled code: quick enough for every test run."""
+ALL = Mask(
+    "all",
+    LIBRARIES.environment | LLVM,
+    lambda masked, bare: LIBRARIES.held(masked, bare) and LLVM_GENERIC.held(masked, bare),
+    recompiles=True,
+)
+
+MASKS = (PRESCOTT, HASWELL, LLVM_GENERIC, NUMPY_BASELINE, GLIBC_BASELINE, LIBRARIES, ALL)

@@ -1,0 +1,46 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""The analysis as plain Python finds what the compiled one finds: a debugger and coverage see the same loops."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+from kits.measured import measured
+from kits.tracker import run_scenario
+
+TESTS = Path(__file__).parents[2]
+SCRIPT = """
+import sys
+import numpy as np
+from kits.tracker import run_scenario
+from impact_rig import kernels
+assert kernels.MODE == "plain"
+measurements, impacts, _ = run_scenario(1000)
+tables = {"measurements": measurements, "impacts": impacts}
+np.savez(sys.argv[1], **{name: np.concatenate([table.rows for table in found]) for name, found in tables.items()})
+"""
+
+
+def test_plain_python_measures_the_same(tmp_path: Path) -> None:
+    """To 1e-9, as on another machine: the analysis may use whatever its libraries offer."""
+    output = tmp_path / "plain.npz"
+    environment = measured({**os.environ, "IMPACT_RIG_KERNELS": "plain", "PYTHONPATH": str(TESTS)})
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT, str(output)], env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    measurements, impacts, _ = run_scenario(1000)
+    with np.load(output) as plain:
+        for name, tables in (("measurements", measurements), ("impacts", impacts)):
+            rows = np.concatenate([table.rows for table in tables])
+            assert len(plain[name]) == len(rows) > 0, name
+            for column in rows.dtype.names or ():
+                if rows.dtype[column].kind in "fiu":
+                    np.testing.assert_allclose(plain[name][column], rows[column], rtol=1e-9, atol=1e-12, err_msg=column)
+                else:
+                    assert (plain[name][column] == rows[column]).all(), column

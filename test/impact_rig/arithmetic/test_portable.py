@@ -1,0 +1,145 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Nothing on the path to a sample or an impact calls what differs between machines: read from the sources.
+
+Libm, BLAS, LAPACK and NumPy's sums may give other last bits on another machine; powers of floats are libm's pow. What
+is left of them is listed here with the reason why no sample and no impact depends on it.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import impact_rig
+
+ROOT = Path(impact_rig.__file__).parent
+PARTS = ("arithmetic", "physics", "instruments", "rig")
+
+LIBM = {"exp", "expm1", "exp2", "log", "log2", "log10", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "atan2"}
+LIBM |= {
+    "sinh",
+    "cosh",
+    "tanh",
+    "arcsin",
+    "arccos",
+    "arctan",
+    "arctan2",
+    "pow",
+    "power",
+    "float_power",
+    "hypot",
+    "cbrt",
+}
+SUMS = {"sum", "mean", "average", "prod", "cumsum", "cumprod", "dot", "vdot", "inner", "outer", "matmul", "einsum"}
+SUMS |= {"var", "std", "convolve", "interp", "polyfit", "polyval", "trapezoid", "nansum", "linalg", "fft", "reduce"}
+FORBIDDEN = {f"{module}.{name}" for module in ("math", "np", "numpy", "cmath") for name in LIBM | SUMS}
+METHODS = {"sum", "mean", "prod", "dot", "std", "var", "cumsum"}
+MODULES = {"scipy", "cmath"}
+
+ALLOWED = {
+    "physics/linear.py: np.linalg": "where the refinement of eigenvalues starts; they do not depend on it",
+    **dict.fromkeys(
+        (f"physics/contact/springs.py: math.{name}" for name in ("log", "exp", "sin", "cos", "atan2")),
+        "what kelvin_voigt returns when it lets go early is told to people",
+    ),
+    "physics/linear_response.py": "what simulation and analysis are held against",
+    "instruments/sensor.py: np.prod": "the frequency response, for whoever judges readings",
+    "instruments/checks.py": "judges readings and feeds none",
+    "arithmetic/precise.py: sum": "of Decimals",
+    "instruments/sensor.py: sum": "of Decimals",
+    "instruments/sensor.py: **": "a whole power of a Decimal",
+}
+
+
+def dotted(node: ast.AST) -> str:
+    if isinstance(node, ast.Attribute):
+        return f"{dotted(node.value)}.{node.attr}"
+    return node.id if isinstance(node, ast.Name) else ""
+
+
+def imported(node: ast.Import | ast.ImportFrom) -> list[str]:
+    if isinstance(node, ast.Import):
+        return [alias.name for alias in node.names]
+    return [node.module or "", *(f"{node.module}.{alias.name}" for alias in node.names)]
+
+
+def written_down(node: ast.expr) -> bool:
+    """A number: a power of two such as 2.0**-52 is worked out once, exactly."""
+    return isinstance(node, (ast.Constant, ast.UnaryOp))
+
+
+def offence(node: ast.AST) -> str | None:
+    """What of this a machine, or a version of Python, may do in its own way."""
+    match node:
+        case ast.Attribute(attr=last) if dotted(node) in FORBIDDEN or last == "reduce":
+            return dotted(node)
+        case ast.Call(func=ast.Attribute(attr=last)) if last in METHODS and dotted(node.func) not in FORBIDDEN:
+            return f".{last}()"
+        case ast.Call(func=ast.Name(id="sum")):  # of floats it is compensated from Python 3.12 on
+            return "sum"
+        case ast.BinOp(op=ast.MatMult()) | ast.AugAssign(op=ast.MatMult()):
+            return "@"
+        case ast.BinOp(left=left, op=ast.Pow(), right=right) if not (written_down(left) and written_down(right)):
+            return "**"
+        case ast.AugAssign(op=ast.Pow()):
+            return "**"
+        case ast.keyword(arg="fastmath"):
+            return "fastmath"
+        case ast.Import() | ast.ImportFrom():
+            return next((n for n in imported(node) if n.split(".")[0] in MODULES or n in FORBIDDEN), None)
+    return None
+
+
+def offences(tree: ast.AST) -> Iterator[tuple[int, str]]:
+    """Line and name of everything that a machine may do in its own way."""
+    for node in ast.walk(tree):
+        found = offence(node)
+        if found is not None:
+            yield getattr(node, "lineno", 0), found
+
+
+def files() -> list[Path]:
+    return sorted(path for part in PARTS for path in (ROOT / part).rglob("*.py"))
+
+
+def test_nothing_on_the_way_to_a_sample_is_left_to_the_machine() -> None:
+    found, used = [], set()
+    for path in files():
+        name = path.relative_to(ROOT).as_posix()
+        for line, what in offences(ast.parse(path.read_text())):
+            reason = next((key for key in (name, f"{name}: {what}") if key in ALLOWED), None)
+            used.add(reason)
+            if reason is None:
+                found.append(f"{name}:{line}: {what}")
+    assert not found, "\n".join(found)
+    assert used - {None} == set(ALLOWED), "an exception that nobody needs any more"
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "math.exp(x)",
+        "np.sin(x)",
+        "np.linalg.eig(m)",
+        "values.mean(axis=1)",
+        "a @ b",
+        "x ** 2",
+        "x **= 2",
+        "np.add.reduce(x)",
+        "from scipy import signal",
+        "from math import hypot",
+        "sum(x)",
+        "njit(fastmath=True)",
+    ],
+)
+def test_the_search_finds_it(source: str) -> None:
+    assert list(offences(ast.parse(source)))
+
+
+@pytest.mark.parametrize("source", ["math.sqrt(x)", "np.rint(x) * y", "2.0**-52", "math.fsum(x)", "x.max()", "exp(x)"])
+def test_the_search_leaves_alone_what_is_fixed(source: str) -> None:
+    assert not list(offences(ast.parse(source)))

@@ -1,0 +1,192 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""The command line speaks for itself: examples, answers to wrong guesses, JSON, 80 columns, plain progress."""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import math
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from kits.recorded_rig import messages, record
+
+from impact_rig.cli import main, terminal
+from impact_rig.cli.main import command_line, commands
+from impact_rig.cli.terminal import Console, Steps, TextTable, tell_json
+from impact_rig.system.files import config_dir
+
+PROGRAM = [sys.executable, "-c", "from impact_rig.cli import main; raise SystemExit(main())"]
+NOMINAL = str(config_dir() / "nominal.yaml")
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Twelve seconds without a sphere, and what the live analysis found."""
+    pytest.importorskip("rclpy")  # runs carry the schemas of the messages
+    return record(tmp_path_factory.mktemp("runs") / "no_sphere", messages())
+
+
+@pytest.fixture(autouse=True)
+def terminal_of_80_columns(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+
+
+def help_of(name: str) -> str:
+    (action,) = (one for one in command_line()._actions if isinstance(one, argparse._SubParsersAction))
+    return str(action.choices[name].format_help())
+
+
+@pytest.mark.parametrize("name", commands())
+def test_every_help_page_has_examples_that_can_be_given(name: str) -> None:
+    page = help_of(name)
+    examples = re.findall(r"^  impact-rig (.*)$", page, flags=re.MULTILINE)
+    assert examples
+    for example in examples:
+        words = shlex.split(example.split(">")[0])
+        assert command_line(words[0]).parse_args(words).command == name
+    assert max(map(len, page.splitlines())) <= 80
+
+
+WRONG = [
+    (["analyse", "x"], "did you mean `impact-rig analyze`?"),
+    (["nothing"], f"the commands are {next(iter(commands()))}"),
+]
+
+
+@pytest.mark.parametrize(("words", "answer"), WRONG)
+def test_a_word_that_is_no_command_is_answered(
+    words: list[str], answer: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert ended.value.code == 2
+    assert answer in capsys.readouterr().err
+
+
+def test_measurements_fit_80_columns_whole_and_without_nan(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["analyze", str(run)]) == 0
+    said = capsys.readouterr().out
+    assert re.match(r"DT \d+\.\d+ ± \d\.\d+ \(2u\), phase -\d+\.\d+°, at 9.1 Hz", said), "the result comes first"
+    assert "nan" not in said
+    assert "…" not in said
+    for unit in ("[Hz]", "[deg]", "[mm]"):
+        assert said.count(unit) == 1
+    assert re.search(r"left out, as nothing was measured: 1 command_changed \(", said)
+    assert max(map(len, said.splitlines())) <= 80
+    assert main(["analyze", str(run), "--all"]) == 0
+    assert re.search(r"^ +9\.100 .*command_changed", capsys.readouterr().out, flags=re.MULTILINE)
+
+
+def test_json_tells_the_numbers_that_the_table_shows(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["analyze", str(run)]) == 0
+    shown = re.search(r"DT (\d+\.\d+) ±", capsys.readouterr().out)
+    assert shown is not None
+    assert main(["analyze", str(run), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    measured = [one["transmissibility"] for one in found["measurements"] if one["settled"]]
+    assert f"{measured[-1]:.3f}" == shown[1]
+    (unmeasured,) = (one for one in found["measurements"] if one["status"] == "command_changed")
+    assert unmeasured["transmissibility"] is None
+    assert found["live"]["same"] is True
+    assert main(["info", str(run), "--json"]) == 0
+    about = json.loads(capsys.readouterr().out)
+    assert (about["intact"], about["lost_blocks"], about["lost_messages"]) == (True, 0, {})
+    assert {one["name"].removeprefix("/rig/"): one["messages"] for one in about["topics"]}["daq/scan"] > 100
+    assert main(["analyze", str(run), "--sine", "--json"]) == 0
+    sine = json.loads(capsys.readouterr().out)
+    assert sine["transmissibility"] == pytest.approx(measured[-1], rel=1e-3)
+    assert [one["channel"] for one in sine["channels"]] == ["accelerometer", "laser", "base", "current"]
+
+
+def test_json_of_a_configuration_names_law_and_channels(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", NOMINAL, "--instruments", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["contact_law"] == "flores"
+    assert found["restitution_realised"] == pytest.approx(0.309, abs=1e-3)
+    assert [one["ok"] for one in found["instruments"]] == [True] * 4
+
+
+def test_units_and_numbers_of_a_table_are_never_cut() -> None:
+    table = TextTable()
+    for heading in ("frequency [Hz]", "displacement transmissibility", "phase [deg]"):
+        table.add_column(heading, justify="right")
+    table.add_column("status")
+    table.add_row("9.100000", "110.713000", "-119.7400", "word " * 30)
+    console = Console()
+    console.file, console.width = io.StringIO(), 50
+    console.print(table)
+    said = console.file.getvalue()
+    for whole in ("[Hz]", "[deg]", "9.100000", "110.713000", "-119.7400", "transmissibility"):
+        assert whole in said
+    assert "…" not in said
+    assert max(map(len, said.splitlines())) <= 50
+
+
+def test_no_colour_where_none_is_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
+    def said() -> str:
+        console = Console()
+        console.file = io.StringIO()
+        console.print("whole", style="green")
+        return console.file.getvalue()
+
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    assert "\x1b[" in said()
+    monkeypatch.setenv("NO_COLOR", "1")
+    assert said() == "whole\n"
+
+
+def test_progress_without_a_terminal_is_some_plain_lines(capsys: pytest.CaptureFixture[str]) -> None:
+    lines = Steps("runs", 200)
+    for done in range(201):
+        lines.show(done, "gap 2 mm")
+    said = capsys.readouterr()
+    assert said.out == "", "results go there"
+    printed = said.err.splitlines()
+    assert printed[0] == "runs 0 of 200: gap 2 mm"
+    assert printed[-1] == "runs 200 of 200: gap 2 mm"
+    assert len(printed) <= terminal.LINES + 1
+
+
+def test_json_has_no_number_that_json_lacks(capsys: pytest.CaptureFixture[str]) -> None:
+    tell_json({"a": math.nan, "b": (1.5, math.inf), "c": Path("x"), 4: b"word"})
+    assert json.loads(capsys.readouterr().out) == {"a": None, "b": [1.5, None], "c": "x", "4": "word"}
+
+
+@pytest.mark.parametrize("words", [("check", "{}", "--json"), ("campaign", "{}", "--output", "{}_run")])
+def test_a_name_that_is_no_text_goes_out_as_it_came_in(words: tuple[str, ...], tmp_path: Path) -> None:
+    """Where the locale is strict about UTF-8, what had been found ended in a traceback instead of on the terminal."""
+    file = tmp_path / os.fsdecode(b"m\xff 1.yaml")
+    study = "studies: {one: {frequencies_hz: 9.1, gaps_m: 0.01}}\nset: {daq.rate_hz: 1000}\n"
+    file.write_text("daq: {rate_hz: 1000}\n" if words[0] == "check" else study)
+    environment = {**os.environ, "PYTHONIOENCODING": "utf-8:strict"}
+    asked = [word.format(file) for word in words]
+    done = subprocess.run([*PROGRAM, *asked], env=environment, capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr
+    if "--json" in words:
+        assert json.loads(done.stdout)["path"] == str(file)
+    else:
+        assert os.fsdecode(done.stdout.splitlines()[-1]) == f"{file}_run"
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [("impact-rig an", {"analyze"}), ("impact-rig analyze --fi", {"--figures"}), ("impact-rig check --js", {"--json"})],
+)
+def test_tab_completes_commands_and_options(line: str, expected: set[str], tmp_path: Path) -> None:
+    pytest.importorskip("argcomplete")
+    answer = tmp_path / "answer"
+    environment = {
+        "_ARGCOMPLETE": "1", "COMP_LINE": line, "COMP_POINT": str(len(line)),
+        "_ARGCOMPLETE_STDOUT_FILENAME": str(answer), "_ARGCOMPLETE_IFS": "\n", "PATH": "/usr/bin:/bin",
+    }  # fmt: skip
+    subprocess.run(PROGRAM, env=environment, check=True, capture_output=True)
+    assert {word.strip() for word in answer.read_text().split("\n")} == expected

@@ -1,0 +1,105 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Text from outside reaches the terminal as text: nothing in it is markup, colour or a command."""
+
+from __future__ import annotations
+
+import ast
+import io
+from pathlib import Path
+
+import pytest
+from rich.progress import Progress
+from rich.table import Table
+
+from impact_rig.cli import main
+from impact_rig.cli.terminal import Console, TextTable, Words, figure
+from impact_rig.names import visible
+
+CLI = Path(__file__).parents[3] / "impact_rig" / "cli"
+TRICKS = "run [gap=2mm] x [/red] :smile: \x1b[31m\x1b]0;title\x07 \u202e \r\n\ud800"
+SHOWN = "run [gap=2mm] x [/red] :smile: \\x1b[31m\\x1b]0;title\\x07 \\u202e \\r\\n\\ud800"
+
+
+def test_what_cannot_be_seen_is_shown_as_its_escape() -> None:
+    assert visible(TRICKS) == SHOWN
+    assert visible("gap 6 mm, ±2u, χ², 测") == "gap 6 mm, ±2u, χ², 测"
+    assert visible("a\nb\x1b", lines=True) == "a\nb\\x1b"
+
+
+def test_a_value_that_does_not_exist_is_no_number() -> None:
+    assert figure(1.234, ".2f") == "1.23"
+    assert {figure(value, "+.3g") for value in (float("nan"), float("inf"), -float("inf"))} == {"-"}
+    assert figure(float("nan"), "g", "unknown") == "unknown"
+
+
+def drawn(what: object) -> str:
+    console = Console()
+    console.file = io.StringIO()
+    console.width = 200
+    console.print(what)
+    return console.file.getvalue()
+
+
+def test_text_is_printed_whole() -> None:
+    assert drawn(TRICKS) == f"{SHOWN}\n"
+
+
+def test_text_in_tables_and_headings_is_printed_whole() -> None:
+    table = Table(TRICKS, title=TRICKS, caption=TRICKS)
+    table.add_row(TRICKS)
+    assert drawn(table).count(SHOWN) == 4
+
+
+@pytest.mark.parametrize("width", [80, 38, 12])
+def test_no_number_in_a_table_loses_its_last_digits(width: int) -> None:
+    """9.105 Hz cut to 9.10 would be another frequency."""
+    console = Console()
+    console.file, console.width = io.StringIO(), width
+    table = TextTable(left=("what",), right=("f [Hz]", "DT", "u(DT)", "phase [deg]", "gap [mm]"))
+    table.add_row("a long name", "9.105", "63.567", "0.160", "-119.73", "6.25")
+    console.print(table)
+    shown = console.file.getvalue()
+    assert all(number in shown for number in ("9.105", "63.567", "0.160", "-119.73", "6.25")), shown
+
+
+@pytest.mark.parametrize("width", [80, 38, 12])
+def test_a_verdict_without_a_heading_is_not_taken_apart(width: int) -> None:
+    """It once stood there letter below letter, or not at all."""
+    console = Console()
+    console.file, console.width = io.StringIO(), width
+    table = TextTable(right=("frequency [Hz]", "DT measured", "± 2u", "DT model", "off [u]"), last=("",))
+    table.add_row("9.105", "63.567", "0.160", "61.012", "+254214.2", "differs")
+    console.print(table)
+    assert all(word in console.file.getvalue() for word in ("differs", "+254214.2"))
+
+
+def test_text_in_a_progress_display_is_printed_whole() -> None:
+    console = Console()
+    console.file = io.StringIO()
+    console.width = 200
+    with Progress(Words("{task.description}"), Words("{task.fields[state]}"), console=console) as progress:
+        progress.add_task(TRICKS, state=TRICKS)
+    assert console.file.getvalue().count(SHOWN) == 2
+
+
+@pytest.mark.parametrize("name", ["run [gap=2mm] x", "[/red]", "\x1b[31m"])
+@pytest.mark.parametrize("command", ["info", "check", "replay", "verify"])
+def test_the_name_of_a_file_is_printed_whole(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str, name: str
+) -> None:
+    assert main([command, str(tmp_path / name)]) == 1
+    shown = capsys.readouterr().err
+    assert visible(name) in shown
+    assert "\x1b" not in shown
+
+
+def test_there_is_one_way_to_the_terminal() -> None:
+    """Whoever imports rich's own console, or its columns that read markup, has found a second one."""
+    for path in CLI.glob("*.py"):
+        if path.name == "terminal.py":
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom):
+                assert node.module != "rich.console", path
+                assert "TextColumn" not in {alias.name for alias in node.names}, path

@@ -1,0 +1,161 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Waiting: only the time in which nothing could happen counts."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[3]
+
+
+class Worker:
+    """An executor whose callback takes its time, like a hosted node that compiles."""
+
+    def __init__(self, works_s: float) -> None:
+        self._works_s = works_s
+
+    def spin_once(self, timeout_sec: float) -> None:
+        time.sleep(self._works_s or timeout_sec)
+
+
+def test_the_work_of_a_hosted_node_does_not_eat_the_time_to_wait() -> None:
+    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    from impact_rig.client.client import Spinner
+
+    busy = Spinner(Worker(works_s=1.0))
+    began = busy.waited_s()
+    busy.spin(0.05)
+    assert busy.waited_s() - began < 0.5
+    idle = Spinner(Worker(works_s=0.0))
+    began = idle.waited_s()
+    idle.spin(0.05)
+    assert idle.waited_s() - began >= 0.05
+
+
+def run_pytest(tmp_path: Path, source: str, *options: str) -> subprocess.CompletedProcess[str]:
+    (tmp_path / "test_it.py").write_text(source)
+    command = [sys.executable, "-m", "pytest", "-p", "conftest", "-p", "no:cacheprovider", *options, "test_it.py"]
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT / 'test'}{os.pathsep}{ROOT}"}
+    return subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.ros
+def test_a_client_works_where_pytest_captures_what_is_printed(tmp_path: Path) -> None:
+    """Under `pytest -s` with `capsys` there is no file behind sys.stderr."""
+    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    done = run_pytest(
+        tmp_path,
+        "from rclpy.context import Context\nfrom impact_rig.nodes.process import make_executor\n"
+        "def test_it(capsys):\n"
+        "    context = Context()\n    context.init(args=[])\n"
+        "    make_executor(context).shutdown()\n    context.try_shutdown()\n"
+        "    print('seen')\n    assert capsys.readouterr().out == 'seen\\n'\n",
+        "-s",
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_what_was_given_to_a_rig_is_over_when_it_is_silent_or_another_one_has_begun() -> None:
+    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    from impact_rig.client.client import GONE_S, Activation, RigGoneError
+
+    now = 0.0
+    rig = Activation(lambda: now)
+    unknown = rig.given("a command")
+    now = 100.0
+    unknown()  # nobody was ever heard: it may still be starting
+    rig.heard("one")
+    unknown()
+    check = rig.given("a command")
+    now += 0.99 * GONE_S
+    check()
+    now += 0.02 * GONE_S
+    with pytest.raises(RigGoneError, match="a command: the rig it was given to is gone, nothing was heard"):
+        check()
+    with pytest.raises(RigGoneError):
+        rig.given("the next")()
+    rig.heard("one")  # it was only slow
+    patient = rig.given("a law to compile", 1e9)
+    now += 10.0 * GONE_S
+    patient()
+    rig.heard("two")
+    with pytest.raises(RigGoneError, match="another one has begun"):
+        patient()
+    rig.given("a command to the second")()
+
+
+def test_a_rig_that_the_user_has_seen_start_is_the_one_that_is_meant() -> None:
+    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    from impact_rig.client.client import Activation, RigGoneError
+
+    now = 0.0
+    rig = Activation(lambda: now)
+    rig.heard("one")
+    rig.changed()
+    check = rig.given("a command")
+    rig.heard("one")  # it was under way
+    rig.heard("two")
+    check()
+    rig.heard("three")
+    with pytest.raises(RigGoneError):
+        check()
+    rig.changed()
+    now = 1.0
+    rig.heard("three")  # it is the same one after all
+    check = rig.given("a command")
+    rig.heard("four")
+    with pytest.raises(RigGoneError):
+        check()
+
+
+@pytest.mark.ros
+def test_a_rig_outside_of_the_namespace_is_another_one() -> None:
+    """`/rig` was taken for `/here/rig`: what was given to that was said to be lost with a rig that is gone."""
+    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+    from impact_rig import topics
+    from impact_rig.client import Client, isolated_domain
+
+    def say(client: Client, name: str) -> None:
+        values = [KeyValue(key="instance", value=name)]
+        status = DiagnosticStatus(name=f"{name}: simulation", level=b"\0", message=name, values=values)
+        client.publish(topics.DIAGNOSTICS, DiagnosticArray(status=[status]))
+        client.wait_until(
+            lambda: any(one.message == name for one in client.diagnostics.values()), f"the diagnostics of {name}"
+        )
+
+    with isolated_domain() as domain_id, Client(domain_id, "here") as client:
+        say(client, "here/rig")
+        check = client.given("a command")
+        for other in ("rig", "there/rig", "hererig", "here2/rig"):
+            say(client, other)
+            check()
+        assert client.status("rig").message == "here/rig"
+        assert client.figures("rig") == {"instance": "here/rig"}
+
+
+@pytest.mark.ros
+def test_a_list_is_emptied_as_an_empty_list() -> None:
+    """ROS 2 cannot tell of which type an empty list is: the rig wanted strings and was given bytes."""
+    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    from kits.nodes import host_rig
+
+    from impact_rig.client import Client, isolated_domain
+
+    with isolated_domain() as domain_id, Client(domain_id) as client:
+        host_rig(client)
+        client.wait_active("rig")
+        name = "instruments.faults.planned"
+        for lines in ([], ()):
+            client.set_parameters("rig", {name: ["dropout channel=laser duration_s=1"]})
+            assert client.get_parameters("rig", [name]) != {name: [""]}
+            client.set_parameters("rig", {name: lines})
+            assert client.get_parameters("rig", [name]) == {name: [""]}

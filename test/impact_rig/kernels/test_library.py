@@ -1,0 +1,201 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""The library of compiled kernels: it is what runs, it belongs to these sources, and a wrong type calls nothing.
+
+That its bits are those of Numba's own compiler and of plain Python is in test_digests.py.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from impact_rig import kernels
+from impact_rig.arithmetic.random import Random, fill_normal
+from impact_rig.instruments import pieces
+from impact_rig.kernels import build
+from impact_rig.physics import SEGMENT, FunctionGenerator, Simulation, event_loop
+from impact_rig.physics.function_generator import fill_lines
+from impact_rig.physics.state import STATE, X1
+from impact_rig.rig.config import RigConfig
+
+ROOT = Path(__file__).parents[3]
+
+needs_library = pytest.mark.skipif(kernels.MODE != "library", reason="kernels run otherwise here")
+
+RIG = """
+import sys
+{before}
+from impact_rig import kernels
+from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig
+{law}
+rig = Rig(RigConfig(), 0)
+rig.accept(9.1, 0.52)
+import hashlib
+found = hashlib.sha256()
+for block in rig.advance({ms} * 1_000_000):
+    found.update(block.scan.rows.tobytes())
+print(kernels.MODE, found.hexdigest())
+"""
+WITHOUT_NUMBA = "sys.modules.update(numba=None, llvmlite=None)"
+NO_NUMBA_FOUND = """
+from importlib import util
+find = util.find_spec
+util.find_spec = lambda name, *more: None if name == "numba" else find(name, *more)
+"""
+OWN_LAW = '''
+from impact_rig.physics.contact import hunt_crossley as law
+exec("""
+def own(stiffness, factor, per_v0, turned_at, w, speed):
+    hertz = stiffness * w * w * w
+    damping = factor * per_v0
+    pressing = 1.0 + damping * speed
+    return hertz, hertz * damping * speed, 0.4 * hertz * w * w, 3.0 * stiffness * w * w * pressing, hertz * damping
+""", vars(law) | {"__name__": "somewhere"}, found := {})
+law._hertz_damped = found["own"]
+'''
+
+
+def run(before: str = "", law: str = "", ms: int = 200, **environment: str) -> list[str]:
+    program = RIG.format(before=before, law=law, ms=ms)
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=os.environ | environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return [*done.stdout.split(), done.stderr]
+
+
+@needs_library
+def test_a_rig_runs_without_numba() -> None:
+    mode, _, stderr = run(WITHOUT_NUMBA)
+    assert (mode, stderr) == ("library", "")
+
+
+@needs_library
+def test_a_cache_of_numba_is_neither_cleaned_up_nor_read(tmp_path: Path) -> None:
+    """A bug once: of all directories `compiled-*` there, the user's own among them, any start deleted all but six."""
+    theirs = [tmp_path / f"compiled-thesis-{number}" / "data.nbi" for number in range(1, 10)]
+    for number, file in enumerate(theirs):
+        file.parent.mkdir()
+        file.write_bytes(b"no pickle, and nothing that may be loaded")
+        os.utime(file.parent, (number, number))
+    tmp_path.chmod(0o777)
+    loaded = "import atexit; atexit.register(lambda: print('numba' in sys.modules))"
+    found = run(loaded, NUMBA_CACHE_DIR=str(tmp_path))
+    assert (found[0], found[2], found[-1]) == ("library", "False", "")
+    assert sorted(tmp_path.rglob("*.nbi")) == theirs
+    assert len(list(tmp_path.iterdir())) == len(theirs), "and nothing was put beside them"
+
+
+@needs_library
+def test_a_law_from_elsewhere_runs_compiled_by_numba_or_as_plain_python() -> None:
+    """The same force as the package's own: the same bits, whichever way it is called."""
+    _, ours, _ = run(ms=500)
+    assert run(law=OWN_LAW, ms=500)[:2] == ["library", ours]
+    blocked = f"{NO_NUMBA_FOUND}{WITHOUT_NUMBA}"
+    mode, plain, stderr = run(blocked, OWN_LAW, ms=500)
+    assert (mode, plain) == ("library", ours)
+    assert "own runs as plain Python" in stderr
+
+
+@needs_library
+def test_a_library_of_other_sources_is_not_loaded_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    built = kernels.library()
+    assert built is not None
+    assert not capsys.readouterr().err
+    monkeypatch.setattr(kernels, "PACKAGE", tmp_path)
+    assert kernels.library() is None
+    assert "is not what the kernels were built from: `make kernels`" in capsys.readouterr().err
+
+
+@needs_library
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: fill_normal(np.zeros(4, np.int64), np.zeros(3)), "array 0 must hold dtype\\('uint64'\\)"),
+        (lambda: fill_normal(np.zeros(4, np.uint64), np.zeros((3, 1))), "array 1 must have 1 dimensions, got 2"),
+        (lambda: fill_normal(np.zeros(4, np.uint64)), "got 1 arguments"),
+        (lambda: fill_normal(np.zeros(4, np.uint64), np.zeros(3), 1), "got 3 arguments"),
+        (lambda: fill_normal(np.zeros(4, np.uint64), [0.0]), "no attribute 'dtype'"),
+        (lambda: fill_lines(np.zeros(1, SEGMENT), np.zeros(2), "fast"), "must be real number"),
+        (lambda: pieces._cut(np.zeros(0, np.int64), np.zeros(0), 0, (1.0, 2.0), ()), "expected a tuple of 3"),
+        (lambda: event_loop.run((np.zeros(1, STATE),) * 4, 1, 1, 1, 1, 1), "array 0 must hold"),
+    ],
+)
+def test_what_was_not_built_is_refused(call: object, words: str) -> None:
+    """Nothing is called with a type it was not made for: a wrong one would write where it must not."""
+    with pytest.raises((TypeError, AttributeError), match=words):
+        call()
+
+
+@needs_library
+def test_an_array_that_is_not_in_c_order_is_refused() -> None:
+    with pytest.raises(ValueError, match="not C-contiguous"):
+        fill_lines(np.zeros(2, SEGMENT), np.zeros(6)[::2], 1.0)
+
+
+def test_kernels_are_declared_with_types_that_fit_their_functions() -> None:
+    for name, one in kernels.entries.items():
+        assert one.function.__code__.co_argcount == len(one.arguments), name
+
+
+@pytest.mark.parametrize("asked", ["quick", "LIBRARY"])
+def test_an_unknown_way_to_run_kernels_is_named(asked: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", "import impact_rig.kernels"],
+        env=os.environ | {kernels.VARIABLE: asked}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert f"must be one of library, jit, plain, got '{asked}'" in done.stderr
+
+
+@needs_library
+def test_a_c_program_simulates_the_same_bits(tmp_path: Path) -> None:
+    """Ten seconds by examples/c, without Python, beside the same ten by `Simulation`."""
+    if not shutil.which("cc"):
+        pytest.skip("no C compiler here")
+    example, folder = ROOT / "examples" / "c", Path(kernels.__file__).parent
+    built = [str(tmp_path / "ten_seconds"), str(example / "ten_seconds.c"), f"-I{folder}", str(folder / build.OUTPUT)]
+    options = ["-Wall", "-Wextra", "-Werror", "-O1", "-Wl,--allow-shlib-undefined", f"-Wl,-rpath,{folder}", "-o"]
+    subprocess.run(["cc", *options, *built], check=True)
+    subprocess.run([sys.executable, str(example / "write_model.py"), str(tmp_path / "model")], check=True, cwd=ROOT)
+    done = subprocess.run([built[0], str(tmp_path / "model")], capture_output=True, text=True, check=True)
+    (status, ended, count, x_1), *impacts = (line.split() for line in done.stdout.splitlines())
+    assert (status, ended) == ("0", str(event_loop.DONE))
+
+    config = RigConfig()
+    drive = FunctionGenerator(config.drive, config.shaker, Random(0))
+    drive.set_frequency(9.1)
+    drive.set_amplitude(0.52)
+    simulation = Simulation(config)
+    motion = simulation.advance(drive.segments(1000))
+    assert len(motion.impacts) == int(count) > 100
+    assert [
+        (int(segment), float.fromhex(offset), float.fromhex(impulse)) for segment, offset, impulse in impacts
+    ] == motion.impacts[["tick", "offset", "impulse"]].tolist()
+    assert float.fromhex(x_1) == simulation._state.y[X1]
+
+
+@needs_library
+def test_the_header_says_of_each_record_what_its_own_fields_mean() -> None:
+    """A field once carried what a field of the same name in another record of its module means; some had none."""
+    text = (Path(kernels.__file__).parent / "impact_rig.h").read_text(encoding="utf-8")
+    flight = text.partition("} ir_flight;")[0].rpartition("typedef struct")[2]
+    assert "double y[5]; /* structural state where `structure_at` evaluated it last" in flight
+    step = text.partition("} ir_contact_step;")[0].rpartition("typedef struct")[2]
+    assert "double y[5]; /* scratch: a state of the pair" in step
+    assert re.search(r"double correction\[5\]\[5\]; /\* z at the stages", step)
+    fields = re.findall(
+        r"^    \w+ (\w+)[\[\]\d]*;(.*)$", "".join(re.findall(r"typedef struct \{(.*?)^\}", text, re.M | re.S)), re.M
+    )
+    assert len(fields) > 150
+    assert [name for name, meaning in fields if not meaning] == []

@@ -1,0 +1,49 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""A slice of `qualification/ros2_calls.py`: what the `ros2` command line would be answered by nodes in this process."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+
+from kits.nodes import host_rig
+
+from impact_rig.client import Client
+from impact_rig.nodes.analysis_node import AnalysisNode
+from qualification import ros2_calls
+from qualification.ros2_calls import Calls
+
+pytestmark = pytest.mark.ros
+
+
+def test_every_topic_can_be_renamed() -> None:
+    calls = Calls()
+    ros2_calls.renamed(calls)
+    assert calls.wrong == []
+    assert calls.count > 20
+
+
+def test_topics_services_parameters_and_states_answer_as_documented(client: Client, tmp_path: Path) -> None:
+    host_rig(client)
+    client.host(AnalysisNode)
+    client.wait_active("rig", "analysis")
+    calls = Calls()
+    ros2_calls.topics(calls, client)
+    ros2_calls.services(calls, client, ("rig", "analysis"))
+    for node in ("rig", "analysis"):
+        ros2_calls.lifecycle(calls, client, node)
+        ros2_calls.parameters(calls, client, node, tmp_path)
+    ros2_calls.operation(calls, client)
+    assert calls.wrong == []
+    assert calls.count > 50
+
+
+def test_a_call_that_does_not_answer_as_documented_is_told() -> None:
+    said: list[str] = []
+    calls = Calls(said.append)
+    calls.hold("ros2 topic info /nowhere", as_documented=False, found="nobody")
+    assert calls.wrong == said == ["WRONG ros2 topic info /nowhere: nobody"]

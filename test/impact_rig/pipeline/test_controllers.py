@@ -1,0 +1,179 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Controllers that go wrong, as processes beside a rig in real time: each ends as docs/drive.md says, and is recorded.
+
+They come one after the other to one rig; at its end the recording has all of it, and verifies.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from subprocess import PIPE
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+
+from impact_rig.client import Client, Processes, isolated_domain
+from impact_rig.recording import open_run
+from impact_rig.runs import info
+from impact_rig.runs.verification import verify
+
+pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
+
+IN_ORDER = True
+EXAMPLES = Path(__file__).parents[3] / "examples"
+STOPPED_S = 3.0
+CONTROLLER = """
+import sys
+
+import numpy as np
+import rclpy
+from pointcloud import stamp_ns
+from velocity_feedback import VelocityFeedback
+
+
+class Paced(VelocityFeedback):
+    heard = next_ns = 0
+
+    def on_scan(self, message):
+        if self.output.get_subscription_count() < 2:  # rig and recorder
+            return
+        if sys.argv[1] == "feedback":
+            return super().on_scan(message)
+        self.heard += 1
+        if self.heard < 50:  # both need a moment to find us, too, and what they miss is not sent again
+            return
+        self.next_ns = self.next_ns or stamp_ns(message) + 40_000_000
+        if sys.argv[1] == "slow":
+            if self.heard % 10 == 1:
+                self.play(stamp_ns(message) + 40_000_000, np.full(100, 0.1))
+            return
+        for _ in range(10):
+            self.play(self.next_ns, np.full(100, 0.1))
+            self.next_ns += 10_000_000
+
+
+rclpy.init()
+rclpy.spin(Paced())
+"""
+
+
+class Bench:
+    """A rig driven by its stream and a recorder, as processes, and what the rig has told so far."""
+
+    def __init__(self, client: Client, processes: Processes, directory: Path, domain_id: int) -> None:
+        self.client, self.processes, self.directory, self.domain_id = client, processes, directory, domain_id
+        self._streams = client.collect("shaker/stream")
+        self._journal = client.collect("rig/journal")
+
+    def state(self, name: str) -> float:
+        """Newest value of a column of shaker/stream."""
+        tables = self._streams.tables()[-1:]
+        return float(tables[0].rows[name][0]) if tables else 0.0
+
+    def told(self, key: str) -> int:
+        """How often the journal has told of the stream's `begin` or `end`."""
+        rows = self._journal.rows()
+        return int(((rows["kind"] == b"stream") & (rows["key"] == key.encode())).sum())
+
+    def wait(self, condition, what: str) -> None:
+        self.client.wait_until(condition, what, 60.0)
+
+    @contextlib.contextmanager
+    def controller(self, name: str) -> Iterator[None]:
+        """Start one, wait until its samples are in force, and in the end kill it and wait until they no longer are."""
+        begun, ended = self.told("begin"), self.told("end")
+        environment = {"PYTHONPATH": str(EXAMPLES)}
+        self.processes.start(name, command=[sys.executable, "-c", CONTROLLER, name], environment=environment)
+        self.wait(lambda: self.told("begin") > begun, f"samples of {name}")
+        yield
+        self.processes.running[name].signal(signal.SIGKILL)
+        self.processes.stop(name)
+        self.wait(lambda: self.told("end") > ended and self.state("buffered") == 0, f"the end of {name}")
+        self.wait(lambda: "no samples" in self.client.status("rig").message, "the warning")
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+    directory = tmp_path_factory.mktemp("controllers")
+    with isolated_domain() as domain_id, Processes(domain_id, directory / "logs") as processes:
+        processes.start("rig", {"drive.waveform": "stream"})
+        processes.start("recorder", {"directory": str(directory), "name": "run"})
+        with Client(domain_id) as client:  # which is not told of the processes: controllers are killed
+            client.wait_active("rig", "recorder")
+            client.wait_until(lambda: client.status("recorder").message == "recording", "the recorder")
+            yield Bench(client, processes, directory, domain_id)
+
+
+def test_a_file_is_played_to_a_rig_that_runs_already(bench: Bench, tmp_path: Path) -> None:
+    np.savez(tmp_path / "wave.npz", drive=0.3 * np.sin(2.0 * np.pi * 9.1 * np.arange(5_000) / 10_000), fs=10_000.0)
+    program = [sys.executable, "-c", "from impact_rig.cli import main; raise SystemExit(main())", "play", "--json"]
+    words = [str(tmp_path / "wave.npz"), "--through", "running", "--namespace", "/", "--output", str(tmp_path / "run")]
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(bench.domain_id)}
+    recorder = bench.processes.running["recorder"]
+    bench.wait(lambda: "behind.recorder" in bench.client.figures("rig"), "the rig to know its reader")
+    recorder.signal(signal.SIGSTOP)  # it cannot be found meanwhile, and must not miss the first samples
+    with subprocess.Popen([*program, *words], env=environment, stdout=PIPE, stderr=PIPE, text=True) as playing:
+        try:
+            bench.wait(lambda: bench.client.node.count_publishers("shaker/waveform"), "the player")
+            bench.client.spin_for(1.0)
+            recorder.signal(signal.SIGCONT)
+            output, errors = playing.communicate(timeout=250)
+        finally:
+            recorder.signal(signal.SIGCONT)
+            playing.kill()
+    assert playing.returncode == 0, errors
+    found = json.loads(output)
+    assert found["peak_asked"] == pytest.approx(0.3)
+    assert found["current_error"] < 0.05
+    with open_run(tmp_path / "run") as run:
+        assert run.holds("shaker/waveform")
+    bench.wait(lambda: bench.told("end") == bench.told("begin") == 1, "the end of the stream")
+
+
+def test_one_that_is_stopped_and_goes_on_is_late_and_then_in_force_again(bench: Bench) -> None:
+    """The recorder is stopped with it; at the end of this file it must have every block."""
+    with bench.controller("feedback"):
+        late, begun, process = bench.state("late"), bench.told("begin"), bench.processes.running["feedback"]
+        recorder = bench.processes.running["recorder"]
+        for one in (process, recorder):
+            one.signal(signal.SIGSTOP)
+        bench.wait(lambda: "no samples" in bench.client.status("rig").message, "the warning")
+        missing = bench.state("missing")
+        bench.wait(lambda: bench.state("missing") > missing + STOPPED_S * 10_000, "three seconds of silence")
+        for one in (recorder, process):
+            one.signal(signal.SIGCONT)
+        bench.wait(lambda: bench.state("late") > late, "answers to what it missed, which is past")
+        bench.wait(lambda: bench.told("begin") > begun, "samples again")
+
+
+def test_one_ten_times_too_fast_is_refused_what_no_buffer_holds(bench: Bench) -> None:
+    refused = bench.state("refused")
+    with bench.controller("fast"):
+        bench.wait(lambda: bench.state("refused") > refused + 10, "refusals")
+        assert bench.state("buffered") <= 2.0 * 10_000
+
+
+def test_one_ten_times_too_slow_is_in_force_now_and_then(bench: Bench) -> None:
+    begun, ended = bench.told("begin"), bench.told("end")
+    with bench.controller("slow"):
+        bench.wait(lambda: bench.told("begin") >= begun + 5, "five blocks")
+        assert bench.told("end") >= ended + 4
+
+
+def test_nothing_of_it_is_lost_and_the_recording_verifies(bench: Bench) -> None:
+    assert bench.client.state("rig") == "active"
+    bench.client.trigger("recorder/stop")
+    path = bench.directory / "run"
+    assert info(path).scans.lost_blocks == 0
+    with open_run(path) as run:
+        assert str(verify(run)).startswith("identical")

@@ -1,0 +1,294 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""A full disk, a file size limit, a directory that cannot be used: a clear message, and nothing earlier is harmed."""
+
+from __future__ import annotations
+
+import itertools
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+import yaml
+from kits.recording import CONFIG, SCAN_TOPIC, fill, scan_block
+
+pytest.importorskip("rosbags", reason="an independent reader, only on PyPI")
+
+from rosbags.highlevel import AnyReader
+
+from impact_rig.errors import RecordingError
+from impact_rig.recording import open_run
+from impact_rig.recording import writer as recording_writer
+from impact_rig.recording.writer import CHUNK_OPEN_S
+from impact_rig.runs import info, recover
+
+
+def stamps(path):
+    with open_run(path) as run:
+        return [message.log_time for message in run.messages(["daq/scan"])]
+
+
+def test_an_existing_recording_is_never_touched(record, tmp_path):
+    with record() as writer:
+        fill(writer, 3)
+    before = {path.name: path.read_bytes() for path in writer.directory.iterdir()}
+    with pytest.raises(RecordingError, match=r"holds a recording already \(metadata.yaml\); nothing is overwritten"):
+        record()
+    assert {path.name: path.read_bytes() for path in writer.directory.iterdir()} == before
+
+
+def test_a_directory_with_other_files_may_be_used(record, tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "summary.json").write_text("{}")
+    with record() as writer:
+        fill(writer, 3)
+    assert len(stamps(writer.directory)) == 3
+
+
+def test_two_writers_cannot_share_a_file(record, tmp_path):
+    with record(), pytest.raises(RecordingError, match="holds a recording already"):
+        record()
+
+
+@pytest.mark.parametrize("where", ["file", "file/below"])
+def test_a_file_where_the_directory_should_be(record, tmp_path, where):
+    """Fails for root as well, unlike a directory without write permission."""
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(RecordingError, match=r"is a file, not a directory|cannot be made: Not a directory"):
+        record(where)
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_a_directory_that_cannot_be_written(record):
+    with pytest.raises(RecordingError, match=r"/proc/self/run cannot be made|run directory /proc/self/run cannot"):
+        record("/proc/self/run")
+
+
+def test_unknown_compression_names_those_that_exist(record, tmp_path):
+    with pytest.raises(RecordingError, match="compression must be one of none, lz4, zstd, got 'gzip'"):
+        record(compression="gzip")
+    assert list((tmp_path / "run").iterdir()) == []
+
+
+def test_a_message_of_an_unknown_topic_does_not_stop_the_run(record):
+    with record() as writer:
+        fill(writer, 3)
+        with pytest.raises(RecordingError, match="/rig/other has not been added"):
+            writer.write("/rig/other", b"", 0)
+        fill(writer, 3, first=3)
+    assert len(stamps(writer.directory)) == 6
+
+
+def test_finish_twice_and_write_after_it(record):
+    writer = record()
+    fill(writer, 3)
+    assert writer.finish() == writer.finish() == writer.directory
+    assert writer.closed
+    with pytest.raises(RecordingError, match="is finished"):
+        writer.write(SCAN_TOPIC.name, scan_block(3), 0)
+    writer.flush_due()
+
+
+def test_a_file_is_split_by_size_and_each_part_stands_alone(record):
+    with record(max_file_bytes=60_000, chunk_bytes=20_000) as writer:
+        sent = fill(writer, 120)
+    names = [path.name for path in writer.files]
+    assert names == [f"run_{i}.mcap" for i in range(len(names))]
+    assert len(names) >= 3
+    info = yaml.safe_load((writer.directory / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert info["relative_file_paths"] == names
+    assert [part["path"] for part in info["files"]] == names
+    assert sum(part["message_count"] for part in info["files"]) == info["message_count"] == len(sent)
+    with open_run(writer.directory) as run:
+        assert [m.sequence for m in run.messages(recorded_order=True)] == [s.sequence for s in sent]
+    for path, part in zip(writer.files, info["files"], strict=True):
+        with open_run(path) as run:
+            assert run.message_count == part["message_count"]
+            assert run.start_ns == part["starting_time"]["nanoseconds_since_epoch"]
+            assert run.end_ns - run.start_ns == part["duration"]["nanoseconds"]
+            assert run.attachments() == {"config.yaml": CONFIG}
+            assert run.provenance["seed"] == "7"
+    with AnyReader([writer.directory]) as reader:
+        assert sum(1 for _ in reader.messages()) == len(sent)
+
+
+def test_a_full_file_takes_no_further_message(record):
+    """Full is a file of exactly that size as well: here the size of the whole ones is known beforehand."""
+    alone = record("run1", max_file_bytes=10**9, chunk_bytes=20_000)
+    alone.add_topic(SCAN_TOPIC)
+    for number in range(40):
+        alone.write(SCAN_TOPIC.name, scan_block(number), 0, number + 1)
+    full, _ = alone.bytes_written, alone.finish()
+    writer = record("run2", max_file_bytes=full, chunk_bytes=20_000)
+    writer.add_topic(SCAN_TOPIC)
+    ended_at = []
+    for number in range(100):
+        before, size = len(writer.files), writer.files[-1].stat().st_size
+        writer.write(SCAN_TOPIC.name, scan_block(number), 0, number + 1)
+        assert len(writer.files) - before == (size >= full), f"block {number}"
+        ended_at += [size] if size >= full else []
+    assert ended_at[0] == full
+    assert len(ended_at) > 1
+    writer.finish()
+
+
+def test_a_file_is_split_by_rig_time(record):
+    with record(max_file_duration_ns=100_000_000) as writer:
+        fill(writer, 50)
+    per_file = [stamps(path) for path in writer.files]
+    assert len(per_file) == 5
+    assert all(times[-1] - times[0] <= 100_000_000 for times in per_file)
+    assert list(itertools.chain(*per_file)) == stamps(writer.directory)
+
+
+def test_many_parts_are_read_in_the_order_they_were_written(record):
+    with record(max_file_duration_ns=1) as writer:
+        sent = fill(writer, 12, topics=(SCAN_TOPIC,))
+    assert len(writer.files) == 12
+    with open_run(writer.directory) as run:
+        assert [m.sequence for m in run.messages(recorded_order=True)] == [s.sequence for s in sent]
+
+
+def test_a_missing_part_is_named(record):
+    with record(max_file_duration_ns=100_000_000) as writer:
+        fill(writer, 50)
+    writer.files[1].unlink()
+    with pytest.raises(RecordingError, match=r"run_1.mcap is missing \(metadata.yaml lists it\)"):
+        open_run(writer.directory)
+
+
+def test_a_chunk_is_on_disk_half_a_second_after_its_first_message(record, clock):
+    writer = record()
+    fill(writer, 1)
+    before = writer.bytes_written
+    clock.now_s += CHUNK_OPEN_S - 0.01
+    writer.flush_due()
+    assert writer.bytes_written == before
+    clock.now_s += 0.01
+    writer.flush_due()
+    assert writer.files[0].stat().st_size == writer.bytes_written > before
+    again = writer.bytes_written
+    clock.now_s += 10
+    writer.flush_due()  # nothing new: nothing written
+    assert writer.bytes_written == again
+    writer.finish()
+
+
+def test_a_wall_clock_that_goes_back_does_not_keep_a_chunk_open(record, clock):
+    writer = record()
+    fill(writer, 1)
+    before = writer.bytes_written
+    clock.now_s -= 3600
+    writer.flush_due()
+    assert writer.bytes_written > before
+    writer.finish()
+
+
+LIMITED = """
+    import resource, signal, sys
+    from pathlib import Path
+    sys.path.insert(0, {tests!r})
+    from kits.recording import *
+    from impact_rig.errors import RecordingError
+
+    def writer(directory):
+        return RunWriter(directory, provenance=PROVENANCE, clock=HandClock(), chunk_bytes=20_000, compression="none")
+
+    earlier = Path({directory!r}) / "earlier"
+    with writer(earlier) as first:
+        fill(first, 10)
+    run = writer(Path({directory!r}) / "run")
+    fill(run, 5)
+    {before}
+    try:
+        fill(run, 1000, first=5)
+    except RecordingError as error:
+        print(error)
+    else:
+        sys.exit("no error")
+    assert run.closed
+    try:
+        run.write(SCAN_TOPIC.name, scan_block(0), 0)
+    except RecordingError as error:
+        print(error)
+    run.finish()
+"""
+
+
+def run_limited(tmp_path, before):
+    script = textwrap.dedent(LIMITED).format(
+        tests=str(Path(__file__).parents[2]), directory=str(tmp_path), before=before
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 0, done.stdout + done.stderr
+    first, second = done.stdout.splitlines()
+    assert first == second  # later calls repeat the reason
+    assert len(stamps(tmp_path / "earlier")) == 10
+    return first
+
+
+def test_recording_stops_before_the_file_size_limit_and_is_finished(tmp_path):
+    """RLIMIT_FSIZE is known beforehand: the run ends with its index, readable by every tool."""
+    limit = "resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, resource.RLIM_INFINITY))"
+    message = run_limited(tmp_path, limit)
+    assert (
+        "stopped and finished: the file size limit of this process (RLIMIT_FSIZE, 300000 bytes) is reached" in message
+    )
+    kept = stamps(tmp_path / "run")
+    assert 30 < len(kept) < 100
+    assert (tmp_path / "run" / "run.mcap").stat().st_size <= 300_000
+    with AnyReader([tmp_path / "run"]) as reader:
+        assert [time for c, time, _ in reader.messages() if c.topic == "/rig/daq/scan"] == kept
+
+
+def test_a_write_that_fails_unforeseen_leaves_whole_records(tmp_path):
+    """As when the disk fills between two looks at it: the check is told there is room, the system call fails."""
+    limit = (
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, resource.RLIM_INFINITY)); "
+        "import impact_rig.recording.writer as m; m.McapFile.shortage = lambda self: ''"
+    )
+    message = run_limited(tmp_path, limit)
+    assert "run.mcap cannot be written: File too large; it ends with its last whole record" in message
+    with pytest.raises(RecordingError, match="its writer was interrupted; impact-rig recover gives back what is whole"):
+        open_run(tmp_path / "run")
+    report = recover(tmp_path / "run", tmp_path / "out")
+    assert report.damage_count == 0
+    assert len(stamps(tmp_path / "out")) > 30
+
+
+def test_recording_stops_while_the_disk_still_has_room(record, monkeypatch):
+    """What is free is asked after every chunk; the test raises the bar instead of filling a disk."""
+    writer = record(chunk_bytes=20_000)
+    fill(writer, 20)
+    monkeypatch.setattr(recording_writer, "MIN_FREE_BYTES", 2**62)
+    with pytest.raises(RecordingError, match=r"stopped and finished: only \d+ MB are free on its disk"):
+        fill(writer, 100, first=20)
+    assert writer.closed
+    assert len(stamps(writer.directory)) > 20
+    with pytest.raises(RecordingError, match=r"run2.mcap cannot be recorded: only"):
+        record("run2")
+    assert list((writer.directory.parent / "run2").iterdir()) == []
+
+
+def test_the_message_at_which_a_recording_stops_is_accounted_for(record, monkeypatch):
+    """The account was written before it was counted: `info` said that a message is in the file twice."""
+    writer = record(chunk_bytes=20_000)
+    writer.add_topic(SCAN_TOPIC)
+    monkeypatch.setattr(recording_writer, "MIN_FREE_BYTES", 2**62)
+    with pytest.raises(RecordingError, match="stopped and finished"):
+        fill(writer, 100, topics=(SCAN_TOPIC,))
+    assert info(writer.directory).verdict.startswith("whole: ")
+
+
+def test_a_part_that_cannot_be_opened_leaves_the_earlier_ones_a_readable_run(record):
+    writer = record(max_file_duration_ns=100_000_000)
+    fill(writer, 5)
+    (writer.directory / "run_1.mcap").write_bytes(b"mine")
+    with pytest.raises(RecordingError, match=r"run_1.mcap exists already and is not overwritten"):
+        fill(writer, 20, first=5)
+    assert (writer.directory / "run_1.mcap").read_bytes() == b"mine"
+    assert len(stamps(writer.directory / "run_0.mcap")) == 11
+    info = yaml.safe_load((writer.directory / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert info["relative_file_paths"] == ["run_0.mcap"]

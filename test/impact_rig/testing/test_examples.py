@@ -1,0 +1,58 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""The worked examples in `examples/`, run as their reader runs them: one pytest of its own, the plugin loaded."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = [pytest.mark.ros, pytest.mark.pipeline, pytest.mark.timeout(300)]
+
+ROOT = Path(__file__).parents[3]
+EXAMPLES = ROOT / "examples"
+
+
+def test_every_example_passes(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "pytest", "-p", "impact_rig.testing.plugin", "-p", "no:cacheprovider", "-q"]
+    done = subprocess.run(
+        [*command, "-c", os.devnull, f"--rootdir={EXAMPLES}", f"--rig-runs={tmp_path}", str(EXAMPLES)],
+        env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    written = sum(len(re.findall(r"^def test_", path.read_text(), re.MULTILINE)) for path in EXAMPLES.glob("test_*.py"))
+    assert done.returncode == 0, done.stdout
+    assert f"{written} passed" in done.stdout
+    assert not list(tmp_path.iterdir()), "only failures leave runs"
+
+
+@pytest.mark.parametrize(("page", "name"), [("first_node", "first_node.py"), ("drive", "velocity_feedback.py")])
+def test_a_node_of_the_docs_is_the_one_that_is_tested(page: str, name: str) -> None:
+    text = (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8")
+    (block,) = re.findall(rf"^```python title=examples/{name}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    notice, file = re.split("^(?!#)", (EXAMPLES / name).read_text(encoding="utf-8"), maxsplit=1, flags=re.M)
+    assert "Copyright" in notice
+    assert block == file
+
+
+def test_the_pipelines_are_somebody_elses() -> None:
+    """What is under test knows topics and messages, not this package; the analysis of a file may read it with ours."""
+    for path in EXAMPLES.glob("*.py"):
+        ours = re.findall(r"^[ ]*(?:from|import) impact_rig\S*", path.read_text(), re.MULTILINE)
+        if not path.name.startswith("test_") and path.name != "launched_rig.py":  # a test for an installed ROS
+            assert ours == (["from impact_rig.recording"] if path.name == "analyse_run.py" else []), path.name
+
+
+def test_what_is_installed_with_them_is_all_of_them() -> None:
+    listed = re.search(r"^EXAMPLES = \[(.*?)^\]", (ROOT / "setup.py").read_text(), re.MULTILINE | re.DOTALL)
+    assert listed is not None
+    files = [path for suffix in ("py", "md", "json") for path in EXAMPLES.rglob(f"*.{suffix}")]
+    folders = {path.parent.relative_to(ROOT).as_posix() for path in files}
+    assert set(re.findall(r'"(.*?)"', listed[1])) == folders

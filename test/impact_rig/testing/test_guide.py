@@ -1,0 +1,79 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""docs/testing.md, followed to the letter in an empty folder: every block is run, and says what the page says."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from impact_rig.recording import open_run
+from impact_rig.runs.verification import verify
+
+pytestmark = [pytest.mark.ros, pytest.mark.pipeline, pytest.mark.timeout(300)]
+
+ROOT = Path(__file__).parents[3]
+GUIDE = ROOT / "docs" / "testing.md"
+_BLOCK = re.compile(r"^```(\w+)(?: ([^\n]*))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def blocks() -> Iterator[tuple[str, str, str]]:
+    """Language, what follows it, and content of each block, in order."""
+    return (match.groups(default="") for match in _BLOCK.finditer(GUIDE.read_text(encoding="utf-8")))
+
+
+def run(commands: str, folder: Path, project: Path = ROOT) -> subprocess.CompletedProcess[str]:
+    """Run lines of shell as a user with the plugin installed does; that of a checkout is named, as it is not."""
+    pytest_here = f"{sys.executable} -m pytest -p impact_rig.testing.plugin -p no:cacheprovider"
+    line = " && ".join(re.sub(r"^pytest", pytest_here, command) for command in commands.splitlines())
+    environment = {key: value for key, value in os.environ.items() if not key.startswith(("PYTEST_", "COV_"))}
+    path = os.pathsep.join(filter(None, [str(project), os.environ.get("PYTHONPATH", "")]))
+    return subprocess.run(
+        line,
+        shell=True,
+        cwd=folder,
+        env={**environment, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def says(output: str, line: str) -> bool:
+    """Whether a line of the page is in the output: rules may be longer, numbers are cut, paths are absolute."""
+    core = line.strip(" -")
+    before, colon, path = core.partition("run: ")
+    return (f"{before}{colon}" in output and path in output) if colon else core in output
+
+
+def test_every_block_of_the_guide_does_what_it_says(tmp_path: Path) -> None:
+    output, commands = "", 0
+    for language, info, content in blocks():
+        if language == "python" and info.startswith("title="):
+            (tmp_path / info.removeprefix("title=")).write_text(content)
+        elif language == "sh" and not info.startswith("not run"):
+            commands += 1
+            done = run(content, tmp_path)
+            output = done.stdout + done.stderr
+            assert (done.returncode != 0) == (info == "fails"), output
+        elif language == "text":
+            missing = [line for line in content.splitlines() if not says(output, line)]
+            assert missing == [], output
+    assert commands == 5
+    failed = sorted((tmp_path / "failed_runs").iterdir())
+    assert len(failed) == 2
+    for directory in failed:
+        with open_run(directory / "rig") as left:
+            assert str(verify(left)).startswith("identical")
+
+
+def test_the_commands_that_install_name_what_setup_py_has() -> None:
+    (install,) = (content for language, info, content in blocks() if language == "sh" and "not run" in info)
+    assert "[wheels]" in install
+    assert '"wheels": [' in (ROOT / "setup.py").read_text(encoding="utf-8")

@@ -1,0 +1,83 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""The lab in the graph, beside nothing else."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+
+from kits.browser import PATIENCE_S
+
+from impact_rig import topics
+from impact_rig.client import Client, Processes, isolated_domain
+from impact_rig.nodes.session import EXPIRES_S
+from impact_rig_lab.gateway import KEPT, Gateway, Own
+from impact_rig_lab.live import LiveSource
+from impact_rig_lab.record import RigView
+from impact_rig_lab.state import DEAD_S, Seen
+
+pytestmark = pytest.mark.ros
+
+
+def test_the_lab_hears_every_topic_once() -> None:
+    """It once kept a second list of all that was applied, read by nobody, for as long as it ran."""
+    with isolated_domain() as domain_id, Client(domain_id, "rig", name="observer") as observer:
+
+        def times(topic: topics.Topic) -> int:
+            name = observer.node.resolve_topic_name(topic.name)
+            return [info.node_name for info in observer.node.get_subscriptions_info_by_topic(name)].count("lab")
+
+        with LiveSource(domain_id, "/rig"):
+            observer.wait_until(lambda: times(KEPT[-1]), "the lab", PATIENCE_S)
+            assert {topic.name: times(topic) for topic in KEPT} == {topic.name: 1 for topic in KEPT}
+
+
+def test_a_rig_of_others_is_sent_nothing_sooner_than_our_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody knows whether the process of another's rig has ended; ours may be late on a busy machine."""
+    with (
+        isolated_domain() as domain_id,
+        Client(domain_id, "rig") as client,
+        Processes(domain_id, tmp_path) as processes,
+        contextlib.closing(Own(processes, {})) as own,
+    ):
+        processes.start("rig")
+        for owner, silent_s in ((None, EXPIRES_S), (own, DEAD_S)):
+            gateway = Gateway(client, RigView(), owner)
+            for age_s, said in ((silent_s - 0.1, ""), (silent_s + 0.1, "nothing was heard of the rig")):
+                monkeypatch.setattr(gateway, "seen", lambda _, age_s=age_s: Seen(instance="1", age_s=age_s))
+                why = gateway._gone("1")
+                assert why.startswith(said), age_s
+                assert bool(why) is bool(said), (why, age_s)
+
+
+def test_a_stop_is_told_as_done_whichever_of_two_rigs_answers_first(tmp_path: Path) -> None:
+    """The one that waits to be alone once answered first: "not done", of an emergency stop that the other had made."""
+    with (
+        isolated_domain() as domain_id,
+        Client(domain_id, "rig", name="lab") as client,
+        Processes(domain_id, tmp_path / "one", "/rig") as one,
+        Processes(domain_id, tmp_path / "two", "/rig") as two,
+    ):
+        one.start("rig", {"time.start_wait_s": 0.0})
+        client.wait_until(lambda: "rig_time_s" in client.figures("rig"), "the first rig", PATIENCE_S)
+        two.start("rig")
+        client.wait_until(lambda: "to be alone" in client.status("rig").message, "the second to wait", PATIENCE_S)
+
+        async def stop() -> str:
+            gateway = Gateway(client, RigView(), None)
+            stopping = asyncio.ensure_future(gateway.do_stop())
+            while not stopping.done():
+                client.executor.spin_once(timeout_sec=0.05)
+                await asyncio.sleep(0)
+            await gateway.close("the test is over")
+            return stopping.result()
+
+        for _ in range(6):
+            assert asyncio.run(stop())
+        client.wait_until(lambda: client.figures("rig").get("latched"), "the latch", PATIENCE_S)

@@ -1,0 +1,447 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Who gets in and what is refused: loopback, token, origin, sizes; and one picture at a time."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import socket
+import struct
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import pytest
+from kits import loops
+from kits.browser import Page
+from kits.lab import FakeSource, scans
+
+from impact_rig.errors import ImpactRigError
+from impact_rig_lab import protocol
+from impact_rig_lab.protocol import FrameKind
+from impact_rig_lab.server import LOOPBACK, MOST_CONNECTIONS, MOST_UNDRAWN, POLICY, Server, kept_token
+
+TIMEOUT = aiohttp.ClientTimeout(30)
+
+
+@pytest.fixture
+def source() -> FakeSource:
+    return FakeSource()
+
+
+@pytest.fixture
+def server(source: FakeSource) -> Iterator[Server]:
+    with Server(source, port=0) as found:
+        yield found
+
+
+def get(server: Server, path: str, **headers: str) -> tuple[int, dict[str, str], str]:
+    async def ask() -> tuple[int, dict[str, str], str]:
+        async with (
+            aiohttp.ClientSession(timeout=TIMEOUT) as session,
+            session.get(f"http://{LOOPBACK}:{server.port}{path}", headers=headers) as answer,
+        ):
+            return answer.status, dict(answer.headers), await answer.text()
+
+    return loops.run(ask())
+
+
+async def connect(session: aiohttp.ClientSession, server: Server, **changes: Any) -> aiohttp.ClientWebSocketResponse:
+    base = f"http://{LOOPBACK}:{server.port}"
+    headers = {"Origin": changes.get("origin", base)} if changes.get("origin", base) else {}
+    token = changes.get("token", server.token)
+    return await session.ws_connect(f"{base}/socket?token={token}", headers=headers, max_msg_size=0)
+
+
+def refused_status(server: Server, **changes: Any) -> int:
+    async def ask() -> int:
+        async with aiohttp.ClientSession(timeout=TIMEOUT) as session:
+            with pytest.raises(aiohttp.WSServerHandshakeError) as caught:
+                await connect(session, server, **changes)
+            return caught.value.status
+
+    return loops.run(ask())
+
+
+def test_it_listens_on_the_loopback_only(server: Server) -> None:
+    assert server._host == LOOPBACK
+    with socket.socket() as other:
+        other.settimeout(2.0)
+        assert other.connect_ex(("127.0.0.2", server.port)) != 0
+
+
+def test_the_page_needs_the_token_and_carries_a_strict_policy(server: Server) -> None:
+    status, headers, text = get(server, f"/?token={server.token}")
+    assert status == 200
+    assert "<!doctype html>" in text
+    assert headers["Content-Security-Policy"] == POLICY
+    assert "unsafe" not in POLICY
+    assert headers["X-Content-Type-Options"] == "nosniff"
+    assert get(server, "/")[0] == get(server, "/?token=guess")[0] == 403
+    assert dict(server.refused) == {"token": 2}
+    assert server.token not in text
+
+
+@pytest.mark.parametrize(
+    ("request_line", "host", "status"),
+    [
+        ("GET /nothing", None, 404),
+        ("POST /", None, 405),
+        ("GET /", "evil.example", 403),
+        ("GET /socket?token={token}", None, 400),  # asks for no WebSocket
+    ],
+)
+def test_whoever_is_refused_is_not_held_on_to(server: Server, request_line: str, host: str | None, status: int) -> None:
+    """They were held open for a minute: sixty-four of them, of anybody, and no page came in any more."""
+    here = f"{LOOPBACK}:{server.port}"
+    lines = [f"{request_line.format(token=server.token)} HTTP/1.1", f"Host: {host or here}"]
+    lines += [f"Origin: http://{here}"] if host is None else []
+    with socket.create_connection((LOOPBACK, server.port), timeout=10.0) as connection:
+        connection.sendall("\r\n".join([*lines, "", ""]).encode())
+        answer = b"".join(iter(lambda: connection.recv(4096), b""))  # to its end: a connection held open times out
+    assert answer.startswith(f"HTTP/1.1 {status} ".encode())
+    assert POLICY.encode() in answer
+
+
+def test_files_are_those_of_the_package_and_no_others(server: Server) -> None:
+    assert get(server, "/static/main.js")[0] == 200
+    assert get(server, "/uplot/uPlot.iife.js")[0] == 200
+    for path in (
+        "/static/..%2fserver.py",
+        "/static/../server.py",
+        "/static/server.py",
+        "/uplot/__init__.py",
+        "/etc/passwd",
+    ):
+        assert get(server, path)[0] == 404, path
+
+
+def test_another_name_and_another_page_are_refused(server: Server) -> None:
+    """A page of somebody else, and a name of his that leads here (DNS rebinding)."""
+    path = f"/?token={server.token}"
+    assert get(server, path, Host="evil.example")[0] == 403
+    assert get(server, path, Origin="http://evil.example")[0] == 403
+    assert refused_status(server, origin="http://evil.example") == 403
+    assert refused_status(server, origin="null") == 403
+    assert refused_status(server, origin="") == 403
+    assert refused_status(server, token="") == refused_status(server, token="guess") == 403
+    assert dict(server.refused) == {"host": 1, "origin": 4, "token": 2}
+
+
+def test_hostile_requests_are_refused_counted_and_end_the_connection(server: Server, source: FakeSource) -> None:
+    async def talk() -> tuple[list[str], int | None]:
+        async with aiohttp.ClientSession(timeout=TIMEOUT) as session:
+            page = await connect(session, server)
+            answers = []
+            for request in ("{", "[]", '{"do":"rm"}', '{"do":"frequency","value":"9"}', '{"do":"stop","more":1}'):
+                await page.send_str(request)
+            while len(answers) < 5:
+                message = await page.receive()
+                if message.data[0] == FrameKind.REPLY:
+                    answers.append(json.loads(message.data[8:])["text"])
+            await page.send_bytes(b"\x00")
+            await page.send_str("x" * (protocol.LONGEST_REQUEST + 1))
+            while (message := await page.receive()).type is aiohttp.WSMsgType.BINARY:
+                pass
+            return answers, page.close_code
+
+    answers, code = loops.run(talk())
+    assert [answer.split()[0] for answer in answers] == ["a", "a", "there", "value", "stop"]
+    assert code == 1009
+    assert source.asked == []
+    assert server.refused["malformed"] == 5
+    assert server.refused["binary"] == 1
+
+
+def test_who_talks_nonsense_without_end_is_cut_off(server: Server) -> None:
+    async def talk() -> int | None:
+        async with aiohttp.ClientSession(timeout=TIMEOUT) as session:
+            page = await connect(session, server)
+            for _ in range(30):
+                await page.send_str("nonsense")
+            while (await page.receive()).type is aiohttp.WSMsgType.BINARY:
+                pass
+            return page.close_code
+
+    assert loops.run(talk()) == 1008
+
+
+def test_a_stalled_page_gets_two_pictures_and_another_all_of_them(server: Server, source: FakeSource) -> None:
+    """The third picture waits for the first to be drawn; the state, which is small, goes on."""
+
+    async def talk() -> tuple[int, int]:
+        async with aiohttp.ClientSession(timeout=TIMEOUT) as session:
+            stalled, quick = await connect(session, server), await connect(session, server)
+            drawn = 0
+            for number in range(8):
+                with source.record.lock:
+                    source.scope.add(scans(number * 100, 100, laser=float(number)), 0)
+                while True:
+                    data = (await quick.receive()).data
+                    if data[0] == FrameKind.TRACE:
+                        drawn += 1
+                        await quick.send_str(json.dumps({"do": "ack", "frame": struct.unpack_from("<I", data, 4)[0]}))
+                        break
+            pictures = 0
+            while True:
+                try:
+                    data = (await asyncio.wait_for(stalled.receive(), 0.3)).data
+                except TimeoutError:
+                    return pictures, drawn
+                pictures += data[0] == FrameKind.TRACE
+
+    pictures, drawn = loops.run(talk())
+    assert drawn == 8
+    assert pictures == MOST_UNDRAWN
+
+
+def test_what_is_in_force_comes_before_the_answer(server: Server, source: FakeSource) -> None:
+    """A page that takes the answer for the end of waiting must not meet an old value after it."""
+
+    def ask(request: protocol.Request, answer: Any) -> None:
+        source.snapshot.put(applied={"frequency": request.values["value"]})
+        answer(True, "")
+
+    source.ask = ask  # type: ignore[method-assign]
+
+    async def talk() -> list[int]:
+        async with aiohttp.ClientSession(timeout=TIMEOUT) as session:
+            page = await connect(session, server)
+            kinds = []
+            await page.send_str('{"id":5,"do":"frequency","value":9.3}')
+            while FrameKind.REPLY not in kinds:
+                data = (await page.receive()).data
+                if data[0] != FrameKind.STATE or b"9.3" in data:
+                    kinds.append(data[0])
+            return kinds
+
+    assert loops.run(talk()) == [FrameKind.STATE, FrameKind.REPLY]
+
+
+def test_pages_are_counted(server: Server, source: FakeSource) -> None:
+    async def talk() -> None:
+        async with aiohttp.ClientSession(timeout=TIMEOUT) as session:
+            page = await connect(session, server)
+            await page.receive()
+            assert source.watchers == 1
+
+    loops.run(talk())
+
+
+def talk_to(server: Server, data: bytes) -> bytes:
+    """Send some bytes, and return what comes until the server closes."""
+    with socket.create_connection((LOOPBACK, server.port), timeout=30.0) as connection:
+        connection.sendall(data)
+        found = b""
+        with contextlib.suppress(ConnectionError):
+            while part := connection.recv(4096):
+                found += part
+    return found
+
+
+def test_a_request_that_never_ends_is_closed_and_none_prints_anything(
+    server: Server, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("impact_rig_lab.server.HEADERS_S", 0.2)
+    assert talk_to(server, b"GET / HTTP/1.1\r\nHost: here\r\n") == b""
+    assert server.refused["half requests"] == 1
+    for nonsense in (b"\x16\x03\x01\r\n\r\n", b"GET / HTTP/9.9\r\n\r\n", b"GET /\xff HTTP/1.1\r\n\r\n", b"\0" * 20000):
+        talk_to(server, nonsense)
+    assert get(server, f"/?token={server.token}")[0] == 200
+    assert capfd.readouterr() == ("", "")
+
+
+def test_more_connections_than_there_may_be_are_turned_away_and_the_page_goes_on(server: Server) -> None:
+    """Each takes a descriptor: without a bound, a process that has none left cannot accept even its operator."""
+
+    async def talk() -> list[bytes]:
+        async with aiohttp.ClientSession(timeout=TIMEOUT) as session:
+            page = await connect(session, server)
+            held = [await asyncio.open_connection(LOOPBACK, server.port) for _ in range(MOST_CONNECTIONS + 20)]
+            await page.send_str('{"id":1,"do":"stop"}')
+            while True:
+                message = await page.receive()
+                if message.data[0] == FrameKind.REPLY:
+                    break
+            reads = [asyncio.create_task(reader.read()) for reader, _writer in held]
+            ended = iter(asyncio.as_completed(reads, timeout=5.0))  # sooner than who asks for nothing is turned out
+            closed = []
+            for _ in range(20):  # whichever: not every kernel hands connections over in the order they were opened in
+                with contextlib.suppress(ConnectionError):
+                    closed.append(await next(ended))
+            for read, (_, writer) in zip(reads, held, strict=True):
+                read.cancel()
+                writer.close()
+            return closed
+
+    assert set(loops.run(talk())) <= {b""}
+    assert server.refused["too many connections"] >= 20
+
+
+def test_a_knob_without_a_told_value_shows_none(
+    server: Server, source: FakeSource, open_page: Callable[..., Page]
+) -> None:
+    """A slider stands somewhere always: in the middle, where nobody has said so, or where the rig before had it."""
+    page = open_page(server.address)
+    slider = "document.querySelector('.knob:has(#knob-gap) input[type=range]')"
+    seen = f"[document.getElementById('knob-gap').value, getComputedStyle({slider}).visibility].join()"
+    page.wait(f"{seen} === ',hidden'", "no gap")
+    source.snapshot.put(knobs={"sphere.present": True, "barriers.gap_m": 0.004})
+    page.wait(f"{seen} === '4,visible'", "the gap that was told")
+    source.snapshot.put(knobs=None)
+    page.wait(f"{seen} === ',hidden'", "no gap of another rig")
+
+
+def test_a_lab_that_is_started_anew_begins_a_new_record(open_page: Callable[..., Page]) -> None:
+    """Its first record has the number of the one before: impacts of the rig that was gone stayed in the scope."""
+
+    def found(second: int) -> FakeSource:
+        made = FakeSource()
+        made.scope.add(scans(second * 1000, 1000), 0)
+        made.record.motion.detected.add((second + 0.9, 1.0, 1.0))
+        return made
+
+    def marked(second: int) -> str:
+        return f"JSON.stringify(lab.scope.impacts[1]) === '[{second + 0.9}]'"
+
+    with Server(found(500), port=0) as before:
+        page = open_page(before.address)
+        page.wait(marked(500), "the impact")
+        page.expected = "ERR_CONNECTION_REFUSED"
+    with Server(found(1), port=before.port, token=before.token):
+        page.wait("lab.link.connected && lab.scope.trace.begin < 100", "the new record")
+        assert page.js(marked(1)), page.js("JSON.stringify(lab.scope.impacts)")
+        page.js("lab.link.socket.onclose = null")
+
+
+def test_runs_are_listed_and_played_beside_what_the_lab_shows(
+    source: FakeSource, sample: Path, open_page: Callable[..., Page]
+) -> None:
+    (sample.parent / "no_run").mkdir(exist_ok=True)
+    with Server(source, port=0, runs=sample.parent) as server:
+        token = f"token={server.token}"
+        assert get(server, "/runs")[0] == 403
+        (found,) = (one for one in json.loads(get(server, f"/runs?{token}")[2]) if one["name"] == sample.name)
+        assert found["megabytes"] > 0
+
+        async def talk() -> dict[str, Any]:
+            async with aiohttp.ClientSession(timeout=TIMEOUT) as session:
+                page = await connect(session, server, token=f"{server.token}&run={sample.name}")
+                while (data := (await page.receive()).data)[0] != FrameKind.STATE:
+                    pass
+                return json.loads(data[8:])
+
+        assert loops.run(talk())["mode"] == "playback"
+        page = open_page(server.address)
+        page.js("document.getElementById('recorded').open = true")
+        page.wait(f"document.getElementById('run-list').textContent.includes('{sample.name} (')", "the list")
+        assert page.js("document.getElementById('run-play').disabled")
+        page.click(f"#run-list input[value='{sample.name}']")
+        page.wait("!document.getElementById('run-play').disabled", "that it can be played")
+        page.js("lab.link.socket.onclose = null")
+        assert refused_status(server, token=f"{server.token}&run=../{sample.name}") == 404
+        assert refused_status(server, token=f"{server.token}&run=no_run") == 404
+
+
+def test_a_run_that_cannot_be_looked_at_does_not_hide_the_others(source: FakeSource, tmp_path: Path) -> None:
+    """One link that leads nowhere, or a run that was being removed, and the page got no list at all."""
+    for name in ("gone", "whole"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "gone" / "run.mcap").symlink_to(tmp_path / "nowhere.mcap")
+    (tmp_path / "whole" / "run.mcap").write_bytes(b"x" * 200_000)
+    with Server(source, port=0, runs=tmp_path) as server:
+        status, _, text = get(server, f"/runs?token={server.token}")
+    assert status == 200
+    assert json.loads(text) == [{"name": "whole", "megabytes": 0.2}]
+
+
+def test_the_address_of_an_ipv6_lab_is_one(source: FakeSource) -> None:
+    """It had no brackets, and no browser could open it."""
+    with Server(source, "::1", 0) as server:
+        assert server.address.startswith(f"http://[::1]:{server.port}/?token=")
+
+
+@pytest.mark.parametrize("host", [LOOPBACK, "localhost", "127.0.0.2", "::1"])
+def test_no_other_name_leads_to_a_lab_of_this_machine(source: FakeSource, host: str) -> None:
+    """Only of 127.0.0.1 names were looked at: a page of somebody else could have his own name lead to `localhost`."""
+    with Server(source, host, 0) as server:
+        own = server.address.removeprefix("http://").partition("/")[0]
+        for name, status in ((own, 200), (f"localhost:{server.port}", 200), ("evil.example", 403)):
+            lines = [f"GET /?token={server.token} HTTP/1.1", f"Host: {name}", f"Origin: http://{name}", "", ""]
+            with socket.create_connection((host, server.port), timeout=10.0) as connection:
+                connection.sendall("\r\n".join(lines).encode())
+                answer = b"".join(iter(lambda: connection.recv(65536), b""))
+            assert answer.startswith(f"HTTP/1.1 {status} ".encode()), (name, answer[:100])
+
+
+def test_at_the_port_of_http_a_page_is_asked_for_without_it(source: FakeSource) -> None:
+    """A browser leaves port 80 out of the name, and every page was refused: this lab had another one."""
+    server = Server(source)
+    server.port = 80
+    assert {"127.0.0.1", "localhost", "127.0.0.1:80"} <= server._hosts()
+    server.port = 8080
+    assert "127.0.0.1" not in server._hosts()
+
+
+@pytest.mark.parametrize("port", [-1, 65536, 99999])
+def test_a_port_that_there_is_not_is_refused(source: FakeSource, port: int) -> None:
+    with pytest.raises(ImpactRigError, match=f"a port is 0 \\(any\\) to 65535, got {port}"):
+        Server(source, port=port)
+
+
+def test_a_port_that_is_taken_is_named(server: Server, source: FakeSource) -> None:
+    with pytest.raises(ImpactRigError, match=f"{LOOPBACK}:{server.port} cannot be served"):
+        Server(source, port=server.port).start()
+
+
+def test_the_token_is_kept_for_this_user_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    token = kept_token()
+    path = tmp_path / "impact_rig" / "lab_token"
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert kept_token() == token
+    path.chmod(0o644)
+    assert kept_token() != token, "one that others could read is not used again"
+
+
+def test_a_player_ends_with_whoever_asked_for_it(source: FakeSource, sample: Path) -> None:
+    """Of who then asked for no WebSocket the player went on for ever, its thread and its files with it."""
+    before = set(threading.enumerate())
+    with Server(source, port=0, runs=sample.parent) as server:
+        path = f"/socket?token={server.token}&run={sample.name}"
+        status, _, _ = get(server, path, Origin=f"http://{LOOPBACK}:{server.port}")
+        assert status == 400
+        players = [one for one in set(threading.enumerate()) - before if one.name == "lab-playback"]
+        assert not players
+        assert server._pages == 0
+
+
+def test_pages_that_still_open_count(source: FakeSource, sample: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """While players looked for their runs any number of pages came in."""
+    release, players = threading.Event(), []
+
+    def player(server: Server, _names: object) -> FakeSource:
+        release.wait(20.0)
+        players.append(FakeSource())
+        return players[-1]
+
+    monkeypatch.setattr("impact_rig_lab.server.MOST_PAGES", 2)
+    monkeypatch.setattr(Server, "_player", player)
+
+    async def ask(server: Server) -> list[Any]:
+        base = f"http://{LOOPBACK}:{server.port}"
+        async with aiohttp.ClientSession(timeout=TIMEOUT) as session:
+            address = f"{base}/socket?token={server.token}&run={sample.name}"
+            opening = [asyncio.ensure_future(session.ws_connect(address, headers={"Origin": base})) for _ in range(4)]
+            await asyncio.wait(opening, timeout=2.0, return_when=asyncio.FIRST_COMPLETED)
+            release.set()
+            found = await asyncio.gather(*opening, return_exceptions=True)
+            return [getattr(one, "status", 101) for one in found]
+
+    with Server(source, port=0, runs=sample.parent) as server:
+        assert sorted(loops.run(ask(server))) == [101, 101, 503, 503]
+    assert len(players) == 2

@@ -1,0 +1,24 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""The page's pure modules (numbers, scales, motion, frames, what may be believed) in the browser that runs them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from kits.browser import Page
+from kits.lab import FakeSource
+
+from impact_rig_lab.server import Server
+
+UNITS = Path(__file__).parent / "unit.js"
+
+
+def test_the_modules(open_page: Callable[..., Page]) -> None:
+    with Server(FakeSource(), port=0) as server:
+        page = open_page(server.address)
+        results = page.js(UNITS.read_text(encoding="utf-8"))
+        page.js("lab.link.socket.onclose = null")  # no wish to connect again
+    assert len(results) >= 10
+    assert [result for result in results if result[1]] == []

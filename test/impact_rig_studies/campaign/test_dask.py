@@ -1,0 +1,105 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""A campaign on a Dask cluster of separate worker processes, one of them killed half-way: all points, same bits."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import pytest
+from kits.campaign import TINY, assert_same
+
+pytest.importorskip("distributed", reason="needs the extra [cluster]")
+
+from impact_rig_studies.campaign import run
+from impact_rig_studies.campaign.plan import load_campaign
+from impact_rig_studies.campaign.store import Store
+from impact_rig_studies.maps.plan import load_map, measure_line
+from impact_rig_studies.maps.run import store
+
+WAIT_S = 60.0
+MORE = "  more: {frequencies_hz: {from: 8, to: 10, step: 0.2}, gaps_m: [none, 0.006]}\n"
+
+
+def free_port():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        return taken.getsockname()[1]
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory):
+    """Yield a scheduler's address and its two workers; no dashboard, no nanny that would start a killed one again."""
+    folder, port = tmp_path_factory.mktemp("dask"), free_port()
+    address = f"tcp://127.0.0.1:{port}"
+    quiet = {"cwd": folder, "stdout": subprocess.DEVNULL, "stderr": (folder / "log").open("w")}
+    dask = [sys.executable, "-m", "dask"]
+    local = ["--host", "127.0.0.1"]
+    processes = [subprocess.Popen([*dask, "scheduler", *local, "--port", str(port), "--no-dashboard"], **quiet)]
+    worker = [*dask, "worker", address, *local, "--nthreads", "1", "--no-nanny", "--no-dashboard"]
+    processes += [subprocess.Popen(worker, **quiet) for _ in range(2)]
+    try:
+        yield address, processes[1:]
+    finally:
+        for process in reversed(processes):
+            process.terminate()
+            process.wait(20)
+        quiet["stderr"].close()
+
+
+def start(file, directory, address, name="campaign", before=""):
+    """Start the command in a process of its own: Dask leaves threads behind."""
+    command = [sys.executable, "-c", f"import sys; {before}from impact_rig.cli import main; sys.exit(main())", name]
+    arguments = [str(file), "--output", str(directory), "--through", "dask", address]
+    return subprocess.Popen([*command, *arguments], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+
+
+def test_a_worker_killed_half_way_costs_nothing(cluster, tmp_path, measured):
+    from distributed import Client
+
+    address, workers = cluster
+    file, directory = tmp_path / "tiny.yaml", tmp_path / "out"
+    file.write_text(TINY + MORE)
+    with Client(address, timeout=WAIT_S, set_as_default=False) as client:
+        client.wait_for_workers(2, timeout=WAIT_S)
+    process = start(file, directory, address)
+    deadline = time.monotonic() + WAIT_S
+    while len(list(directory.glob("points/*.json"))) < 5 and time.monotonic() < deadline and process.poll() is None:
+        time.sleep(0.01)
+    assert process.poll() is None, process.communicate()[0]
+    workers[0].send_signal(signal.SIGKILL)
+    output, _ = process.communicate(timeout=WAIT_S)
+    assert process.returncode == 0, output
+    store, jobs = Store(directory), run.unique_jobs(load_campaign(file).planned())
+    assert len(jobs) > 20
+    for job in jobs:
+        found = store.get(job)
+        assert found is not None, job.describe()
+        if job.key in measured:
+            assert_same(found, measured[job.key][1])
+
+
+def test_a_map_has_the_same_bits_there(cluster, tmp_path):
+    address, _ = cluster
+    file, directory = tmp_path / "map.yaml", tmp_path / "out"
+    file.write_text("axes: {gap_m: [0.012, 0.02], frequency_hz: [9.0, 9.1]}\n")
+    process = start(file, directory, address, "map")
+    output, _ = process.communicate(timeout=2 * WAIT_S)
+    assert process.returncode == 0, output
+    for line in load_map(file).lines():
+        assert store(directory).get(line) == measure_line(line)
+
+
+def test_a_cluster_that_cannot_be_reached_is_one_clear_line(tmp_path):
+    file, address = tmp_path / "tiny.yaml", f"tcp://127.0.0.1:{free_port()}"
+    file.write_text(TINY)
+    impatient = "from impact_rig_studies.campaign import pool; pool.CONNECT_S = 1.0; "
+    process = start(file, tmp_path / "out", address, before=impatient)
+    output, _ = process.communicate(timeout=WAIT_S)
+    assert process.returncode == 1
+    assert f"cannot reach a Dask scheduler at {address}" in output
+    assert "Traceback" not in output

@@ -1,0 +1,31 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Worker processes that are left before they are done."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+ABANDONED = """
+import concurrent.futures.process as process, time
+from impact_rig_studies.campaign.pool import in_parallel
+
+def late(wakeup):
+    if not wakeup._closed:
+        time.sleep(0.3)
+        wakeup._writer.send_bytes(b"")
+
+if __name__ == "__main__":
+    jobs = in_parallel(time.sleep, [0.0, 30.0, 30.0, 30.0], 2)
+    next(jobs)
+    jobs.close()
+    process._ThreadWakeup.wakeup = late  # what the interpreter's end does, just when the pool's own thread ends
+"""
+
+
+def test_a_pool_that_is_left_ends_before_the_interpreter_does(tmp_path):
+    program = tmp_path / "abandoned.py"
+    program.write_text(ABANDONED)
+    done = subprocess.run([sys.executable, program], capture_output=True, text=True, timeout=60, check=True)
+    assert (done.stdout, done.stderr) == ("", "")

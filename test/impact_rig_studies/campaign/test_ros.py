@@ -1,0 +1,48 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""A campaign through the real graph gives the numbers of one without DDS, bit for bit: points, sweep and failures."""
+
+from __future__ import annotations
+
+import attrs
+import numpy as np
+import pytest
+from kits.campaign import assert_same
+
+from impact_rig.recording import open_run
+from impact_rig.runs import reanalysis
+from impact_rig.runs.verification import verify
+
+pytestmark = [pytest.mark.ros, pytest.mark.pipeline, pytest.mark.timeout(200)]
+
+
+def test_ros_and_process_give_the_same_bits(tmp_path, measured):
+    from impact_rig_studies.apparatus import stepped_runner
+
+    point, _, sweep, _, trip, refused = (job for job, _ in measured.values())
+    jobs = [point, sweep, trip, refused]
+    found = {job.key: outcome for job, outcome in stepped_runner(tmp_path, record=True)(jobs)}
+    assert set(found) == {job.key for job in jobs}
+    for key, outcome in found.items():
+        assert_same(outcome, measured[key][1])
+    for job in jobs:
+        (path,) = (tmp_path / "runs").glob(f"*_{job.key}")
+        if found[job.key].simulated_s == 0.0:
+            continue  # refused: nothing to scan
+        with open_run(path) as recorded:
+            verdict = verify(recorded)
+            again = reanalysis.rows(reanalysis.measurements(reanalysis.analyze(recorded)))
+        assert verdict.identical, verdict
+        settled = again[again["settled"] == 1.0]["transmissibility"]
+        np.testing.assert_array_equal(settled[: len(found[job.key].rows)], found[job.key].rows["transmissibility"])
+
+
+def test_a_job_after_one_that_tripped_is_measured(tmp_path, measured):
+    """As fast as the peers follow, every job after a trip once failed: a latched rig is not reset."""
+    from impact_rig_studies.apparatus import freewheel_runner
+
+    point, _, _, _, trip, _ = (job for job, _ in measured.values())
+    runner = freewheel_runner(tmp_path, point.config(), lambda job: job.key, lambda _job, _sweep: None)
+    outcomes = [outcome for _, outcome in runner([trip, attrs.evolve(point, traces=False)])]
+    assert "over_travel" in outcomes[0].failure
+    assert (outcomes[1].failure, len(outcomes[1].rows)) == ("", 1)

@@ -1,0 +1,332 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""A controller over topics: the bits of the rig in process; one that is slow, hostile or gone is told by name."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import math
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+
+from kits.nodes import host_rig
+from kits.rig import paper_rig
+from numpy.typing import NDArray
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+from std_srvs.srv import Trigger
+
+from impact_rig import codec, topics
+from impact_rig.blocks import WAVEFORM, Table
+from impact_rig.client import Client, Collector, ProcessDiedError, ServiceFailedError
+from impact_rig.client.client import ros_parameters
+from impact_rig.client.hardware import Hardware, InProcess
+from impact_rig.client.over_topics import OverTopics, over_topics
+from impact_rig.errors import CommandError
+from impact_rig.nodes import session
+from impact_rig.nodes.recorder_node import RecorderNode
+from impact_rig.nodes.rig_node import RigNode
+from impact_rig.physics.stream import StreamState
+from impact_rig.recording import Run
+from impact_rig.rig import Rig
+from impact_rig.runs.verification import verify
+from impact_rig.simtime import NS_PER_S
+from impact_rig.states import RigWord
+
+pytestmark = pytest.mark.ros
+RATE_HZ = 10_000
+STREAM = {"drive__waveform": "stream", "barriers__gap_m": 0.002}
+WAVE = 0.6 * np.sin(2.0 * np.pi * 9.1 * np.arange(RATE_HZ) / RATE_HZ)
+
+
+def block(first: int, values: NDArray[np.float64], start_ns: int = 0) -> bytes:
+    rows = np.zeros(len(values), WAVEFORM)
+    rows["value"] = values
+    return codec.encode(Table(start_ns + first * NS_PER_S // RATE_HZ, rows))
+
+
+def send(client: Client, first: int, values: NDArray[np.float64], start_ns: int = 0) -> None:
+    client.publish(topics.WAVEFORM, block(first, values, start_ns), listener="rig")
+
+
+@contextlib.contextmanager
+def paused(client: Client) -> Iterator[None]:
+    """A rig in real time that waits: what is sent meanwhile is in time, however busy the machine is."""
+    client.pause()
+    yield
+    client.pause(False)
+
+
+@pytest.fixture(scope="module")
+def in_process() -> NDArray[np.void]:
+    rig = Rig(paper_rig(**STREAM))
+    rig.feed(0, WAVE)
+    rig.feed(len(WAVE), ())
+    return np.concatenate([block.scan.rows for block in rig.advance(NS_PER_S)])
+
+
+@pytest.mark.parametrize(("mode", "block"), [("freewheel", 100), ("freewheel", 5_000), ("stepped", 700)])
+def test_over_topics_come_the_bits_of_the_rig_in_process(client, in_process, mode, block):
+    host_rig(client, mode, time__peers=[client.name], **STREAM)
+    client.wait_active("rig")
+    scans = client.collect("daq/scan", acknowledge=True)
+    wanted = client.collect("shaker/stream")
+    client.wait_until(lambda: len(wanted), "shaker/stream")
+    for first in range(0, len(WAVE), block):
+        send(client, first, WAVE[first : first + block])
+    send(client, len(WAVE), WAVE[:0])
+    if mode == "stepped":
+        client.step(100)
+    client.wait_until(lambda: len(scans) >= 100, "a second of scans")
+    rows = np.concatenate([table.rows for table in scans.tables()])
+    names = [name for name in rows.dtype.names if name != "time"]
+    for name in names:
+        assert rows[name][:RATE_HZ].tobytes() == in_process[name].tobytes(), name
+
+
+def test_in_real_time_come_the_bits_of_the_rig_in_process(client):
+    node = host_rig(client, "realtime", **STREAM)
+    client.wait_active("rig")
+    scans = client.collect("daq/scan")
+    client.wait_until(lambda: len(scans), "scans")
+    rig = node._session.rig
+    wave = WAVE[: RATE_HZ // 2]
+    with paused(client):
+        first = rig.stream.played
+        for begin in range(0, len(wave), 700):
+            send(client, first + begin, wave[begin : begin + 700], rig.start_ns)
+        send(client, first + len(wave), wave[:0], rig.start_ns)
+        client.wait_until(lambda: rig.stream.buffered() == len(wave), "the samples")
+    last_ns = rig.start_ns + (first + len(wave)) * NS_PER_S // RATE_HZ
+    client.wait_until(lambda: scans.tables()[-1].stamp_ns > last_ns, "the scans of all samples")
+    alone = Rig(paper_rig(**STREAM))
+    alone.feed(first, wave)
+    alone.feed(first + len(wave), ())
+    expected = {block.scan.stamp_ns: block.scan.rows for block in alone.advance(last_ns - rig.start_ns + NS_PER_S)}
+    found = scans.tables()
+    assert rig.stream_state().rows["late"][0] == 0
+    assert found[0].stamp_ns < rig.start_ns + first * NS_PER_S // RATE_HZ
+    for table in found:
+        assert table.rows.tobytes() == expected[table.stamp_ns - rig.start_ns].tobytes()
+
+
+@pytest.mark.parametrize(
+    ("harm", "says"),
+    [
+        (None, "identical: "),
+        ("removed", "lacks sample 2000 of shaker/waveform, which was in force 0.200000 s after the start"),
+        (0.1, "daq/scan at 0.240000000 s, sample 89, current: logged"),
+        (1e-16, "rig/journal: row 4 at 1.000000000 s: logged stream crc32 0.0 b'10000 "),
+    ],
+)
+def test_a_recording_verifies_with_all_its_samples_only(client, tmp_path, harm, says):
+    client.host(RecorderNode, parameter_overrides=ros_parameters({"directory": str(tmp_path), "name": "run"}))
+    host_rig(client, "freewheel", time__peers=[client.name, "recorder"], **STREAM)
+    client.wait_active("rig", "recorder")
+    client.wait_until(lambda: client.status("recorder").message == "recording", "the recorder")
+    scans = client.collect("daq/scan", acknowledge=True)
+    for first in range(0, len(WAVE), 500):
+        send(client, first, WAVE[first : first + 500])
+    send(client, len(WAVE), WAVE[:0])
+    client.wait_until(lambda: len(scans) >= 120, "scans")
+    client.trigger("recorder/stop")
+    path = next(tmp_path.iterdir())
+    with Run(path) as run:
+        messages = run.messages
+
+        def harmed(names, **options):
+            for received in messages(names, **options):
+                message = received
+                if harm and message.topic.endswith(topics.WAVEFORM.name):
+                    table = run.table(message, topics.WAVEFORM)
+                    if table.stamp_ns == NS_PER_S // 5:
+                        if harm == "removed":
+                            continue
+                        rows = table.rows.copy()
+                        rows["value"][490] += harm
+                        message = message._replace(data=memoryview(codec.encode(Table(table.stamp_ns, rows))))
+                yield message
+
+        run.messages = harmed
+        assert says in str(verify(run))
+
+
+def test_in_real_time_a_controller_that_dies_leaves_a_ramp_a_row_and_a_warning(client):
+    node = host_rig(client, "realtime", **STREAM)
+    client.wait_active("rig")
+    journal = client.collect("rig/journal")
+    wanted = client.collect("shaker/stream")
+    client.wait_until(lambda: len(wanted), "shaker/stream")
+    rig = node._session.rig
+
+    def alive():
+        with paused(client):
+            send(client, rig.stream.played, np.full(1_000, 0.2), rig.start_ns)
+            client.wait_until(lambda: rig.stream.buffered() == 1_000, "the samples")
+
+    def kinds():
+        return [bytes(row["key"]) for table in journal.tables() for row in table.rows if row["kind"] == b"stream"]
+
+    alive()
+    client.wait_until(lambda: b"end" in kinds(), "the end of the stream")
+    assert kinds()[:3] == [b"begin", b"crc32", b"end"]
+    client.wait_until(lambda: "no samples" in client.status("rig").message, "the warning")
+    alive()
+    client.wait_until(lambda: kinds().count(b"begin") == 2, "that it goes on")
+    assert node.refusals.counts.total() == 0
+
+
+def test_hostile_samples_are_refused_whole_counted_and_change_nothing(client):
+    node = host_rig(client, "realtime", **STREAM)
+    client.wait_active("rig")
+    client.wait_until(lambda: node._session.rig is not None, "the rig")
+    rig = node._session.rig
+    for values in (np.array([0.1, math.nan]), np.array([math.inf]), np.array([1e308])):
+        send(client, 10**6, values, rig.start_ns)
+    send(client, rig.stream.played + 10 * RATE_HZ, WAVE[:10], rig.start_ns)
+    send(client, 10**12, WAVE[:10], rig.start_ns)
+    send(client, 3, WAVE[:10], rig.start_ns + 40_000)
+    client.wait_until(lambda: node.refusals.counts["shaker/waveform"] == 6, "six refusals")
+    client.wait_until(lambda: rig.stream.played > 10, "the rig to be beyond ten samples")
+    send(client, 0, WAVE[:10], rig.start_ns)
+    client.wait_until(lambda: rig.stream_state().rows["late"][0] == 10, "ten late samples")
+    assert rig.stream_state().rows["refused"][0] == 6
+    assert rig.stream.buffered() == 0
+    assert client.state("rig") == "active"
+
+
+def test_a_rig_ahead_of_time_waits_for_samples_and_names_who_sends_none(client):
+    node = host_rig(client, "freewheel", time__peers=[client.name], time__peer_timeout_s=0.3, **STREAM)
+    client.wait_active("rig")
+    scans = client.collect("daq/scan", acknowledge=True)
+    send(client, 0, WAVE[:2_050])
+    client.wait_until(lambda: len(scans) == 20, "twenty blocks")
+    client.wait_until(lambda: node.doing().word is RigWord.SILENT_PEER, "the word")
+    assert client.name in node.doing().reason
+    send(client, 2_050, WAVE[2_050:4_001])
+    client.wait_until(lambda: len(scans) == 40, "twenty more, when samples come again")
+    client.wait_until(lambda: node.doing().word is RigWord.SILENT_PEER, "the word again")
+    client.pause(False)
+    client.wait_until(lambda: len(scans) > 60, "that it goes on without")
+
+
+def starved(client: Client, mode: str = "freewheel", **values: Any) -> tuple[RigNode, Collector]:
+    """A rig ahead of time that is out of samples after twenty blocks, but for half a block."""
+    node = host_rig(client, mode, time__peers=[client.name], **STREAM, **values)
+    client.wait_active("rig")
+    scans = client.collect("daq/scan", acknowledge=True)
+    send(client, 0, WAVE[:2_050])
+    client.wait_until(lambda: len(scans) == 20, "twenty blocks")
+    return node, scans
+
+
+def test_samples_that_come_during_a_pause_are_played_after_it(client: Client) -> None:
+    """A rig paused while it waited for them once ended the stream when it went on, though they had come."""
+    node, scans = starved(client, time__peer_timeout_s=0.3)
+    rig = node._session.rig
+    client.pause()
+    send(client, 2_050, WAVE[2_050:4_001])
+    client.wait_until(lambda: rig.stream.buffered() > 1_900, "the samples")
+    client.spin_for(0.4)
+    assert node.doing().word is RigWord.PAUSED
+    client.pause(False)
+    client.wait_until(lambda: len(scans) == 40, "the blocks of these samples")
+    client.spin_for(0.1)
+    assert (len(scans), rig.stream.state) == (40, StreamState.PLAYING), "it waits for more"
+
+
+def test_a_stop_during_a_pause_leaves_nothing_to_wait_for(client: Client) -> None:
+    """To go on was refused as the shaker is latched, and done by half: no longer paused, but the work not begun."""
+    node, scans = starved(client, time__peer_timeout_s=0.3)
+    client.pause()
+    client.trigger("rig/stop")
+    client.spin_for(0.4)
+    client.pause(False)
+    client.wait_until(lambda: len(scans) > 40, "that it goes on, without the stream")
+    assert node.refusals.counts.total() == 0
+
+
+@pytest.mark.parametrize("what", ["reset", "suspended"])
+def test_the_time_to_wait_for_samples_begins_anew(client: Client, monkeypatch: pytest.MonkeyPatch, what: str) -> None:
+    """A step was refused at once for the samples that had not come before the reset, or while this process was away."""
+    node = host_rig(client, "stepped", time__peers=[client.name], time__peer_timeout_s=0.5, **STREAM)
+    client.wait_active("rig")
+    client.collect("daq/scan", acknowledge=True)
+    with pytest.raises(ServiceFailedError, match="sends no samples"):
+        client.step(1)
+    if what == "reset":
+        client.trigger("rig/reset")
+    else:
+        monkeypatch.setattr(session, "AWAY_S", -1.0)
+        client.wait_until(lambda: not node._session.is_starving, "a call of the timer")
+        monkeypatch.undo()
+    began = time.monotonic()
+    with pytest.raises(ServiceFailedError, match="sends no samples"):
+        client.step(1)
+    assert time.monotonic() - began > 0.2
+
+
+def test_of_two_controllers_the_last_counts_and_both_are_named(client):
+    node = host_rig(client, "stepped", time__peers=[client.name], **STREAM)
+    other = client.host(functools.partial(Node, "other"))
+    client.wait_active("rig")
+    publisher = other.create_publisher(PointCloud2, topics.WAVEFORM.name, 10)
+    scans = client.collect("daq/scan", acknowledge=True)
+    send(client, 0, np.full(2_001, 0.1))
+    client.wait_until(lambda: node._session.rig.stream.buffered() == 2_001, "the first")
+    client.wait_until(publisher.get_subscription_count, "the rig to listen to the other")
+    publisher.publish(block(0, np.full(2_001, 0.3)))
+    client.wait_until(lambda: node._session.rig.stream.buffer.values(0, 1)[0] == 0.3, "the second")
+    client.step(20)
+    client.wait_until(lambda: len(scans) == 20, "the blocks")
+    assert scans.tables()[-1].rows["current"].mean() == pytest.approx(0.3, abs=0.02)
+    client.wait_until(lambda: "all send samples" in client.status("rig").message, "both named")
+
+
+def test_a_controllers_hardware_reads_over_topics_what_it_reads_in_process(client):
+    host_rig(client, "freewheel", time__peers=[client.name], **STREAM)
+    client.wait_active("rig")
+    over = over_topics(client).respond(WAVE[: RATE_HZ // 2], rest=RATE_HZ // 10)
+    alone = Hardware(InProcess(Rig(paper_rig(**STREAM)))).respond(WAVE[: RATE_HZ // 2], rest=RATE_HZ // 10)
+    assert len(over) == len(alone) > RATE_HZ // 2
+    assert np.array_equal(over["laser"], alone["laser"])
+    assert np.array_equal(over["current"], alone["current"])
+
+
+def test_a_controller_whose_rig_has_died_is_told_so(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It once waited on, as hard as it could, until its time was over, and was told that no scans came."""
+    host_rig(client, "freewheel", time__peers=[client.name], **STREAM)
+    client.wait_active("rig")
+    hardware = over_topics(client)
+
+    class Died:
+        def check(self) -> None:
+            raise ProcessDiedError("the rig process was ended by SIGKILL")
+
+    monkeypatch.setattr(client, "_processes", Died())
+    with pytest.raises(ProcessDiedError, match="ended by SIGKILL"):
+        hardware.turn(time.monotonic() + 0.5, "scans")
+
+
+def test_a_stop_while_a_controller_looks_for_readers_is_not_overlooked(
+    client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    host_rig(client, "realtime", **STREAM)
+    client.wait_active("rig")
+    stop = client.node.create_client(Trigger, "rig/stop")
+
+    def is_stopped(wire: OverTopics) -> bool:
+        stop.call_async(Trigger.Request())
+        return b"stop" in wire._journal.rows()["kind"]
+
+    monkeypatch.setattr(OverTopics, "_finds_readers", is_stopped)
+    wire = OverTopics(client)
+    with pytest.raises(CommandError, match=r"^the rig stopped: stop$"):
+        wire.feed(wire.wanted().sample, WAVE[:100])

@@ -1,0 +1,145 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Controlled sine: what it commands on an apparatus of known gain, its limits, and its curve on the rig."""
+
+from __future__ import annotations
+
+import attrs
+import numpy as np
+import pytest
+
+from impact_rig.analysis.uncertainty_budget import combined
+from impact_rig.blocks import TRANSMISSIBILITY
+from impact_rig.errors import ConfigError
+from impact_rig.physics.linear_response import transmissibility
+from impact_rig.rig.config import RigConfig
+from impact_rig.rig.gaps import NO_SPHERE
+from impact_rig.simtime import NS_PER_S
+from impact_rig.states import Status
+from impact_rig_studies.campaign.job import execute
+from impact_rig_studies.closed_loop import hold
+from impact_rig_studies.operate.operator import Applied, News, operate
+from impact_rig_studies.operate.stepped_sine import ControlledSine, Hold, HoldPlan, SweepPlan, SweepState
+from qualification import prediction as by_test
+
+PLAN = SweepPlan(frequencies_hz=(8.0, 9.0), current_a=0.3, direction="up_down")
+HELD = HoldPlan(hold=Hold.BASE, target=1e-4)
+
+
+class Bench:
+    """Accepts everything, and every second measures a base amplitude of 2e-4 (current/1 A)^power."""
+
+    def __init__(self, power=1.0, floor_m=0.0):
+        self.power, self.floor_m, self.seconds = power, floor_m, 0
+        self.set_, self.news, self.rests = [], [], 0
+
+    def now_ns(self):
+        return self.seconds * NS_PER_S
+
+    def set(self, setpoint):
+        self.set_.append(setpoint)
+        self.news.append(Applied(setpoint, self.now_ns()))
+
+    def rest(self):
+        self.rests += 1
+
+    def wait(self):
+        self.seconds += 1
+        applied, self.news = self.news, []
+        row = np.zeros(1, TRANSMISSIBILITY)
+        now = self.set_[-1]
+        row["frequency"], row["status"], row["settled"] = now.frequency_hz, "ok", 1.0
+        row["base_amplitude"] = max(2e-4 * now.current_a**self.power, self.floor_m)
+        row["laser_amplitude"] = 50.0 * row["base_amplitude"]
+        return News(now_ns=self.now_ns(), applied=applied, rows=[row[0]])
+
+
+def walked(bench, plan=PLAN, hold_plan=HELD):
+    sweep = ControlledSine(plan, hold_plan)
+    operate(sweep, bench)
+    return sweep
+
+
+@pytest.mark.parametrize("power", [0.7, 1.0, 1.6])
+def test_every_point_is_held_up_and_down(power):
+    bench = Bench(power)
+    sweep = walked(bench)
+    assert sweep.state is SweepState.FINISHED
+    assert sweep.held["frequency"].tolist() == [8.0, 9.0, 9.0, 8.0]
+    assert np.all(np.abs(sweep.held["error"]) <= HELD.tolerance)
+    assert sweep.held["held"].tolist() == [1.0] * 4
+    assert sweep.held["corrections"][0] >= 1
+    assert sweep.held["corrections"][1:].tolist() == [0.0] * 3
+    assert sweep.held["target"].tolist() == [1e-4] * 4
+    assert bench.rests == 1
+
+
+def test_a_point_that_cannot_be_held_keeps_its_error():
+    sweep = walked(Bench(floor_m=1.5e-4))
+    assert sweep.state is SweepState.FINISHED
+    assert sweep.held["held"].tolist() == [0.0] * 4
+    assert sweep.held["error"] == pytest.approx(0.5)
+    assert sweep.held["corrections"].tolist() == [8.0] * 4
+
+
+def test_a_point_that_is_left_out_takes_no_corrections_from_the_next():
+    """Its count was kept: the next point had none left, and was taken as it was."""
+
+    class Loud(Bench):
+        def wait(self):
+            news = super().wait()
+            row = news.rows[0]
+            if row["frequency"] == 8.0 and len(self.set_) > 1:  # after a correction a sensor is over range
+                row["status"], row["settled"] = Status.OVER_RANGE.value, 0.0
+            return news
+
+    sweep = walked(Loud(), attrs.evolve(PLAN, direction="up", current_a=0.1), attrs.evolve(HELD, corrections=1))
+    assert sweep.skipped == [8.0]
+    assert sweep.held["frequency"].tolist() == [9.0]
+    assert sweep.held["corrections"].tolist() == [1.0]
+    assert sweep.held["held"].tolist() == [1.0]
+
+
+@pytest.mark.parametrize(
+    ("limits", "words"),
+    [
+        ({"current_limit_a": 0.4, "target": 2e-4}, "more than the limit of 0.4 A"),
+        ({"superior_limit_m": 1e-3}, "swings 3 mm"),
+    ],
+)
+def test_a_limit_ends_the_sweep_with_the_shaker_at_rest(limits, words):
+    bench = Bench()
+    sweep = walked(bench, hold_plan=attrs.evolve(HELD, **limits))
+    assert sweep.state is SweepState.ABORTED
+    assert words in sweep.reason
+    assert bench.rests == 1
+
+
+@pytest.mark.parametrize("values", [{"target": 0.0}, {"tolerance": -1.0}, {"current_limit_a": float("inf")}])
+def test_values_that_cannot_work_are_refused(values):
+    with pytest.raises(ConfigError, match=next(iter(values))):
+        attrs.evolve(HELD, **values)
+
+
+@pytest.mark.parametrize(("what", "target"), [("base", 60e-6), ("superior", 3e-3)])
+def test_on_the_linear_rig_it_is_held_and_dt_is_the_closed_form(what, target):
+    job = attrs.evolve(
+        by_test.job(9.0, 6e-3), changes={"sphere.present": False}, gap_m=NO_SPHERE, frequencies_hz=(8.8, 9.2)
+    )
+    found = hold(job, HoldPlan(hold=what, target=target))
+    assert found.failure == ""
+    assert np.all(np.abs(found.rows["error"]) <= 0.005)
+    for row in found.rows:
+        wanted = abs(complex(transmissibility(RigConfig(), float(row["frequency"]))))
+        assert abs(row["transmissibility"] - wanted) <= 2.0 * row["transmissibility_uncertainty"], row
+
+
+def test_a_held_base_gives_the_prescribed_drive_s_dt():
+    """All gaps and frequencies: `python -m qualification.closed_loop`."""
+    job = by_test.job(9.4, 10e-3)
+    found = hold(job, HoldPlan(hold=Hold.BASE, target=60e-6))
+    assert found.rows["held"].tolist() == [1.0]
+    prescribed = attrs.evolve(job, changes={**job.changes, "drive.kind": "prescribed"}, current_a=60e-6)
+    rows = execute(prescribed).rows
+    assert combined(rows) > 0.0
+    assert found.rows["transmissibility"][0] == pytest.approx(rows["transmissibility"][0], rel=0.01)

@@ -1,0 +1,105 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""A phase lock walked through by an operator: blocks and accepted commands in, setpoints out, whatever goes wrong."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.simtime import NS_PER_S
+from impact_rig_studies.operate.operator import Applied, News, Operator
+from impact_rig_studies.operate.phase_lock import LockedSine, LockPlan
+from impact_rig_studies.operate.stepped_sine import Setpoint, SweepState
+
+LINEAR = from_flat(RigConfig(), {"sphere.present": False, "daq.block_scans": 500})
+PLAN = LockPlan(start_hz=8.9, current_a=0.3, dwell_s=2.0)
+TRUE_HZ = 9.105 / math.sqrt(1.0 - 4.0 * LINEAR.structure.damping_ratio**2)
+
+
+class Running:
+    """A rig whose time passes by itself, as an operator's apparatus."""
+
+    def __init__(self, plan: LockPlan = PLAN) -> None:
+        self.rig = Rig(LINEAR)
+        self.rested = False
+        self.noted: list[int] = []
+        self.lock = LockedSine(plan, self.rig.info().rows)
+        self.operator = Operator(self.lock, self, lambda lock: self.noted.append(lock.measured))
+
+    def now_ns(self) -> int:
+        return self.rig.next_block_ns
+
+    def set(self, setpoint: Setpoint) -> None:
+        self.rig.accept(frequency_hz=setpoint.frequency_hz)
+        self.rig.accept(amplitude=setpoint.current_a)
+
+    def rest(self) -> None:
+        self.rig.accept(amplitude=0.0)
+        self.rested = True
+
+    def block(self, lost: bool = False, accepted: bool = True) -> None:
+        """Let a block pass, and tell the operator of it."""
+        blocks = self.rig.advance(self.rig.block_end_ns(1))
+        applied = [one for table in self.rig.take_applied() for one in Applied.of(table)] if accepted else []
+        scans = [] if lost else [block.scan for block in blocks]
+        self.operator.hear(News(now_ns=self.now_ns(), applied=applied, scans=scans))
+
+    def run(self, seconds: float = 60.0) -> None:
+        end_ns = self.now_ns() + round(seconds * NS_PER_S)
+        while self.operator.busy and self.now_ns() < end_ns:
+            self.block()
+
+
+def test_it_finds_the_resonance_though_scans_are_lost_and_rests_after_the_dwell() -> None:
+    running = Running()
+    running.operator.begin()
+    assert running.lock.describe() == "seeking at 8.9 Hz"
+    running.run(1.0)
+    running.block(lost=True)
+    assert running.lock.measured == 0, "the stretch begins anew"
+    running.run()
+    assert (running.lock.state, running.rested) == (SweepState.FINISHED, True)
+    rows = running.lock.rows
+    assert rows["time"][0] > 1.0 + 1.5
+    assert rows["frequency"][-1] == pytest.approx(TRUE_HZ, abs=0.003)
+    assert np.degrees(rows["phase"][-1]) == pytest.approx(-90.0, abs=0.5)
+    assert running.lock.newest.tobytes() == rows[-1:].tobytes()
+    assert running.noted == list(range(len(rows) + 1))
+    assert running.lock.describe().startswith("finished, the resonance is at 9.10")
+    assert running.lock.figures()["phase_deg"] == pytest.approx(-90.0, abs=0.5)
+
+
+def test_a_stretch_begins_where_the_setpoint_is_in_force() -> None:
+    running = Running()
+    running.operator.begin()
+    running.block(accepted=False)
+    running.rig.take_applied()
+    running.run(3.0)
+    assert running.lock.measured == 0, "nobody has said that the command was accepted"
+    assert running.operator.busy
+    running.run(3.0)
+    assert running.lock.reason == "8.9 Hz was not accepted within 5 s"
+    assert running.rested
+
+
+def test_somebody_elses_command_and_silence_end_it() -> None:
+    running = Running()
+    running.operator.begin()
+    running.run(2.0)
+    running.rig.accept(frequency_hz=12.0)
+    running.run(1.0)
+    assert running.lock.reason == "somebody else set 12 Hz and 0.3 A"
+    silent = Running()
+    silent.operator.begin()
+    silent.run(1.0)
+    while silent.operator.busy:
+        silent.block(lost=True)
+    assert silent.lock.reason == "no scans came for 5 s"
+    assert silent.lock.on_scans(silent.rig.advance(silent.rig.block_end_ns(1))[0].scan) is None
+    assert silent.operator.abort("late") is None
+    assert silent.lock.reason == "no scans came for 5 s"

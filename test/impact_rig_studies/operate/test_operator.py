@@ -1,0 +1,123 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""The loop: what it sets, when it rests, what it notes, with an apparatus that follows a script."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from impact_rig.blocks import APPLIED, TRANSMISSIBILITY, Table
+from impact_rig.errors import CommandError
+from impact_rig.simtime import NS_PER_S
+from impact_rig_studies.operate.operator import Applied, News, Operator, operate
+from impact_rig_studies.operate.stepped_sine import Setpoint, SteppedSine, SweepPlan, SweepState
+
+PLAN = SweepPlan(frequencies_hz=(9.0, 8.0), current_a=0.5, measurements_per_point=2)
+
+
+def measurement(frequency_hz, status="ok"):
+    row = np.zeros(1, TRANSMISSIBILITY)
+    row["frequency"], row["status"], row["settled"] = frequency_hz, status, status == "ok"
+    return row[0]
+
+
+class Script:
+    """An apparatus that accepts everything at once and measures every second.
+
+    Args:
+        stops_s: when it stops.
+        refuses: a frequency it refuses.
+        repeats: measurements a second, all of the present frequency.
+        status: of its measurements.
+    """
+
+    def __init__(self, stops_s=None, refuses=None, repeats=1, status="ok"):
+        self.stops_s, self.refuses, self.repeats, self.status = stops_s, refuses, repeats, status
+        self.seconds = 0
+        self.done = []
+        self.accepted = []
+
+    def now_ns(self):
+        return self.seconds * NS_PER_S
+
+    def set(self, setpoint):
+        if setpoint.frequency_hz == self.refuses:
+            raise CommandError("no")
+        self.done.append(setpoint)
+        self.accepted.append(Applied(setpoint, self.now_ns()))
+
+    def rest(self):
+        self.done.append("rest")
+
+    def wait(self):
+        self.seconds += 1
+        applied, self.accepted = self.accepted, []
+        rows = [measurement(self.done[-1].frequency_hz, self.status)] * self.repeats
+        stopped = "the fuse blew" if self.stops_s == self.seconds else None
+        return News(now_ns=self.now_ns(), applied=applied, rows=rows, stopped=stopped)
+
+
+def test_every_point_is_set_measured_and_noted_and_at_the_end_there_is_rest():
+    sweep, script, noted = SteppedSine(PLAN), Script(), []
+    operate(sweep, script, lambda sweep: noted.append(sweep.measured))
+    assert script.done == [Setpoint(8.0, 0.5), Setpoint(9.0, 0.5), "rest"]
+    assert noted == [0, 1, 2, 3, 4], "at the begin, and after each measurement"
+    assert sweep.rows["time"].tolist() == [1.0, 2.0, 3.0, 4.0]
+    assert sweep.state is SweepState.FINISHED
+
+
+def test_a_measurement_that_ends_a_point_takes_none_of_the_next_with_it():
+    sweep, script = SteppedSine(PLAN), Script(repeats=3)
+    operate(sweep, script)
+    assert sweep.rows["frequency"].tolist() == [8.0, 8.0, 9.0, 9.0]
+
+
+def test_a_rig_that_stops_ends_the_sweep_at_rest_with_what_was_measured():
+    sweep, script = SteppedSine(PLAN), Script(stops_s=2)
+    operate(sweep, script)
+    assert (sweep.state, sweep.reason) == (SweepState.ABORTED, "the fuse blew")
+    assert script.done[-1] == "rest"
+    assert sweep.measured == 2
+
+
+def test_measurements_come_before_what_stopped_the_rig():
+    """A sweep whose last measurement came together with the trip is complete."""
+    sweep = SteppedSine(PLAN)
+    operate(sweep, Script(stops_s=4))
+    assert (sweep.state, sweep.reason, sweep.measured) == (SweepState.FINISHED, "", 4)
+
+
+def test_a_refused_point_is_an_error_that_keeps_the_points_before_it():
+    sweep = SteppedSine(PLAN)
+    with pytest.raises(CommandError, match="no"):
+        operate(sweep, Script(refuses=9.0))
+    assert sweep.rows["frequency"].tolist() == [8.0, 8.0]
+
+
+def test_a_point_that_is_never_measured_is_given_up():
+    sweep, script = SteppedSine(PLAN), Script(repeats=0)
+    operate(sweep, script)
+    assert sweep.reason == f"no measurement at 8 Hz within {PLAN.dwell_limit_s:g} s"
+    assert script.seconds == PLAN.dwell_limit_s + 1
+
+
+def test_an_operator_who_is_told_to_stop_rests_once():
+    script = Script()
+    operator = Operator(SteppedSine(PLAN), script, lambda _sweep: None)
+    operator.begin()
+    assert operator.busy
+    operator.abort("enough")
+    operator.abort("really")
+    operator.hear(News(now_ns=NS_PER_S, rows=[measurement(8.0)]))
+    assert not operator.busy
+    assert script.done == [Setpoint(8.0, 0.5), "rest"]
+    assert operator.sweep.reason == "enough"
+
+
+def test_an_accepted_change_is_read_off_shaker_applied():
+    rows = np.zeros(2, APPLIED)
+    rows["frequency"], rows["current"], rows["time"] = [8.0, 9.0], [0.5, 0.25], [0.0, 0.02]
+    table = Table(5_000_000, rows)
+    assert Applied.of(table) == [Applied(Setpoint(8.0, 0.5), 5_000_000), Applied(Setpoint(9.0, 0.25), 25_000_000)]
+    assert [one.at_ns for one in Applied.of(table, 7)] == [7, 7]

@@ -1,0 +1,238 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Search, track and dwell: on a resonance of known answer, on the rig, over topics; and the backbone's ladder."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from pathlib import Path
+
+import attrs
+import numpy as np
+import pytest
+
+from impact_rig.errors import ConfigError
+from impact_rig.physics.linear_response import transmissibility
+from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.simtime import NS_PER_S
+from impact_rig_studies.closed_loop import ProcessLoop
+from impact_rig_studies.operate.phase_lock import (
+    Ladder,
+    LockPlan,
+    Look,
+    PhaseLock,
+    Reference,
+    Stage,
+    climb,
+    follow,
+    lock_on,
+    mean,
+)
+from impact_rig_studies.operate.stepped_sine import SweepState
+
+PLAN = LockPlan(start_hz=8.1, current_a=0.2, dwell_s=10.0)
+TRUE_HZ = 9.105 / math.sqrt(1.0 - 4.0 * 0.0044974**2)
+"""Where the superior base is a quarter cycle behind the base: ω² (k_1 m_1 − c_1²) = k_1²."""
+
+
+class Resonance:
+    """A loop apparatus without delay: T = (1 + 2iζr)/(1 − r² + 2iζr), base of 1 µm per 0.1 A; `trips_s` ends it."""
+
+    def __init__(self, zeta=0.0045, trips_s=math.inf):
+        self.zeta, self.trips_s, self.now, self.setpoint, self.hz = zeta, trips_s, 0, None, 9.105
+        self.still = False
+
+    def now_ns(self):
+        return self.now
+
+    def set(self, setpoint):
+        self.setpoint = setpoint
+
+    def look(self, seconds):
+        self.now += round(seconds * NS_PER_S)
+        if self.now > self.trips_s * NS_PER_S:
+            return "the fuse blew"
+        f, i = self.setpoint.frequency_hz, self.setpoint.current_a
+        r = f / self.hz
+        t = (1 + 2j * self.zeta * r) / (1 - r * r + 2j * self.zeta * r)
+        base = 0.0 if self.still else 1e-5 * i * cmath.exp(0.3j)
+        return Look(self.now, f, base, base * t, i * cmath.exp(0.3j))
+
+
+@pytest.mark.parametrize("reference", list(Reference))
+@pytest.mark.parametrize("start_hz", [8.1, 10.1])
+@pytest.mark.parametrize("zeta", [0.002, 0.0045, 0.02])
+def test_a_resonance_is_found_and_held(reference, start_hz, zeta):
+    plan = attrs.evolve(PLAN, start_hz=start_hz, reference=reference)
+    lock = lock_on(plan, Resonance(zeta))
+    assert lock.state is SweepState.FINISHED, lock.reason
+    assert lock.frequency_hz == pytest.approx(9.105 / math.sqrt(1.0 - 4.0 * zeta**2), abs=0.003)
+    assert math.degrees(lock.rows["phase"][-1]) == pytest.approx(-90.0, abs=0.5)
+    assert lock.locked_ns is not None
+    assert lock.locked_ns <= 60 * NS_PER_S
+    assert lock.rows["time"][-1] * NS_PER_S - lock.locked_ns >= 10 * NS_PER_S
+
+
+@pytest.mark.parametrize(("start_hz", "side", "low_hz", "high_hz"), [(9.9, 1.0, 5.0, 10.0), (8.1, -1.0, 8.0, 20.0)])
+def test_a_transient_that_dies_at_an_end_of_the_range_is_no_resonance(start_hz, side, low_hz, high_hz):
+    """The frequency stood still between the two looks: the slope was 0, and the lock never left the end again."""
+
+    class Ringing(Resonance):
+        def look(self, seconds):
+            found = super().look(seconds)
+            turned = cmath.exp(1j * math.radians(-90.0 + 30.0 * side))  # as if it were beyond the end
+            return found._replace(superior=found.base * turned) if self.now < 6 * NS_PER_S else found
+
+    plan = attrs.evolve(PLAN, start_hz=start_hz, low_hz=low_hz, high_hz=high_hz, reference=Reference.CURRENT)
+    lock = lock_on(plan, Ringing())
+    assert lock.state is SweepState.FINISHED, lock.reason
+    assert lock.frequency_hz == pytest.approx(TRUE_HZ, abs=0.003)
+
+
+@pytest.mark.parametrize(("look_s", "command_s"), [(0.5, 0.6), (0.1, 0.03)])
+def test_it_locks_where_commands_take_their_time(look_s, command_s):
+    """Looks were counted as if one followed the other at once: with these the phase was held, and nothing locked."""
+
+    class Late(Resonance):
+        def look(self, seconds):
+            self.now += round(command_s * NS_PER_S)
+            return super().look(seconds)
+
+    lock = lock_on(attrs.evolve(PLAN, look_s=look_s), Late())
+    assert lock.state is SweepState.FINISHED, lock.reason
+    assert lock.frequency_hz == pytest.approx(TRUE_HZ, abs=0.003)
+
+
+def test_it_follows_a_resonance_that_moves():
+    bench = Resonance()
+    lock = PhaseLock(attrs.evolve(PLAN, dwell_s=1e6))
+    bench.set(lock.start(0))
+    follow(lock, bench, lambda one: one.locked)
+    bench.hz = 9.3
+    follow(lock, bench, lambda one: not one.locked)
+    assert lock.stage is Stage.TRACKING
+    follow(lock, bench, lambda one: one.locked)
+    assert lock.frequency_hz == pytest.approx(9.3, abs=0.003)
+
+
+@pytest.mark.parametrize(
+    ("bench", "changes", "words"),
+    [
+        (Resonance(trips_s=3.0), {}, "the fuse blew"),
+        (Resonance(), {"superior_limit_m": 1e-6}, "the superior base swings"),
+        (Resonance(), {"high_hz": 8.5}, "no resonance was found from 8.1 Hz within 60 s"),
+    ],
+)
+def test_what_ends_it_is_said_and_the_current_is_zero(bench, changes, words):
+    lock = lock_on(attrs.evolve(PLAN, **changes), bench)
+    assert lock.state is SweepState.ABORTED
+    assert words in lock.reason
+    assert bench.setpoint.current_a == 0.0
+
+
+def test_a_base_that_stands_still_is_no_reference():
+    bench = Resonance()
+    bench.still = True
+    assert "do not move" in lock_on(PLAN, bench).reason
+
+
+def test_a_lock_that_is_lost_is_given_up():
+    bench = Resonance()
+    lock = PhaseLock(attrs.evolve(PLAN, dwell_s=1e6, high_hz=9.2))
+    bench.set(lock.start(0))
+    follow(lock, bench, lambda one: one.locked)
+    bench.hz = 9.6
+    follow(lock, bench, lambda _: False)
+    assert "not held for 20 s" in lock.reason
+
+
+def test_the_start_lies_within_the_bounds():
+    with pytest.raises(ConfigError, match="start_hz must be within"):
+        attrs.evolve(PLAN, start_hz=30.0)
+
+
+def test_a_ladder_tells_jumps():
+    class Jumping(Resonance):
+        def set(self, setpoint):
+            super().set(setpoint)
+            self.zeta = 0.0045 if setpoint.current_a < 0.3 else 0.01
+
+    rungs, why = climb(Ladder(currents_a=(0.1, 0.2, 0.4), lock=PLAN), Jumping())
+    assert why == ""
+    assert [(one.direction, one.current_a) for one in rungs] == [
+        ("up", 0.1), ("up", 0.2), ("up", 0.4), ("down", 0.2), ("down", 0.1),
+    ]  # fmt: skip
+    assert [one.jumped for one in rungs] == [False, False, True, True, False]
+    assert all(one.locked for one in rungs)
+    assert rungs[0].dt == pytest.approx(1 / 0.009, rel=1e-3)
+
+
+def linear() -> RigConfig:
+    return from_flat(RigConfig(), {"sphere.present": False, "daq.rate_hz": 2000})
+
+
+@pytest.fixture(scope="module")
+def locked() -> PhaseLock:
+    return lock_on(PLAN, ProcessLoop(linear()))
+
+
+def test_on_the_linear_rig_the_lock_is_at_the_true_quarter(locked):
+    assert locked.state is SweepState.FINISHED, locked.reason
+    assert locked.locked_ns is not None
+    assert locked.locked_ns <= 60 * NS_PER_S
+    late = locked.rows[-10:]
+    assert np.mean(late["frequency"]) == pytest.approx(TRUE_HZ, abs=0.003)
+    assert np.degrees(np.mean(late["phase"])) == pytest.approx(-90.0, abs=0.5)
+
+
+def test_a_locked_stretch_states_how_well_it_is_known(locked):
+    """Frequency and DT of the linear rig are known in closed form."""
+    dwelt = locked.rows[locked.rows["locked"] == 1.0][4:]
+    found = mean(dwelt, locked.u_gain)
+    assert 0.0 < found.u_frequency_hz < 0.003
+    assert abs(found.frequency_hz - TRUE_HZ) < 3.0 * found.u_frequency_hz
+    true_dt = abs(complex(transmissibility(linear(), found.frequency_hz)))
+    assert 0.001 < found.u_dt / found.dt < 0.01, "two sensitivities of 0.12 to 0.22 % and the scatter"
+    assert abs(found.dt - true_dt) < 3.0 * found.u_dt
+    assert np.isnan(mean(dwelt[:3], locked.u_gain).u_dt), "three looks say nothing"
+
+
+def test_it_gives_the_same_bits_twice(locked):
+    again = lock_on(PLAN, ProcessLoop(linear()))
+    assert again.rows.tobytes() == locked.rows.tobytes()
+
+
+def test_it_is_held_again_after_the_gap_is_changed_under_way():
+    rig = ProcessLoop(from_flat(RigConfig(), {"barriers.gap_m": 6e-3, "daq.rate_hz": 2000}))
+    lock = PhaseLock(LockPlan(start_hz=9.0, current_a=0.52, dwell_s=1e6))
+    rig.set(lock.start(0))
+    follow(lock, rig, lambda one: one.locked)
+    rig.change({"barriers.gap_m": 10e-3})
+    lock.unlock(rig.now_ns())
+    changed = rig.now_ns()
+    follow(lock, rig, lambda _: rig.now_ns() >= changed + 12 * NS_PER_S)
+    assert lock.state is SweepState.RUNNING, lock.reason
+    assert lock.locked
+    late = lock.rows[lock.rows["time"] >= changed / NS_PER_S + 10.0]
+    assert np.degrees(late["phase"]).mean() == pytest.approx(-90.0, abs=2.0)
+
+
+def test_a_trip_ends_it():
+    rig = ProcessLoop(from_flat(linear(), {"shaker.travel_limit_m": 1e-5}))
+    lock = lock_on(PLAN, rig)
+    assert lock.reason.startswith("the rig tripped")
+
+
+@pytest.mark.ros
+@pytest.mark.pipeline
+@pytest.mark.timeout(200)
+def test_over_topics_it_has_the_same_bits(locked, tmp_path: Path):
+    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    from impact_rig_studies.apparatus import stepped_loop
+
+    with stepped_loop(tmp_path, linear()) as rig:
+        lock = PhaseLock(PLAN)
+        rig.set(lock.start(rig.now_ns()))
+        follow(lock, rig, lambda one: len(one.rows) >= 8)
+    assert lock.rows.tobytes() == locked.rows[:8].tobytes()

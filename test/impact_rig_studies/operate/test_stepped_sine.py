@@ -1,0 +1,170 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""The stepped sine as a state machine, alone and in closed loop with the tracker."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from kits.records import applied, blocks, info_rows, linear_transmissibility, steady_record
+
+from impact_rig.analysis.settings import TrackerSettings
+from impact_rig.analysis.tracker import Tracker
+from impact_rig.blocks import TRANSMISSIBILITY, Table
+from impact_rig.errors import ConfigError
+from impact_rig.simtime import NS_PER_S
+from impact_rig_studies.operate.stepped_sine import Direction, Setpoint, SteppedSine, SweepPlan, SweepState
+
+S = NS_PER_S
+POINTS = (9.0, 8.0, 10.0)
+
+
+def row(frequency_hz, status="ok", settled=None):
+    made = np.zeros(1, TRANSMISSIBILITY)
+    made["frequency"], made["status"] = frequency_hz, status
+    made["settled"] = status == "ok" if settled is None else settled
+    return made[0]
+
+
+def sweep(**changes):
+    return SteppedSine(SweepPlan(**{"frequencies_hz": POINTS, "current_a": 0.5, **changes}))
+
+
+@pytest.mark.parametrize(
+    ("direction", "visited"),
+    [("up", [8.0, 9.0, 10.0]), ("down", [10.0, 9.0, 8.0]), ("up_down", [8.0, 9.0, 10.0, 10.0, 9.0, 8.0])],
+)
+def test_points_are_visited_in_order_and_the_drive_ends_at_zero(direction, visited):
+    one = sweep(direction=direction)
+    assert one.state is SweepState.IDLE
+    commands = [one.start(0)]
+    now = 0
+    while one.state is SweepState.RUNNING:
+        now += 10 * S
+        one.on_applied(one.frequency_hz, 0.5, now)
+        assert one.on_time(now + S) is None
+        commands.append(one.on_measurement(row(one.frequency_hz), now + 5 * S))
+    assert [c.frequency_hz for c in commands[:-1]] == visited
+    assert all(c.current_a == 0.5 for c in commands[:-1])
+    assert commands[-1] == Setpoint(visited[-1], 0.0)
+    assert one.state is SweepState.FINISHED
+    assert one.rows["frequency"].tolist() == visited
+    assert one.progress == (len(visited), len(visited))
+
+
+def test_several_measurements_per_point_and_rows_of_other_points_are_ignored():
+    one = sweep(measurements_per_point=2)
+    one.start(0)
+    assert one.on_measurement(row(9.0), S) is None, "a row still under way from the point before"
+    assert one.on_measurement(row(8.0), S) is None
+    assert one.on_measurement(row(8.0, "command_changed"), S) is None
+    assert one.on_measurement(row(8.0), 2 * S) == Setpoint(9.0, 0.5)
+    assert len(one.rows) == 2
+
+
+@pytest.mark.parametrize("keep", [True, False])
+def test_an_unsettled_point_is_kept_or_not(keep):
+    one = sweep(keep_unsettled=keep, retries=0)
+    one.start(0)
+    answer = one.on_measurement(row(8.0, "not_settled"), S)
+    assert answer == (Setpoint(9.0, 0.5) if keep else Setpoint(8.0, 0.0))
+    assert one.state is (SweepState.RUNNING if keep else SweepState.ABORTED)
+
+
+@pytest.mark.parametrize("status", ["lost_blocks", "silence", "swapped_channels", "not_finite"])
+def test_refused_measurements_are_borne_so_often(status):
+    one = sweep(retries=2)
+    one.start(0)
+    assert one.on_measurement(row(8.0, status), S) is None
+    assert one.on_measurement(row(8.0, status), 2 * S) is None
+    assert one.on_measurement(row(8.0, status), 3 * S) == Setpoint(8.0, 0.0)
+    assert one.state is SweepState.ABORTED
+    assert one.reason == f"{status} at 8 Hz, 3 times"
+
+
+@pytest.mark.parametrize("skip", [True, False])
+def test_a_point_over_range_is_skipped_or_ends_the_sweep(skip):
+    one = sweep(retries=0, skip_over_range=skip)
+    one.start(0)
+    answer = one.on_measurement(row(8.0, "over_range"), S)
+    assert answer == (Setpoint(9.0, 0.5) if skip else Setpoint(8.0, 0.0))
+    assert one.skipped == ([8.0] if skip else [])
+
+
+def test_waiting_is_bounded():
+    one = sweep(dwell_limit_s=30.0, accept_limit_s=2.0)
+    one.start(0)
+    assert one.on_time(2 * S) is None
+    assert one.on_time(3 * S) == Setpoint(8.0, 0.0)
+    assert one.reason == "8 Hz was not accepted within 2 s"
+    one.start(0)
+    one.on_applied(8.0, 0.5, S)
+    assert one.on_time(31 * S) is None
+    assert one.on_time(32 * S) == Setpoint(8.0, 0.0)
+    assert one.reason == "no measurement at 8 Hz within 30 s"
+
+
+def test_a_trip_and_a_stranger_at_the_knob_end_the_sweep():
+    one = sweep()
+    one.start(0)
+    assert one.abort("over-travel") == Setpoint(8.0, 0.0)
+    assert one.reason == "over-travel"
+    assert one.abort("again") is None
+    assert one.on_measurement(row(8.0), S) is None
+    one.start(0)
+    assert one.state is SweepState.RUNNING
+    assert one.reason == ""
+    assert one.on_applied(8.0, 0.0, 0) is None, "the frequency comes first, the current after it"
+    one.on_applied(8.0, 0.5, 0)
+    assert one.on_applied(8.5, 0.5, S) == Setpoint(8.0, 0.0)
+    assert one.reason == "somebody else set 8.5 Hz and 0.5 A"
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"frequencies_hz": ()}, "frequencies_hz must be one or more"),
+        ({"frequencies_hz": (9.0, np.nan)}, "frequencies_hz must be one or more"),
+        ({"frequencies_hz": (9.0, 9.0)}, "must not repeat"),
+        ({"current_a": 0.0}, "current_a must be > 0"),
+        ({"current_a": np.inf}, "current_a must be > 0"),
+        ({"measurements_per_point": 0}, "measurements_per_point must be >= 1"),
+        ({"retries": -1}, "retries must be >= 0"),
+        ({"dwell_limit_s": -1.0}, "dwell_limit_s must be > 0"),
+    ],
+)
+def test_a_plan_that_cannot_work_is_refused(changes, message):
+    with pytest.raises(ConfigError, match=message):
+        sweep(**changes)
+
+
+def test_closed_loop_with_the_tracker_gives_the_curve():
+    """A campaign in small: the tracker's rows drive the sweep, the sweep's commands drive the (closed-form) rig."""
+    rate, block = 2000, 200
+    rng = np.random.default_rng(1)
+    one = sweep(direction=Direction.UP_DOWN)
+    tracker = Tracker(TrackerSettings(window_s=0.1))
+    tracker.configure(Table(0, info_rows(rate, gain_u=0.0)))
+    command = one.start(0)
+    records = {
+        frequency: list(blocks(steady_record(frequency, 8.0, rate_hz=rate, rng=rng), rate, block))
+        for frequency in POINTS
+    }
+    at = 0
+    while one.state is SweepState.RUNNING:
+        now = at * S // rate
+        if command:
+            tracker.on_applied(applied(command.frequency_hz, command.current_a, at_ns=now))
+            one.on_applied(command.frequency_hz, command.current_a, now)
+            current, played = records[command.frequency_hz], 0
+            command = None
+        findings = tracker.feed(Table(now, current[played % len(current)].rows))
+        played, at = played + 1, at + block
+        for table in findings.measurements:
+            command = one.on_measurement(table.rows[0], now) or command
+        command = one.on_time(now) or command
+    assert one.state is SweepState.FINISHED, one.reason
+    assert one.rows["frequency"].tolist() == [8.0, 9.0, 10.0, 10.0, 9.0, 8.0]
+    truth = np.abs(linear_transmissibility(one.rows["frequency"]))
+    assert np.all(np.abs(one.rows["transmissibility"] - truth) < 4 * one.rows["transmissibility_uncertainty"])
+    assert np.all(one.rows["settled"] == 1)

@@ -1,0 +1,68 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""The report of an imported measurement, or of a run, says what was measured and nothing else."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import pytest
+from kits.hostile_names import hostile_campaign
+
+from impact_rig.cli import main
+from impact_rig_studies.campaign import paper, run
+from impact_rig_studies.measured import _plain
+
+
+def text_of(page):
+    text = re.sub(r"<(svg|style)\b.*?</\1>", "", page.read_text(), flags=re.DOTALL)
+    return " ".join(re.sub(r"<[^>]*>", " ", text).split())
+
+
+def test_an_imported_campaign_is_reported_without_paper_and_nominal_rig(tmp_path):
+    directory = hostile_campaign(tmp_path / "campaign", "My rig, May 2026")
+    info = run.open_finished(directory).info.copy()
+    info["rate"] = 2048.0
+    (directory / run.CALIBRATION_FILE).write_text(json.dumps([_plain(row) for row in info]))
+    assert main(["report", str(directory)]) == 0
+    text = text_of(directory / "report.html")
+    assert text.startswith("My rig, May 2026")
+    for words in ("2048 scans/s", "Amplitude of the base 200 µm", "Amplitude of the structure 1 mm", "k = 2"):
+        assert words in text
+    for foreign in (
+        paper.TITLE,
+        "DOI",
+        "Seed",
+        "virtual",
+        "simulated",
+        "Fig.",
+        "10000 scans",
+        "520 mA",
+        "statement",
+        "fit",
+    ):
+        assert foreign not in text, foreign
+    figures = {path.stem for path in (directory / "figures").glob("*.png")}
+    assert figures == {"transmissibility"}
+    assert main(["report", str(directory), "--margins", str(directory)]) == 1
+
+
+@pytest.fixture(scope="module")
+def one_run(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("one") / "run"
+    options = ["--gap", "6mm", "--seconds", "30", "--rate", "2000", "--output", str(directory)]
+    assert main(["record", *options]) == 0
+    return directory
+
+
+def test_a_run_is_reported_with_result_uncertainty_and_conditions(one_run):
+    assert main(["report", str(one_run)]) == 0
+    text = text_of(one_run / "report.html")
+    facts = json.loads((one_run / "report.json").read_text())["facts"]
+    assert f"DT = {facts['budget_dt']:.3f} ± {facts['budget_expanded_uncertainty']:.3f}" in text
+    for words in ("coverage factor k = 2", "Effective degrees of freedom", "2000 scans/s", "gap 6 mm", "Conditions:"):
+        assert words in text
+    assert paper.TITLE not in text
+    figures = {path.stem for path in (one_run / "figures").glob("*.svg")}
+    assert figures == {"transmissibility", "time_traces", "spectrum"}

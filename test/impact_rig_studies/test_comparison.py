@@ -1,0 +1,144 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""A model driven by what was measured does what the measured rig did; where their constants differ, it shows."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from impact_rig.analysis.calibration import Calibration
+from impact_rig.analysis.scans import CHANNELS, CURRENT, LASER
+from impact_rig.cli.main import main
+from impact_rig.errors import ConfigError, RecordingError
+from impact_rig.recording import open_run
+from impact_rig.rig.config import RigConfig, dump, from_flat
+from impact_rig.testing import VirtualRig
+from impact_rig_studies.comparison import compare, undone
+from impact_rig_studies.importing.conversion import convert
+from impact_rig_studies.importing.mapping import Channel, Mapping
+from impact_rig_studies.importing.signals import Abscissa, AbscissaKind, ImportedSignals, Signal
+from impact_rig_studies.importing.store import write
+
+RATE_HZ = 2000
+LARGEST_OFF = 3.0
+"""Standard uncertainties, by chance once in 370."""
+
+
+def measured_rig(seconds: float, **values: object) -> VirtualRig:
+    rig = VirtualRig({"daq.rate_hz": RATE_HZ, "daq.block_scans": 200, **values})
+    rig.command(frequency_hz=9.1, current_a=0.52)
+    rig.run(seconds)
+    return rig
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Recorded runs with and without the sphere."""
+    folder = tmp_path_factory.mktemp("recorded")
+    return {
+        "sphere": measured_rig(14, **{"barriers.gap_m": 0.004}).save(folder / "sphere"),
+        "linear": measured_rig(20, **{"sphere.present": False}).save(folder / "linear"),
+    }
+
+
+@pytest.mark.parametrize("driven_by", ["current", "base"])
+@pytest.mark.parametrize("name", ["sphere", "linear"])
+def test_the_model_with_the_rigs_own_constants_does_what_the_rig_did(
+    recorded: dict[str, Path], name: str, driven_by: str
+) -> None:
+    """Time traces within what the sensors' gains are off, DT and phase within their uncertainty."""
+    with open_run(recorded[name]) as run:
+        found = compare(run, driven_by=driven_by, fits=False)
+    (place,) = found.places
+    assert place.model is not None
+    assert abs(place.off("transmissibility")) < LARGEST_OFF
+    assert abs(place.off("phase")) < LARGEST_OFF
+    assert np.std(found.residual) < 0.01 * np.std(found.excerpt.rows["laser"])
+
+
+def test_other_constants_show_and_better_ones_are_found(recorded: dict[str, Path]) -> None:
+    """A model whose resonance is 0.5 % higher is off by many u; the fit finds the resonance of the rig."""
+    known = from_flat(RigConfig(), {"structure.natural_frequency_hz": 9.15, "sphere.present": False})
+    with open_run(recorded["linear"]) as run:
+        found = compare(run, known)
+    (place,) = found.places
+    assert abs(place.off("transmissibility")) > 10
+    assert found.constants is not None
+    f_n = RigConfig().structure.natural_frequency_hz
+    assert abs(found.constants.value("f_n") - f_n) < LARGEST_OFF * found.constants.u("f_n") < 0.001 * f_n
+
+
+def test_a_record_that_begins_amid_the_motion_is_compared_and_one_with_a_gap_in_parts(tmp_path: Path) -> None:
+    """Imported: 12 s from the middle of a motion, without current; half a second is missing."""
+    rig = measured_rig(26, **{"sphere.present": False})
+    rows = rig.rows()[14 * RATE_HZ :]
+    time_s = np.arange(len(rows)) / RATE_HZ
+    there = (time_s < 0.3) | (time_s > 0.8)
+    times = Abscissa(AbscissaKind.TIME, "s", values=time_s[there])
+    signals = {name: Signal(rows[name][there], "m", times) for name in ("laser", "base")}
+    source = ImportedSignals(tmp_path / "own.csv", "text table", signals)
+    info = rig.tables("daq/info")[0].rows
+    channels = {
+        name: Channel(
+            column=name,
+            calibration={
+                key: float(info[info["name"] == name.encode()][0][key]) for key in ("lag", "skew", "lag_order")
+            }
+            | {"sensitivity_uncertainty": 0.005},
+        )
+        for name in ("laser", "base")
+    }
+    path = write(convert(source, Mapping(channels=channels, frequency=9.1, gap=0.0)), tmp_path / "run")
+    with open_run(path) as run:
+        found = compare(run, RigConfig())
+        with pytest.raises(ConfigError, match="current was not measured"):
+            compare(run, RigConfig(), "current")
+    assert found.driven_by == "base"
+    assert found.constants is None
+    (place,) = found.places
+    assert abs(place.off("transmissibility")) < LARGEST_OFF
+    assert abs(place.off("phase")) < LARGEST_OFF
+    assert np.std(found.residual) < 0.02 * np.std(found.excerpt.rows["laser"])
+
+
+def test_a_run_in_which_nothing_settled_is_refused(tmp_path: Path) -> None:
+    with (
+        open_run(measured_rig(0.5).save(tmp_path / "run")) as run,
+        pytest.raises(RecordingError, match="nothing settled"),
+    ):
+        compare(run)
+
+
+@pytest.mark.parametrize("channel", [LASER, CURRENT])
+def test_lag_and_skew_of_a_sensor_are_undone(channel: int) -> None:
+    """A sine as the sensor gives it becomes the true one, to its ends."""
+    calibration = Calibration.from_info(VirtualRig({"daq.rate_hz": RATE_HZ, "daq.block_scans": 200}).core.info().rows)
+    time_s = np.arange(3 * RATE_HZ) / RATE_HZ
+    true = np.exp(2j * np.pi * 9.1 * time_s)
+    read = (true * calibration.response(channel, 9.1)).real
+    assert np.abs(read - true.real).max() > 1e-4, CHANNELS[channel]
+    assert np.abs(undone(read, calibration, channel) - true.real)[RATE_HZ:-RATE_HZ].max() < 1e-4
+    assert np.abs(undone(read, calibration, channel) - true.real).max() < 0.05
+
+
+def test_the_command_tells_and_draws(
+    recorded: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model = tmp_path / "model.yaml"
+    model.write_text(dump(from_flat(RigConfig(), {"sphere.present": False})))
+    words = ["compare", str(recorded["linear"]), "--config", str(model), "--figure", str(tmp_path / "drawn")]
+    assert main([*words, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    (place,) = told["places"]
+    assert abs(place["transmissibility_off_u"]) < LARGEST_OFF
+    assert told["traces"]["residual_rms_m"] < 0.01 * told["traces"]["structure_rms_m"]
+    assert told["constants"]["f_n"]["determined"]
+    assert {one.suffix for one in (tmp_path / "drawn").iterdir()} == {".png", ".svg", ".csv"}
+    assert main([*words, "--no-fit"]) == 0
+    text = capsys.readouterr().out
+    assert "driven by the measured current" in text
+    assert "differs" not in text

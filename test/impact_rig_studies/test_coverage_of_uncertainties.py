@@ -1,0 +1,71 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""A slice of `qualification/coverage_of_uncertainties.py`: rows of the rig's instruments against the truth.
+
+And a place of `qualification/resting_places.py`.
+"""
+
+from __future__ import annotations
+
+import runpy
+from pathlib import Path
+
+import attrs
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from impact_rig.analysis.settings import TrackerSettings
+
+TOOLS = Path(__file__).parents[2] / "qualification"
+TOOL = runpy.run_path(str(TOOLS / "coverage_of_uncertainties.py"))
+PLACES = runpy.run_path(str(TOOLS / "resting_places.py"))
+SEEDS = range(1, 17)
+CHANCE = 1e-4
+
+
+def judged(case):
+    _, cells, refused = TOOL["judged"](case, SEEDS)
+    return {name: np.array([one.error / one.u for one in found]) for name, found in cells.items()}, refused
+
+
+@pytest.mark.parametrize("bits", [12, 16])
+@pytest.mark.repeats
+def test_reductions_are_off_by_what_they_state(bits):
+    """Scattered at 16 bits: a sum of (error/u)² is a chi-square. Bounded by the steps at 12: hardly one beyond 2u."""
+    case = next(case for case in TOOL["reduction_cases"]() if case.label == (f"{bits}",))
+    found, _ = judged(attrs.evolve(case, gaps_m=(0.0, 0.008, 0.002), span_s=14.0))  # time for two rows
+    assert set(found) == {(f"{bits}", gap, count) for gap in ("2", "8") for count in ("1", "2")}
+    low, high = chi2.ppf((CHANCE, 1.0 - CHANCE), len(SEEDS))
+    for name, off in found.items():
+        assert np.sum(off**2) < high, (name, off)
+        assert bits < 16 or np.sum(off**2) > low, (name, off)
+
+
+@pytest.mark.parametrize(
+    ("base_um", "bits", "noise", "measured"),
+    [("50", "12", "on", True), ("5", "16", "on", True), ("5", "16", "off", True), ("2", "12", "on", False)],
+)
+@pytest.mark.repeats
+def test_small_signals_are_covered_or_refused(base_um, bits, noise, measured):
+    """At 6 Hz x_1 is 1.8 times the base: 9 µm and less on a laser of 8 µm steps, 4 µm on a converter of 10."""
+    case = next(case for case in TOOL["small_cases"]((6.0,)) if case.label[1:] == (base_um, bits, noise))
+    found, refused = judged(case)
+    if not measured:
+        assert found == {}
+        assert set(refused) <= {"below_resolution", "constant", "no_signal", "silence", "too_uncertain"}
+        return
+    for name, off in found.items():
+        assert len(off) >= len(SEEDS) - 2
+        assert np.mean(np.abs(off) <= 2.0) >= 0.75, (name, off)
+
+
+def test_a_sphere_that_drifts_for_twenty_seconds_is_not_at_rest():
+    """At 18 mm, 10.85 Hz it leaves a wall at less than 1 mm/s and strikes again; who waits for 16 s is deceived."""
+    config = PLACES["configuration"](18.0)
+    (motion,) = PLACES["driven"](config, 10.85, 40.0)
+    struck, _ = PLACES["strikes"]([motion])
+    deceived = PLACES["ends_of_rest"](config, 10.85, motion, TrackerSettings(slowest_speed=1e-3))
+    assert deceived
+    assert struck.max() > deceived[-1]
+    assert PLACES["ends_of_rest"](config, 10.85, motion, TrackerSettings()) == []

@@ -1,0 +1,51 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""What DT with and without the sphere tells of it is what the impacts take from the structure, joule by joule."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from impact_rig import topics
+from impact_rig.analysis.calibration import Calibration
+from impact_rig.analysis.tracker import Tracker
+from impact_rig.rig.config import RigConfig
+from impact_rig.testing import VirtualRig
+from impact_rig_studies.reduction import damper
+
+FREQUENCY_HZ, CURRENT_A, SECONDS = 9.1, 0.52, 20.0
+
+
+def measured(parameters: dict[str, object]) -> tuple[NDArray[np.void], VirtualRig]:
+    """Return the last settled row of a rig, and the rig."""
+    rig = VirtualRig({"daq.rate_hz": 5000, "daq.block_scans": 500, **parameters})
+    rig.command(frequency_hz=FREQUENCY_HZ, current_a=CURRENT_A)
+    rig.run(SECONDS)
+    tracker = Tracker()
+    tracker.configure(rig.tables(topics.INFO.name)[0])
+    for table in rig.tables(topics.APPLIED.name):
+        tracker.on_applied(table)
+    rows = [row for scan in rig.tables() for table in tracker.feed(scan).measurements for row in table.rows]
+    return np.array([[row for row in rows if row["settled"]][-1]]), rig
+
+
+@pytest.mark.parametrize("gap_m", [0.004, 0.006])
+def test_the_loss_factor_is_the_energy_that_the_impacts_take(gap_m: float) -> None:
+    without, _ = measured({"sphere.present": False})
+    row, rig = measured({"barriers.gap_m": gap_m})
+    found = damper(without, row, Calibration.from_info(rig.tables(topics.INFO.name)[0].rows))
+    cycles = 40
+    end = rig.time_s
+    lost = sum(
+        float(table.rows["energy_lost"].sum())
+        for table in rig.tables(topics.IMPACTS_TRUTH.name)
+        if end - cycles / FREQUENCY_HZ < table.stamp_ns / 1e9 <= end
+    )
+    stored = 0.5 * RigConfig().structure.mass_kg * (2 * math.pi * FREQUENCY_HZ * float(row["laser_amplitude"][0])) ** 2
+    truth = lost / cycles / (2 * math.pi * stored)
+    assert abs(found.loss_factor - truth) <= 3 * found.u_loss_factor + 0.02 * truth
+    assert 0.0 < found.added_mass < 0.02

@@ -1,0 +1,73 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""`impact-rig analyze RUN --drop`: the drops that were noted with a run."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from kits.recorded_rig import Messages, note, record
+
+from impact_rig.cli import main
+from impact_rig.physics.contact import from_config
+from impact_rig.rig.config import RigConfig
+from impact_rig.testing import VirtualRig
+from impact_rig_studies.decay import Drop, parse_drop
+
+pytestmark = pytest.mark.ros  # runs carry the schemas of the messages
+
+TOPICS = ("daq/info", "shaker/applied", "daq/scan")
+RIG = {"sphere.present": False, "daq.rate_hz": 1000, "daq.block_scans": 100}
+
+
+def recorded(rig: VirtualRig) -> Messages:
+    found = [(topic, table) for topic in TOPICS for table in rig.tables(topic)]
+    return sorted(found, key=lambda one: one[1].stamp_ns)
+
+
+def test_drops_noted_with_a_run_give_the_restitution_of_the_law(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A sphere that falls from h0 comes back to e² h0, where e is what the law of the configuration returns."""
+    e = from_config(RigConfig().contact).realised_restitution()
+    rng = np.random.default_rng(1)
+    noted = [Drop(0.2 + 0.01 * k, round(e**2 * (0.2 + 0.01 * k) + 2e-4 * rng.standard_normal(), 5)) for k in range(8)]
+    rig = VirtualRig(RIG)
+    rig.run(seconds=1.0)
+    remarks = ["the sphere is new", *(drop.text() for drop in noted)]
+    path = record(tmp_path / "drops", [*recorded(rig), *(note(text, 10 * k) for k, text in enumerate(remarks))])
+    assert main(["analyze", str(path), "--drop", "0.2mm", "--figures", str(tmp_path)]) == 0
+    told = capsys.readouterr().out
+    value, u2 = map(float, re.search(r"e = ([0-9.]+) ± ([0-9.]+) \(2u\) from 8 drops", told).groups())  # type: ignore[union-attr]  # it is there
+    assert 0.0 < u2 < 0.01
+    assert value == pytest.approx(e, abs=1.5 * u2)
+    assert (tmp_path / "drop.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("remarks", "u", "words"),
+    [
+        (["nothing fell"], "1mm", "holds no remark on `notes` like 'drop h0_m=0.2 h1_m=0.0245'"),
+        ([], "1mm", "holds no remark"),
+        (["drop h0_m=0.2 h1_m=0.3"], "1mm", "its 1 drops give no restitution: no_fit"),
+    ],
+)
+def test_a_drop_test_that_is_none_says_so(
+    tmp_path: Path, remarks: list[str], u: str, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig = VirtualRig(RIG)
+    rig.run(seconds=0.5)
+    path = record(tmp_path / "none", [*recorded(rig), *(note(text, k) for k, text in enumerate(remarks))])
+    assert main(["analyze", str(path), f"--drop={u}"]) == 1
+    assert words in capsys.readouterr().err.replace("\n", " ")
+
+
+@pytest.mark.parametrize(
+    "remark", ["drop", "drop h0_m=1", "drop h0_m=e h1_m=-", "xdrop h0_m=1 h1_m=1", "drop h0_m=1 h1_m=1 x"]
+)
+def test_other_remarks_are_no_drops(remark: str) -> None:
+    assert parse_drop(remark) is None
+    assert parse_drop(f"  {Drop(0.1, 1e-3).text()} ") == Drop(0.1, 1e-3)

@@ -1,0 +1,653 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""The dynamics of the model against closed forms, published limits, the map's marching, and a rig over ROS."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from pathlib import Path
+
+import attrs
+import numpy as np
+import pytest
+from kits.masri_caughey import STABLE, UNSTABLE, orbit
+from kits.mechanics import TWO_PI, limit_case, sine
+from scipy.optimize import brentq
+
+from impact_rig.cli.main import main
+from impact_rig.errors import ConfigError, SimulationError
+from impact_rig.physics import Simulation
+from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig_studies.dynamics import exponent, orbits, plan
+from impact_rig_studies.dynamics.stroboscope import Place, Stroboscope
+from impact_rig_studies.maps.measure import MapRig, Settings
+from impact_rig_studies.prediction import LinearRig
+from qualification.prediction import job
+
+pytestmark = pytest.mark.heavy
+
+PLACE = Place(RigConfig(), 9.1, 0.52)
+
+
+def study(folder: Path, kind: str, text: str) -> list[dict[str, object]]:
+    """The rows of a study, by name."""
+    path = folder / "study.yaml"
+    path.write_text(text)
+    found = plan.load(path, kind)
+    return [
+        dict(zip(plan.COLUMNS[kind], row, strict=True)) for task in found.tasks for row in task.read(plan.run(task))
+    ]
+
+
+# Maps with known answers
+
+
+def standard(z: np.ndarray, e: float, gamma: float) -> np.ndarray:
+    """Holmes's map of a bouncing ball that flies high: (phase of the impact, speed after it), over the table's."""
+    phase = z[0] + z[1]
+    return np.array([phase, e * z[1] - gamma * math.cos(phase)])
+
+
+def test_a_high_bouncing_ball_doubles_its_period_where_holmes_says():
+    """P. J. Holmes (1982), J. Sound Vib. 84, 173–189: the orbit of one bounce in n periods is stable for
+
+    2πn (1 − e) < γ < 2 √(π²n² (1 − e)² + (1 + e)²): from a fold to a flip.
+    """
+    e, n = 0.8, 1
+    turns = np.array([TWO_PI * n, 0.0])
+
+    def ball(z: np.ndarray, gamma: float) -> np.ndarray:
+        return standard(z, e, gamma) - turns
+
+    fold, flip = TWO_PI * n * (1.0 - e), 2.0 * math.hypot(math.pi * n * (1.0 - e), 1.0 + e)
+    gamma = 1.5
+    start = orbits.orbit(ball, np.array([-math.acos(-fold / gamma), TWO_PI * n]) + 0.01, gamma)
+    assert start is not None
+    assert start.stable
+    arcs = [orbits.followed(ball, start, way, (0.5, 5.0)) for way in (-1.0, 1.0)]
+    found = {change.kind: change.orbit.p for arc in arcs for change in arc.changes}
+    assert found["fold"] == pytest.approx(fold, rel=1e-8)
+    assert found["flip"] == pytest.approx(flip, rel=1e-8)
+    assert {one.kind for one in arcs[0].orbits} == {"stable", "fold"}
+    assert arcs[1].orbits[-1].kind == "flip"
+
+
+@pytest.mark.parametrize("aside", [0.09, 0.12, 0.15])
+def test_an_orbit_that_the_last_round_finds_is_found(aside):
+    """At a fold Newton's method halves the distance in each round, and takes all of them from a little way off.
+
+    Once what the last round found was looked at no more, and thrown away.
+    """
+
+    def touching(z: np.ndarray, _p: float) -> np.ndarray:
+        return z - z * z
+
+    assert aside**2 / 4.0**orbits.ROUNDS < orbits.TOLERANCE < aside**2 / 4.0 ** (orbits.ROUNDS - 1)
+    found = orbits.orbit(touching, np.array([aside]), 0.0)
+    assert found is not None
+    assert found.residual < orbits.TOLERANCE
+
+
+@pytest.mark.parametrize("moves", [0, 1, 3])
+def test_a_branch_that_meets_itself_is_closed_in_whatever_coordinates(moves):
+    """A circle, whose coordinates are shifted on the way.
+
+    Once the first orbit was not: it was never met again, and the branch went round and round.
+    """
+    shift = 0.0
+
+    def circle(z: np.ndarray, p: float) -> np.ndarray:
+        return z - 0.3 * ((z - shift) ** 2 + p * p - 1.0)
+
+    def moved(points: list[tuple[np.ndarray, float]]) -> list[np.ndarray] | None:
+        nonlocal moves, shift
+        if not moves:
+            return None
+        moves, shift = moves - 1, shift + 0.7
+        return [z + 0.7 for z, _ in points]
+
+    start = orbits.orbit(circle, np.array([0.9]), 0.3)
+    arc = orbits.followed(circle, start, 1.0, (-2.0, 2.0), moved=moved)
+    assert arc.end == "closed"
+    assert [(change.kind, round(change.orbit.p, 6)) for change in arc.changes] == [("fold", 1.0), ("fold", -1.0)]
+
+
+@pytest.mark.parametrize("beyond", [1e-4, 0.02, 0.1])
+def test_a_branch_tells_of_a_change_just_before_the_end_of_the_range(beyond):
+    """The logistic map's flip at 3, in the last step up to the edge or before it.
+
+    Once the last step was taken for its end alone: a branch turned unstable there and said nothing.
+    """
+
+    def logistic(z: np.ndarray, p: float) -> np.ndarray:
+        return p * z * (1.0 - z)
+
+    start = orbits.orbit(logistic, np.array([0.6]), 2.5)
+    assert start is not None
+    arc = orbits.followed(logistic, start, 1.0, (2.0, 3.0 + beyond))
+    assert (arc.end, arc.orbits[-1].p, arc.orbits[-1].stable) == ("edge", 3.0 + beyond, False)
+    assert [(change.kind, round(change.orbit.p, 8)) for change in arc.changes] == [("flip", 3.0)]
+
+
+@attrs.frozen
+class Bouncer:
+    """A ball on a table under gravity, made of the rig itself: g is a slow acceleration of a soft structure.
+
+    Columns of 1/1,000 of the frequency stand so far from their rest that the superior base is accelerated by g, and
+    moves beside that with the amplitude that the base gives it. Two coordinates: height above the left wall, and rate.
+
+    Attributes:
+        e: restitution.
+        gamma: the table's largest acceleration over g.
+    """
+
+    e: float
+    gamma: float
+    omega = TWO_PI * 100.0
+    amplitude = 1e-3
+    soft = 1e-3
+
+    def __call__(self, z: np.ndarray, returns: int = 1) -> np.ndarray:
+        g, omega_n = self.amplitude * self.omega**2 / self.gamma, self.soft * self.omega
+        shape = 1.0 - 1.0 / self.soft**2
+        config = limit_case(
+            drive={"kind": "prescribed"}, contact={"law": "restitution", "restitution": self.e},
+            structure={"mass_kg": 1e6, "natural_frequency_hz": omega_n / TWO_PI, "damping_ratio": 1e-12},
+            barriers={"gap_m": 20.0},
+        )  # fmt: skip
+        simulation, state = Simulation(config), np.asarray(z) * [1.0, self.omega] * self.amplitude
+        segment = sine(self.omega / TWO_PI, -self.amplitude * shape, TWO_PI / self.omega)
+        for _ in range(returns):  # the structure begins each cycle where it did: its own motion is left out
+            whole = np.zeros(7)
+            whole[:2] = -g / omega_n**2, -self.amplitude * self.omega
+            whole[5:] = state[0] - 10.0, state[1]
+            simulation.set_state(whole)
+            simulation.advance(segment)
+            after = simulation.state()
+            if after is None:
+                return np.full(2, math.nan)
+            state = np.array([after[5] + 10.0, after[6]])
+        return state / [self.amplitude, self.amplitude * self.omega]
+
+
+def bounced(e: float, gamma: float) -> np.ndarray:
+    """Height and rate, over those of the table, at phase 0 of the orbit that bounces once a period."""
+    g, cosine = 1.0 / gamma, math.pi * (1.0 - e) / ((1.0 + e) * gamma)
+    phase = -math.acos(-cosine) % TWO_PI  # the table moves as −sin: up where its cosine is negative
+    late = TWO_PI - phase  # from the impact to phase 0
+    height = -math.sin(phase) + math.pi * g * late - 0.5 * g * late**2
+    return np.array([height, math.pi * g - g * late + 1.0])
+
+
+GAMMA_0 = math.pi * (1.0 - 0.5) / (1.0 + 0.5)
+
+
+def test_the_rig_as_a_bouncing_ball_doubles_its_period_where_luck_and_mehta_say():
+    """J. M. Luck & A. Mehta (1993), Phys. Rev. E 48, 3988: from Γ_0 = π(1 − e)/(1 + e) to
+
+    Γ² = Γ_0² + [2(1 + e²)/(1 + e)²]², exactly, for one bounce a period.
+    """
+    e = 0.5
+    wanted = math.hypot(GAMMA_0, 2.0 * (1.0 + e * e) / (1.0 + e) ** 2)
+
+    def ball(z: np.ndarray, gamma: float) -> np.ndarray:
+        return Bouncer(e, gamma)(z)
+
+    start = orbits.orbit(ball, bounced(e, 1.2), 1.2)
+    assert start is not None
+    assert start.stable
+    arc = orbits.followed(ball, start, 1.0, (1.0, 1.8), longest=0.2)
+    (flip,) = [change.orbit for change in arc.changes if change.kind == "flip"]
+    assert flip.p == pytest.approx(wanted, rel=1e-4)
+    assert np.prod(flip.multipliers).real == pytest.approx(e * e, rel=2e-3)  # each bounce takes so much of an area
+
+
+def test_the_rig_as_a_bouncing_ball_doubles_its_period_again_where_a_published_diagram_does():
+    """Tufillaro, Abbott & Reilly (1992), An Experimental Approach to Nonlinear Dynamics and Chaos, Fig. 1.16:
+
+    two bounces in two periods up to an amplitude of 0.0115 cm. Its ball returns half of its speed, its table moves with
+    60 Hz: inferred from the authors' other figures, as the text beside the diagram names neither. The exact map from
+    impact to impact, solved without the rig, doubles at Γ = 1.6671307.
+    """
+    e, g, omega = 0.5, 9.81, TWO_PI * 60.0
+
+    def twice(z: np.ndarray, gamma: float) -> np.ndarray:
+        return Bouncer(e, gamma)(z, 2)
+
+    start = orbits.orbit(twice, Bouncer(e, 1.6)(bounced(e, 1.5), 200), 1.6)
+    assert start is not None
+    assert start.stable
+    assert np.abs(Bouncer(e, 1.6)(start.z) - start.z).max() > 0.1  # it repeats after two periods, not after one
+    arc = orbits.followed(twice, start, 1.0, (1.5, 1.75), longest=0.05)
+    (flip,) = [change.orbit.p for change in arc.changes if change.kind == "flip"]
+    assert flip == pytest.approx(1.6671307, rel=1e-4)
+    assert flip * g / omega**2 == pytest.approx(0.0115e-2, rel=5e-3)
+
+
+def impact_map_exponent(e: float, gamma: float, bounces: int) -> float:
+    """The largest exponent per period from the exact impact map and its derivative, without the rig."""
+    g, t, v = 1.0 / gamma, 0.0, math.pi / gamma
+    vector, total, begin = np.array([1.0, 0.3]), 0.0, 0.0
+    for number in range(bounces):
+        if number == bounces // 10:
+            total, begin = 0.0, t
+
+        def above(tau: float, t: float = t, v: float = v) -> float:
+            return math.sin(t) + v * tau - 0.5 * g * tau * tau - math.sin(t + tau)
+
+        grid = np.geomspace(1e-7, 2.0 * abs(v) / g + 2.0 * math.sqrt(1.0 / g) + 1.0, 4000)
+        first = int(np.argmax(np.array([above(x) for x in grid]) < 0.0))
+        tau = brentq(above, grid[max(first - 1, 0)], grid[first], xtol=1e-14)
+        later, before = t + tau, v - g * tau
+        dt = -np.array([math.cos(t) - v + g * tau, tau]) / (before - math.cos(later))
+        dv = -(1.0 + e) * math.sin(later) * dt - e * (np.array([0.0, 1.0]) - g * (dt - np.array([1.0, 0.0])))
+        vector = np.array([dt @ vector, dv @ vector])
+        size = float(np.linalg.norm(vector))
+        total, vector = total + math.log(size), vector / size
+        t, v = later, (1.0 + e) * math.cos(later) - e * before
+    return total / ((t - begin) / TWO_PI)
+
+
+def test_the_exponents_of_a_bouncing_ball():
+    """Where the multipliers are a pair, the exponent is ln e: the area shrinks by e² a bounce, alike in both ways."""
+    e, gamma = 0.5, 1.2
+    found = exponent.largest(Bouncer(e, gamma), bounced(e, gamma), returns=60, windows=6)
+    assert found.value == pytest.approx(math.log(e), abs=5e-3)
+
+
+@pytest.mark.slow
+def test_the_exponent_of_a_chaotic_bouncing_ball_is_that_of_its_impact_map():
+    e, gamma = 0.9, 1.6  # no flight becomes so short that chatter begins
+    ball = Bouncer(e, gamma)
+    found = exponent.largest(ball, ball(np.array([5.0, 1.0]), 100), returns=150, windows=12)
+    assert found.value == pytest.approx(impact_map_exponent(e, gamma, 1500), abs=4.0 * found.uncertainty)
+    assert found.value > 5.0 * found.uncertainty
+
+
+# Two symmetric impacts per cycle
+
+
+@pytest.mark.parametrize("case", [*STABLE, UNSTABLE])
+def test_the_orbits_of_masri_and_caughey_their_multipliers_and_where_they_end(case):
+    o, config = orbit(case), case.config()
+    place, unit = Place(config, o.omega / TWO_PI, o.base_m), config.barriers.gap_m
+    strobe = Stroboscope(place, "gap_m", unit)
+    strobe.turn = (o.drive_phase / TWO_PI + 0.1) % 1.0
+    strobe.scale = np.array([1.0, o.omega, 1.0, o.omega]) * 2e-3
+    simulation = Simulation(config)
+    simulation.place(x_1=o.x, v_1=o.after, d=config.barriers.gap_m / 2.0, d_rate=-o.speed - o.after)
+    simulation.advance(sine(o.omega / TWO_PI, o.base_m, 0.1 * TWO_PI / o.omega, phase=o.drive_phase))
+    z = simulation.state()[[0, 1, 5, 6]] / strobe.scale
+    found = orbits.orbit(strobe, z, 1.0)
+    assert found is not None
+    assert np.abs(found.z - z).max() < 1e-8
+    assert abs(found.multipliers[0]) == pytest.approx(case.radius**2, abs=2e-3 * case.radius)
+    assert found.stable == (case in STABLE)
+    if case.gap > 1.0:
+        arc = orbits.followed(strobe, found, 1.0, (0.5, 50.0), moved=strobe.moved)
+        (fold,) = [change.orbit.p for change in arc.changes if change.kind == "fold"]
+        assert fold * unit == pytest.approx(o.widest_gap_m, rel=1e-6)
+
+
+@pytest.fixture(scope="module")
+def over_gap(tmp_path_factory) -> list[dict[str, object]]:
+    """The motion with two impacts per cycle at 9.1 Hz, over the gap, through its fold."""
+    text = "continue: {over: gap_m, from: 0.002, to: 0.036, at: [0.028], points: 120}"
+    return study(tmp_path_factory.mktemp("gap"), "continue", text)
+
+
+def event(rows, name):
+    return next(row for row in rows if row["event"] == name)
+
+
+def test_both_branches_are_the_slow_invariant_manifold(over_gap):
+    """Loss factor of the damper against (m/m_1)(8/π²) ρΘ²/ξ², on the stable and on the unstable side of the fold."""
+    rig = LinearRig.of(RigConfig())
+    sphere, m_1 = rig.sphere_kg, RigConfig().structure.mass_kg
+    seen = set()
+    for row in over_gap:
+        xi = 2.0 * row["superior_m"] / row["value"]
+        both = rig.manifold.kappa**2 + rig.manifold.rho**2
+        square = both * xi**2 - rig.manifold.rho**2
+        if row["event"] != "orbit" or square < 0.0 or row["impacts_per_cycle"] != 2.0:
+            continue
+        theta = (rig.manifold.kappa + np.array([1.0, -1.0]) * math.sqrt(square)) / both
+        losses = -rig.manifold.force(theta).imag * sphere / m_1
+        side = int(np.argmin(np.abs(losses - row["dt_loss_factor"])))
+        if abs(xi / rig.manifold.xi(rig.manifold.theta_fold) - 1.0) > 0.05:  # not at the fold, where all changes fast
+            assert row["dt_loss_factor"] == pytest.approx(losses[side], rel=0.02)
+            seen.add((side, bool(row["stable"])))
+    assert seen == {(0, True), (0, False), (1, False)}
+    widest = 2.0 * event(over_gap, "fold")["superior_m"] * rig.manifold.gap_per_amplitude_at_fold / 2.0
+    assert event(over_gap, "fold")["value"] == pytest.approx(widest, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("friction", "gap_m"), [(2.0, 0.006), (0.3, 0.1), (0.05, 0.2)], ids=["held", "held and sliding", "sliding"]
+)
+def test_an_orbit_of_a_sphere_that_only_rubs_is_what_the_motion_settles_to(friction, gap_m, tmp_path):
+    """No impacts, and yet it is no free sphere: held it is a mass more, sliding it damps.
+
+    Once every motion without impacts was taken for one of a free sphere, which rests: the orbit was another one.
+    """
+    rig = f"set: {{sphere.guide_friction: {friction}, barriers.gap_m: {gap_m}}}\n"
+    measure = "measure: {settle_tolerance: 1.0e-6, settle_cycles: 2000}\n"
+    (one,) = study(tmp_path, "orbit", f"{rig}{measure}orbit: {{}}")
+    settled = study(tmp_path, "bifurcation", f"{rig}{measure}bifurcation: {{over: frequency_hz, values: 9.1}}")[0]
+    assert (one["impacts_per_cycle"], one["event"]) == (0.0, "stable")
+    assert one["dt"] == pytest.approx(settled["dt"], rel=1e-6)
+    assert one["loss_factor"] == pytest.approx(one["dt_loss_factor"], rel=1e-5, abs=1e-12)
+    assert abs(one["imbalance_j"]) < 1e-9 * one["work_j"]
+
+
+def test_energy_per_cycle_closes_and_gives_the_loss_factor_of_dt(over_gap):
+    for row in over_gap:
+        assert abs(row["imbalance_j"]) <= 1e-8 * row["work_j"]
+        assert row["loss_factor"] == pytest.approx(row["dt_loss_factor"], rel=1e-3)
+
+
+def marched(place: Place, over: str, values: np.ndarray) -> float:
+    """The last of the values to which a motion, carried from one to the next, repeats with as many impacts."""
+    rig: MapRig | None = None
+    for value in values.tolist():
+        here = plan.at(place, over, value)
+        rig = rig or MapRig(here.config, Settings(settle_cycles=2400))
+        rig.carry(here.config)
+        reading = rig.measure(here.frequency_hz, here.amplitude)
+        kind = reading.period, reading.impacts_per_cycle
+        if value == values[0]:
+            first = kind
+        elif kind != first:
+            break
+        last = value
+    return last
+
+
+def test_a_section_of_a_motion_that_cannot_be_resolved_is_empty(tmp_path, monkeypatch):
+    """Once it was that of the first cycles from rest, for the rig had been reset."""
+    real, calls = Simulation.advance, []
+
+    def fail_first(self: Simulation, segments: np.ndarray) -> object:
+        calls.append(len(segments))
+        if len(calls) == 1:
+            raise SimulationError("stuck")
+        return real(self, segments)
+
+    monkeypatch.setattr(Simulation, "advance", fail_first)
+    assert study(tmp_path, "section", "section: {cycles: 3}") == []
+    assert len(calls) == 1
+
+
+TAKEN_ALONG = 1
+"""Cycles that are asked for at once after a motion that repeats in each cycle has settled."""
+
+
+@pytest.fixture
+def stuck(monkeypatch):
+    """Let the rig's first advance of so many cycles be one that cannot be resolved."""
+
+    def fail_once(cycles: int) -> None:
+        real, left = MapRig.advance, [cycles]
+
+        def advance(self: MapRig, frequency_hz: float, amplitude: float, count: int) -> object:
+            if count in left:
+                left.remove(count)
+                raise SimulationError("stuck")
+            return real(self, frequency_hz, amplitude, count)
+
+        monkeypatch.setattr(MapRig, "advance", advance)
+
+    return fail_once
+
+
+def test_a_value_that_cannot_be_resolved_after_it_has_settled_is_marked_and_the_others_go_on(stuck, tmp_path, capsys):
+    """Once the whole diagram ended with the error."""
+    stuck(TAKEN_ALONG)
+    path = tmp_path / "study.yaml"
+    path.write_text("bifurcation: {over: gap_m, values: [0.011, 0.0115, 0.012], direction: up}")
+    assert main(["dynamics", "bifurcation", str(path), "--output", str(tmp_path / "out"), "--no-figures"]) == 0
+    rows = list(csv.DictReader((tmp_path / "out" / "bifurcation.csv").read_text().splitlines()))
+    assert [(row["value"], row["regime"]) for row in rows] == [
+        ("0.011", "failed"), ("0.0115", "periodic"), ("0.012", "periodic"),
+    ]  # fmt: skip
+    assert json.loads((tmp_path / "out" / "bifurcation.json").read_text())["failed_rows"] == 1
+    assert "1 of 3 rows could not be resolved" in capsys.readouterr().out
+
+
+def test_a_start_that_cannot_be_resolved_is_marked_and_the_others_go_on(tmp_path, monkeypatch):
+    """Once the whole basin ended with the error."""
+    path = tmp_path / "study.yaml"
+    path.write_text("basin: {sphere_position_m: [-0.002, 0.001, 0.002], sphere_speed_m_s: 0.5}")
+    found = plan.load(path, "basin")
+    real, starts = MapRig.advance, []
+    monkeypatch.setattr(
+        MapRig, "reset", lambda self, sphere, reset=MapRig.reset: (starts.append(sphere), reset(self, sphere))
+    )
+
+    def advance(self: MapRig, *asked: float) -> object:
+        if starts[-1][0] == 0.001:
+            raise SimulationError("stuck")
+        return real(self, *asked)
+
+    monkeypatch.setattr(MapRig, "advance", advance)
+    (task,) = found.tasks
+    regimes = {row[0]: row[3] for row in task.read(plan.run(task))}
+    assert regimes == {-0.002: "periodic", 0.001: "failed", 0.002: "periodic"}
+
+
+def test_a_start_that_shows_no_attractor_leaves_the_others(stuck, tmp_path):
+    """Once a basin could not even be planned."""
+    stuck(TAKEN_ALONG)
+    rows = study(tmp_path, "basin", "basin: {sphere_position_m: [-0.002, 0.002], sphere_speed_m_s: 0.5}")
+    assert [(row["attractor"], row["regime"]) for row in rows] == [(0.0, "periodic")] * 2
+
+
+@pytest.mark.parametrize(("kind", "told"), [("section", []), ("orbit", []), ("exponent", ["failed"])])
+def test_a_motion_that_cannot_be_resolved_after_it_has_settled_leaves_the_other_tasks(kind, told, stuck, tmp_path):
+    """Once the whole study ended with the error."""
+    stuck(TAKEN_ALONG)
+    text = {"section": "{cycles: 1}", "orbit": "{starts: left}", "exponent": "{starts: left, cycles: 10, windows: 4}"}
+    assert [row["regime"] for row in study(tmp_path, kind, f"{kind}: {text[kind]}")] == told
+
+
+def test_marching_keeps_the_branch_until_it_changes_and_gives_its_dt(over_gap):
+    torus = event(over_gap, "torus")
+    last = marched(PLACE, "gap_m", np.arange(0.0300, 0.0311, 0.00001))
+    assert last == pytest.approx(torus["value"], rel=1e-3)
+    for gap in (0.013, 0.020, 0.027, 0.030):
+        config = from_flat(RigConfig(), {"barriers.gap_m": gap})
+        rig = MapRig(config, Settings(settle_tolerance=1e-9))
+        rig.reset()
+        reading = rig.measure(9.1, 0.52)
+        found = orbits.orbit(
+            strobe := Stroboscope(PLACE, "gap_m", 0.001), strobe.seen(rig, gap * 1e3, reading), gap * 1e3
+        )
+        assert found is not None
+        assert strobe.properties(found.z, found.p).dt == pytest.approx(reading.dt, rel=1e-6)
+
+
+def test_at_6_mm_four_impacts_per_cycle_are_an_island_between_two_folds(tmp_path):
+    rows = study(
+        tmp_path,
+        "continue",
+        "set: {barriers.gap_m: 0.006}\ncontinue: {over: frequency_hz, from: 8.5, to: 9.7, at: 9.1}",
+    )
+    assert event(rows, "closed")
+    low, high = sorted(row["value"] for row in rows if row["event"] == "fold")
+    place = Place(from_flat(RigConfig(), {"barriers.gap_m": 0.006}), 9.1, 0.52)
+    assert marched(place, "frequency_hz", np.arange(9.1, 9.3, 0.001)) == pytest.approx(high, rel=1e-3)
+    assert marched(place, "frequency_hz", np.arange(9.1, 8.8, -0.001)) == pytest.approx(low, rel=1e-3)
+
+
+@pytest.mark.parametrize(("gap", "stable", "period"), [(0.010, 0.00975, 2), (0.008, 0.00806, 3)])
+def test_marching_doubles_its_period_at_the_flip(gap, stable, period, tmp_path):
+    """Past a flip the square of what alternates grows in proportion: by marching alone it vanishes at the flip.
+
+    A map calls the motion doubled only where it alternates by more than `periodic_tolerance`: 0.9 % later for the
+    first, never for the second.
+    """
+    text = f"continue: {{over: gap_m, from: {0.5 * gap}, to: {1.02 * gap}, at: {gap}, points: 40}}"
+    flip = event(study(tmp_path, "continue", text), "flip")["value"]
+    rig = MapRig(from_flat(RigConfig(), {"barriers.gap_m": gap}), Settings())
+    rig.reset()
+    rig.measure(PLACE.frequency_hz, PLACE.amplitude)
+    gaps, squares = flip * (1.0 - np.array([0.001, 0.0015, 0.002])), []
+    for value in [stable, *gaps.tolist()]:
+        rig.carry(from_flat(RigConfig(), {"barriers.gap_m": value}))
+        motion = rig.advance(PLACE.frequency_hz, PLACE.amplitude, 2400 + 2 * period)
+        number = np.arange(motion.last_tick - 2 * period + 1, motion.last_tick + 1)
+        x_1 = motion.quantities(("x_1",), number, np.zeros(2 * period))[0]
+        squares.append(float(((x_1[:period] - x_1[period:]) ** 2).sum()))
+    assert squares[0] < 1e-6 * squares[1]
+    assert np.polyfit(squares[1:], gaps, 1)[1] == pytest.approx(flip, rel=1e-4)
+
+
+# Two motions at one place
+
+TWO_MOTIONS = ((9.1, 0.030), (9.1, 0.020), (9.1, 0.016), (9.0, 0.024), (9.2, 0.014))
+"""Frequency and gap where a sphere that rests at a wall comes to strike, and one in the middle never does."""
+
+
+@pytest.fixture(scope="module")
+def foretold(tmp_path_factory, request) -> dict[tuple[float, float], dict[str, float]]:
+    """DT by the place and where the sphere begins, from orbits; `basin` must find the same motions."""
+    folder, found = tmp_path_factory.mktemp("two"), {}
+    for frequency, gap in TWO_MOTIONS if request.config.getoption("--thorough") else TWO_MOTIONS[:2]:
+        text = (
+            f"frequency_hz: {frequency}\nset: {{barriers.gap_m: {gap}}}\n"
+            f"continue: {{over: gap_m, from: {0.999 * gap}, to: {1.001 * gap}, at: [{gap}], starts: [left, centre]}}\n"
+            f"basin: {{sphere_position_m: [{-0.49 * gap}, 0.0], sphere_speed_m_s: [0.0]}}\n"
+        )
+        rows = [row for row in study(folder, "continue", text) if row["event"] == "start"]
+        assert [row["stable"] for row in rows] == [1.0, 1.0]
+        by_start = dict(zip(("left", "centre"), (row["dt"] for row in rows), strict=True))
+        starts = {(row["sphere_position_m"], row["sphere_speed_m_s"]): row for row in study(folder, "basin", text)}
+        assert starts[(-0.49 * gap, 0.0)]["dt"] == pytest.approx(by_start["left"], rel=1e-3)
+        assert starts[(0.0, 0.0)]["dt"] == pytest.approx(by_start["centre"], rel=1e-3)
+        assert starts[(0.0, 0.0)]["impacts_per_cycle"] == 0.0
+        found[frequency, gap] = by_start
+    return found
+
+
+def test_basin_and_continue_find_both_motions(foretold):
+    for both in foretold.values():
+        assert both["centre"] > 1.1 * both["left"]
+
+
+@pytest.mark.ros
+@pytest.mark.pipeline
+@pytest.mark.timeout(500)
+def test_a_rig_over_ros_ends_in_the_motion_foretold(foretold, tmp_path, request):
+    from impact_rig_studies.apparatus import stepped_runner
+
+    places = TWO_MOTIONS if request.config.getoption("--thorough") else TWO_MOTIONS[:1]
+    jobs = [
+        attrs.evolve(job(frequency, gap), changes={"barriers.gap_m": gap, "sphere.start": start})
+        for frequency, gap in places
+        for start in ("left", "centre")
+    ]
+    for one, outcome in stepped_runner(tmp_path, record=False)(jobs):
+        wanted = foretold[one.frequencies_hz[0], one.gap_m][str(one.changes["sphere.start"])]
+        measured, doubt = outcome.rows["transmissibility"][0], outcome.rows["transmissibility_uncertainty"][0]
+        assert measured == pytest.approx(wanted, abs=max(4.0 * doubt, 5e-3 * wanted)), one
+
+
+# The command
+
+SMALL = """
+title: small
+set: {barriers.gap_m: 0.020}
+section: {cycles: 10}
+bifurcation: {over: gap_m, values: [0.019, 0.020, 0.021], direction: both, cycles: 8}
+basin: {sphere_position_m: [-0.009, 0.0], sphere_speed_m_s: [0.0, 0.4]}
+orbit: {starts: [left, right]}
+continue: {over: current_a, from: 0.4, to: 0.6, at: [0.45, 0.52], points: 3}
+exponent: {over: frequency_hz, values: [9.0, 9.1], cycles: 10, windows: 4}
+"""
+
+
+@pytest.mark.parametrize("kind", plan.KINDS)
+def test_what_was_interrupted_is_resumed_to_the_same_bytes(kind, tmp_path, capsys):
+    (tmp_path / "small.yaml").write_text(SMALL)
+    words = [
+        "dynamics",
+        kind,
+        str(tmp_path / "small.yaml"),
+        "--workers",
+        "1",
+        "--output",
+        str(tmp_path / "out"),
+        "--json",
+    ]
+
+    def contents() -> dict[str, bytes]:
+        files = [path for path in (tmp_path / "out").rglob("*") if path.is_file() and path.name != f"{kind}.json"]
+        return {str(path.relative_to(tmp_path)): path.read_bytes() for path in files}
+
+    assert main(words) == 0
+    told, whole = json.loads(capsys.readouterr().out), contents()
+    assert told["rows"] > 0
+    assert f"out/figures/dynamics_{kind}.svg" in whole
+    tasks = sorted((tmp_path / "out" / "tasks").iterdir())
+    assert len(tasks) == told["tasks"] == told["measured_tasks"]
+    for path in tasks[::2]:
+        path.unlink()
+    (tmp_path / "out" / f"{kind}.csv").unlink()
+    assert main(words) == 0
+    assert json.loads(capsys.readouterr().out)["measured_tasks"] == len(tasks[::2])
+    assert contents() == whole
+    with (tmp_path / "out" / f"{kind}.csv").open() as file:
+        assert len(list(csv.DictReader(file))) == told["rows"]
+
+
+def test_the_exponent_stands_beside_the_regime_in_a_map_that_asks(tmp_path, capsys):
+    text = "axes: {gap_m: [0.020, 0.031], sphere_position_m: [-0.0099, -0.005]}\n"
+    (tmp_path / "map.yaml").write_text(text)
+    words = ["map", str(tmp_path / "map.yaml"), "--workers", "1", "--no-figures", "--output", str(tmp_path / "out")]
+
+    def rows() -> list[dict[str, str]]:
+        with (tmp_path / "out" / "map.csv").open() as file:
+            return list(csv.DictReader(file))
+
+    assert main([*words, "--exponent", "--json"]) == 0
+    asked = rows()
+    assert json.loads(capsys.readouterr().out)["exponents"] == 1
+    (modulated,) = [row for row in asked if row["exponent_per_s"]]
+    assert {row["regime"] for row in asked if row is not modulated} == {"periodic"}
+    where = f"{{barriers.gap_m: {modulated['gap_m']}}}\nexponent: {{starts: [[{modulated['sphere_position_m']}, 0.0]]}}"
+    (alone,) = study(tmp_path, "exponent", f"set: {where}")
+    for name in ("regime", "exponent_per_s", "uncertainty_per_s"):
+        assert modulated[name] == str(alone[name])
+    assert main(words) == 0
+    names = ("exponent_per_s", "uncertainty_per_s")
+    assert rows() == [{name: cell for name, cell in row.items() if name not in names} for row in asked]
+    (tmp_path / "map.yaml").write_text("axes: {gap_m: [0.020, 0.031], current_a: [0.5, 0.52]}\ndirection: up\n")
+    assert main([*words[:-1], str(tmp_path / "up"), "--exponent"]) == 1
+    assert "direction must be reset" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "message"),
+    [
+        ("section", "title: x", "there is no section in the file"),
+        ("section", "section: {cycles: 0}", "section.cycles must be an integer >= 1"),
+        ("section", "section: {starts: [above]}", r"section.starts\[0\] must be one of left, centre, right"),
+        ("orbit", "orbit: {speed: 1}", "unknown key 'speed' in orbit"),
+        ("continue", "continue: {over: sphere.start, from: 1, to: 2, at: 1}", "or a number of the configuration"),
+        ("continue", "continue: {over: contact.law, from: 1, to: 2, at: 1}", "or a number of the configuration"),
+        ("continue", "continue: {from: 0.02, to: 0.01, at: 0.02}", "continue.to must be > 0.02"),
+        ("continue", "continue: {from: 0.01, to: 0.02, at: 0.03}", r"continue.at\[0\] must be"),
+        ("bifurcation", "bifurcation: {over: gap_m, values: [-1, 0.02]}", "barriers.gap_m must be"),
+        ("bifurcation", "bifurcation: {over: frequency_hz, values: [0, 9.1]}", r"bifurcation.values\[0\] must be > 0"),
+        ("exponent", "exponent: {over: current_a, values: [0.5, -0.5]}", r"exponent.values\[1\] must be > 0"),
+        ("basin", "basin: {sphere_position_m: [0.5], sphere_speed_m_s: [0, 1]}", r"basin.sphere_position_m\[0\]"),
+        ("exponent", "exponent: {over: gap_m, values: [0.02], windows: 1}", "exponent.windows must be"),
+        ("exponent", "set: {daq.seed: 1}\nexponent: {}", "means nothing to"),
+        ("orbit", "orbit: [", "not a YAML file"),
+    ],
+)
+def test_a_wrong_file_is_refused_by_name(kind, text, message, tmp_path):
+    with pytest.raises(ConfigError, match=message):
+        study(tmp_path, kind, text)

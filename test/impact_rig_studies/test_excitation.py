@@ -1,0 +1,266 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""What drives a rig through its stream reaches what was asked, and what it estimates is the closed form."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import attrs
+import numpy as np
+import pytest
+from kits.recorded_rig import record
+from scipy import signal
+
+from impact_rig.blocks import Table
+from impact_rig.client.hardware import Exchange, Hardware, InProcess
+from impact_rig.errors import CommandError, ConfigError, RecordingError
+from impact_rig.physics.linear import constants, input_vectors, state_matrix
+from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig_studies.excitation.files import history, load
+from impact_rig_studies.excitation.history import ReplicatePlan, replicate
+from impact_rig_studies.excitation.random import RandomPlan, control
+from impact_rig_studies.excitation.response import BURST, CHIRP, PSEUDO, Excitation, Response, measure
+from impact_rig_studies.excitation.shock import Pulse, half_sine_spectrum, shock, shock_response_spectrum
+
+pytestmark = pytest.mark.heavy
+
+X_B = 2
+RATE_HZ = 2_000
+
+
+def hardware(**values: object) -> Hardware:
+    """A rig in this process, by configuration values with `__` for the point."""
+    settings = {
+        "drive.waveform": "stream", "drive.stream_rate_hz": RATE_HZ,
+        "daq.rate_hz": RATE_HZ, "daq.block_scans": RATE_HZ // 2,  # long ones: a block costs as much as what is in it
+    }  # fmt: skip
+    given = {name.replace("__", "."): value for name, value in values.items()}
+    return Hardware(InProcess(Rig(from_flat(RigConfig(), settings | given))))
+
+
+def test_a_scan_belongs_to_the_sample_it_is_read_with():
+    linear = hardware(sphere__present=False, instruments__ideal=True, daq__block_scans=100)
+    exchange = Exchange(linear, 100)
+    samples = np.random.default_rng(1).uniform(-0.1, 0.1, 1_000)
+    parts = [exchange.exchange(part) for part in np.split(samples, 10)]
+    played, rows = (np.concatenate(one) for one in zip(*parts, strict=True))
+    assert np.array_equal(played, np.append(np.zeros(100), samples[:-100]))
+    assert np.abs(rows["current"] - played).max() < 1e-9
+    assert linear.acquisition.delay_s(0, 0) == 0.0
+
+
+def test_reading_what_nobody_plays_ends_in_time():
+    waiting = hardware(daq__block_scans=100)
+    waiting.acquisition.start(waiting.output.start())
+    waiting.output.write(np.zeros(150))
+    assert len(waiting.acquisition.read(100)) == 100
+    with pytest.raises(TimeoutError, match="200 scans"):
+        waiting.acquisition.read(200)
+    waiting.output.stop()
+    assert len(waiting.acquisition.read(200)) == 200
+
+
+@pytest.mark.parametrize("kind", [BURST, PSEUDO, CHIRP])
+def test_a_frequency_response_is_within_its_uncertainty_of_the_closed_form(kind):
+    rig = hardware(sphere__present=False)
+    *_, found = measure(rig, Excitation(kind=kind), "base")
+    lines = (found.coherence > 0.9) & (found.frequency_hz > 4.0) & (found.frequency_hz < 60.0)
+    assert np.count_nonzero(lines) > 400
+    off = (found.h1 / linear_response(rig, found.frequency_hz) - 1.0)[lines]
+    for part in (np.abs(1.0 + off) - 1.0, np.angle(1.0 + off)):
+        assert np.mean(np.abs(part) < 2.0 * found.u_relative[lines]) >= 0.95
+
+
+def test_with_the_sphere_it_is_a_linear_approximation_within_its_uncertainty_of_the_linear_rig():
+    """Where coherence is above 0.9: elsewhere the sphere is seen."""
+    rig = hardware()
+    *_, found = measure(rig, Excitation(), "base")
+    lines = (found.coherence > 0.9) & (found.frequency_hz > 4.0) & (found.frequency_hz < 60.0)
+    off = np.abs(found.h1 / linear_response(rig, found.frequency_hz))[lines] - 1.0
+    assert np.mean(np.abs(off) < 2.0 * found.u_relative[lines]) >= 0.95
+
+
+def test_random_error_without_calibration_covers_what_ideal_instruments_with_noise_only_show():
+    """Many frames of few lines: the scatter of the estimates themselves is what their uncertainty says."""
+    rig = hardware(sphere__present=False)
+    excitation = Excitation(frames=6, frame_s=4.0, low_hz=20.0)
+    estimates = [list(measure(rig, attrs.evolve(excitation, seed=seed), "base"))[-1] for seed in range(8)]
+    lines = (estimates[0].frequency_hz > 25.0) & (estimates[0].frequency_hz < 55.0)
+    spread = np.std([one.h1[lines].real for one in estimates], axis=0, ddof=1)
+    gain = 4e-3  # of the sensors: the same in all
+    told = np.mean([np.sqrt(np.maximum(one.u_relative[lines] ** 2 - gain**2, 0.0)) * np.abs(one.h1[lines])
+                    for one in estimates], axis=0)  # fmt: skip
+    assert 0.8 < np.sqrt(np.mean(spread**2) / np.mean(told**2)) < 1.05
+
+
+def linear_response(rig: Hardware, frequency_hz: np.ndarray) -> np.ndarray:
+    """Base over current in closed form."""
+    c = constants(rig.wire.rig.config)
+    matrix, b = state_matrix(c, "current", c.m_1), input_vectors(c, "current", c.m_1)[0]
+    return np.array([np.linalg.solve(2j * np.pi * f * np.eye(4) - matrix, b)[X_B] for f in frequency_hz])
+
+
+def test_random_control_holds_a_density_of_the_base_acceleration():
+    """Within 1 dB on 95 % of the lines from 5 to 200 Hz, by 60 averages; what is not is no distortion."""
+    *_, found = control(hardware(sphere__present=False), RandomPlan())
+    assert found.within(1.0) >= 0.95
+    assert found.kurtosis == pytest.approx(3.0, abs=0.3)
+    assert found.share(found.distortion) < 5e-3
+    assert found.loops[-1] < found.loops[0]
+
+
+def test_random_control_ends_when_the_shaker_trips_and_keeps_what_it_had():
+    rig = hardware(sphere__present=False, shaker__travel_limit_m=2e-4)
+    kept = []
+    with pytest.raises(CommandError, match="over_travel"):
+        kept.extend(control(rig, RandomPlan(averages=4)))
+    rig.output.stop()
+
+
+def test_a_reading_beyond_what_is_borne_ends_a_test():
+    rig = Hardware(hardware(sphere__present=False).wire, {"base": 1e-5})
+    with pytest.raises(CommandError, match=r"aborted: base .* beyond 1e-05 at scan"):
+        list(control(rig, RandomPlan(averages=4)))
+
+
+def test_the_shock_response_spectrum_of_a_half_sine_is_the_closed_form():
+    rate_hz, duration_s = 200_000, 11e-3
+    pulse = np.sin(np.pi * np.arange(round(duration_s * rate_hz) + 1) / (duration_s * rate_hz))
+    frequency = np.geomspace(5.0, 1_000.0, 60)
+    found = shock_response_spectrum(pulse, rate_hz, frequency, quality=1e9)
+    assert found == pytest.approx(half_sine_spectrum(1.0, duration_s, frequency), rel=0.01)
+
+
+def test_a_compensated_pulse_leaves_nothing_behind():
+    pulse, rate_hz = Pulse(), 10_000
+    acceleration, moved = pulse.acceleration(rate_hz), pulse.displacement(rate_hz)
+    assert acceleration.max() == pytest.approx(pulse.peak, rel=1e-3)
+    assert abs(acceleration.sum()) / rate_hz < 1e-12
+    assert abs(moved[-1]) < 1e-12 < np.abs(moved).max()
+
+
+@pytest.mark.parametrize(
+    ("response", "band", "rms", "sphere", "most"),
+    [
+        (Response.SUPERIOR, (6.0, 14.0), 1.5e-3, False, 0.02),
+        (Response.BASE, (6.0, 40.0), 3e-4, False, 0.01),
+        (Response.BASE, (6.0, 40.0), 3e-4, True, 0.02),
+    ],
+)
+def test_a_history_is_replicated(response, band, rms, sphere, most):
+    sections = signal.butter(4, band, "bandpass", fs=RATE_HZ, output="sos")
+    asked = signal.sosfilt(sections, np.random.default_rng(3).standard_normal(4 * RATE_HZ))
+    asked *= signal.windows.tukey(len(asked), 0.2)
+    asked *= rms / asked.std()
+    level = 0.15 if response is Response.SUPERIOR else 2.0
+    plan = ReplicatePlan(
+        response=response, identify_rms=level, high_hz=25.0 if response is Response.SUPERIOR else 150.0
+    )
+    *_, found = replicate(hardware(sphere__present=sphere), asked, plan)
+    assert len(found.errors) <= 6
+    assert found.relative(found.reached - asked) == pytest.approx(min(found.errors))
+    assert min(found.errors) <= most
+
+
+def test_the_base_makes_a_half_sine_and_comes_back_to_rest():
+    """By what really happened, not by the sensor: peak within 5 %, change of velocity within 2 %, displacement zero."""
+    pulse, rate_hz, truth = Pulse(), 10_000, []
+    settings = {"drive.waveform": "stream", "sphere.present": False, "output.truth_scan": True}
+    settings["daq.block_scans"] = 1_000
+
+    class Watched(InProcess):
+        def advance(self):
+            block = super().advance()
+            truth.append(block.truth.rows)
+            return block
+
+    *_, found = shock(Hardware(Watched(Rig(from_flat(RigConfig(), settings)))), pulse)
+    true = np.concatenate(truth)
+    asked = pulse.acceleration(rate_hz)
+    lead = found.followed.lead
+    begin = len(true) - len(found.followed.drive)
+    velocity = true["v_b"]
+    acceleration = np.gradient(velocity, 1.0 / rate_hz)
+    peak = begin + lead - 1_000 + int(np.argmax(acceleration[begin + lead - 1_000 : begin + lead + len(asked)]))
+    assert acceleration[peak] == pytest.approx(pulse.peak, rel=0.05)
+    on = slice(peak - 70, peak + 70)
+    wanted = np.ptp(np.cumsum(asked) / rate_hz)
+    assert np.ptp(velocity[on]) == pytest.approx(wanted, rel=0.02)
+    assert abs(true["x_b"][begin + lead + len(asked) + 500]) < 0.01 * np.abs(true["x_b"]).max()
+    assert abs(found.peak_error) < 0.05
+    assert abs(found.velocity_error) < 0.02
+    trial = acceleration[begin + lead - 50 : begin + lead + len(asked) + 500]
+    natural = np.geomspace(10.0, 250.0, 30)
+    ratio = shock_response_spectrum(trial, rate_hz, natural) / shock_response_spectrum(asked, rate_hz, natural)
+    assert np.abs(20.0 * np.log10(ratio)).max() < 1.0
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("peak: 20\nduraton_s: 0.01", r"unknown key duraton_s: did you mean duration_s\? \(.*plan.yaml\)"),
+        ("peak: -1", r"peak.*plan.yaml"),
+        ("peak: [1]", r"peak must be a number, got '\[1\]' \(.*plan.yaml\)"),
+        ("- 1", r"a mapping is needed"),
+    ],
+)
+def test_a_wrong_plan_is_refused_with_key_and_file(tmp_path, text, says):
+    file = tmp_path / "plan.yaml"
+    file.write_text(text)
+    with pytest.raises(ConfigError, match=says):
+        load(file, Pulse)
+
+
+def test_the_plans_that_come_along_are_the_defaults():
+    folder = Path(__file__).parents[2] / "config" / "excitation"
+    assert load(folder / "shock.yaml", Pulse) == Pulse()
+    assert load(folder / "random.yaml", RandomPlan) == RandomPlan()
+    assert load(folder / "replicate.yaml", ReplicatePlan) == ReplicatePlan()
+
+
+def test_a_history_of_any_file_is_in_si_units_at_the_rate_of_the_rig(tmp_path):
+    t = np.arange(2_500) / 1_250
+    wave = 3.0 * np.sin(2.0 * np.pi * 9.0 * t) * np.hanning(len(t))
+    np.savez(tmp_path / "a.npz", drive=wave, other=t, fs=1_250.0)
+    (tmp_path / "a.csv").write_text(
+        "time (s),drive (mA)\n" + "".join(f"{a:.9f},{1e3 * b:.9g}\n" for a, b in zip(t, wave, strict=True))
+    )
+    at = np.arange(4_000) / 2_000
+    exact = 3.0 * np.sin(2.0 * np.pi * 9.0 * at) * np.interp(at, t, np.hanning(len(t)))
+    for name in ("a.npz", "a.csv"):
+        found = history(tmp_path / name, 2_000, "A", "drive")
+        assert len(found) == 4_000
+        assert np.abs(found - exact)[100:-100].max() < 0.01
+    with pytest.raises(ConfigError, match="which signal"):
+        history(tmp_path / "a.npz", 2_000, "A")
+    with pytest.raises(ConfigError, match="'mA' is no unit of m"):
+        history(tmp_path / "a.csv", 2_000, "m", "drive")
+
+
+@pytest.mark.parametrize("file_hz", [3_000.0, 1.5e6, 7e6])
+def test_a_history_of_any_rate_keeps_its_length(tmp_path, file_hz):
+    """Down by more than a thousand it once took half as long again, or ended in an error of the resampling."""
+    np.savez(
+        tmp_path / "a.npz", drive=np.sin(2.0 * np.pi * 9.0 * np.arange(round(0.2 * file_hz)) / file_hz), fs=file_hz
+    )
+    found = history(tmp_path / "a.npz", 1_000, "A", "drive")
+    assert len(found) == 200
+    assert np.abs(found - np.sin(2.0 * np.pi * 9.0 * np.arange(200) / 1_000))[20:-20].max() < 0.01
+
+
+def test_a_run_with_a_gap_is_no_history(tmp_path):
+    """Its scans were once joined, and played more slowly by as much as was missing; one scan divided by no time."""
+    rig = Rig(from_flat(RigConfig(), {"daq.rate_hz": 2_000, "daq.block_scans": 20}))
+    scans = [("daq/scan", block.scan) for block in rig.advance(2_000_000_000)]
+    whole = [("daq/info", rig.info()), *scans]
+    record(tmp_path / "whole", whole)
+    assert len(history(tmp_path / "whole", 2_000, "A")) == 4_000
+    record(tmp_path / "holed", whole[:50] + whole[51:])
+    with pytest.raises(RecordingError, match="without a gap"):
+        history(tmp_path / "holed", 2_000, "A")
+    one = [("daq/scan", Table(table.stamp_ns, table.rows[:1])) for _, table in scans[:1]]
+    record(tmp_path / "one", [*whole[:1], *one])
+    with pytest.raises(RecordingError, match="1 scans in 0 s"):
+        history(tmp_path / "one", 2_000, "A")

@@ -1,0 +1,586 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Readers of files of other programs: every notation gives the right signals, or a refusal with its true reason."""
+
+from __future__ import annotations
+
+import datetime as dt
+import gc
+import io
+import itertools
+import os
+import struct
+import warnings
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from impact_rig.errors import ImpactRigError
+from impact_rig_studies.importing import headings, readers
+from impact_rig_studies.importing.readers import delimited, labview, universal, wav
+from impact_rig_studies.importing.signals import AbscissaKind, ImportedSignals, SignalKind
+from impact_rig_studies.importing.uniform import likely_rate
+from impact_rig_studies.importing.units import Sensitivity, doubt, quantity, unit_factor
+
+COUNT, RATE_HZ = 60, 125
+TIME_S = np.arange(COUNT) / RATE_HZ
+BASE, LASER = 0.1 * np.sin(2 * np.pi * 9.1 * TIME_S), np.sin(2 * np.pi * 9.1 * TIME_S - 0.7)
+PATH = Path("own.csv")
+
+
+def text_table(content: bytes | str) -> ImportedSignals:
+    return delimited.read(PATH, content.encode() if isinstance(content, str) else content)
+
+
+def since_start(found: ImportedSignals) -> Any:
+    assert found.time_s is not None
+    return found.time_s
+
+
+# --- text tables: decimal sign × separator × code page × times
+
+BEGIN = dt.datetime(2024, 5, 13, 23, 59, 59, 900_000)
+
+
+def stamps(form: str) -> Callable[[float], str]:
+    def show(seconds: float) -> str:
+        at = BEGIN + dt.timedelta(microseconds=round(seconds * 1e6))
+        return at.strftime(form).replace("%L", f"{at.microsecond // 1000:03d}")
+
+    return show
+
+
+TIMES: dict[str, tuple[str, Callable[[float], str]]] = {
+    "s": ("time [s]", lambda t: f"{t:.3f}"),
+    "ms": ("Time (msec)", lambda t: f"{1e3 * t:.0f}"),
+    "us": ("t_us", lambda t: f"{1e6 * t:.0f}"),
+    "german": ("Zeit in ms", lambda t: f"{1e3 * t:.1f}"),
+    "ISO": ("Timestamp", stamps("%Y-%m-%dT%H:%M:%S.%f")),
+    "ISO with zone": ("Timestamp", lambda t: stamps("%Y-%m-%d %H:%M:%S.%f")(t) + "+02:00"),
+    "day first": ("Datum", stamps("%d.%m.%Y %H:%M:%S.%L")),
+    "month first": ("Date/Time", stamps("%m/%d/%Y %I:%M:%S.%f %p")),
+    "clock": ("Uhrzeit", stamps("%H:%M:%S.%L")),
+    "Excel": ("Date", lambda t: f"{45425 + (86399.9 + t) / 86400:.11f}"),
+}
+ENCODINGS = ("utf-8", "utf-8-sig", "cp1252", "utf-16")
+
+
+@pytest.mark.parametrize("times", TIMES)
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize(
+    ("separator", "decimal"), [(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ","), ("|", ".")]
+)
+def test_text_tables_of_any_locale(separator: str, decimal: str, encoding: str, times: str) -> None:
+    """240 variants: six pairs of signs, four code pages, ten notations of time."""
+    heading, show = TIMES[times]
+    rows = [separator.join((heading, "base [µm]", "laser [mm]"))]
+    for t, x_b, x_1 in zip(TIME_S, BASE, LASER, strict=True):
+        numbers = [f"{1e3 * x_b:.3f}", f"{x_1:.4f}"]
+        stamp = show(t) if ":" in show(t) else show(t).replace(".", decimal)
+        rows.append(separator.join((stamp, *(number.replace(".", decimal) for number in numbers))))
+    found = text_table("\r\n".join([*rows, ""]).encode(encoding))
+    assert list(found.signals) == ["base", "laser"]
+    assert [one.unit for one in found.signals.values()] == ["µm", "mm"]
+    assert found.signals["base"].values == pytest.approx(1e3 * BASE, abs=6e-4)
+    assert found.signals["laser"].values == pytest.approx(LASER, abs=6e-5)
+    assert since_start(found) == pytest.approx(TIME_S, abs=6e-4 if times == "Excel" else 1e-9)
+    dated = times in ("ISO", "ISO with zone", "day first", "month first", "Excel")
+    offset_h = 2 if times == "ISO with zone" else 0
+    expected = (BEGIN - dt.timedelta(hours=offset_h)).replace(tzinfo=dt.UTC).timestamp()
+    assert (found.start_ns is not None) == dated
+    if found.start_ns is not None:
+        assert found.start_ns / 1e9 == pytest.approx(expected, abs=1e-3)
+
+
+def rows_of(head: str, separator: str = ",") -> str:
+    lines = (separator.join((f"{t:.3f}", f"{a:.4f}", f"{b:.4f}")) for t, a, b in zip(TIME_S, BASE, LASER, strict=True))
+    return "\n".join([*([head] if head else []), *lines]) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("head", "names", "units"),
+    [
+        ("time,base,laser\ns,mm,mm", ["base", "laser"], ["mm", "mm"]),
+        ("time,base,laser\n[s],[mm],[g]", ["base", "laser"], ["mm", "g"]),
+        ("s,mm,m/s2\ntime,base,acc", ["base", "acc"], ["mm", "m/s2"]),
+        ("Test 4\nOperator: ab\n\ntime [s],base (mm),acc (m/(s^2))", ["base", "acc"], ["mm", "m/(s^2)"]),
+        ("# time,base [mm],laser [mm]", ["base", "laser"], ["mm", "mm"]),
+        ("Zeit / s,Weg / mm,Beschl. / g", ["Weg", "Beschl."], ["mm", "g"]),
+        ("Zeit in s,Weg in mm,Kraft in N", ["Weg", "Kraft"], ["mm", "N"]),
+        ("Channel,base,laser\nUnit,mm,µm\ntime,x,y", ["x", "y"], ["mm", "µm"]),
+        ("time_s,x1_mm,xb_um", ["x1_mm", "xb_um"], ["mm", "um"]),
+        ('"time [s]","base, raw","laser [mm]"', ["base", "laser"], ["raw", "mm"]),
+        ("time,base (raw),laser", ["base", "laser"], ["raw", ""]),
+        ("time [s],x/s,a_1", ["x/s", "a_1"], ["", ""]),
+    ],
+)
+def test_headings_and_units(head: str, names: list[str], units: list[str]) -> None:
+    found = text_table(rows_of(head))
+    assert [list(found.signals), [one.unit for one in found.signals.values()]] == [names, units]
+    assert since_start(found) == pytest.approx(TIME_S)
+
+
+@pytest.mark.parametrize("cell", ["1.#QNAN", "-1.#IND", "NaN", "", "#N/A", "#DIV/0!", "n/a", "--", "1.#SNAN", "NULL"])
+def test_what_stands_for_no_number_is_none(cell: str) -> None:
+    """A `#` inside a cell once began a comment: 1.#QNAN was read as 1.0."""
+    lines = rows_of("time [s],base [mm],laser [mm]").splitlines()
+    lines[20] = f"0.152,{cell},0.5"
+    found = text_table("\n".join(lines))
+    assert np.flatnonzero(np.isnan(found.signals["base"].values)).tolist() == [19]
+    assert found.signals["laser"].values[19] == 0.5
+
+
+@pytest.mark.parametrize("cell", ["1.#INF", "inf", "-Infinity", "-1.#INF"])
+def test_infinity_is_no_finite_number(cell: str) -> None:
+    lines = rows_of("time [s],base [mm],laser [mm]").splitlines()
+    lines[20] = f"0.152,{cell},0.5"
+    value = text_table("\n".join(lines)).signals["base"].values[19]
+    assert value == (-np.inf if cell.startswith("-") else np.inf)
+
+
+@pytest.mark.parametrize(
+    ("cell", "value"),
+    [
+        ("1.5D-03", 1.5e-3), ("−2.5", -2.5), ("+.5", 0.5), ("1e3", 1000.0), (' "2.25" ', 2.25),
+        ("1'234.5", 1234.5), ("1\u202f234.5", 1234.5),
+    ],
+)  # fmt: skip
+def test_notations_of_numbers(cell: str, value: float) -> None:
+    lines = rows_of("time [s];base [mm];laser [mm]", ";").splitlines()
+    lines[20] = f"0.152;{cell};0.5"
+    assert text_table("\n".join(lines)).signals["base"].values[19] == pytest.approx(value, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("cell", "why"), [("abc", "'abc' is no number"), ("1_000", "'1_000' is no number"), ("0x10", "'0x10' is no number")]
+)
+def test_a_word_among_numbers_is_named_with_its_line(cell: str, why: str) -> None:
+    lines = rows_of("time [s],base [mm],laser [mm]").splitlines()
+    lines[20] = f"0.152,{cell},0.5"
+    with pytest.raises(ImpactRigError, match=f"line 21, column 2: {why}"):
+        text_table("\n".join(lines))
+
+
+@pytest.mark.parametrize(
+    "last", ["Rate 125, overflows 0", "End of data", "# 3 overflows", "0.480,0.1", "Mean,0.1,0.2,0.3"]
+)
+def test_lines_after_the_table_are_left_out_and_named(last: str) -> None:
+    found = text_table(rows_of("time [s],base [mm],laser [mm]") + last + "\n\n")
+    assert len(found.signals["base"].values) == COUNT
+    assert list(found.left_out) == ["line 62 and after"]
+
+
+def test_a_table_without_headings_keeps_its_first_row() -> None:
+    lines = [
+        f"{stamps('%Y-%m-%dT%H:%M:%S.%f')(t)},{a:.3f},{b:.3f}" for t, a, b in zip(TIME_S, BASE, LASER, strict=True)
+    ]
+    found = text_table("\n".join(lines))
+    assert list(found.signals) == ["column_1", "column_2"]
+    assert len(found.signals["column_1"].values) == COUNT
+    assert since_start(found) == pytest.approx(TIME_S)
+
+
+@pytest.mark.parametrize(
+    ("head", "rate_hz"),
+    [
+        ("Sample rate: 51200 Hz\nbase,laser,x", 51200.0), ("Sampling frequency;12,8 kHz\nbase,laser,x", 12800.0),
+        ("fs=1000\nbase,laser,x", 1000.0), ("Delta_X 0.008 s\nbase,laser,x", 125.0), ("dt: 2 ms\nbase,laser,x", 500.0),
+        ("Abtastrate 200\nbase,laser,x", 200.0),
+    ],
+)  # fmt: skip
+def test_a_rate_in_the_lines_above_a_table(head: str, rate_hz: float) -> None:
+    found = text_table(rows_of(head))
+    assert found.signals["base"].rate_hz == pytest.approx(rate_hz)
+
+
+def test_separate_columns_of_date_and_time_are_one() -> None:
+    at = [BEGIN + dt.timedelta(seconds=float(t)) for t in TIME_S]
+    lines = ["Date,Time,base [mm]", *(f"{one:%d.%m.%Y},{one:%H:%M:%S.%f},{k}" for k, one in enumerate(at))]
+    found = text_table("\n".join(lines))
+    assert list(found.signals) == ["base"]
+    assert since_start(found) == pytest.approx(TIME_S)
+
+
+def test_an_unknown_unit_of_time_is_not_seconds() -> None:
+    found = text_table(rows_of("time [ticks],base [mm],laser [mm]"))
+    abscissa = found.signals["base"].abscissa
+    assert (abscissa.kind, abscissa.unit) == (AbscissaKind.OTHER, "ticks")
+
+
+def test_a_table_over_frequency_is_a_spectrum() -> None:
+    lines = ["Frequency [Hz],base [mm]", *(f"{0.5 * k},{k}" for k in range(40))]
+    one = text_table("\n".join(lines)).signals["base"]
+    assert (one.kind, one.abscissa.kind) == (SignalKind.SPECTRUM, AbscissaKind.FREQUENCY)
+
+
+@pytest.mark.parametrize("size", [1_000, 3_000_000])
+@pytest.mark.parametrize("text", ["base (", "base [(", "x" * 10 + "((", "sampling rate ", "1:1:1:", '"', "µ ", "1,1."])
+def test_a_long_heading_costs_time_in_proportion_to_its_length(text: str, size: int) -> None:
+    """A quadratic expression once took hours; the test ends by the limit of the suite if one is back."""
+    long = (text + "a" * 50) * (size // (len(text) + 50))
+    headings.split_unit(long)
+    headings.is_time_name(long)
+    headings.stated_rate([long])
+    try:
+        text_table(f"{long}\n1,2\n3,4\n")
+    except ImpactRigError:
+        return
+
+
+def test_many_columns_are_refused_before_they_are_read(tmp_path: Path) -> None:
+    (tmp_path / "wide.csv").write_text("\n".join([",".join(["1.5"] * 200_000)] * 4), encoding="ascii")
+    with pytest.raises(ImpactRigError, match="200000 columns in a file, more than 4096"):
+        readers.read(tmp_path / "wide.csv")
+
+
+# --- LabVIEW
+
+
+@pytest.mark.parametrize(("separator", "decimal"), [("Tab", "."), ("Tab", ","), ("Comma", ".")])
+@pytest.mark.parametrize("x_columns", ["One", "Multi", "No"])
+@pytest.mark.parametrize("segments", [1, 2])
+@pytest.mark.parametrize("unit", ["mm", "g"])
+def test_labview_measurement_files(separator: str, decimal: str, x_columns: str, segments: int, unit: str) -> None:
+    """36 variants of the format."""
+    sign = "\t" if separator == "Tab" else ","
+
+    def number(value: float) -> str:
+        return f"{value:.6f}".replace(".", decimal)
+
+    lines = [
+        "LabVIEW Measurement", f"Writer_Version{sign}2", f"Separator{sign}{separator}",
+        f"Decimal_Separator{sign}{decimal}", f"X_Columns{sign}{x_columns}", "***End_of_Header***", "",
+    ]  # fmt: skip
+    for part in range(segments):
+        begin = part * COUNT // segments
+        end = (part + 1) * COUNT // segments
+        lines += [
+            f"Channels{sign}2", f"Samples{sign}{end - begin}{sign}{end - begin}",
+            f"Y_Unit_Label{sign}{unit}{sign}{unit}",
+            f"X_Dimension{sign}Time{sign}Time", f"X0{sign}{number(begin / RATE_HZ)}{sign}{number(begin / RATE_HZ)}",
+            f"Delta_X{sign}{number(1 / RATE_HZ)}{sign}{number(1 / RATE_HZ)}", "***End_of_Header***",
+        ]  # fmt: skip
+        multi = x_columns == "Multi"
+        lines.append(sign.join(["X_Value", "base", *(["X_Value"] if multi else []), "laser", "Comment"]))
+        for k in range(begin, end):
+            x = "" if x_columns == "No" else number(TIME_S[k])
+            lines.append(sign.join([x, number(BASE[k]), *([x] if multi else []), number(LASER[k])]))
+    found = labview.read_lines(PATH, lines)
+    assert list(found.signals) == ["base", "laser"]
+    for one, values in zip(found.signals.values(), (BASE, LASER), strict=True):
+        assert one.unit == unit
+        assert one.rate_hz == pytest.approx(RATE_HZ)
+        assert one.values == pytest.approx(values, abs=1e-6)
+
+
+# --- universal files
+
+
+def uff(tmp_path: Path, **changes: Any) -> bytes:
+    pyuff = pytest.importorskip("pyuff")
+    one = {
+        "type": 58, "binary": 0, "func_type": 1, "data": BASE, "x": TIME_S, "abscissa_spacing": 1, "id1": "base",
+        "id2": "", "rsp_node": 1, "rsp_dir": 1, "ref_node": 1, "ref_dir": 1, "rsp_ent_name": "base",
+        "ref_ent_name": "none", "abscissa_inc": 1 / RATE_HZ, "abscissa_min": 0.0, "abscissa_spec_data_type": 17,
+        "abscissa_axis_units_lab": "s", "ordinate_spec_data_type": 8, "ordinate_axis_units_lab": "mm",
+        "orddenom_spec_data_type": 0,
+    }  # fmt: skip
+    (tmp_path / "own.uff").unlink(missing_ok=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        pyuff.UFF(str(tmp_path / "own.uff")).write_sets([one | changes], "add")
+        gc.collect()  # pyuff leaves files to the garbage collection
+    return (tmp_path / "own.uff").read_bytes()
+
+
+def read_uff(tmp_path: Path, content: bytes) -> ImportedSignals:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return universal.read(tmp_path / "own.uff", content, pytest.importorskip("pyuff"))
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("min", 60.0), ("NONE", 1.0)])
+@pytest.mark.parametrize("spacing", [0, 1])
+@pytest.mark.parametrize("binary", [0, 1])
+def test_abscissas_of_universal_files(tmp_path: Path, unit: str, factor: float, spacing: int, binary: int) -> None:
+    """20 variants."""
+    changes = {
+        "abscissa_axis_units_lab": unit, "abscissa_spacing": spacing, "binary": binary, "x": TIME_S / factor,
+        "abscissa_inc": 1 / RATE_HZ / factor,
+    }  # fmt: skip
+    one = read_uff(tmp_path, uff(tmp_path, **changes)).signals["base"]
+    assert one.abscissa.is_even == bool(spacing)
+    rate = one.rate_hz if spacing else 1.0 / np.median(np.diff(one.time_s))
+    assert rate == pytest.approx(RATE_HZ, rel=1e-4)
+
+
+@pytest.mark.parametrize("function", range(29))
+@pytest.mark.parametrize(("quantity_code", "unit"), [(17, "s"), (18, "Hz"), (9, "N")])
+def test_only_functions_of_time_are_time_responses(
+    tmp_path: Path, function: int, quantity_code: int, unit: str
+) -> None:
+    """87 variants: a spectrum over Hz was once imported as so many seconds."""
+    content = uff(tmp_path, abscissa_spec_data_type=quantity_code, abscissa_axis_units_lab=unit)
+    lines = content.split(b"\n")
+    lines[7] = f"{function:5d}".encode() + lines[7][5:]  # pyuff writes some types only
+    content = b"\n".join(lines)
+    if function in (0, 1) and quantity_code == 17:
+        assert list(read_uff(tmp_path, content).signals) == ["base"]
+    else:
+        with pytest.raises(ImpactRigError, match=r"no time response .*: dataset 1 \(base\): (a|no) "):
+            read_uff(tmp_path, content)
+
+
+def test_a_universal_file_that_is_cut_off_says_so(tmp_path: Path) -> None:
+    with pytest.raises(ImpactRigError, match="no complete universal file"):
+        read_uff(tmp_path, uff(tmp_path)[:700])
+
+
+# --- rates
+
+
+@pytest.mark.parametrize("divisor", range(1, 32))
+def test_rates_of_divided_clocks_are_exact(divisor: int) -> None:
+    """Increments of six digits, as universal files print them."""
+    step = float(f"{divisor / 51200:.5e}")
+    uncertainty = 0.51e-5 * 10.0 ** np.floor(np.log10(step)) / step**2
+    assert likely_rate(1.0 / step, uncertainty) in (51200 / divisor, round(51200 / divisor))
+
+
+# --- WAV
+
+
+def wav_file(values: np.ndarray, width: int, *, floating: bool = False, claimed: int | None = None) -> bytes:
+    """Return a WAV file of values from -1 to 1, shape (n, channels)."""
+    count, channels = values.shape
+    if floating:
+        data = values.astype(f"<f{width}").tobytes()
+    elif width == 1:
+        data = np.round(values * 127 + 128).astype(np.uint8).tobytes()
+    else:
+        whole = np.round(values * (2.0 ** (8 * width - 1) - 2.0 ** max(0, 8 * width - 54))).astype("<i8")
+        data = whole.reshape(-1, 1).view(np.uint8).reshape(-1, 8)[:, :width].tobytes()
+    block = width * channels
+    form = struct.pack("<HHIIHH", 3 if floating else 1, channels, RATE_HZ, RATE_HZ * block, block, 8 * width)
+    size = len(data) if claimed is None else claimed * block
+    body = b"WAVEfmt " + struct.pack("<I", len(form)) + form + b"data" + struct.pack("<I", size) + data
+    del count
+    return b"RIFF" + struct.pack("<I", len(body)) + body
+
+
+@pytest.mark.parametrize("channels", [1, 2, 3])
+@pytest.mark.parametrize(("width", "floating"), [*((width, False) for width in range(1, 9)), (4, True), (8, True)])
+def test_samples_of_every_width_are_parts_of_full_scale(width: int, floating: bool, channels: int) -> None:
+    """30 variants; 36 to 64 bits once came out as 1e17."""
+    values = np.stack([0.5 * LASER, 0.5 * BASE, 0.9 * LASER][:channels], axis=1)
+    found = wav.read(PATH, wav_file(values, width, floating=floating))
+    tolerance = (1e-7 if width == 4 else 1e-15) if floating else 2.0 / 2 ** (8 * width - 1) + 1e-15
+    for j in range(channels):
+        assert found.signals[f"channel_{j}"].values == pytest.approx(values[:, j], abs=tolerance)
+        assert found.signals[f"channel_{j}"].rate_hz == RATE_HZ
+
+
+def test_a_wav_file_shorter_than_its_header_says_so() -> None:
+    found = wav.read(PATH, wav_file(np.stack([BASE, LASER], axis=1), 2, claimed=90))
+    assert len(found.signals["channel_0"].values) == COUNT
+    assert found.left_out == {"end of the file": "the header claims 90 scans, 60 are there: 33% is missing"}
+
+
+# --- TDMS
+
+
+def tdms_file(channels: dict[str, tuple[np.ndarray, dict[str, Any]]]) -> bytes:
+    nptdms = pytest.importorskip("nptdms")
+    file = io.BytesIO()
+    with nptdms.TdmsWriter(file) as writer:
+        writer.write_segment(
+            [
+                nptdms.ChannelObject("measured", name, values, properties=about)
+                for name, (values, about) in channels.items()
+            ]
+        )
+    return file.getvalue()
+
+
+@pytest.mark.parametrize("unit", ["g", "m/s^2", "mm", "V"])
+@pytest.mark.parametrize("key", ["unit_string", "NI_UnitDescription"])
+def test_waveforms_of_tdms_files(tmp_path: Path, unit: str, key: str) -> None:
+    about = {"wf_increment": 1 / RATE_HZ, "wf_start_offset": 0.0, key: unit}
+    (tmp_path / "own.tdms").write_bytes(tdms_file({"base": (BASE, about), "laser": (LASER, about)}))
+    found = readers.read(tmp_path / "own.tdms")
+    assert list(found.signals) == ["base", "laser"]
+    assert {(one.unit, one.rate_hz, one.kind) for one in found.signals.values()} == {
+        (unit, RATE_HZ, SignalKind.TIME_RESPONSE)
+    }
+    assert found.signals["laser"].values.tolist() == LASER.tolist()
+
+
+def test_a_tdms_channel_of_times(tmp_path: Path) -> None:
+    (tmp_path / "own.tdms").write_bytes(tdms_file({"Time (ms)": (1e3 * TIME_S, {}), "base": (BASE, {})}))
+    found = readers.read(tmp_path / "own.tdms")
+    assert list(found.signals) == ["base"]
+    assert since_start(found) == pytest.approx(TIME_S)
+
+
+# --- MATLAB
+
+
+@pytest.mark.parametrize("nested", [False, True])
+@pytest.mark.parametrize("time", ["time", "t", "fs", "dt"])
+def test_matlab_structs(tmp_path: Path, time: str, nested: bool) -> None:
+    io_ = pytest.importorskip("scipy.io")
+    axis = {"fs": RATE_HZ, "dt": 1 / RATE_HZ}.get(time, TIME_S)
+    content = {time: axis, "base": BASE, "laser": LASER}
+    io_.savemat(tmp_path / "own.mat", {"data": {"part": content}} if nested else {"data": content})
+    found = readers.read(tmp_path / "own.mat")
+    assert list(found.signals) == ["base", "laser"]
+    one = found.signals["base"]
+    assert (1.0 / np.median(np.diff(one.time_s)) if one.rate_hz is None else one.rate_hz) == pytest.approx(RATE_HZ)
+
+
+def test_matlab_7_3(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "own.mat", "w", userblock_size=512) as file:
+        for name, values in (("time", TIME_S), ("base", BASE), ("laser", LASER)):
+            file.create_dataset(f"data/{name}", data=values[None]).attrs["MATLAB_class"] = np.bytes_("double")
+        file["data"].attrs["MATLAB_class"] = np.bytes_("struct")
+        file.create_dataset("tt", data=np.zeros((1, 6), np.uint32)).attrs["MATLAB_class"] = np.bytes_("timetable")
+        file["tt"].attrs["MATLAB_object_decode"] = 3
+    with (tmp_path / "own.mat").open("r+b") as raw:
+        raw.write(b"MATLAB 7.3 MAT-file")
+    found = readers.read(tmp_path / "own.mat")
+    assert list(found.signals) == ["base", "laser"]
+    assert since_start(found) == pytest.approx(TIME_S)
+    assert "timetable2table(tt)" in found.left_out["tt"]
+
+
+# --- hostile files
+
+
+@pytest.mark.parametrize("suffix", [".mat", ".nc"])
+@pytest.mark.parametrize("how", ["external storage", "external link", "virtual", "soft link"])
+def test_hdf5_never_opens_another_file(tmp_path: Path, how: str, suffix: str) -> None:
+    h5py = pytest.importorskip("h5py")
+    np.arange(100.0).tofile(tmp_path / "secret")
+    with h5py.File(tmp_path / "other.h5", "w") as other:
+        other["x"] = np.arange(100.0)
+    own = tmp_path / f"own{suffix}"
+    with h5py.File(own, "w") as file:
+        file.attrs["sample_rate"] = 100.0
+        if how == "external storage":
+            file.create_dataset("time_data", (100,), "f8", external=[(str(tmp_path / "secret"), 0, 800)])
+        elif how == "external link":
+            file["time_data"] = h5py.ExternalLink(str(tmp_path / "other.h5"), "/x")
+        elif how == "soft link":
+            file["time_data"] = h5py.SoftLink("/nowhere")
+        else:
+            layout = h5py.VirtualLayout((100,), "f8")
+            layout[:] = h5py.VirtualSource(str(tmp_path / "other.h5"), "x", (100,))
+            file.create_virtual_dataset("time_data", layout)
+    with pytest.raises(ImpactRigError, match=r"not opened|not followed|no variable time_data"):
+        readers.read(own)
+
+
+def test_a_small_archive_does_not_become_a_large_one(tmp_path: Path) -> None:
+    """Less than a megabyte once became 1.6 GB."""
+    with zipfile.ZipFile(tmp_path / "own.npz", "w", zipfile.ZIP_DEFLATED) as archive, archive.open("a.npy", "w") as one:
+        np.lib.format.write_array_header_1_0(one, {"descr": "<f8", "fortran_order": False, "shape": (20_000_000,)})
+        for _ in range(160):
+            one.write(bytes(1_000_000))
+    with pytest.raises(ImpactRigError, match="bytes of content in a file of"):
+        readers.read(tmp_path / "own.npz")
+
+
+def test_a_small_table_of_one_value_does_not_become_a_large_one(tmp_path: Path) -> None:
+    pa = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    table = pa.table({"a": pa.array(np.zeros(20_000_000))})
+    parquet.write_table(table, tmp_path / "own.parquet", compression="zstd")
+    with pytest.raises(ImpactRigError, match="bytes of content in a file of"):
+        readers.read(tmp_path / "own.parquet")
+
+
+@pytest.mark.parametrize("suffix", sorted(readers.FORMATS))
+def test_what_is_no_file_or_empty_is_refused_at_once(tmp_path: Path, suffix: str) -> None:
+    """Reading a pipe once waited for ever."""
+    os.mkfifo(tmp_path / f"pipe{suffix}")
+    (tmp_path / f"empty{suffix}").touch()
+    (tmp_path / f"folder{suffix}").mkdir()
+    for name, why in (("pipe", "no regular file"), ("empty", "is empty"), ("folder", "is a directory")):
+        with pytest.raises(ImpactRigError, match=why):
+            readers.read(tmp_path / f"{name}{suffix}")
+
+
+def test_a_reader_that_does_not_end_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def endless(path: Path, content: bytes) -> ImportedSignals:
+        for _ in itertools.count():
+            pass
+        raise AssertionError
+
+    monkeypatch.setattr(readers.isolation, "LIMIT_S", 0.0)
+    monkeypatch.setitem(readers.FORMATS, ".npz", readers.Format("a file", endless))
+    (tmp_path / "own.npz").write_bytes(b"PK")
+    with pytest.raises(ImpactRigError, match="takes longer than"):
+        readers.read(tmp_path / "own.npz")
+
+
+# --- units
+
+UNITS = {
+    "m": {"m": 1.0, "mm": 1e-3, "Millimeter": 1e-3, "millimetres": 1e-3, "MM": 1e-3, "µm": 1e-6, "μm": 1e-6, "um": 1e-6,
+          "micron": 1e-6, "cm": 1e-2, "in": 0.0254, "inch": 0.0254, "Inches": 0.0254, "mil": 2.54e-5, "mils": 2.54e-5,
+          "thou": 2.54e-5, "[mm]": 1e-3, "meter": 1.0, "nm": 1e-9, "ft": 0.3048},
+    "m/s": {"m/s": 1.0, "mm/s": 1e-3, "mm/sec": 1e-3, "m s^-1": 1.0, "in/s": 0.0254, "ips": 0.0254, "cm/s": 1e-2},
+    "m/s^2": {"m/s^2": 1.0, "m/s2": 1.0, "m/s²": 1.0, "m/s**2": 1.0, "m/s/s": 1.0, "m·s⁻²": 1.0, "m s^-2": 1.0,
+              "m/sec^2": 1.0, "m/(s^2)": 1.0, "m/(s*s)": 1.0, "mm/s2": 1e-3, "cm/s^2": 1e-2, "g": 9.80665, "G": 9.80665,
+              "g's": 9.80665, "gs": 9.80665, "g_n": 9.80665, "mg": 9.80665e-3, "Gal": 1e-2, "in/s^2": 0.0254},
+    "A": {"A": 1.0, "mA": 1e-3, "amps": 1.0, "Ampere": 1.0},
+    "V": {"V": 1.0, "mV": 1e-3, "Volts": 1.0, "µV": 1e-6},
+    "s": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "S": 1.0},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("unit", "si", "factor"), [(unit, si, factor) for si, known in UNITS.items() for unit, factor in known.items()]
+)
+def test_units_as_instruments_print_them(monkeypatch: pytest.MonkeyPatch, unit: str, si: str, factor: float) -> None:
+    """None of these needs pint, which the run tier lacks."""
+    monkeypatch.setitem(__import__("sys").modules, "pint", None)
+    assert quantity(unit) == si
+    assert unit_factor(unit, si) == pytest.approx(factor, rel=1e-12)
+
+
+@pytest.mark.parametrize("unit", ["°", "raw", "N", "kg", "counts", "m/s^3", "", "9**9**9**9", "x" * 300, "m**m", "A/m"])
+def test_units_of_other_quantities_are_none_of_ours(unit: str) -> None:
+    assert quantity(unit) is None
+    assert unit_factor(unit, "m") is None
+
+
+def test_doubtful_units_say_what_they_were_taken_for() -> None:
+    assert [bool(doubt(unit)) for unit in ("G", "gs", "mg", "g", "mm")] == [True, True, True, False, False]
+
+
+@pytest.mark.parametrize(
+    ("text", "volts", "unit"),
+    [
+        ("500 mV/mm", 500.0, "m"), ("0,5 V/mm", 500.0, "m"), ("100 mV/g", 0.1 / 9.80665, "m/s^2"),
+        ("10.2 mV/(m/s^2)", 0.0102, "m/s^2"), ("-2 V/A", -2.0, "A"), ("4 V/(m/s)", 4.0, "m/s"),
+        ("10mV/G", 0.01 / 9.80665, "m/s^2"),
+    ],
+)  # fmt: skip
+def test_sensitivities(text: str, volts: float, unit: str) -> None:
+    found = Sensitivity.parse(text)
+    assert found is not None
+    assert found.unit == unit
+    assert found.volts == pytest.approx(volts)
+
+
+@pytest.mark.parametrize(
+    "text", ["500", "mV/mm", "500 mm/mV", "0 mV/mm", "5 mV/kg", "1e999 V/m", "a V/m", "5 V/" + "m" * 99]
+)
+def test_what_is_no_sensitivity(text: str) -> None:
+    assert Sensitivity.parse(text) is None

@@ -1,0 +1,491 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Measurements of other rigs: every format gives back what was measured; what is wrong with a file is said."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import warnings
+import wave
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from impact_rig import topics
+from impact_rig.cli.main import main
+from impact_rig.errors import ImpactRigError
+from impact_rig.recording import open_run
+from impact_rig.runs import export, reanalysis, verification
+from impact_rig.runs.wholes import calibration_rows
+from impact_rig.testing import VirtualRig
+from impact_rig_studies.identification.measurements import recorded_decay
+from impact_rig_studies.importing import readers
+from impact_rig_studies.importing.assignment import guess
+from impact_rig_studies.importing.conversion import convert
+from impact_rig_studies.importing.mapping import Channel, Mapping, as_yaml, refined
+from impact_rig_studies.importing.signals import ImportedSignals
+from impact_rig_studies.importing.store import write
+
+RATE_HZ, SECONDS, GAP_M = 2000, 12, 0.006
+MILLIMETRE = 1e-3
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run with sphere, driven from its first instant: 12 s at 2 kS/s."""
+    rig = VirtualRig({"daq.rate_hz": RATE_HZ, "daq.block_scans": 200, "barriers.gap_m": GAP_M})
+    rig.command(frequency_hz=9.1, current_a=0.52)
+    rig.step(SECONDS * RATE_HZ // 200)
+    return rig.save(tmp_path_factory.mktemp("recorded") / "run")
+
+
+def scans(run: Path) -> NDArray[np.void]:
+    with open_run(run) as found:
+        return np.concatenate([table.rows for table in found.tables(topics.SCAN)])
+
+
+def analysed(run: Path) -> tuple[NDArray[np.void], list[bytes]]:
+    """Return measurements and impacts that the analysis finds in a run."""
+    with open_run(run) as found:
+        findings = list(reanalysis.analyze(found))
+    impacts = [table.stamp_ns.to_bytes(8, "big") + table.rows.tobytes() for one in findings for table in one.impacts]
+    return reanalysis.rows(reanalysis.measurements(iter(findings))), impacts
+
+
+def write_wav(path: Path, rows: NDArray[np.void]) -> None:
+    full = np.stack([rows["laser"] / 0.01, rows["base"] / 0.0125, rows["current"] / 25.0], axis=1)
+    with wave.open(str(path), "wb") as file:
+        file.setparams((3, 2, RATE_HZ, 0, "NONE", ""))
+        file.writeframes(np.round(full * 2**15).clip(-(2**15), 2**15 - 1).astype("<i2").tobytes())
+
+
+def write_matlab(path: Path, rows: NDArray[np.void]) -> None:
+    io = pytest.importorskip("scipy.io")
+    io.savemat(path, {**{name: rows[name] for name in ("accelerometer", "laser", "base", "current")}, "fs": RATE_HZ})
+
+
+def write_rattlesnake(path: Path, rows: NDArray[np.void]) -> None:
+    h5netcdf = pytest.importorskip("h5netcdf")
+    h5py = pytest.importorskip("h5py")
+    names = ("accelerometer", "laser", "base", "current")
+    with h5netcdf.File(path, "w") as file:
+        file.attrs["sample_rate"] = RATE_HZ
+        file.dimensions = {"response_channels": 4, "time_samples": len(rows)}
+        data = file.create_variable("time_data", ("response_channels", "time_samples"), "f8")
+        data[...] = np.stack([rows[name] for name in names])
+        group = file.create_group("channels")
+        for key, words in (("comment", names), ("unit", ("m/s^2", "m", "m", "A"))):
+            column = group.create_variable(key, ("response_channels",), h5py.string_dtype())
+            column[...] = np.array(words, object)
+
+
+EXACT = ("csv", "npz", "parquet", "uff", "mat", "nc")
+
+
+@pytest.mark.parametrize("kind", EXACT)
+def test_what_is_exported_and_imported_is_measured_alike_bit_for_bit(recorded: Path, tmp_path: Path, kind: str) -> None:
+    """Scans, measurements and impacts: with the commands and the calibration that the run had."""
+    source = tmp_path / f"scans.{kind}"
+    with open_run(recorded) as run:
+        if kind in ("mat", "nc"):
+            (write_matlab if kind == "mat" else write_rattlesnake)(source, scans(recorded))
+        else:
+            export(run, topics.SCAN.name, source)
+        drive = readers.read(export(run, topics.APPLIED.name, tmp_path / "drive.csv"))
+        sheet = readers.read(export(run, topics.INFO.name, tmp_path / "sheet.csv"))
+    found = readers.read(source)
+    target = write(convert(found, guess(found), drive, sheet), tmp_path / "run")
+    ours, theirs = scans(target), scans(recorded)
+    assert all(ours[name].tobytes() == theirs[name].tobytes() for name in ("accelerometer", "laser", "base", "current"))
+    rows, impacts = analysed(target)
+    expected, struck = analysed(recorded)
+    assert expected["settled"].any()
+    assert struck
+    assert rows.tobytes() == expected.tobytes()
+    assert impacts == struck
+    with open_run(target) as run:
+        with open_run(recorded) as original:  # what identify takes besides the measurements
+            assert calibration_rows(run).tobytes() == calibration_rows(original).tobytes()
+        kept = reanalysis.rows(list(run.tables(topics.TRANSMISSIBILITY_TABLE)))
+        assert kept.tobytes() == rows.tobytes(), "what the import kept is what the analysis finds"
+        assert str(verification.verify(run)).endswith("a measurement: there is nothing to re-simulate")
+        live = reanalysis.compare(run, [], [])
+        assert (live.same, live.identical) == (None, False), (
+            "a bug once: identical to live results, of which there are none"
+        )
+        assert "imported" in str(live)
+
+
+def test_a_free_decay_is_identified_alike(tmp_path: Path) -> None:
+    """An imported one has no journal: it begins where the structure is farthest out, not where it was plucked."""
+    rig = VirtualRig({"daq.rate_hz": RATE_HZ, "daq.block_scans": 200, "sphere.present": False})
+    rig.run(seconds=0.2)
+    rig.core.pluck(0.004)
+    rig.run(seconds=10.0)
+    original = rig.save(tmp_path / "plucked")
+    with open_run(original) as run:
+        expected = recorded_decay(run)
+        source = readers.read(export(run, topics.SCAN.name, tmp_path / "scans.npz"))
+        sheet = readers.read(export(run, topics.INFO.name, tmp_path / "sheet.csv"))
+    with open_run(write(convert(source, guess(source), sheet=sheet), tmp_path / "run")) as run:
+        found = recorded_decay(run)
+    for name in ("natural_frequency_hz", "damping_ratio"):
+        assert abs(getattr(found, name) - getattr(expected, name)) < getattr(expected, f"u_{name}")
+
+
+def test_a_wav_file_gives_the_transmissibility_within_its_resolution(recorded: Path, tmp_path: Path) -> None:
+    """16 bits full scale: steps of 0.3 and 0.4 µm; three channels, so nothing is said about impacts."""
+    write_wav(tmp_path / "sound.wav", scans(recorded))
+    source = readers.read(tmp_path / "sound.wav")
+    mapping = Mapping(
+        channels={
+            "laser": Channel(column="channel_0", unit="mm", scale=10.0, calibration={"lag": 7e-4, "lag_order": 1}),
+            "base": Channel(column="channel_1", unit="mm", scale=12.5, calibration={"lag": 2.25e-4, "lag_order": 2}),
+            "current": Channel(column="channel_2", unit="A", scale=25.0),
+        },
+        frequency=9.1,
+    )
+    found = convert(source, mapping)
+    target = write(found, tmp_path / "run")
+    assert found.info["name"].tolist() == [b"laser", b"base", b"current"]
+    row, expected = analysed(target)[0][-1], analysed(recorded)[0][-1]
+    assert row["transmissibility"] == pytest.approx(expected["transmissibility"], rel=4e-3)
+    assert np.isnan(row["impacts_per_cycle"])
+    assert expected["impacts_per_cycle"] > 1.0
+
+
+def table(tmp_path: Path, text: str, name: str = "own.csv") -> ImportedSignals:
+    (tmp_path / name).write_text(text, encoding="utf-8")
+    return readers.read(tmp_path / name)
+
+
+def lines(change: Callable[[int], str], head: str = "t,x1 [mm],xb [mm]", count: int = 40) -> str:
+    return "\n".join([head, *(change(k) for k in range(count))]) + "\n"
+
+
+def semicolons(k: int) -> str:
+    return f"{k / 100:g};{k}.0;{2 * k}.5".replace(".", ",")
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "laser_m", "gap"),
+    [
+        (lines(lambda k: f"{k / 100},{k},{2 * k}"), "gap_4mm_9.1Hz.csv", 1e-3, 0.004),
+        (lines(semicolons, "time;laser (µm);base (µm)"), "no_sphere.csv", 1e-6, 0.0),
+        # numbers in quotes, and a first row without decimals: neither was once understood
+        (lines(lambda k: f'"{k / 100}","{k}","{2 * k}"', '"t","x1 [mm]","xb [mm]"'), "quoted.csv", 1e-3, None),
+        (lines(lambda k: f"{k / 100:g};{k};{2 * k}".replace(".", ","), "t;x1 (mm);xb (mm)"), "own.csv", 1e-3, None),
+        (lines(lambda k: f"{10 * k}\t{k}\t{k}", "t\tresponse\ttable\n[ms]\t[cm]\t[cm]"), "own.txt", 1e-2, None),
+    ],
+)  # fmt: skip
+def test_headings_units_and_file_names_are_understood(
+    tmp_path: Path, text: str, name: str, laser_m: float, gap: float | None
+) -> None:
+    source = table(tmp_path, text, name)
+    found = convert(source, guess(source))
+    assert found.rate_hz == 100
+    assert found.rows["laser"][1] == pytest.approx(laser_m)
+    assert found.mapping.gap == gap
+    assert found.mapping.frequency == (9.1 if "9.1Hz" in name else None)
+
+
+def test_a_mapping_says_what_headings_do_not(tmp_path: Path) -> None:
+    """Voltages with a sensitivity, sign and offset; frequency and gap by columns; a uniform rate given."""
+    head = "ai0,ai1,f,g"
+    source = table(tmp_path, lines(lambda k: f"{k},{k},{9 if k < 20 else 10},{0 if k < 30 else 0.004}", head))
+    text = """
+rate_hz: 1000
+frequency: f
+gap: g
+channels:
+  laser: {column: ai0, unit: V, sensitivity: 500 mV/mm, sign: -1, offset: 0.001, sensitivity_uncertainty: 0.01}
+  accelerometer: {column: ai1, unit: mV, sensitivity: 100 mV/g}
+"""
+    found = convert(source, refined(guess(source), text))
+    assert found.rows["laser"][3] == pytest.approx(-6e-3 + 0.001)
+    assert found.rows["accelerometer"][3] == pytest.approx(3e-3 / 0.1 * 9.80665)
+    assert [one[:2] for one in found.drive] == [(0, 9.0), (20_000_000, 10.0)]
+    assert [label.split()[0] for label in found.labels] == ["gap_m=0.0", "gap_m=0.004"]
+    assert found.info["sensitivity_uncertainty"].tolist() == [0.0, 0.01]
+
+
+MM = "channels: {laser: {column: x1, unit: mm}, base: {column: xb, unit: mm}}"
+STEADY = lines(lambda k: f"{k / 100},{k},{k}", "t,x1,xb")
+
+
+@pytest.mark.parametrize(
+    ("text", "mapping", "why"),
+    [
+        (lines(lambda k: f"{k / 100},{k}" + (",7" if k == 9 else "")), "{}", "line 11 has 3 cells, the first row"),
+        (lines(lambda k: f"{k / 100 + (0.004 if k == 7 else 0)},{k},{k}", "t,x1,xb"), MM, "uniform in time: value 8"),
+        (lines(lambda k: f"{k / 100 if k != 7 else 0},{k},{k}", "t,x1,xb"), MM, "times must increase"),
+        (lines(lambda k: f"{k},{k}", "x1,xb"), MM, "neither times nor a rate"),
+        (STEADY, MM.replace("mm", "furlongs per"), "channels.laser.unit must be a unit of m"),
+        (STEADY, MM.replace("unit: mm", "unit: V"), "a voltage needs a sensitivity"),
+        (STEADY, MM.replace("unit: mm", "unit: 9**9**9**9"), "must be a unit of m"),
+        (STEADY, MM.replace("x1", "x2"), "no signal 'x2' for laser: there are x1, xb"),
+        (STEADY, "chanels: {}", "unknown key chanels: did you mean channels"),
+        (STEADY, MM + "\nrate_hz: .nan", "rate_hz must be a finite number"),
+        (STEADY, MM + "\nrate_hz: 0", "rate_hz must be > 0"),
+        (STEADY, MM + "\nrate_hz: 1" + 400 * "0", "rate_hz must be a finite number, got '1000"),
+        (STEADY, MM + "\nrate_hz: 0x" + 5000 * "f", "rate_hz must be a finite number, got 'a number beyond all"),
+        (STEADY, "channels: 0x" + 5000 * "f", "channels must be a mapping, got 'a number beyond all"),
+        (STEADY, "channels: {laser: {column: 0x" + 5000 * "f" + "}}", "no signal 'a number beyond all"),
+        (STEADY, MM + "\nrate_hz: 1.0e-50\nresample_hz: 200", "its times span"),
+        (STEADY, MM + "\nrate_hz: 1.0e-6\nresample_hz: 200", "values after resampling"),
+        (STEADY, MM + "\nresample_hz: 50", "resample to at least its 100"),
+        ("some words\n", "{}", "no row of numbers"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_said(tmp_path: Path, text: str, mapping: str, why: str) -> None:
+    def imported() -> None:
+        source = table(tmp_path, text)
+        convert(source, refined(guess(source), mapping))
+
+    with pytest.raises(ImpactRigError, match=why):
+        imported()
+
+
+def test_scans_that_are_missing_stay_missing_and_uneven_ones_can_be_resampled(tmp_path: Path) -> None:
+    source = table(tmp_path, lines(lambda k: f"{(k if k < 20 else k + 5) / 100},{k},{k}"))
+    assert convert(source, guess(source)).index.tolist() == [*range(20), *range(25, 45)]
+    uneven = table(tmp_path, lines(lambda k: f"{(k + 0.3 * (k % 2)) / 100},{(k + 0.3 * (k % 2)) / 100},{k}"))
+    found = convert(uneven, refined(guess(uneven), "resample_hz: 200"))
+    assert found.rows["laser"] == pytest.approx(MILLIMETRE * np.arange(len(found.rows)) / 200)
+
+
+def test_resampling_neither_fills_holes_nor_moves_commands(tmp_path: Path) -> None:
+    """A cubic once bridged seconds without a scan, and commands moved where the rate of the times changes."""
+    times = np.concatenate([np.arange(100) / 100, 1 + np.arange(200) / 200, 4 + np.arange(100) / 200])
+    rows = [f"{t:.4f},{np.sin(20 * t):.9f},{9 if t < 1 else 10 if t < 4.25 else 11}" for t in times]
+    source = table(tmp_path, "\n".join(["time,laser [m],frequency", *rows]) + "\n")
+    found = convert(source, refined(guess(source), "resample_hz: 400"))
+    assert found.index.tolist() == [*range(799), *range(1600, 1799)]
+    assert found.rows["laser"] == pytest.approx(np.sin(20 * found.index / 400), abs=2e-3)
+    assert [one[:2] for one in found.drive] == [(0, 9.0), (1_000_000_000, 10.0), (4_250_000_000, 11.0)]
+    broken = table(tmp_path, "\n".join(["time,laser [m]", "0,0", "0.01,nan", "0.02,1"]) + "\n")
+    with pytest.raises(ImpactRigError, match=r"laser cannot be resampled: value 2 is no finite number"):
+        convert(broken, refined(guess(broken), "resample_hz: 400"))
+
+
+def test_a_sheet_of_calibration_says_where_scan_0_is_once(tmp_path: Path) -> None:
+    """Its `since_start` stayed in the run, where the stamp is that of scan 0 already: scan 0 was then 12 s earlier."""
+    source = table(tmp_path, lines(lambda k: f"{2 * 10**10 + k * 10**7},{k},{k}", "stamp_ns,laser,base"))
+    sheet = table(tmp_path, "stamp_ns,name,since_start\n12000000000,laser,11.5\n12000000000,base,11.5\n", "sheet.csv")
+    found = convert(source, guess(source), sheet=sheet)
+    assert (found.start_ns, found.index[0]) == (500_000_000, 1950)
+    assert found.info["since_start"].tolist() == [0.0, 0.0]
+
+
+def test_commands_and_labels_of_a_file_that_spans_weeks_keep_their_instants(tmp_path: Path) -> None:
+    """The number of a scan times 10**9 once exceeded 64 bits: commands went back by years."""
+    head, late_s = "t,laser,base,frequency,gap", 40 * 86_400
+    rows = [*(np.arange(100) / 5000), *(late_s + np.arange(100) / 5000)]
+    source = table(tmp_path, lines(lambda k: f"{rows[k]:.4f},{k},{k},{9 + k // 100},{k // 100 / 1e3}", head, 200))
+    found = convert(source, guess(source))
+    assert [one[0] for one in found.drive] == [0, late_s * 10**9]
+    assert f"{late_s * 10**9}" in found.labels[1]
+
+
+def test_what_is_unknown_over_many_scans_is_said_once(tmp_path: Path) -> None:
+    """NaN differs from NaN: there was once a remark, and a command, for every scan."""
+    values = ["nan", "nan", "9", "9", "nan", "nan"]
+    source = table(
+        tmp_path, lines(lambda k: f"{k / 100},{k},{k},{values[k]},{values[k]}", "t,laser,base,frequency,gap", 6)
+    )
+    found = convert(source, guess(source))
+    assert [one[0] for one in found.drive] == [0, 20_000_000, 40_000_000]
+    assert len(found.labels) == 3
+
+
+def test_a_file_where_the_run_should_be_is_said(tmp_path: Path) -> None:
+    """It once ended in a NotADirectoryError."""
+    source = table(tmp_path, STEADY)
+    with pytest.raises(ImpactRigError, match="is a file, not a directory"):
+        write(convert(source, refined(guess(source), MM)), tmp_path / "own.csv")
+
+
+def test_a_mapping_reads_back_as_it_was_written() -> None:
+    """Numbers such as 1e-06 came back as texts: the mapping that a run keeps was refused."""
+    laser = Channel(
+        column='"1e-6"', unit="mm", scale=2e-7, calibration={"noise": 1e-6, "range_high": 1e16, "lag": 1.5e-7}
+    )
+    mapping = Mapping(channels={"laser": laser}, gap=1e-5, amplitude=-1e-5, frequency="µ 1e-06", notes=("say \\ 2e-7",))
+    assert refined(Mapping(channels={}), as_yaml(mapping)) == mapping
+
+
+def test_a_universal_file_has_one_abscissa(tmp_path: Path) -> None:
+    """A signal as long as the first, at another rate, was once taken for one at the first one's times."""
+    pyuff = pytest.importorskip("pyuff")
+    sets = [
+        {"type": 58, "binary": 1, "func_type": 1, "data": np.arange(50.0), "x": np.arange(50) / rate_hz,
+         "abscissa_spacing": 1, "id1": name, "id2": "", "rsp_node": 1, "rsp_dir": 1, "ref_node": 1, "ref_dir": 1,
+         "rsp_ent_name": name[:10], "ref_ent_name": "base", "orddenom_spec_data_type": 0}
+        for name, rate_hz in (("laser", 1000), ("base", 1000), ("current", 500))
+    ]  # fmt: skip
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResourceWarning)  # pyuff leaves files to the garbage collection
+        pyuff.UFF(str(tmp_path / "own.uff")).write_sets(sets, "add")
+    found = readers.read(tmp_path / "own.uff")
+    assert [one.rate_hz for one in found.signals.values()] == pytest.approx([1000, 1000, 500])
+    assert list(guess(found).channels) == ["laser", "base"]
+    with pytest.raises(ImpactRigError, match=r"current .* has other times than laser"):
+        convert(found, refined(guess(found), "channels: {current: {column: current}}"))
+
+
+def test_a_table_of_commands_counts_its_times_from_the_same_instant_as_the_scans(tmp_path: Path) -> None:
+    """Each file once counted from its own first row: a first command after 2 s came with the first scan."""
+    head, commands = "time,laser,base", "time,frequency,current\n2,9,0.5\n6,10,0.5\n"
+    for begins_s, instants_s in ((0, [2.0, 6.0]), (1, [1.0, 5.0])):
+        source = table(tmp_path, lines(lambda k, begins_s=begins_s: f"{begins_s + k / 10},{k},{k}", head, 100))
+        found = convert(source, guess(source), table(tmp_path, commands, "drive.csv"))
+        assert [one[0] / 1e9 for one in found.drive] == instants_s
+    with pytest.raises(ImpactRigError, match=r"drive.csv: a time is no number"):
+        convert(source, guess(source), table(tmp_path, commands.replace("6,", "nan,"), "drive.csv"))
+
+
+def test_an_export_that_was_cut_amid_a_block_begins_with_its_first_row(tmp_path: Path) -> None:
+    """Its first stamp is that of the block; taken for that of the first row, commands came up to a block off."""
+
+    def row(k: int) -> str:
+        return f"{10**9 + k // 10 * 10**8},{k % 10 / 100},{k},{k}"
+
+    source = table(tmp_path, lines(lambda k: row(k + 5), "stamp_ns,time,laser,base"))
+    found = convert(source, guess(source))
+    assert found.start_ns == 1_050_000_000
+    assert found.index.tolist() == list(range(40))
+
+
+@pytest.mark.parametrize(
+    ("head", "names", "units"),
+    [
+        ("time;value;value\ns;V;mV", ["value", "value_2"], ["V", "mV"]),
+        ("time;value;value_2;value\ns;V;A;mV", ["value", "value_2", "value_3"], ["V", "A", "mV"]),
+        ("time;value_3;value;value\ns;V;A;mV", ["value_3", "value", "value_3_2"], ["V", "A", "mV"]),
+        ("time [s];ai0 [V];ai0 [A]", ["ai0", "ai0 [A]"], ["V", "A"]),
+        ("time;laser;laser (raw)", ["laser", "laser (raw)"], ["", "raw"]),
+    ],
+)
+def test_columns_of_one_name_are_told_apart_and_keep_their_units(
+    tmp_path: Path, head: str, names: list[str], units: list[str]
+) -> None:
+    """The first once had the unit of the last, and of two that differ in brackets only the last was left."""
+    source = table(tmp_path, lines(lambda k: ";".join(f"{k + j}" for j in range(len(names) + 1)), head))
+    assert list(source.signals) == names
+    assert [one.unit for one in source.signals.values()] == units
+    assert [one.values[0] for one in source.signals.values()] == [*range(1, len(names) + 1)]
+
+
+def test_a_file_that_crashes_its_library_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A reader that ends its process as a fault of memory would."""
+
+    def crash(path: Path, content: bytes) -> ImportedSignals:
+        os.kill(os.getpid(), signal.SIGSEGV)
+        raise AssertionError
+
+    monkeypatch.setitem(readers.FORMATS, ".npz", readers.Format("a file", crash))
+    (tmp_path / "own.npz").write_bytes(b"PK")
+    with pytest.raises(ImpactRigError, match="the library that reads it crashed"):
+        readers.read(tmp_path / "own.npz")
+
+
+def test_a_run_is_drawn_by_the_channels_that_it_has(tmp_path: Path) -> None:
+    """A measurement with an accelerometer alone: matplotlib would warn, here an error, of a spectrum of nothing."""
+    np.savez(tmp_path / "own.npz", a=np.sin(0.3 * np.arange(4000)), rate=1000.0)
+    words = ["--channel", "accelerometer=a", "m/s^2", "--frequency", "9", "--output", str(tmp_path / "run")]
+    assert main(["import", str(tmp_path / "own.npz"), *words]) == 0
+    assert main(["analyze", str(tmp_path / "run"), "--figures", str(tmp_path / "figures")]) == 0
+    assert {one.stem for one in (tmp_path / "figures").iterdir()} == {"time_traces", "spectrum"}
+
+
+def test_a_rate_that_the_file_states_counts_more_than_its_rounded_times(tmp_path: Path) -> None:
+    """Times of single precision, added up: a sixth of a period off after 4,096 values."""
+    times = np.arange(4096) / 1280 * (1 - 4e-5)
+    np.savez(tmp_path / "own.npz", time=times, laser=times, rate=1280.0)
+    source = readers.read(tmp_path / "own.npz")
+    assert convert(source, guess(source)).index.tolist() == list(range(4096))
+
+
+def test_the_command_shows_before_it_writes_and_makes_a_campaign(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with open_run(recorded) as run:
+        file = export(run, topics.SCAN.name, tmp_path / "gap_6mm_9.1Hz.csv")
+    words = ["import", str(file), "--output", str(tmp_path / "out")]
+    assert main([*words, "--dry-run"]) == 0
+    assert not (tmp_path / "out").exists()
+    said = " ".join(capsys.readouterr().out.split())
+    assert "nothing was written" in said
+    assert "no unit is given for laser: m was taken" in said
+    assert main([*words, "--campaign"]) == 0
+    points = (tmp_path / "out" / "points.csv").read_text(encoding="utf-8").splitlines()
+    assert len(points) == 2
+    assert points[1].startswith("measured,0.006,9.1,")
+    assert main(["report", str(tmp_path / "out")]) == 0
+    assert main([*words]) == 1, "nothing is overwritten"
+
+
+def test_an_uncertainty_below_a_thousandth_is_not_shown_as_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A DT far above resonance, or of a base in a wrong unit: 0.064 ± 0.000 would say that it is exact."""
+    times, rng = np.arange(40000) / 2000, np.random.default_rng(1)
+    laser, base = (a * np.sin(2 * np.pi * 9.1 * times) + 1e-3 * rng.standard_normal(len(times)) for a in (1.0, 15.0))
+    np.savez(tmp_path / "own.npz", time=times, laser=laser, base=base)
+    assert main(["import", str(tmp_path / "own.npz"), "--output", str(tmp_path / "run"), "--frequency", "9.1"]) == 0
+    capsys.readouterr()
+    assert main(["analyze", str(tmp_path / "run")]) == 0
+    value, u = re.findall(r"DT ([0-9.]+) ± ([0-9.]+) \(2u\)", capsys.readouterr().out)[0]
+    assert float(u) > 0.0
+    assert abs(float(value) - 1 / 15) <= 1.5 * float(u)  # what is shown is 2u
+
+
+@pytest.mark.parametrize("more", [[], ["--campaign"]])
+def test_two_files_of_one_name_are_refused_before_one_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str]
+) -> None:
+    """Of a campaign the first was written, and stood in the way of every later attempt."""
+    turn = 2.0 * np.pi * 9.0 * np.arange(2_000) / RATE_HZ
+    files = [tmp_path / folder / "own.npz" for folder in ("a", "b")]
+    for file in files:
+        file.parent.mkdir()
+        np.savez(file, base=1e-3 * np.sin(turn), laser=1e-2 * np.sin(turn))
+    words = ["import", *map(str, files), "--output", str(tmp_path / "out"), "--rate", str(RATE_HZ), *more]
+    assert main(words) == 1
+    assert "two files have one name" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_an_import_leaves_out_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    turn = 2.0 * np.pi * 9.0 * np.arange(20_000) / RATE_HZ
+    base, laser = 1e-3 * np.sin(turn), 1e-2 * np.sin(turn)
+    np.savez(tmp_path / "own.npz", base=base, laser=laser, fft=np.exp(1j * turn), cube=np.zeros((2, 3, 4)), dt=-1.0)
+    words = ["import", str(tmp_path / "own.npz"), "--output", str(tmp_path / "run"), "--rate", str(RATE_HZ)]
+    assert main([*words, "--dry-run"]) == 0
+    told = capsys.readouterr().out
+    for line in (
+        "left out: fft, complex numbers",
+        "left out: cube, a table of tables",
+        "left out: dt, no rate or period: -1",
+    ):
+        assert line in told
+
+
+@pytest.mark.parametrize(("seconds", "laser", "reason"), [(0.3, 1e-3, "too_few_cycles"), (30.0, 0.0, "constant")])
+def test_sines_without_a_dt_say_so_and_are_no_success(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], seconds: float, laser: float, reason: str
+) -> None:
+    turn = 2.0 * np.pi * 9.1 * np.arange(round(seconds * RATE_HZ)) / RATE_HZ
+    np.savez(tmp_path / "own.npz", base=1e-4 * np.sin(turn), laser=laser * np.sin(turn))
+    words = ["--output", str(tmp_path / "run"), "--rate", str(RATE_HZ), "--frequency", "9.1"]
+    assert main(["import", str(tmp_path / "own.npz"), *words]) == 0
+    capsys.readouterr()
+    assert main(["analyze", str(tmp_path / "run"), "--sine"]) == 1
+    told = capsys.readouterr().out
+    assert f"no DT from these scans: {reason}" in told
+    assert not re.search(r"\bnan\b", told)

@@ -1,0 +1,179 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""The prediction for two symmetric impacts per cycle, held against exact orbits, the simulation and its own limits."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from kits.mechanics import TWO_PI, rig, sine
+
+from impact_rig.errors import ConfigError
+from impact_rig.physics import Simulation
+from impact_rig.rig.config import RigConfig
+from impact_rig_studies import prediction
+from impact_rig_studies.prediction import THETA_SYMMETRIC, Manifold
+
+CURRENT_A = 0.52
+FLORES = 0.309
+
+
+@pytest.fixture(scope="module")
+def nominal() -> RigConfig:
+    return RigConfig()
+
+
+def settled(config: RigConfig, frequency_hz: float, cycles: int) -> tuple[complex, float, float]:
+    """DT, approach speed and impacts per cycle of the mechanics after `cycles`, over 24 more; one segment a cycle."""
+    simulation, period, last = Simulation(config), 1.0 / frequency_hz, 24
+    simulation.advance(sine(frequency_hz, CURRENT_A, period, cycles))
+    motion = simulation.advance(sine(frequency_hz, CURRENT_A, period, last))
+    segment = cycles + np.repeat(np.arange(last), 64)
+    offset = np.tile(np.arange(64) / 64 * period, last)
+    turn = np.exp(-1j * TWO_PI * frequency_hz * offset)
+    base, superior = motion.quantities(("x_b", "x_1"), segment, offset) @ turn
+    return superior / base, float(motion.impacts["approach_speed"].mean()), len(motion.impacts) / last
+
+
+@pytest.mark.parametrize("e", [0.1, FLORES, 0.8])
+def test_theta_solves_the_two_conditions(e):
+    manifold = Manifold(e, 0.01)
+    xi = np.linspace(1.0001 * 2.0 / manifold.gap_per_amplitude_at_fold, 3.0, 50)
+    assert manifold.xi(manifold.theta(xi)) == pytest.approx(xi, rel=1e-12)
+    assert np.isnan(manifold.theta(0.9999 * 2.0 / manifold.gap_per_amplitude_at_fold))
+
+
+def test_the_published_fold_of_the_paper_s_rig():
+    assert Manifold(FLORES).gap_per_amplitude_at_fold == pytest.approx(6.28, abs=0.01)
+
+
+def half_period_map(e: float, theta: float) -> np.ndarray:
+    """The matrix, shape (2, 2), that carries (phase, speed/V) errors from one impact to the next."""
+    q = math.pi**2 / 4.0 * (1.0 + e) ** 2 * (theta - 1.0) / theta
+    return np.array([[e, -math.pi * (1.0 + e) / 2.0], [e * 2.0 * q / (math.pi * (1.0 + e)), e - q]])
+
+
+def test_at_a_given_current_a_branch_is_stable_on_one_side_of_its_largest_gap(nominal):
+    """Two motions merge there: the slow flow's determinant is zero where the gap is stationary, its trace is not."""
+    motions = prediction.branch(nominal, 8.6, current_a=CURRENT_A)
+    largest = int(np.argmax(motions.gap_m))
+    assert 0 < largest < len(motions.theta) - 1
+    assert not motions.stable[:largest].any()
+    assert motions.stable[largest + 1 : largest + 50].all()
+
+
+@pytest.mark.parametrize("e", [0.1, FLORES, 0.8])
+def test_the_bounds_of_stability_are_those_of_the_map(e):
+    manifold = Manifold(e)
+    theta = np.linspace(0.8 * manifold.theta_fold, 1.2 * THETA_SYMMETRIC, 301)
+    radius = np.array([np.abs(np.linalg.eigvals(half_period_map(e, one))).max() for one in theta])
+    assert np.array_equal(radius < 1.0, manifold.stable(theta))
+    assert np.linalg.det(half_period_map(e, 1.1)) == pytest.approx(e * e)
+
+
+def test_the_slope_of_the_force_is_its_derivative():
+    manifold = Manifold(FLORES, 0.01)
+    theta, step = np.array([0.95, 1.2, 1.6]), 1e-6
+    rise = (manifold.force(theta + step) - manifold.force(theta - step)) / (
+        manifold.xi(theta + step) - manifold.xi(theta - step)
+    )
+    assert manifold.force_slope(theta) == pytest.approx(rise * manifold.xi(theta), rel=1e-7)
+
+
+@pytest.mark.parametrize("held", ["current_a", "base_m", "superior_m"])
+def test_at_a_gap_stands_the_branch_s_motion(nominal, held):
+    value = {"current_a": CURRENT_A, "base_m": 100e-6, "superior_m": 5e-3}[held]
+    along = prediction.branch(nominal, 9.1, **{held: value})
+    wanted = along.take(np.array([400]))
+    found = prediction.at(nominal, 9.1, float(wanted.gap_m[0]), **{held: value})
+    nearest = found.take(np.array([np.argmin(abs(found.theta - wanted.theta))]))
+    for name in ("theta", "dt", "base_m", "superior_m", "current_a", "impact_speed_m_s"):
+        assert getattr(nearest, name) == pytest.approx(getattr(wanted, name), rel=1e-9), name
+    assert getattr(wanted, held) == pytest.approx(value, rel=1e-12)
+
+
+def test_curves_break_where_no_motion_exists(nominal):
+    frequencies = np.arange(8.5, 9.8, 0.05)
+    lines = prediction.curves(nominal, frequencies, 29e-3, current_a=CURRENT_A)
+    assert lines
+    for line in lines:
+        assert np.diff(line.frequency_hz) == pytest.approx(0.05)
+        assert line.gap_m == pytest.approx(29e-3, rel=1e-9)
+    reached = np.concatenate([line.frequency_hz for line in lines])
+    assert reached.min() > 8.8
+    assert reached.max() < 9.4
+
+
+def test_on_the_backbone_the_superior_base_is_a_quarter_cycle_behind(nominal):
+    line = prediction.backbone(nominal, 6e-3)
+    assert np.degrees(line.phase_rad) == pytest.approx(-90.0, abs=1e-9)
+    assert line.gap_m[0] / line.superior_m[0] == pytest.approx(
+        Manifold(FLORES, 0.0081).gap_per_amplitude_at_fold, rel=2e-3
+    )
+    # the same motion, asked for by its frequency and current
+    again = prediction.at(nominal, float(line.frequency_hz[200]), 6e-3, current_a=float(line.current_a[200]))
+    assert np.abs(again.theta - line.theta[200]).min() < 1e-9
+
+
+def test_where_branches_end_and_where_damping_is_best(nominal):
+    for frequency, low, high in ((8.8, 27e-3, 28e-3), (9.1, 30e-3, 32e-3), (9.4, 26e-3, 28e-3)):
+        branch = prediction.branch(nominal, frequency, current_a=CURRENT_A)
+        assert low < prediction.widest_gap_m(branch) < high
+        assert len(prediction.at(nominal, frequency, 32e-3, current_a=CURRENT_A)) == 0
+    best = prediction.best_gap(prediction.branch(nominal, 9.1, current_a=CURRENT_A))
+    assert best.gap_m == pytest.approx(29e-3, abs=0.5e-3)
+    assert best.reduction_percent(nominal) == pytest.approx(68.1, abs=0.5)
+
+
+@pytest.mark.parametrize(("frequency_hz", "gap_mm"), [(8.8, 20), (9.1, 12.5), (9.1, 29), (9.4, 25)])
+def test_the_mechanics_do_what_is_predicted(nominal, frequency_hz, gap_mm):
+    config = rig(barriers={"gap_m": gap_mm * 1e-3})
+    ratio, speed, impacts = settled(config, frequency_hz, 220)
+    found = prediction.at(config, frequency_hz, gap_mm * 1e-3, current_a=CURRENT_A)
+    found = found.take(found.stable)
+    assert len(found) == 1
+    assert impacts == 2.0
+    assert found.dt[0] == pytest.approx(abs(ratio), rel=2e-3)
+    assert math.degrees(found.phase_rad[0]) == pytest.approx(math.degrees(np.angle(ratio)), abs=0.2)
+    assert found.impact_speed_m_s[0] == pytest.approx(speed, rel=3e-3)
+
+
+def test_without_recoil_the_deviation_at_the_fold_falls_as_the_rig_grows_heavier():
+    """A rig of ten times the mass with ten times the force is the same linear rig; m/m_1 is a tenth."""
+    nominal, plain, recoiling = RigConfig(), [], []
+    names = ("force_factor_n_a", "suspension_stiffness_n_m", "damping_n_s_m", "armature_mass_kg", "base_mass_kg")
+    for times, cycles in ((1.0, 220), (10.0, 1100)):
+        structure = {"mass_kg": times * nominal.structure.mass_kg}
+        shaker = {name: times * getattr(nominal.shaker, name) for name in names}
+        config = rig(structure=structure, shaker=shaker)
+        end = prediction.branch(config, 9.1, current_a=CURRENT_A, recoil=False)
+        gap = 0.95 * prediction.widest_gap_m(end)
+        ratio, _, impacts = settled(rig(structure=structure, shaker=shaker, barriers={"gap_m": gap}), 9.1, cycles)
+        assert impacts == 2.0
+        for recoil, kept in ((False, plain), (True, recoiling)):
+            found = prediction.at(config, 9.1, gap, current_a=CURRENT_A, recoil=recoil)
+            kept.append(abs(found.take(found.stable).dt[0] / abs(ratio) - 1.0))
+    assert plain[0] > 5e-3
+    assert plain[1] < 0.1 * plain[0]
+    assert recoiling[0] < 0.1 * plain[0]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"sphere": {"present": False}}, "needs a sphere"),
+        ({"sphere": {"guide_friction": 0.1}}, "friction"),
+        ({"contact": {"law": "hertz"}}, "restitution"),
+    ],
+)
+def test_what_it_does_not_hold_for_is_refused(changes, message):
+    with pytest.raises(ConfigError, match=message):
+        prediction.branch(rig(**changes), 9.1, current_a=CURRENT_A)
+
+
+@pytest.mark.parametrize("held", [{}, {"current_a": 0.5, "base_m": 1e-4}, {"current_a": 0.0}])
+def test_one_thing_is_held(nominal, held):
+    with pytest.raises(ConfigError):
+        prediction.branch(nominal, 9.1, **held)

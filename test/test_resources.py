@@ -1,0 +1,113 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""The package finds its own files, wherever it was installed to."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from impact_rig.client import isolated_domain
+from impact_rig.errors import ImpactRigError
+from impact_rig.kernels.build import FOLDER, OUTPUT
+from impact_rig.system.files import config_dir, share_dir
+from tools.release import build, differences, page
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_this_package_finds_its_configurations():
+    assert (config_dir() / "nominal.yaml").is_file()
+    assert (share_dir() / "launch" / "rig.launch.py").is_file()
+
+
+@pytest.mark.parametrize(
+    ("package", "share"),
+    [
+        ("checkout/impact_rig", "checkout"),
+        ("venv/lib/python3.12/site-packages/impact_rig", "venv/share/impact_rig"),
+        ("ws/install/impact_rig/lib/python3.12/site-packages/impact_rig", "ws/install/impact_rig/share/impact_rig"),
+        ("opt/ros/jazzy/lib/python3.12/site-packages/impact_rig", "opt/ros/jazzy/share/impact_rig"),
+    ],
+)
+def test_files_are_found_in_every_layout(tmp_path, package, share):
+    (tmp_path / package).mkdir(parents=True)
+    with pytest.raises(ImpactRigError, match=r"neither beside .* nor in share/impact_rig above it"):
+        share_dir(tmp_path / package)
+    (tmp_path / share / "config").mkdir(parents=True)
+    (tmp_path / share / "package.xml").touch()
+    assert share_dir(tmp_path / package) == tmp_path / share
+
+
+CAN_BUILD = any(importlib.util.find_spec(name) for name in ("setuptools.command.bdist_wheel", "wheel"))
+RELEASED = pytest.mark.skipif(
+    not CAN_BUILD or not (ROOT / ".git").exists(),
+    reason="setuptools before 70.1 builds wheels with the package wheel only; and git says what belongs to a release",
+)
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """The source distribution, and the wheel that is made from it, with the library that the tests run on."""
+    return build(tmp_path_factory.mktemp("release"), FOLDER)
+
+
+@RELEASED
+def test_a_release_holds_what_the_repository_holds_and_nothing_else(built, tmp_path):
+    sdist, wheel = built
+    assert differences(sdist, wheel) == []
+    other = tmp_path / wheel.name
+    with zipfile.ZipFile(wheel) as source, zipfile.ZipFile(other, "w") as copy:
+        for name in source.namelist():
+            if not name.endswith("impact_rig/config/nominal.yaml"):
+                copy.writestr(name, source.read(name))
+        copy.writestr("impact_rig/removed_last_week.py", "")
+    lacks, holds = differences(sdist, other)
+    assert lacks.endswith("impact_rig/config/nominal.yaml")
+    assert lacks.startswith(f"{wheel.name} lacks ")
+    assert holds == f"{wheel.name} holds impact_rig/removed_last_week.py"
+
+
+@RELEASED
+@pytest.mark.ros
+def test_an_installed_wheel_works_where_no_checkout_is(built, tmp_path):
+    """It finds its files, serves the lab's page and is pytest's plugin, from an empty directory.
+
+    `python tools/release.py --try` does the same with all that the wheel asks for in an empty environment. Here it is
+    put before the checkout.
+    """
+    pytest.importorskip("aiohttp", reason="the extra [lab] is not installed")
+    _, wheel = built
+    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--disable-pip-version-check"]
+    elsewhere = ["--prefix", str(tmp_path / "prefix"), "--ignore-installed"]  # else pip removes what these tests run
+    subprocess.run([*pip, *elsewhere, str(wheel)], check=True, cwd=tmp_path)
+    (package,) = (tmp_path / "prefix").glob("lib/python3*/site-packages/impact_rig")
+    assert (package / "py.typed").is_file()
+    assert share_dir(package) == tmp_path / "prefix" / "share" / "impact_rig"
+
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    assert (package / "kernels" / OUTPUT).is_file(), "who installs a wheel compiles nothing"
+    environment = {**os.environ, "PYTHONPATH": str(package.parent), "IMPACT_RIG_KERNELS": "library"}
+    program = tmp_path / "prefix" / "bin" / "impact-rig"
+    with isolated_domain() as domain_id:
+        environment["ROS_DOMAIN_ID"] = str(domain_id)
+        with page([sys.executable, program], empty, environment) as served:
+            assert b"impact_rig" in served
+    (empty / "test_it.py").write_text(
+        "import impact_rig\n\n"
+        "def test_the_rig_of_the_wheel(virtual_rig):\n"
+        f"    assert impact_rig.__file__.startswith({str(package)!r})\n"
+        "    rig = virtual_rig()\n"
+        "    rig.step(10)\n"
+        "    assert sum(len(table.rows) for table in rig.tables()) == 1000\n"
+    )
+    tried = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_it.py"]
+    done = subprocess.run(tried, cwd=empty, env=environment, capture_output=True, text=True, check=False)
+    assert "1 passed" in done.stdout, done.stdout + done.stderr
