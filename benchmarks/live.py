@@ -1,5 +1,16 @@
 # Copyright 2026 The impact_rig developers
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
 """The whole graph as processes: real time at 10 and 50 kS/s, freewheel at 10 kS/s, in turns with what the wire takes.
 
 Lateness is receipt at a further subscriber less the end of the block, so it holds computing, pacing, DDS and that

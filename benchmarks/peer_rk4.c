@@ -1,3 +1,17 @@
+// Copyright 2026 The impact_rig developers
+//
+// Licensed under the Apache License, Version 2.0 (the "License");
+// you may not use this file except in compliance with the License.
+// You may obtain a copy of the License at
+//
+//     http://www.apache.org/licenses/LICENSE-2.0
+//
+// Unless required by applicable law or agreed to in writing, software
+// distributed under the License is distributed on an "AS IS" BASIS,
+// WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+// See the License for the specific language governing permissions and
+// limitations under the License.
+
 /* The strongest plain C program known for the benchmark problem: fixed-step RK4, written for speed, not beauty.
  *
  * Problem: structure 0.13 kg, 9.105 Hz, zeta 0.0045; base 60 um sin(2 pi 9.1 t); sphere 1.0524 g between walls at +-g/2;

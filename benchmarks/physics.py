@@ -1,5 +1,16 @@
 # Copyright 2026 The impact_rig developers
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
 """The mechanics beside its peers, on one problem, in one run.
 
 Prescribed base 60 µm · sin(2π 9.1 t), m_1 = 0.13 kg, f_n = 9.105 Hz, ζ = 0.0045, m = 1.0524 g, K = 4.403e9 N/m^1.5,

@@ -1,5 +1,16 @@
 # Copyright 2026 The impact_rig developers
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
 """Does a map say what a longer motion does? `python -m qualification.marching`: 680 places, 2 to 40 mm, 8.6 to 9.6 Hz.
 
 At each place the map measures, and from the same start the motion goes on for 1,200 cycles, is sampled 64 times in each

@@ -1,7 +1,18 @@
-/* Copyright 2026 The impact_rig developers
- * SPDX-License-Identifier: Apache-2.0
- *
- * Calls compiled kernels from Python: unpacks arguments into slots of eight bytes, lets go of the interpreter, calls.
+// Copyright 2026 The impact_rig developers
+//
+// Licensed under the Apache License, Version 2.0 (the "License");
+// you may not use this file except in compliance with the License.
+// You may obtain a copy of the License at
+//
+//     http://www.apache.org/licenses/LICENSE-2.0
+//
+// Unless required by applicable law or agreed to in writing, software
+// distributed under the License is distributed on an "AS IS" BASIS,
+// WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+// See the License for the specific language governing permissions and
+// limitations under the License.
+
+/* Calls compiled kernels from Python: unpacks arguments into slots of eight bytes, lets go of the interpreter, calls.
  *
  * The kernels are compiled elsewhere (build.py) into functions `int32_t name(uint64_t *in, uint64_t *out)`. `in` holds
  * the arguments one after another as a plan says, a letter a piece:
