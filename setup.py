@@ -65,7 +65,7 @@ setup(
     packages=find_packages(include=[f"{NAME}*"]),
     package_data={
         NAME: ["py.typed", "interface.json", "kernels/library.c"],
-        f"{NAME}_studies": ["py.typed", "report/style.css"],
+        f"{NAME}_studies": ["py.typed", "report/parts.html", "report/style.css"],
         f"{NAME}_lab": ["py.typed", "static/*", "words.json"],
     },
     ext_modules=[Extension(f"{NAME}.kernels._library", [], py_limited_api=True, optional=True)],

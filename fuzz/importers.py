@@ -40,7 +40,9 @@ from impact_rig_studies.importing.readers import read
 from impact_rig_studies.importing.signals import Abscissa, AbscissaKind, ImportedSignals, Signal
 from impact_rig_studies.importing.units import Sensitivity, doubt, quantity, unit_factor
 
-MODULES = tuple(f"runs/importing/{name}.py" for name in ("readers/delimited", "columns", "uniform", "conversion"))
+MODULES = tuple(
+    f"impact_rig_studies/importing/{name}.py" for name in ("readers/delimited", "columns", "uniform", "conversion")
+)
 SCANS = 24
 COLUMNS = {name: np.arange(SCANS) / (100.0 * (k + 1)) for k, name in enumerate(("time", "laser", "base", "current"))}
 MAPPING = """\

@@ -60,6 +60,8 @@ START_S = 60.0
 AGAIN_S, ATTEMPTS = 0.5, 20  # how often a node that has just been started is asked to begin
 MOST_FAULTS = 16
 SWEEPER = "stepped_sine"
+PROGRAMS = {SWEEPER: "impact_rig_studies"}
+"""Modules that run a node of another package, by node."""
 FREE = frozenset({"stop", "sweep_stop", "note", "record", "restart", "recover"})
 """Requests that belong to no activation of the rig: those that make safe, and those about something else."""
 COMMANDS = {"frequency": topics.FREQUENCY, "current": topics.CURRENT}
@@ -101,7 +103,8 @@ class Own:
 
     def start(self, node: str) -> None:
         """Start a node."""
-        self._starter.submit(self.processes.start, node, self.parameters.get(node, {})).result()
+        program, parameters = PROGRAMS.get(node, node), self.parameters.get(node, {})
+        self._starter.submit(self.processes.start, program, parameters, name=node).result()
 
     def close(self) -> None:
         """Start nothing more."""

@@ -238,6 +238,8 @@ class SteppedApparatus(RosApparatus):
     def prepare(self, job: Job, run_name: str) -> SteppedApparatus:
         """Begin anew with a job's configuration."""
         client, config = self._client, job.config()
+        if self._stopped() is not None:  # by the job before: the latch outlives the transitions
+            client.trigger("rig/clear_trip")
         client.change_state("analysis", "deactivate")
         client.change_state("rig", "deactivate")
         client.change_state("rig", "cleanup")  # its history goes with its publishers

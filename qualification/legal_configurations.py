@@ -149,6 +149,8 @@ def legal(values: dict[str, object]) -> RigConfig:
     flat["instruments.adc.aggregate_limit_hz"] = max(of("instruments.adc.aggregate_limit_hz"), rates)
     nearest = 0.99 * of("instruments.laser.distance_m")
     flat["instruments.laser.half_range_m"] = min(of("instruments.laser.half_range_m"), nearest)
+    if flat["drive.kind"] == "prescribed":  # a base cannot jump
+        flat["drive.stream_hold"] = "first_order"
     return from_flat(RigConfig(), flat)
 
 

@@ -49,7 +49,7 @@ COPIED = (
     "test",
     "tools",
 )
-NOTICE = "".join((ROOT / "setup.py").read_text(encoding="utf-8").splitlines(keepends=True)[:2])
+NOTICE = (ROOT / "setup.py").read_text(encoding="utf-8").partition('"""')[0]
 """What every Python file begins with; the page leaves it out."""
 GENERATED = {str(path.relative_to(ROOT)) for path in generated()}
 

@@ -86,7 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if "_ARGCOMPLETE" in os.environ:
         _complete()
     ending = Ending(PROGRAM)
-    if words and words[0] in commands():
+    if words and words[0].isalpha():  # whether it is a command takes a while to look up
         ending.name = f"{PROGRAM} {words[0]}"
     chosen = _parse(words)
     return ending.run(lambda: _run(chosen, ending))
@@ -96,7 +96,8 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     first = arguments[0] if arguments else ""
     parser = command_line(first)
     if first and not first.startswith("-") and first not in (known := commands()):
-        from impact_rig.errors import did_you_mean, visible  # noqa: PLC0415
+        from impact_rig.errors import did_you_mean  # noqa: PLC0415
+        from impact_rig.names import visible  # noqa: PLC0415
 
         hint = did_you_mean(first, known, f"did you mean `{PROGRAM} {{}}`?", f"the commands are {', '.join(known)}")
         parser.error(visible(f"{first!r} is no command: {hint}"))

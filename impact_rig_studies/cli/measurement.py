@@ -45,8 +45,8 @@ def add_import(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
             ("import test.csv --output runs/mine --dry-run", "shows what it takes the columns for, and writes nothing"),
             ("import test.csv --output runs/mine --channel laser=ai0 mm --gap 6mm", "column ai0 is the laser, in mm"),
             (
-                'import two.tdms --output runs/two --channel base="ai0 V, 100 mV/g" --channel laser="ai1 V, 102 mV/g"',
-                "two accelerometers: one on the base, one on the structure",
+                'import two.tdms --output runs/two --channel base="ai0 V, 100 mV/g"',
+                "column ai0 is an accelerometer on the base, in volts, with its sensitivity",
             ),
             ("import sweep/*.mat --output runs/my_sweep --campaign", "a file a point: frequency and gap by file name"),
         ],

@@ -37,6 +37,8 @@ EVERYTHING = (
     "impact_rig/client/processes.py",
 )  # fmt: skip
 """What every test depends on: the environment, how tests are run, and what each of them gets."""
+COMMAND_LINE = "impact_rig/cli/main.py"
+"""It loads the entry points of setup.py, which name the modules of the commands."""
 OUTSIDE = ("docs/", "test/", "README", "CONTRIBUTING", "CHANGELOG", ".")
 """What the package itself cannot read: it is not installed with it."""
 MODULE = re.compile(r"\b(?:impact_rig(?:_studies|_lab)?|qualification|tools|fuzz|benchmarks|kits)(?:\.\w+)*\b")
@@ -76,6 +78,9 @@ class Reach:
         for path in self._texts:
             self._by_file.setdefault(Path(path).name, set()).add(path)
         self._strings: dict[str, str] = {}
+        setup = root / "setup.py"
+        points = re.findall(r"= ([\w.]+):", setup.read_text(encoding="utf-8")) if setup.exists() else []
+        self._commands = {self._files[name] for name in points if name in self._files}
         self._used = {path: self._uses(path) for path in self._texts}
 
     def files(self, paths: Iterable[str]) -> set[str] | None:
@@ -114,6 +119,8 @@ class Reach:
         found |= {self._files[f"{name}.__main__"] for name in names if f"{name}.__main__" in self._files}
         for name in set(FILE.findall(text)):
             found |= self._by_file.get(name, set())
+        if path == COMMAND_LINE:
+            found |= self._commands
         folder = str(Path(path).parent)
         if BY_NAME.search(self._texts[path]):
             found |= {other for other in self._texts if other.startswith(f"{folder}/")}

@@ -59,6 +59,7 @@ ALLOWED = {
     ),
     "physics/linear_response.py": "what simulation and analysis are held against",
     "instruments/sensor.py: np.prod": "the frequency response, for whoever judges readings",
+    "physics/function_generator.py: np.cumsum": "counts ticks, which are whole numbers",
     "instruments/checks.py": "judges readings and feeds none",
     "arithmetic/precise.py: sum": "of Decimals",
     "instruments/sensor.py: sum": "of Decimals",

@@ -155,7 +155,7 @@ def test_a_program_tells_its_use_and_starts_nothing(node: str) -> None:
 
 
 def test_help_of_what_ros_is_told_is_for_ros() -> None:
-    assert not show_help("rig", ["--ros-args", "-p", "--help"])
+    assert not show_help("rig", NODES["rig"], ["--ros-args", "-p", "--help"])
 
 
 # Commands and services in every situation
