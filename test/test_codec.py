@@ -396,9 +396,9 @@ def test_each_column_that_is_missing_or_of_another_type_is_named_or_filled(topic
     ("topic", "name", "value", "said"),
     [
         (topics.SCAN, "time", np.nan, "daq/scan: time must be a number from -4294967296 to 4294967296, got nan in"),
-        (topics.INFO, "rate", 0.0, "daq/info: rate must be a whole number from 1 to 1000000, got 0.0 in row 1"),
-        (topics.INFO, "rate", np.inf, "rate must be a whole number from 1 to 1000000, got inf in row 1"),
-        (topics.INFO, "rate", 1e12, "rate must be a whole number from 1 to 1000000, got 1000000000000.0 in row 1"),
+        (topics.INFO, "rate", 0.0, "daq/info: rate must be a number from 1 to 1000000, got 0.0 in row 1"),
+        (topics.INFO, "rate", np.inf, "rate must be a number from 1 to 1000000, got inf in row 1"),
+        (topics.INFO, "rate", 1e12, "rate must be a number from 1 to 1000000, got 1000000000000.0 in row 1"),
         (topics.INFO, "since_start", 1e300, "since_start must be"),
         (topics.INFO, "name", b"\xff", r"daq/info: name must be UTF-8, got b'\xff' in row 1"),
         (topics.JOURNAL, "sequence", 0.5, "sequence must be a whole number from 0 to 9007199254740992, got 0.5"),

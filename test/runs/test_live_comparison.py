@@ -292,7 +292,7 @@ HOSTILE = {
     "no key": ("analysis/settings", lambda rows: without(rows, "key"), "column 'key' is missing"),
     "no such setting": ("analysis/settings", lambda rows: value(rows, "key", b"unheard"), "unknown key: unheard"),
     "no calibration": ("daq/info", lambda rows: None, "daq/info"),
-    "rate NaN": ("daq/info", lambda rows: value(rows, "rate", np.nan), "rate must be a whole number"),
+    "rate NaN": ("daq/info", lambda rows: value(rows, "rate", np.nan), "rate must be a number"),
     "no rate": ("daq/info", lambda rows: without(rows, "rate"), "column 'rate' is missing"),
     "no rows": ("daq/info", lambda rows: rows[:0], "daq/info must have one row for each of"),
     "no laser": ("daq/scan", lambda rows: without(rows, "laser"), "daq/scan lacks the column laser"),
