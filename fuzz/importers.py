@@ -32,6 +32,7 @@ from scipy.io import savemat
 
 from fuzz.mutation import mutated, mutated_lines
 from fuzz.target import Target
+from impact_rig.errors import ConfigError
 from impact_rig.runs.exports import write_columns
 from impact_rig_studies.importing.assignment import guess, with_channel
 from impact_rig_studies.importing.conversion import convert
@@ -171,9 +172,10 @@ def words(text: str) -> None:
         assert factor is None or (np.isfinite(factor) and factor != 0.0)
     found = Sensitivity.parse(text)
     assert found is None or (np.isfinite(found.volts) and found.volts != 0.0)
-    quantity(text)
     doubt(text)
     with_channel({}, f"laser={text}", {"ai0": Signal(COLUMNS["laser"])})
+    if quantity(text) is None and found is None:
+        raise ConfigError("neither unit nor sensitivity")
 
 
 WORDS = st.lists(

@@ -238,7 +238,7 @@ def plain_texts(figure: Figure) -> None:
     for texts, limit in ((titles, names.LONGEST_TITLE), (labels, names.LONGEST_LABEL)):
         for text in texts:
             plain = names.plot_text(text.get_text(), limit)
-            across = int(POINTS_PER_INCH * figure.get_figwidth() / (CHARACTER * text.get_fontsize()))
+            across = int(POINTS_PER_INCH * figure.get_figwidth() / (CHARACTER * float(text.get_fontsize())))
             text.set_text(plain if len(plain) <= across else "\n".join(textwrap.wrap(plain, across)))
 
 

@@ -62,22 +62,37 @@ def transmissibility_curves(curves: Mapping[str, NDArray[np.void]]) -> Figure:
     return figure
 
 
-TRACES = (("base", 1e3, "$x_b$ (mm)"), ("laser", 1e3, "$x_1$ (mm)"), ("accelerometer", 1.0, "$a_1$ (m/s²)"))
-"""What is drawn of scans, as far as it was measured: channel, factor, label."""
+TRACES = (("base", "b"), ("laser", "1"), ("accelerometer", "1"))
+"""Channels that are drawn of scans, as far as they were measured, and the index of their symbol."""
+MOTIONS = {"m": (1e3, "x", "mm"), "m/s": (1e3, "v", "mm/s"), "m/s^2": (1.0, "a", "m/s²"), "A": (1.0, "i", "A")}
+"""Factor, symbol and unit in which a quantity is drawn, by its SI unit."""
+SI = {"accelerometer": "m/s^2", "laser": "m", "base": "m", "current": "A"}
+
+
+def symbol(index: str, unit: str) -> str:
+    """Return the symbol of a motion in a drawing, by its SI unit."""
+    return f"${MOTIONS[unit][1]}_{index}$"
 
 
 @style()
-def time_traces(rows: NDArray[np.void], impact_times: Real | None = None, remark: str = "") -> Figure:
+def time_traces(
+    rows: NDArray[np.void],
+    impact_times: Real | None = None,
+    remark: str = "",
+    units: Mapping[str, str] = SI,
+) -> Figure:
     """Draw base, superior base and acceleration over time; impacts are marked above the axes, where no pulse is hidden.
 
-    `impact_times` are on the time of the scans [s], shape (k,); `remark` is written above the acceleration.
+    `impact_times` are on the time of the scans [s], shape (k,); `remark` is written above the acceleration; `units` are
+    the SI units of the channels.
     """
-    shown = [one for one in TRACES if one[0] in (rows.dtype.names or ())] or [("current", 1.0, "current (A)")]
+    shown = [one for one in TRACES if one[0] in (rows.dtype.names or ())] or [("current", "")]
     figure, axes = _axes(len(shown))
-    for axis, (name, factor, label) in zip(axes, shown, strict=True):
+    for axis, (name, index) in zip(axes, shown, strict=True):
+        factor, _, unit = MOTIONS[units[name]]
         axis.plot(rows["time"], factor * rows[name], linewidth=0.8)
-        axis.set_ylabel(label)
-        if impact_times is not None:
+        axis.set_ylabel(f"{symbol(index, units[name]) if index else name} ({unit})")
+        if impact_times is not None and len(impact_times):  # marks of no impacts would take all room
             above = axis.get_xaxis_transform()
             axis.plot(
                 impact_times, np.full(len(impact_times), MARK_ABOVE), "v",

@@ -219,6 +219,21 @@ class Judge:
         """End the record: return the row that was held back for a sphere that has not struck, if there is one."""
         return self._given(self._held)
 
+    def unsettled(self, rest: Cycles | None) -> Measurement | None:
+        """Return all cycles of a record that ends before a row was due, as they are; None: a row was given.
+
+        `rest` are the cycles after the last window. The status is `not_settled`: nothing tells how much of a transient
+        is left in them.
+        """
+        if self._reported:
+            return None
+        parts = [*self._windows, *([rest] if rest is not None else [])]
+        if not parts:
+            return Measurement(status=Status.TOO_FEW_CYCLES, frequency_hz=self._frequency_hz)
+        cycles = concatenate(parts)
+        found = measure(cycles, self._calibration, self._frequency_hz, self._settings, worst=math.inf)
+        return attrs.evolve(found, status=Status.NOT_SETTLED) if found.status in MEASURED else found
+
     def _given(self, found: Measurement | None) -> Measurement | None:
         """Return a measurement as the next row; None: there is none."""
         self._held = None

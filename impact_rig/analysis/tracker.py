@@ -250,15 +250,34 @@ class Tracker:
         """What the measurement does now, and since when."""
         return self._state
 
-    def flush(self) -> Findings:
-        """Measure what is still held back, and no longer wait for a sphere that may still strike: the record ends."""
+    def flush(self, *, take_unsettled: bool = False) -> Findings:
+        """Measure what is still held back, and no longer wait for a sphere that may still strike: the record ends.
+
+        With `take_unsettled` a record that is too short for any row gives one of all its cycles.
+        """
         if self._started:
             self._advance(self._buffer.end)
             held = self._judge.finish() if self._accumulator is not None else None
             if held:
                 self._emit(held, self._judged)
+            if take_unsettled and not self.counters.measurements and not self.counters.refusals:
+                self._take_unsettled()
         measurements, self._rows = tuple(self._rows), []
         return Findings(measurements)
+
+    def _take_unsettled(self) -> None:
+        """Report a record that ends before its first row."""
+        accumulator = self._accumulator
+        if accumulator is None:
+            frequency = self._command.frequency_hz if self._command else math.nan
+            self._emit(Measurement(status=Status.NO_FREQUENCY, frequency_hz=frequency), self._buffer.end - 1)
+            return
+        self._add(accumulator)
+        count = accumulator.pending_cycles
+        rest = self._counted(accumulator.take(count), accumulator) if count else None
+        found = self._judge.unsettled(rest)
+        if found:
+            self._emit(found, self._buffer.end - 1)
 
     def _feed_broken(self, scan: Table, numbers: NDArray[np.float64]) -> Findings:
         """Feed a block with scans missing at its beginning or inside it as the whole runs it consists of.

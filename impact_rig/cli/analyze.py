@@ -30,7 +30,7 @@ from impact_rig.analysis.transmissibility import note_on
 from impact_rig.cli.terminal import Console, TextTable, add_json, add_run, figure, subcommand, tell_json
 from impact_rig.errors import ConfigError
 from impact_rig.recording import Run, open_run
-from impact_rig.states import MEASURED
+from impact_rig.states import MEASURED, Status
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -135,6 +135,14 @@ def _print_last(console: Console, rows: NDArray[np.void]) -> None:
     settled = rows[rows["settled"] == 1.0]
     if not len(settled):
         console.print("no settled measurement in this run")
+        unsettled = rows[rows["status"] == Status.NOT_SETTLED.value.encode()]
+        if len(unsettled):
+            row = unsettled[-1]
+            spec = _places(row["transmissibility_uncertainty"])
+            console.print(
+                f"DT {row['transmissibility']:{spec}} ± {2 * row['transmissibility_uncertainty']:{spec}} (2u) of "
+                f"{row['cycles']:g} cycles at {row['frequency']:g} Hz, not settled: a transient may be left in it"
+            )
         return
     row = settled[-1]
     spec = _places(row["transmissibility_uncertainty"])
@@ -277,8 +285,12 @@ def _sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
                 }
                 for name, fit in found.fits.items()
             ],
-            "transmissibility": measured.transmissibility, "u_transmissibility": measured.u_transmissibility,
-            "phase_rad": measured.phase_rad, "u_phase_rad": measured.u_phase_rad, "status": measured.status.value,
+            "reference": found.reference_name,
+            "transmissibility": measured.transmissibility if measured else None,
+            "u_transmissibility": measured.u_transmissibility if measured else None,
+            "phase_rad": measured.phase_rad if measured else None,
+            "u_phase_rad": measured.u_phase_rad if measured else None,
+            "status": measured.status.value if measured else "no_motion_pair",
         })  # fmt: skip
     table = TextTable(title=f"Sines of {reference.frequency_hz:.6f} ± {2 * reference.u_frequency_hz:.1g} Hz")
     for heading in ("channel", "unit", "amplitude", "± 2u", "phase [deg]", "± 2u", "mean", "left over, rms"):
@@ -291,9 +303,14 @@ def _sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
             figure(fit.residual_rms, ".2g"),
         )  # fmt: skip
     console.print(table)
-    console.print(f"{found.excerpt}; phases are those of the samples to the current's, lag and skew in them")
+    console.print(
+        f"{found.excerpt}; phases are those of the samples to the {found.reference_name}'s, lag and skew in them"
+    )
     rows = found.excerpt.rows[: round(DRAWN_CYCLES / reference.frequency_hz * found.excerpt.rate_hz)]
     draw_figure(console, run, arguments, "sine", lambda: sine_fits(rows, found.fits, units, found.excerpt.rate_hz))
+    if measured is None:
+        console.print("no DT: it needs the motion of structure (laser) and base, and one of them was not measured")
+        return 0
     if measured.status not in MEASURED or not math.isfinite(measured.u_transmissibility):
         console.print(f"no DT from these scans: {measured.status.value} (docs/analysis.md explains)", style="red")
         return 1

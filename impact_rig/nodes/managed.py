@@ -49,7 +49,7 @@ from impact_rig.config.tree import Tree
 from impact_rig.errors import CodecError, ImpactRigError, describe, in_words
 from impact_rig.names import one_line
 from impact_rig.nodes import messages, rclpy_internals
-from impact_rig.nodes.parameters import Parameters, Proposal, set_one_by_one
+from impact_rig.nodes.parameters import FOREIGN, Parameters, Proposal, set_one_by_one
 
 Report = Callable[[str, str], None]  # what to do with a failure: (where, message)
 
@@ -579,8 +579,9 @@ class ManagedNode(LifecycleNode, Generic[S]):
         """Set one after the other, each through the validator."""
         return [self.set_parameters_atomically([parameter]) for parameter in parameter_list]
 
-    def _on_set_parameters(self, _parameters: list[Parameter]) -> SetParametersResult:
-        if self._proposed is None:  # rclpy declares a parameter of its own (qos_overrides)
+    def _on_set_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        # rclpy declares parameters of its own (qos_overrides), also for a subscription made while a value is set
+        if self._proposed is None or all(parameter.name.startswith(FOREIGN) for parameter in parameters):
             return SetParametersResult(successful=True)
         try:
             if self._proposed.changes:

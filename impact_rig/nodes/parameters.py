@@ -43,7 +43,7 @@ _LARGEST = 1.7976931348623157e308
 _LARGEST_INTEGER = 2**63 - 1
 CONFIG_FILE = "config_file"  # parameter: a configuration file to start from; other parameters go on top of it
 SIM_TIME = "use_sim_time"
-_FOREIGN = (SIM_TIME, "start_type_description_service", "qos_overrides.")  # overrides that belong to rclpy, not us
+FOREIGN = (SIM_TIME, "start_type_description_service", "qos_overrides.")  # overrides that belong to rclpy, not us
 NO_SIM_TIME = "must be false here: this node makes the time that others follow"
 
 
@@ -92,7 +92,7 @@ class Parameters(Generic[S]):
         node.declare_parameter(CONFIG_FILE, str(given.get(CONFIG_FILE, "")), about, ignore_override=True)
 
     def _at_start(self, given: Mapping[str, object], files: str, complete: Callable[[S], S]) -> S:
-        ours = {name: _from_ros(value) for name, value in given.items() if not name.startswith(_FOREIGN)}
+        ours = {name: _from_ros(value) for name, value in given.items() if not name.startswith(FOREIGN)}
         try:
             path = ours.pop(CONFIG_FILE, "")
             base = self._tree.load(str(path)) if path else self._tree.root()
@@ -114,7 +114,7 @@ class Parameters(Generic[S]):
         for parameter in wanted:
             if self._makes_time and parameter.name == SIM_TIME and parameter.value is True:
                 raise ConfigError(f"{SIM_TIME} {NO_SIM_TIME}")
-            if not parameter.name.startswith(_FOREIGN):
+            if not parameter.name.startswith(FOREIGN):
                 changes[parameter.name] = _from_ros(parameter.value)
         settings = self._tree.from_flat(self.settings, changes)
         values = self._tree.to_flat(settings)

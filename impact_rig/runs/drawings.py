@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -41,11 +41,8 @@ FORMATS = ("png", "svg")
 NAMES = ("time_traces", "phase_plane", "spectrum", "curves")
 TRACED_CYCLES = 8
 SMOOTHED_CYCLE = 40.0  # the velocity of the phase plane is smoothed over this part of a cycle
-MOTIONS = (
-    ("laser", 1e3, "mm", "$x_1$"), ("base", 1e3, "mm", "$x_b$"),
-    ("accelerometer", 1.0, "m/s²", "the acceleration"), ("current", 1.0, "A", "the current"),
-)  # fmt: skip
-"""Channel, factor, unit and name: the first that a run has is that of its phase plane and spectrum."""
+SHOWN = (("laser", "1"), ("base", "b"), ("accelerometer", "1"), ("current", ""))
+"""Channel and index of its symbol: the first that a run has is that of its phase plane and spectrum."""
 HARMONICS = 10.5
 UNDRIVEN_HZ = 100.0  # the spectrum ends after so many harmonics of the drive, or here where none is known
 
@@ -74,15 +71,16 @@ def draw(run: Run, found: Sequence[Findings], directory: Path, suffix: str = "pn
     excerpt = last_excerpt(run, found)
     traced = excerpt.newest(TRACED_CYCLES)
     remark = aliasing(calibration_rows(run))
-    channel, factor, unit, name = next(one for one in MOTIONS if one[0] in (excerpt.rows.dtype.names or ()))
+    units = channel_units(run)
+    channel, factor, unit, name = main_motion(excerpt.rows, units)
     samples = samples_of(excerpt.rows, channel)
     upto_hz = min(HARMONICS * excerpt.drive_hz or UNDRIVEN_HZ, excerpt.rate_hz / 2.0)
     spectrum = drawings.spectrum(factor * samples, excerpt.rate_hz, unit, excerpt.drive_hz, upto_hz)
     drawn = {
-        "time_traces": titled(drawings.time_traces(traced.rows, traced.impact_times, remark), run, str(traced)),
+        "time_traces": titled(drawings.time_traces(traced.rows, traced.impact_times, remark, units), run, str(traced)),
         "spectrum": titled(spectrum, run, f"spectrum of {name}, {excerpt}"),
     }
-    if unit == "mm":
+    if unit == "mm":  # a displacement: its derivative is the velocity
         smooth_s = 1.0 / (SMOOTHED_CYCLE * excerpt.drive_hz or math.inf)
         plane = drawings.phase_plane(samples, excerpt.rate_hz, smooth_s, name)
         drawn["phase_plane"] = titled(plane, run, f"phase plane, {excerpt}")
@@ -90,6 +88,18 @@ def draw(run: Run, found: Sequence[Findings], directory: Path, suffix: str = "pn
     if curves:
         drawn["curves"] = titled(drawings.transmissibility_curves(curves), run, "settled measurements, ±2u")
     return excerpt, [save(figure, directory / f"{stem}.{suffix}") for stem, figure in drawn.items()]
+
+
+def channel_units(run: Run) -> dict[str, str]:
+    """Return the SI unit of each channel of a run."""
+    return {row["name"].decode(): row["unit"].decode() for row in calibration_rows(run)}
+
+
+def main_motion(rows: NDArray[np.void], units: Mapping[str, str]) -> tuple[str, float, str, str]:
+    """Return the channel of which phase plane and spectrum are drawn, its factor, unit and name in a drawing."""
+    channel, index = next(one for one in SHOWN if one[0] in (rows.dtype.names or ()))
+    factor, _, unit = drawings.MOTIONS[units[channel]]
+    return channel, factor, unit, drawings.symbol(index, units[channel]) if index else f"the {channel}"
 
 
 def measured_curves(rows: NDArray[np.void]) -> dict[str, NDArray[np.void]]:

@@ -75,7 +75,7 @@ def analyze(
                 yield tracker.feed(instead(topic, run.table(message, topic)))
     except ConfigError as error:
         raise RecordingError(f"{run.path}: {error}") from error
-    yield tracker.flush()
+    yield tracker.flush(take_unsettled=is_measured(run.provenance))
 
 
 def _in_force_first(run: Run, names: Mapping[str, topics.Topic]) -> Iterator[Message]:

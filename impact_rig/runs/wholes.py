@@ -39,7 +39,9 @@ from impact_rig.recording import Run
 from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Status
 
-UNSETTLED_S = 5.0  # length of what is drawn of a run in which nothing settled
+UNSETTLED_S, UNSETTLED_CYCLES, UNSETTLED_SCANS = 5.0, 24, 200
+"""Length of what is drawn of a run in which nothing settled: the longest of so many seconds, cycles and scans."""
+FEWEST_DRAWN = 16  # scans
 HELD_S = 0.5  # a measurement is reported at most this long after its last scan
 FEWEST_SCANS = 100
 MOST_SCANS = 20_000_000  # of a record that is measured as one; 740 MB of scans
@@ -86,16 +88,18 @@ def last_excerpt(run: Run, found: Sequence[Findings]) -> Excerpt:
         span_s = float(measured.rows["cycles"][0]) / drive_hz
     else:
         drive = [table.rows["frequency"][-1] for table in run.tables(topics.APPLIED.name, recorded_order=True)]
-        last, drive_hz, end_ns, span_s = sys.maxsize, float(drive[-1]) if drive else 0.0, None, UNSETTLED_S
+        last, drive_hz, end_ns = sys.maxsize, float(drive[-1]) if drive else 0.0, None
+        cycles_s = UNSETTLED_CYCLES / drive_hz if drive_hz > 0.0 else 0.0
+        span_s = max(UNSETTLED_S, cycles_s, UNSETTLED_SCANS / rate_hz)
     first, origin_ns, rows = _newest_scans(run, last, span_s + HELD_S, rate_hz)
     if not len(rows):
         raise RecordingError(f"{run.path} holds no scans to draw")
     end_s = rows["time"][-1] if end_ns is None else (end_ns - origin_ns) / NS_PER_S
     within = (rows["time"] > end_s - span_s) & (rows["time"] < end_s + 0.5 / rate_hz)
-    if np.count_nonzero(within) < FEWEST_SCANS:
+    if np.count_nonzero(within) < FEWEST_DRAWN:
         raise RecordingError(
-            f"{run.path}: {np.count_nonzero(within)} scans without a gap at its end are too few to draw, "
-            f"at least {FEWEST_SCANS} are needed"
+            f"{run.path}: {np.count_nonzero(within)} scans without a gap at its end are too few to draw or fit, "
+            f"at least {FEWEST_DRAWN} are needed"
         )
     rows = rows[within]
     impacts = [_joined(one.impacts, origin_ns)["time"] for one in found[first : last + 1] if one.impacts]
@@ -162,6 +166,7 @@ def _joined(tables: Iterable[Table], origin_ns: int) -> NDArray[np.void]:
     return np.concatenate(parts)
 
 
+REFERENCES = ("current", "base", "laser", "accelerometer")  # of phases and frequency: the first that was measured
 COHERENT = 0.9  # coherence that some excited line has at least
 
 
@@ -180,6 +185,7 @@ def response_of(
         RecordingError: the record is too short, stands still, or nothing in it is excited well enough.
     """
     excerpt = last_record(run)
+    need_motions(run, excerpt.rows)
     segment = None if segment_s is None else round(segment_s * excerpt.rate_hz)
     try:
         found = transmissibility_frf(
@@ -196,15 +202,30 @@ def response_of(
     return found
 
 
+def need_motions(run: Run, rows: NDArray[np.void]) -> None:
+    """Refuse scans without the motion of structure or base.
+
+    Raises:
+        RecordingError: names what is missing.
+    """
+    missing = [name for name in ("laser", "base") if name not in channels_of(rows)]
+    if missing:
+        raise RecordingError(
+            f"{run.path} has no channel {' and no channel '.join(missing)}: x_1/x_b needs laser and base"
+        )
+
+
 @attrs.frozen(eq=False)
 class Sines:
     """An excerpt as sines of one frequency."""
 
     reference: SineFit
-    """The current, or the base where no current was measured, with its frequency refined: four parameters and the
-    harmonics."""
+    """The first of current, base, laser and accelerometer that was measured, with its frequency refined: four
+    parameters and the harmonics."""
+    reference_name: str
     fits: dict[str, SineFit]  # every channel at that frequency, by name
-    measured: Measurement  # the transmissibility of the whole excerpt at the commanded frequency
+    measured: Measurement | None
+    """The transmissibility of the whole excerpt at the commanded frequency; None: laser or base was not measured."""
     excerpt: Excerpt
 
 
@@ -212,12 +233,12 @@ def sines_of(run: Run, excerpt: Excerpt, harmonics: int = 1) -> Sines:
     """Fit sines to an excerpt of a run.
 
     Raises:
-        RecordingError: no drive frequency is known, or the current holds no sine of about that frequency.
+        RecordingError: no drive frequency is known, or the reference holds no sine of about that frequency.
     """
     if not excerpt.drive_hz > 0.0:
         raise RecordingError(f"{run.path} holds no drive frequency (shaker/applied) for {excerpt}")
     samples = {name: np.asarray(excerpt.rows[name], dtype=np.float64) for name in channels_of(excerpt.rows)}
-    name = "current" if "current" in samples else "base"
+    name = next(name for name in REFERENCES if name in samples)
     reference = fit_sine_frequency(samples[name], excerpt.rate_hz, excerpt.drive_hz, harmonics)
     if reference.status is not Status.OK:
         raise RecordingError(
@@ -225,7 +246,10 @@ def sines_of(run: Run, excerpt: Excerpt, harmonics: int = 1) -> Sines:
         )
     return Sines(
         reference=reference,
+        reference_name=name,
         fits={name: fit_sine(y, excerpt.rate_hz, reference.frequency_hz, harmonics) for name, y in samples.items()},
-        measured=measure_record(excerpt.rows, calibration_rows(run), excerpt.drive_hz),
+        measured=measure_record(excerpt.rows, calibration_rows(run), excerpt.drive_hz)
+        if {"laser", "base"} <= set(samples)
+        else None,
         excerpt=excerpt,
     )

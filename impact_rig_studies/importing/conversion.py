@@ -37,7 +37,7 @@ from impact_rig_studies.importing.uniform import Rate, uniform
 POWERS = {"m": 0, "m/s": 1, "m/s^2": 2, "A": 0}  # of frequency, by which a spectrum is that of a displacement
 REFERENCES = ("base", "current", "laser", "accelerometer")  # whose frequency is that of the drive: the first measured
 NAMED_WITHIN = 0.005  # relative departure of a frequency in a file name from that of the data
-FREQUENCY_S = 20  # length of the end of a record whose frequency is measured
+FREQUENCY_S, FREQUENCY_SCANS = 20, 20_000  # length of the end of a record whose frequency is measured: the longer
 
 
 @attrs.frozen(eq=False)
@@ -328,16 +328,19 @@ def _frequency_of(found: AnyMapping[str, Real], si_units: AnyMapping[str, str], 
 
     name = next(name for name in REFERENCES if name in found)
     values = found[name]
-    part = values[-min(len(values), round(FREQUENCY_S * rate)) :]
-    if len(part) < 4 or not np.all(np.isfinite(part)) or not float(np.ptp(part)) > 0.0:
+    part = values[-min(len(values), max(round(FREQUENCY_S * rate), FREQUENCY_SCANS)) :]
+    with np.errstate(over="ignore", invalid="ignore"):
+        span = float(np.ptp(part)) if len(part) else 0.0
+        part = (part - part.mean()) / span if 0.0 < span < math.inf else part[:0]
+    if len(part) < 4 or not np.all(np.isfinite(part)):
         return 0.0, False
-    lines = np.abs(np.fft.rfft((part - part.mean()) * np.hanning(len(part))))
+    lines = np.abs(np.fft.rfft(part * np.hanning(len(part))))
     lines[2:] /= np.arange(2, len(lines)) ** float(POWERS[si_units[name]])
     lines[:2] = 0.0  # the mean, as the window spreads it
     coarse = float(np.argmax(lines)) * rate / len(part)
     try:
         fit = fit_sine_frequency(part, rate, coarse)
-    except np.linalg.LinAlgError:  # at half the rate there is no sine
+    except (np.linalg.LinAlgError, ValueError, OverflowError):  # at half the rate, or in a few values, there is no sine
         return coarse, False
     if fit.status is not Status.OK:
         return coarse, False

@@ -81,7 +81,7 @@ def write(found: ImportedRun, directory: Path, clock_ns: int | None = None) -> P
         for block in _blocks(found):
             put(topics.SCAN, codec.encode(block))
             put_findings(tracker.feed(block))
-        put_findings(tracker.flush())
+        put_findings(tracker.flush(take_unsettled=True))
     return directory
 
 

@@ -79,6 +79,8 @@ def uniform(
         RecordingError: times and values differ in number.
     """
     count = len(next(iter(found.values())))
+    if count < 2:
+        raise RecordingError(f"{path}: {count} scans are no measurement, at least 2 are needed")
     times, stated = _basis(path, abscissa, mapping, count)
     if times is None:
         assert stated is not None

@@ -41,7 +41,7 @@ from impact_rig.recording import Run, open_run
 from impact_rig.recording.description import MEASURED, MODE_KEY
 from impact_rig.rig.gaps import NO_SPHERE, case_of
 from impact_rig.runs import reanalysis
-from impact_rig.runs.drawings import MOTIONS, TRACED_CYCLES
+from impact_rig.runs.drawings import TRACED_CYCLES, channel_units, main_motion
 from impact_rig.runs.wholes import calibration_rows, last_excerpt
 from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Method
@@ -310,11 +310,12 @@ def _motion(run: Run, found: Sequence[Findings]) -> Iterator[Drawn]:
     """Draw the last settled measurement: time traces, phase plane, spectrum."""
     excerpt = last_excerpt(run, found)
     traced = excerpt.newest(TRACED_CYCLES)
-    channel, factor, unit, name = next(one for one in MOTIONS if one[0] in (excerpt.rows.dtype.names or ()))
+    units = channel_units(run)
+    channel, factor, unit, name = main_motion(excerpt.rows, units)
     samples = samples_of(excerpt.rows, channel)
     upto_hz = min(10.5 * excerpt.drive_hz or 100.0, excerpt.rate_hz / 2.0)
     pictures: Sequence[tuple[str, Figure, str]] = (
-        ("time_traces", drawings.time_traces(traced.rows, traced.impact_times), f"Time traces, {traced}."),
+        ("time_traces", drawings.time_traces(traced.rows, traced.impact_times, units=units), f"Time traces, {traced}."),
         (
             "spectrum",
             drawings.spectrum(factor * samples, excerpt.rate_hz, unit, excerpt.drive_hz, upto_hz),

@@ -70,6 +70,9 @@ def _object_reason(name: str, kind: str) -> str:
 def _collect(tables: Tables, left_out: dict[str, str], where: str, name: str, value: Any, depth: int) -> None:
     """Add a variable to the columns of its struct."""
     shown = f"{where}.{name}" if where else name
+    if hasattr(value, "toarray"):
+        left_out[shown] = "a sparse matrix"
+        return
     array = np.asarray(value)
     names = array.dtype.names
     if type(value).__name__ in ("MatlabOpaque", "MatlabObject", "MatlabFunction"):
@@ -90,7 +93,7 @@ def _collect(tables: Tables, left_out: dict[str, str], where: str, name: str, va
             for field in names:
                 _collect(tables, left_out, place, field, element[field], depth + 1)
     elif array.dtype.kind == "O":
-        if array.size == 1:
+        if array.size == 1 and depth < DEEPEST and isinstance(array.reshape(-1)[0], np.ndarray):
             _collect(tables, left_out, where, name, array.reshape(-1)[0], depth + 1)
         elif array.size:
             left_out[shown] = "a cell array: save its columns as vectors"

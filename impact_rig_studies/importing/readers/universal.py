@@ -59,10 +59,6 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
     Raises:
         RecordingError: there is none, or the file is cut off.
     """
-    if not content.rstrip().endswith(b"-1"):
-        raise RecordingError(
-            f"{path} is no complete universal file: it does not end with the line -1, it may be cut off"
-        )
     with tempfile.TemporaryDirectory(prefix="impact_rig_uff_") as folder:  # pyuff opens files by name only
         named = Path(folder) / "all.uff"
         named.write_bytes(content)
@@ -70,6 +66,8 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
         types = [int(kind) for kind in file.get_set_types()]
         allow_columns(len(types))
         left_out: dict[str, str] = {}
+        if not content.rstrip().endswith(b"-1"):
+            left_out["end of the file"] = "the line -1 that ends a dataset is missing, the file may be cut off"
         signals: dict[str, Signal] = {}
         names = UniqueNames()
         system = ""

@@ -120,8 +120,7 @@ def test_where_nothing_settled_it_is_the_end_after_the_last_gap(measured: Messag
     short = record(tmp_path / "short", kept[:-300])
     assert main(["analyze", str(short), "--figures", str(tmp_path)]) == 0
     few = record(tmp_path / "few", [one for one in kept if one[0] != "daq/scan"] + scans[:10] + scans[20:21])
-    with pytest.raises(OSError, match="50 scans without a gap at its end are too few to draw, at least 100"):
-        excerpt_of(few)
+    assert len(excerpt_of(few).rows) == 50
     none = record(tmp_path / "none", [(name, attrs.evolve(table, rows=np.empty(0, SCAN))) for name, table in scans[:1]])
     assert main(["analyze", str(none), "--figures", str(tmp_path)]) == 1
 
