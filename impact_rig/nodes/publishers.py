@@ -125,8 +125,12 @@ class Publishers:
         depth = max(kept, math.ceil(LEAST_S * per_second), LEAST_BLOCKS)
         fitted = {instrument.name for instrument in config.instruments.fitted()}
         absent = [topic for name, topic in MONITORS.items() if name not in fitted]
+        # as many as the blocks hold that may be published and not acknowledged: none of them is overwritten
+        in_window = (config.time.ack_window + 1) * math.ceil(config.output.monitor_rate_hz / per_second + 1)
+        depths = dict.fromkeys(topics.BULKY, depth)
+        depths |= dict.fromkeys((topics.JOINT_STATES, *MONITORS.values()), max(topics.DATA_DEPTH, in_window))
         node.outputs |= {
-            t.name: node.publisher(t, depth if t in topics.BULKY else None)
+            t.name: node.publisher(t, depths.get(t))
             for t in PUBLISHED
             if t not in absent and (t is not topics.CLOCK or config.time.publishes_clock)
         }
@@ -151,18 +155,22 @@ class Publishers:
         }
 
     def block(self, block: Block) -> None:
-        """Publish a block: its tables, then the monitors; all are made before the first goes out.
+        """Publish a block, its scans last: a subscriber that has received them has received all of the block.
 
-        To send one empties the caches for the making of the next.
+        Peers acknowledge blocks by their scans, so what a recorder acknowledges is complete in all topics. Every message
+        is rendered before the first is sent, because sending empties the caches for the next rendering.
         """
         assert self._monitors is not None
-        made = [
-            (topic, codec.encode(table, self._node.frame_prefix))
+        rendered = {
+            topic: codec.encode(table, self._node.frame_prefix)
             for topic, table in block.tables()
             if topic is topics.SCAN or topic.qos.transient_local or self._heard(topic)
-        ]
-        for topic, data in (*made, *self._monitors.messages(block, self._heard)):
+        }
+        scans = rendered.pop(topics.SCAN, None)
+        for topic, data in (*rendered.items(), *self._monitors.messages(block, self._heard)):
             self._node.send(topic, data)
+        if scans is not None:
+            self._node.send(topics.SCAN, scans)
 
     def _heard(self, topic: topics.Topic) -> bool:
         """Whether anybody listens: what nobody hears is not even made."""

@@ -25,12 +25,15 @@ pytest.importorskip("rclpy", reason="no ROS 2 here")
 from kits.nodes import DRIVEN, TICK, dotted, host_rig, same_as_resimulated
 from std_srvs.srv import SetBool, Trigger
 
+from impact_rig import codec, topics
 from impact_rig.client import Client, ServiceFailedError
+from impact_rig.client.client import Received
 from impact_rig.nodes import publishers
 from impact_rig.nodes.messages import nanoseconds
 from impact_rig.nodes.pacing import Pacer
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.simtime import NS_PER_S
 
 pytestmark = pytest.mark.ros
 
@@ -302,3 +305,19 @@ def test_a_paused_rig_looks_at_each_step_who_listens(client: Client, monkeypatch
     states = client.collect("truth/joint_states")
     client.step(4)
     client.wait_until(lambda: len(states) == 2, "the true states of four blocks")
+
+
+def test_a_subscriber_that_has_the_scans_of_a_block_has_all_of_it(client: Client) -> None:
+    """Scans are acknowledged for the whole block: published first, they left a killed recorder without the rest."""
+    host_rig(client, daq__block_scans=2000)
+    client.wait_active("rig")
+    held: list[tuple[int, int]] = []  # end of each block of scans, and stamp of the newest joint state before it
+    joints = client.listen(topics.JOINT_STATES.name)
+
+    def on_scan(message: Received) -> None:
+        held.append((codec.header_stamp_ns(message.data) + 20 * TICK, nanoseconds(joints.messages[-1].header.stamp)))
+
+    client.listen(topics.SCAN.name, on_scan)
+    client.step(4)
+    client.wait_until(lambda: len(held) == 4, "four blocks of scans")
+    assert all(0 < end - newest <= NS_PER_S // 50 for end, newest in held), held
