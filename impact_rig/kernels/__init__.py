@@ -155,10 +155,14 @@ def digest(path: Path) -> str:
 
 
 def library() -> ModuleType | None:
-    """Return the shared library if it is there and was built from the sources as they are; say so if it was not."""
+    """Return the shared library if it can be loaded and was built from the sources as they are, else warn."""
     if importlib.util.find_spec(f"{__name__}._library") is None:
         return None
-    from impact_rig.kernels import _library as found  # type: ignore[attr-defined]  # noqa: PLC0415  # where it is built
+    try:
+        from impact_rig.kernels import _library as found  # type: ignore[attr-defined]  # noqa: PLC0415  # where it is built
+    except ImportError as error:  # of another machine, or cut short
+        sys.stderr.write(f"impact_rig: the library of kernels cannot be loaded ({error}): `make kernels` builds it\n")
+        return None
 
     sources: dict[str, str] = json.loads(found.sources())
     paths = ((PACKAGE / name, known) for name, known in sources.items())

@@ -15,9 +15,10 @@
 
 Where there is one of these sources already, it is left, or copied.
 
-Numba translates each entry, and whatever it calls, to LLVM's code once, for a plain x86-64 CPU (the arithmetic is
-portable, so nothing is lost and the bits are the same). All of it becomes one module, in which LLVM sees and optimises
-everything together, once; the system's C compiler links it with library.c. Two processes share the translation.
+Numba translates each entry, and whatever it calls, to LLVM's code once, for a plain CPU of this machine's kind (the
+arithmetic is portable, so nothing is lost and the bits are the same). All of it becomes one module, in which LLVM sees
+and optimises everything together, once; the system's C compiler links it with library.c. Two processes share the
+translation.
 
 This uses parts of Numba that are not its public interface: the build pins its version.
 """
@@ -49,10 +50,23 @@ PARTS = {
     "instruments": ("instruments.chain", "analysis.tracker", "codec"),
 }
 """What is translated side by side: modules whose import declares the entries."""
-CPU = "x86-64"
+CPUS = {"x86_64": "x86-64", "aarch64": "generic", "arm64": "generic"}
+"""LLVM's name of a plain CPU by machine. LLVM ignores the name of another machine's and emits soft-float calls."""
 NUMBA = "0.68.1"
 """The build uses parts of it that other versions may not have."""
 TELL_S = 5.0
+
+
+def cpu(machine: str) -> str:
+    """Return the CPU that code is made for on a machine, as `platform.machine` names it.
+
+    Raises:
+        SystemExit: the kernels are not made for such a machine.
+    """
+    try:
+        return CPUS[machine]
+    except KeyError:
+        raise SystemExit(f"kernels are compiled for {' and '.join(CPUS)}, this machine is {machine}") from None
 
 
 def sources() -> list[Path]:
@@ -84,12 +98,25 @@ def build(folder: Path = FOLDER) -> None:
         built = work / OUTPUT
         objects = [str(work / f"{part}.o") for part in PARTS]
         _compile([str(FOLDER / "library.c"), str(work / "exports.c"), *objects, "-o", str(built)])
+        _check_loads(built)
         folder.mkdir(parents=True, exist_ok=True)
         (folder / HEADER).write_text(whole((work / f"{part}.h").read_text(encoding="utf-8") for part in PARTS), "utf-8")
         new = folder / f".{OUTPUT}.new"
         new.write_bytes(built.read_bytes())
         new.replace(folder / OUTPUT)  # at once: a process that runs the old one keeps it
     print(f"{len(exports)} compiled functions in {folder / OUTPUT}, {time.monotonic() - began:.0f} s")  # noqa: T201
+
+
+def _check_loads(path: Path) -> None:
+    """Load a library in a process of its own: the linker accepts one whose functions exist nowhere.
+
+    Raises:
+        SystemExit: it cannot be loaded.
+    """
+    load = "import importlib.util as u, sys; u.module_from_spec(u.spec_from_file_location('_library', sys.argv[1]))"
+    done = subprocess.run([sys.executable, "-c", load, str(path)], capture_output=True, text=True, check=False)  # noqa: S603  # ourselves
+    if done.returncode:
+        raise SystemExit(f"the library of kernels cannot be loaded: {done.stderr.strip().splitlines()[-1]}")
 
 
 def _check_numba() -> None:

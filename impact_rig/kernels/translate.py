@@ -14,13 +14,14 @@
 """Translate one part of the kernels into an object file; a process of its own, started by `build`.
 
 Here is all that knows Numba's insides. Three things differ from what Numba does for itself: code is made for a plain
-x86-64 CPU and another address; nothing is optimised before everything is together; each entry gets a second function
+CPU and another address; nothing is optimised before everything is together; each entry gets a second function
 around it, `int32_t name(uint64_t *in, uint64_t *out)`, which takes its arguments from slots (see library.c).
 """
 
 from __future__ import annotations
 
 import importlib
+import platform
 import sys
 from pathlib import Path
 from typing import Any
@@ -35,7 +36,8 @@ from numba.core.registry import cpu_target
 
 import impact_rig.kernels as declared
 from impact_rig.kernels import OPTIONS, Entry, Exported
-from impact_rig.kernels.build import CPU, PARTS
+from impact_rig.kernels.build import PARTS
+from impact_rig.kernels.build import cpu as plain_cpu
 from impact_rig.kernels.header import header
 from impact_rig.kernels.jit import numba_type
 
@@ -73,7 +75,7 @@ def main() -> None:
     entries = {name: one for name, one in declared.entries.items() if part_of(name) == part}
     forces = declared.exported if part == "mechanics" else {}
     _let_numba_see_kernels()
-    context = cpu_target.target_context.with_aot_codegen("impact_rig_kernels", cpu_name=CPU)
+    context = cpu_target.target_context.with_aot_codegen("impact_rig_kernels", cpu_name=plain_cpu(platform.machine()))
     context.__class__ = Context
     context.codegen()._library_class = Library
     vars(cpu_target)["_toplevel_target_context"] = context  # of every function that is called, too
@@ -191,6 +193,11 @@ def _object(context: Any, libraries: Any, exported: set[str]) -> bytes:
     for function in together.functions:
         if not function.is_declaration:
             function.linkage = "external" if function.name in exported else "internal"
+    for variable in together.global_variables:
+        if variable.linkage == llvm.Linkage.common:
+            variable.linkage = (
+                "internal"  # environments of Numba's call-backs: their long names are most of the library
+            )
     together.verify()
     for manager, passes in (
         context.codegen()._module_pass_manager(loop_vectorize=True, slp_vectorize=False, cost="cheap"),

@@ -157,8 +157,8 @@ class Publishers:
     def block(self, block: Block) -> None:
         """Publish a block, its scans last: a subscriber that has received them has received all of the block.
 
-        Peers acknowledge blocks by their scans, so what a recorder acknowledges is complete in all topics. Every message
-        is rendered before the first is sent, because sending empties the caches for the next rendering.
+        Peers acknowledge blocks by their scans, so what a recorder acknowledges is complete in all topics. All messages
+        are rendered before the first is sent, because sending empties the caches for the next rendering.
         """
         assert self._monitors is not None
         rendered = {

@@ -38,6 +38,7 @@ from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, CommandError, ConfigError, RecordingError, SimulationError
 from impact_rig.instruments.instrument import Instrument
 from impact_rig.instruments.registry import INSTRUMENTS
+from impact_rig.names import quoted
 from impact_rig.recording import CONFIGURATION, Message, Run, arithmetic_of, is_measured
 from impact_rig.recording.description import members
 from impact_rig.recording.losses import last_scan_ns
@@ -277,7 +278,8 @@ def _difference(logged: Table, again: Table) -> str:
         unequal = np.flatnonzero(_bits(ours) != _bits(theirs))
         if len(unequal):
             i = int(unequal[0])
-            return f" at {_s(logged.stamp_ns)} s, sample {i}, {name}: logged {theirs[i]!r}, re-simulated {ours[i]!r}"
+            differs = f"logged {quoted(theirs[i])}, re-simulated {quoted(ours[i])}"
+            return f" at {_s(logged.stamp_ns)} s, sample {i}, {name}: {differs}"
     return ""
 
 
@@ -576,7 +578,7 @@ class _Beside:
             extra = next(e for e in reached if e.sequence >= len(self._made))
             self._journal_differs(
                 f"row {extra.sequence} at {_s(extra.stamp_ns)} s: no rig with this journal has written "
-                f"{extra.kind.value} {extra.key} {extra.value!r}"
+                f"{extra.kind.value} {extra.key} {quoted(extra.value)}"
             )
         elif len(self._made) > len(self._entries) and self._made[len(self._entries)].stamp_ns < end - lag_ns:
             missing = self._made[len(self._entries)]
@@ -626,7 +628,7 @@ class _Beside:
             return "no journal says what it was"
         nearest = min(self._configurations, key=lambda one: sum(config[key] != one[key] for key in config))
         key = next(key for key in config if config[key] != nearest[key])
-        return f"{key} is {config[key]!r}, which by the journal it never was"
+        return f"{key} is {quoted(config[key])}, which by the journal it never was"
 
     def _compare_description(self) -> Compared:
         name = topics.ROBOT_DESCRIPTION.name
@@ -713,7 +715,7 @@ def _fields_differ(found: dict[str, Any], wanted: Mapping[str, object]) -> str:
                 same = (theirs == ours) | (theirs == ours.astype(np.float32))  # by the field's precision
             if same.all():
                 continue
-        return f"{path}: logged {found.get(path)!r}, re-simulated {value!r}"
+        return f"{path}: logged {quoted(found.get(path))}, re-simulated {quoted(value)}"
     return ""
 
 
@@ -736,5 +738,5 @@ def _deciding(config: RigConfig) -> dict[str, object]:
 
 
 def _words(recorded: JournalRow, made: JournalRow) -> str:
-    one, other = (f"{entry.kind.value} {entry.key} {entry.value!r} {entry.text!r}" for entry in (recorded, made))
+    one, other = (f"{entry.kind.value} {entry.key} {quoted(entry.value)} {entry.text!r}" for entry in (recorded, made))
     return f"logged {one}, re-simulated {other}"

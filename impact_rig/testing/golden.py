@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from impact_rig.blocks import Table
 from impact_rig.errors import ConfigError
+from impact_rig.names import quoted
 from impact_rig.recording import open_run
 from impact_rig.simtime import NS_PER_S
 from impact_rig.topics import SCAN
@@ -134,7 +135,7 @@ def first_difference(found: Iterable[Table], expected: Iterable[Table], toleranc
                 i = int(bad[0])
                 return (
                     f"{name} in row {i} at {one.stamp_ns / NS_PER_S:.9f} s: "
-                    f"{one.rows[name][i]!r}, golden {other.rows[name][i]!r}"
+                    f"{quoted(one.rows[name][i])}, golden {quoted(other.rows[name][i])}"
                 )
     return "" if len(got) == len(right) else f"{len(got)} tables, golden {len(right)}"
 

@@ -23,6 +23,7 @@ import re
 import shutil
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -127,6 +128,28 @@ def test_a_library_of_other_sources_is_not_loaded_and_says_so(
     monkeypatch.setattr(kernels, "PACKAGE", tmp_path)
     assert kernels.library() is None
     assert "is not what the kernels were built from: `make kernels`" in capsys.readouterr().err
+
+
+def test_a_library_that_cannot_be_loaded_costs_one_line(tmp_path: Path) -> None:
+    """That of another machine ended every import of the package."""
+    copied = shutil.copytree(kernels.PACKAGE, tmp_path / "impact_rig", ignore=shutil.ignore_patterns("__pycache__"))
+    (copied / "kernels/_library.abi3.so").write_bytes(b"\x7fELF, and no more")
+    code = "from impact_rig import kernels; print(kernels.__file__, kernels.MODE)"
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False,
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+    )  # fmt: skip
+    assert done.stdout.split() == [str(copied / "kernels/__init__.py"), "jit" if find_spec("numba") else "plain"]
+    assert done.stderr.startswith("impact_rig: the library of kernels cannot be loaded (")
+    assert done.stderr.count("\n") == 1
+
+
+def test_the_cpu_follows_from_the_machine() -> None:
+    assert [build.cpu(machine) for machine in ("x86_64", "aarch64", "arm64")] == ["x86-64", "generic", "generic"]
+    with pytest.raises(
+        SystemExit, match="kernels are compiled for x86_64 and aarch64 and arm64, this machine is riscv64"
+    ):
+        build.cpu("riscv64")
 
 
 @needs_library

@@ -70,8 +70,8 @@ def test_one_changed_bit_is_named(whole: Messages, tmp_path: Path) -> None:
     assert (found.identical, found.scans) == (False, 12_300)
     true = next(table for name, table in whole if name == "daq/scan" and table.stamp_ns == 123 * TICK)
     assert found.reason == (
-        f"daq/scan at 1.230000000 s, sample 45, laser: logged {np.nextafter(true.rows['laser'][45], 1.0)!r}, "
-        f"re-simulated {true.rows['laser'][45]!r}"
+        f"daq/scan at 1.230000000 s, sample 45, laser: logged {float(np.nextafter(true.rows['laser'][45], 1.0))!r}, "
+        f"re-simulated {float(true.rows['laser'][45])!r}"
     )
 
 
