@@ -13,8 +13,9 @@
 # limitations under the License.
 """What a recording says about its topics and files in the words of rosbag2: type, schema, offered QoS, `metadata.yaml`.
 
-A `ros2msg` schema is the `.msg` text of the type, read from the installed interfaces, then each type it uses, however
-deep, once, after a line of 80 `=` and `MSG: package/Type`.
+A `ros2msg` schema is the `.msg` text of the type, then each type it uses, however deep, once, after a line of 80 `=`
+and `MSG: package/Type`. The texts are those of the installed interfaces; where ROS 2 is not installed, those that came
+with this package (`definitions.json`, generated), so that a run can be written and imported without ROS.
 
 Metadata of version 9 has twelve keys under `rosbag2_bagfile_information`; QoS profiles are native YAML with policies as
 words; an empty `custom_data` is null; compression fields are empty because MCAP compresses its own chunks. Source:
@@ -27,6 +28,7 @@ metadata records not: ours carry their own in the key `crc32`, so that a flipped
 from __future__ import annotations
 
 import functools
+import json
 import os
 import re
 import struct
@@ -166,6 +168,8 @@ def _time(nanoseconds: int) -> dict[str, int]:
 
 
 ENCODING = "ros2msg"
+DEFINITIONS = Path(__file__).with_name("definitions.json")
+"""`.msg` texts by `package/Type` of what the topics of this package need."""
 
 _SEPARATOR = "=" * 80
 _NAME = re.compile(r"([A-Za-z]\w*)/(?:msg/)?([A-Za-z]\w*)")
@@ -185,20 +189,29 @@ def interface_prefixes() -> tuple[Path, ...]:
 def schema_text(type_name: str) -> str:
     """Return the schema of `type_name` (`package/msg/Type`, or `package/Type`), dependencies appended.
 
-    Looked for is `share/<package>/msg/<Type>.msg` in all `interface_prefixes`.
+    Raises:
+        RecordingError: as `definitions`.
+    """
+    (_, first), *others = definitions(type_name).items()
+    return "\n".join([first, *(f"{_SEPARATOR}\nMSG: {name}\n{text}" for name, text in others)])
+
+
+def definitions(type_name: str) -> dict[str, str]:
+    """Return the `.msg` texts of `type_name` and of each type it uses, by `package/Type`, its own first.
+
+    Looked for is `share/<package>/msg/<Type>.msg` in all `interface_prefixes`, then in what came with this package.
 
     Raises:
-        RecordingError: the type or one it uses is not installed, or the name is not a message type's.
+        RecordingError: the type or one it uses is not there, or the name is not a message type's.
     """
     where = interface_prefixes()
     root = _short_name(type_name)
     seen = {root}
-    parts: list[str] = []
+    found: dict[str, str] = {}
 
     def append(name: str) -> None:
         package, kind = name.split("/")
-        text = _read(package, kind, where, type_name)
-        parts.append(text if not parts else f"{_SEPARATOR}\nMSG: {name}\n{text}")
+        found[name] = text = _read(package, kind, where, type_name)
         for used in sorted(_used_types(text, package)):
             if used not in seen:
                 seen.add(used)
@@ -207,7 +220,13 @@ def schema_text(type_name: str) -> str:
                 append(used)
 
     append(root)
-    return "\n".join(parts)
+    return found
+
+
+@functools.cache
+def _bundled() -> dict[str, str]:
+    texts: dict[str, str] = json.loads(DEFINITIONS.read_text(encoding="utf-8"))
+    return texts
 
 
 def starts_with_header(type_name: str, schema: str) -> bool:
@@ -264,6 +283,8 @@ def _read(package: str, kind: str, prefixes: Sequence[Path], wanted_by: str) -> 
             return path.read_text(encoding="utf-8")
         except OSError:
             continue
+    if (text := _bundled().get(f"{package}/{kind}")) is not None:
+        return text
     looked = ", ".join(str(prefix / "share") for prefix in prefixes) or "nowhere: no prefix is known"
     raise RecordingError(f"{wanted_by} is not installed: no {package}/msg/{kind}.msg in {looked}")
 

@@ -14,8 +14,8 @@
 """Write every page and file that is made from the code: `make generate` rewrites them, a test compares them.
 
 In the pages of docs/ the parts between `<!-- generated: NAME -->` and `<!-- end -->` are generated, each by the
-function that `TABLES` names; `config/nominal.yaml`, `interface.json`, the SROS2 policy, the URDF and the pictures of
-layers and nodes are generated whole.
+function that `TABLES` names; `config/nominal.yaml`, `interface.json`, the texts of the messages, the SROS2 policy, the
+URDF and the pictures of layers and nodes are generated whole.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from pathlib import Path
 
 from impact_rig.cli.interface import DOCUMENT
 from impact_rig.physics.contact import LAWS
+from impact_rig.recording.description import DEFINITIONS
 from impact_rig.rig.config import RigConfig
 from impact_rig.rig.description import robot_description
 from tools import sros2_policy
@@ -65,6 +66,7 @@ def generated() -> dict[Path, str]:
     return {
         ROOT / "config" / "nominal.yaml": nominal(),
         DOCUMENT: interface.document(),
+        DEFINITIONS: interface.definitions(),
         ROOT / "urdf" / "impact_rig.urdf": description,
         layers.PICTURE: layers.picture(),
         graph.PICTURE: graph.picture(),

@@ -34,6 +34,7 @@ from impact_rig.instruments.instrument import FAULT_KINDS
 from impact_rig.nodes.analysis_node import AnalysisSettings
 from impact_rig.nodes.messages import ENVELOPES, SPECTRA, TOPICS
 from impact_rig.nodes.recorder_node import RecorderSettings
+from impact_rig.recording import description
 from impact_rig.rig import takes_effect
 from impact_rig.rig.config import TREE
 from impact_rig.rig.journal import InputKind
@@ -173,6 +174,12 @@ def document() -> str:
         },
     }  # fmt: skip
     return _text(content) + "\n"
+
+
+def definitions() -> str:
+    """Return the `.msg` texts of all topics as JSON, for installations without ROS 2."""
+    texts = {name: text for topic in TOPICS for name, text in description.definitions(topic.type_name).items()}
+    return json.dumps(texts, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
 
 
 def _topic(topic: topics.Topic) -> dict[str, object]:

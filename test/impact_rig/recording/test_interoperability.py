@@ -45,7 +45,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from impact_rig import codec
 from impact_rig.errors import RecordingError
-from impact_rig.recording import OfferedQos, schema_text
+from impact_rig.nodes.messages import TOPICS
+from impact_rig.recording import OfferedQos, description, schema_text
 
 INFINITE = {"sec": 9223372036, "nsec": 854775807}
 RIG_TYPES = [
@@ -286,6 +287,13 @@ def test_schema_text_separates_dependencies_like_rosbag2():
         "MSG: std_msgs/Header",
         "MSG: builtin_interfaces/Time",
     ]
+
+
+@pytest.mark.parametrize("type_name", sorted({topic.type_name for topic in TOPICS}))
+def test_without_ros_a_schema_is_the_one_of_an_installation(type_name, monkeypatch):
+    installed = schema_text(type_name)
+    monkeypatch.setattr(description, "interface_prefixes", tuple)
+    assert schema_text(type_name) == installed
 
 
 @pytest.mark.parametrize("name", ["sensor_msgs/msg/Nothing", "nowhere_msgs/msg/Thing"])
