@@ -47,6 +47,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
             ("lab runs/demo/gap_2mm runs/demo/gap_10mm", "two recorded runs side by side"),
         ],
     )  # fmt: skip
+    parser.set_defaults(until_told=True)
     parser.add_argument("runs", nargs="*", type=Path, metavar="RUN", help="play back this run; two: side by side")
     parser.add_argument(
         "--attach", nargs="?", const=FOUND, metavar="NAMESPACE", help="show a rig that runs already, e.g. /rig"

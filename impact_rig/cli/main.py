@@ -89,6 +89,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if words and words[0].isalpha():  # whether it is a command takes a while to look up
         ending.name = f"{PROGRAM} {words[0]}"
     chosen = _parse(words)
+    if getattr(chosen, "until_told", False):  # being told to end is how it ends well
+        ending.code = lambda _number: 0
     return ending.run(lambda: _run(chosen, ending))
 
 

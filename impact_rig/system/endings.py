@@ -56,7 +56,7 @@ class Ending:
         self.name = name
         self.told = 0  # number of the first signal; 0: none yet
         self.reason = ""  # why, where the signal alone does not say it
-        self._code = code
+        self.code = code
         self._told_at = 0.0
         self._cut_short = False
         self._answer = self._end_here
@@ -79,7 +79,7 @@ class Ending:
             self._over()
         if self.told:
             self._say()
-            code = self._code(self.told)
+            code = self.code(self.told)
             last = threading.Timer(LAST_S, os._exit, (code,))  # threads of others may not come to an end
             last.daemon = True
             last.start()
@@ -125,13 +125,13 @@ class Ending:
 
     def _end_here(self) -> None:
         if self._cut_short:  # a signal came again while a stream waited for a lock that nobody gives back
-            os._exit(self._code(self.told))
+            os._exit(self.code(self.told))
         self._cut_short = True
         self._say()
         for stream in (sys.stdout, sys.stderr):
             with contextlib.suppress(OSError, ValueError, RuntimeError):  # closed, or being written to just now
                 stream.flush()
-        os._exit(self._code(self.told))
+        os._exit(self.code(self.told))
 
     def _say(self) -> None:
         with contextlib.suppress(OSError):  # who listened may be gone
