@@ -42,14 +42,14 @@ from tools.check_docs import Block, pages  # noqa: E402
 TABLE = ROOT / "test" / "journeys" / "journeys.yaml"
 CLONE, TEST, JAZZY = "clone", "test", "jazzy"
 ENVIRONMENTS = {
-    CLONE: "Environment: a fresh clone, in which `make` sets up `.venv`; activate it for its programs.",
-    TEST: "Environment: a clone with the tests' part of `.venv`, which `make test` installs.",
+    CLONE: "a fresh clone, in which `make` sets up `.venv`",
+    TEST: "the tests' part of `.venv`, which `make test` installs",
     JAZZY: "Environment: a shell in which ROS 2 Jazzy is sourced.",
     "wheel[lab]": "Environment: the installed package with the extra `[lab]`, or a clone.",
-    "wheel[import,wheels]": "Environment: the installed package with the extras `[import,wheels]`.",
-    "wheel[wheels]": "Environment: the installed package with the extra `[wheels]`, or a sourced ROS 2 Jazzy.",
+    "wheel[import]": "Environment: the installed package with the extra `[import]`; ROS 2 is not needed.",
+    "wheel[wheels,strategies]": "Environment: the installed package with the extras `[wheels,strategies]`",
 }
-"""Environments of the table, each with the sentence that a page says at its top."""
+"""Environments of the table, each with the words by which a page names it."""
 OTHERS = "*"
 DOMAIN = "75"
 """ROS domain of the journeys: not that of `make`, where somebody may be at work."""

@@ -37,7 +37,7 @@ def test_a_journey_is_run_or_says_why_not() -> None:
         assert one.environment in ENVIRONMENTS, one.name
         assert one.not_run or one.environment != JAZZY, one.name
         assert not (one.cheap and one.not_run), one.name
-    assert {"clone", "wheel[import,wheels]"} <= {one.environment for one in CHEAP}
+    assert {"clone", "wheel[import]"} <= {one.environment for one in CHEAP}
 
 
 def test_a_new_command_without_a_journey_is_found(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -58,10 +58,11 @@ def blocks(info):
     return re.findall(rf"^```{info}\n(.*?)^```$", GUIDE.read_text(), re.MULTILINE | re.DOTALL)
 
 
-def test_the_notebook_guide_finds_the_transmissibility(record, capsys):
+@pytest.mark.parametrize("notes", [["gap 2 mm"], []], ids=["notes", "no notes"])
+def test_the_notebook_guide_finds_the_transmissibility(notes, record, capsys):
     """A base of 1 mm and a structure of 3.2 mm at 9.1 Hz: the guide must find 3.2."""
     with record("sweep_2mm") as writer:
-        for topic in (SCAN_TOPIC, APPLIED_TOPIC, NOTES_TOPIC):
+        for topic in (SCAN_TOPIC, APPLIED_TOPIC, *([NOTES_TOPIC] if notes else [])):
             writer.add_topic(topic)
         writer.write(APPLIED_TOPIC.name, applied_row(START_NS, 9.1), 0)
         for number in range(200):
@@ -71,7 +72,8 @@ def test_the_notebook_guide_finds_the_transmissibility(record, capsys):
             rows["base"] = 1e-3 * np.sin(2 * np.pi * 9.1 * times)
             rows["laser"] = 3.2e-3 * np.sin(2 * np.pi * 9.1 * times - 1.0) + 1e-3
             writer.write(SCAN_TOPIC.name, codec.encode(Table(START_NS + number * 10_000_000, rows)), 0)
-        writer.write(NOTES_TOPIC.name, string("gap 2 mm"), 0)
+        for note in notes:
+            writer.write(NOTES_TOPIC.name, string(note), 0)
     notebook: dict[str, object] = {}
     cells = blocks("python notebook")
     assert len(cells) == 5
@@ -79,7 +81,7 @@ def test_the_notebook_guide_finds_the_transmissibility(record, capsys):
         code = cell.replace('Path("runs/sweep_2mm")', f"Path({str(writer.directory)!r})")
         exec(compile(code, str(GUIDE), "exec"), notebook)
     assert notebook["transmissibility"] == pytest.approx(3.2, rel=1e-6)
-    assert notebook["notes"] == ["gap 2 mm"]
+    assert notebook["notes"] == notes
     assert notebook["attachments"] == {"config.yaml": CONFIG.decode()}
     assert "DT at 9.10 Hz: 3.20" in capsys.readouterr().out
 

@@ -86,5 +86,7 @@ def test_every_block_of_the_guide_does_what_it_says(tmp_path: Path) -> None:
 
 def test_the_commands_that_install_name_what_setup_py_has() -> None:
     (install,) = (content for language, info, content in blocks() if language == "sh" and "not run" in info)
-    assert "[wheels]" in install
-    assert '"wheels": [' in (ROOT / "setup.py").read_text(encoding="utf-8")
+    (extras,) = re.findall(r"impact_rig\[(.+?)\]", install)
+    assert extras == "wheels,strategies"
+    setup = (ROOT / "setup.py").read_text(encoding="utf-8")
+    assert all(f'"{extra}": [' in setup for extra in extras.split(","))
