@@ -166,7 +166,7 @@ class Activation:
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
-        self._instance = ""
+        self._instance = self._first = ""
         self._heard_at = self._changed_at = -math.inf
         self._previous = ""
         self._is_there = self._is_gone = False
@@ -186,25 +186,33 @@ class Activation:
 
         Diagnostics of the previous rig that follow `changed` immediately are outdated: they were under way.
         """
+        self._identify()
         self._heard_at = self._clock()
         self._is_there, self._is_gone = True, False
         if instance != self._previous or not self._is_changing:
             self._instance = instance
+            self._first = self._first or instance
 
     def changed(self) -> None:
         """Take the next rig that is heard for the one that is meant: the user has just seen that it is there."""
         self._previous, self._instance, self._changed_at = self._instance or self._previous, "", self._clock()
+        self._first = ""
         self._is_there, self._is_gone = True, False
+
+    def _identify(self) -> None:
+        """Take the rig for the previous one if only that was heard after `changed`: it was the same one after all."""
+        if not self._first and not self._is_changing and self._heard_at >= self._changed_at:
+            self._instance = self._first = self._previous
 
     def given(self, what: str, silence_s: float = GONE_S) -> Check:
         """Return what raises once the rig that is there now is gone, or has been silent for so long [s]."""
-        if not self._is_changing and self._heard_at >= self._changed_at:
-            self._instance = self._instance or self._previous  # it was the same one after all
+        self._identify()
         instance, since = self._instance, self._clock()
 
         def check() -> None:
             nonlocal instance
-            instance = instance or self._instance
+            self._identify()
+            instance = instance or self._first
             if instance != self._instance:
                 raise RigGoneError(f"{what}: the rig it was given to is gone, and another one has begun")
             silent = self._is_there and self._clock() - max(self._heard_at, since) > silence_s

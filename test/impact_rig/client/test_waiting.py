@@ -126,6 +126,24 @@ def test_a_rig_that_the_user_has_seen_start_is_the_one_that_is_meant() -> None:
         check()
 
 
+def test_a_command_given_at_once_belongs_to_the_rig_that_is_there() -> None:
+    """A client that was quicker than the window of outdated diagnostics took the successor for its rig, and waited."""
+    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    from impact_rig.client.client import Activation, RigGoneError
+
+    now = 0.0
+    rig = Activation(lambda: now)
+    rig.heard("one")
+    rig.changed()
+    rig.heard("one")  # the same one, but it could have been under way
+    check = rig.given("a command")
+    check()
+    now = 1.0
+    rig.heard("two")
+    with pytest.raises(RigGoneError, match="another one has begun"):
+        check()
+
+
 @pytest.mark.ros
 def test_a_rig_outside_of_the_namespace_is_another_one() -> None:
     """`/rig` was taken for `/here/rig`: what was given to that was said to be lost with a rig that is gone."""
