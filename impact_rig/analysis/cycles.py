@@ -76,6 +76,14 @@ class Cycles:
         """Residual degrees of freedom of all fits together."""
         return int(np.sum(self.samples - (2 * self.phasors.shape[2] + 1)))
 
+    @property
+    def residual_variance(self) -> Real:
+        """Variance per scan that all fits together leave, shape (4,).
+
+        Zero where the fits have as many unknowns as scans: they leave nothing, and tell nothing of the noise.
+        """
+        return np.asarray(self.residual.sum(axis=0) / max(1, self.degrees_of_freedom), dtype=np.float64)
+
     def __getitem__(self, part: slice) -> Cycles:
         return Cycles(*(getattr(self, field.name)[part] for field in attrs.fields(Cycles)))
 

@@ -196,8 +196,7 @@ class Judge:
         self._waited_windows += 1
         broken = unsound(window, self._calibration, self._frequency_hz)
         if broken is None:
-            residual = window.residual.sum(axis=0) / window.degrees_of_freedom
-            self._noise_per_scan = self._crowding * np.maximum(residual, self._calibration.noise**2)
+            self._noise_per_scan = self._crowding * np.maximum(window.residual_variance, self._calibration.noise**2)
             broken = self._lost_signal(window)
         if broken:
             return self._break(broken)

@@ -235,8 +235,7 @@ def harmonic_numbers(cycles: Cycles) -> Real:
 
 def _noise_variance(cycles: Cycles, calibration: Calibration) -> Real:
     """Return the variance per sample that the fits leave, at least that of the quantisation, shape (4,)."""
-    residual = cycles.residual.sum(axis=0) / cycles.degrees_of_freedom
-    return np.asarray(np.maximum(residual, calibration.resolution**2 / 12.0), dtype=np.float64)
+    return np.asarray(np.maximum(cycles.residual_variance, calibration.resolution**2 / 12.0), dtype=np.float64)
 
 
 def _derotated(cycles: Cycles, calibration: Calibration, noise: Real) -> tuple[Complex, float]:

@@ -138,3 +138,23 @@ def test_flags_name_channel_and_kind():
 )
 def test_harmonics_stay_below_half_the_rate(frequency_hz, expected):
     assert usable_harmonics(10_000, frequency_hz, 5) == expected
+
+
+def test_fits_without_degrees_of_freedom_leave_no_variance():
+    """11 scans per cycle and 5 harmonics with a mean: as many unknowns as scans."""
+    n, channels, harmonics = 6, 4, 5
+    cycles = Cycles(
+        first=11 * np.arange(n),
+        samples=np.full(n, 11),
+        phasors=np.zeros((n, channels, harmonics), dtype=complex),
+        mean=np.zeros((n, channels)),
+        variance=np.zeros((n, channels)),
+        residual=np.zeros((n, channels)),
+        flags=np.zeros(n, dtype=np.int64),
+        jump=np.zeros((n, channels)),
+        impacts=np.zeros(n),
+        strikes=np.zeros((n, 64), dtype=np.uint8),
+    )
+    assert cycles.degrees_of_freedom == 0
+    with np.errstate(all="raise"):
+        np.testing.assert_array_equal(cycles.residual_variance, np.zeros(channels))
