@@ -98,20 +98,27 @@ def pytest_runtest_makereport(
     if rigs and report.when != "teardown" and report.failed and call.excinfo is not None:
         directory = _directory(item)
         shutil.rmtree(directory, ignore_errors=True)  # of an earlier failure of this test
-        report.sections.append(("impact_rig", "\n".join(_keep(rig, directory) for rig in rigs)))
+        report.sections.append(("impact_rig", "\n".join(_keep(rig, directory, item) for rig in rigs)))
     return report
 
 
-def _keep(rig: SteppedRig, directory: Path) -> str:
-    """Save a rig's run and return what to tell about it; a test's own error is never hidden by one of ours."""
+def _keep(rig: SteppedRig, directory: Path, item: pytest.Item) -> str:
+    """Save a rig's run and return what to tell about it; a test's own error is never hidden by one of ours.
+
+    The same is told in properties of the test, which are in a JUnit file.
+    """
     try:
-        saved = f"    run: {rig.save(directory / rig.name)}"
+        run = str(rig.save(directory / rig.name))
+        saved = f"    run: {run}"
     except Exception as error:
-        saved = f"    no run was saved: {error}"
+        run, saved = "", f"    no run was saved: {error}"
     try:
-        return f"{rig.report()}\n{saved}"
+        told = rig.report()
     except Exception as error:
-        return f"{rig.name}: {error}\n{saved}"
+        told = f"{rig.name}: {error}"
+    properties = {"run": run, "report": told, "seed": str(rig.config.daq.seed)}
+    item.user_properties += [(f"{rig.name}.{name}", value) for name, value in properties.items()]
+    return f"{told}\n{saved}"
 
 
 def _directory(item: pytest.Item) -> Path:

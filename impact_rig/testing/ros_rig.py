@@ -34,7 +34,7 @@ from impact_rig import codec
 from impact_rig.blocks import Table
 from impact_rig.client.client import START_TIMEOUT_S, Client, Collector, Received, ros_parameters, subscribers
 from impact_rig.client.processes import ParameterValue, Processes, isolated_domain
-from impact_rig.errors import ConfigError, ImpactRigError, RecordingError
+from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.instruments.fault import Fault
 from impact_rig.nodes.messages import header_stamp_ns
 from impact_rig.nodes.recorder_node import RecorderNode
@@ -76,6 +76,7 @@ class RosRig(SteppedRig):
         self._peers = ["client", "recorder"]
         self._injected: list[tuple[str, Fault]] = []
         self._stack = contextlib.ExitStack()
+        self._recorder: RecorderNode | None = None  # where it is hosted
         self._step_blocks = self.config.step.blocks
         with contextlib.ExitStack() as stack:
             domain_id = stack.enter_context(isolated_domain())
@@ -106,7 +107,9 @@ class RosRig(SteppedRig):
             self.processes.start(node, parameters)
             return
         make_node = {"rig": RigNode, "recorder": RecorderNode}[node]
-        self.client.host(make_node, parameter_overrides=ros_parameters(parameters))
+        hosted_node = self.client.host(make_node, parameter_overrides=ros_parameters(parameters))
+        if node == "recorder":
+            self._recorder = hosted_node
 
     # The pipeline under test
 
@@ -173,7 +176,12 @@ class RosRig(SteppedRig):
             self.client.set_parameters("rig", {"step.blocks": blocks})
             self._step_blocks = blocks
         # silent for seconds it may be where the machine is busy; whether it lives is known of its process
-        self.client.trigger("rig/step", START_TIMEOUT_S, may_be_silent=True)
+        before = len(self._collectors[SCANS])
+        try:
+            self.client.trigger("rig/step", START_TIMEOUT_S, may_be_silent=True)
+        except Exception:
+            self.sample += (len(self._collectors[SCANS]) - before) * self.block_scans  # so far it came
+            raise
         self.sample += blocks * self.block_scans
 
     def tables(self, topic: str = SCANS) -> list[Table]:
@@ -214,8 +222,12 @@ class RosRig(SteppedRig):
         """
         try:
             self.client.trigger("recorder/stop")
-        except ImpactRigError:  # a process is gone or hangs: its file is finished when it is told to end
+        except (
+            Exception
+        ):  # a process is gone or hangs, or a node hosted beside it raises: a recorder that ends finishes
             self.processes.stop(*({"recorder"} & set(self.processes.running)))
+            if self._recorder is not None and self._recorder.active:
+                self._recorder.trigger_deactivate()
         try:
             shutil.copytree(self._directory / RUN, directory)
             shutil.copytree(self._directory / "logs", directory / "logs")

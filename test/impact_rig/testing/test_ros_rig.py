@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from xml.etree import ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -190,6 +191,50 @@ def test_a_rig_that_cannot_be_built_says_so_at_once(tmp_path: Path) -> None:
         client.host(RigNode, parameter_overrides=[Parameter("config_file", value=str(tmp_path / "none.yaml"))])
         with pytest.raises(ServiceFailedError, match=r"rig: cannot configure: cannot read configuration: .*none\.yaml"):
             client.wait_active("rig")
+
+
+FAILING = """
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+
+class Fragile(Node):
+    def __init__(self, raises=True, **kwargs):
+        super().__init__("fragile", **kwargs)
+        self.blocks, self.raises = 0, raises
+        self.create_subscription(PointCloud2, "daq/scan", self.on_scan, 10)
+
+    def on_scan(self, message):
+        self.blocks += 1
+        if self.blocks == 6 and self.raises:
+            raise ValueError("of the node under test")
+
+def test_a_node_that_raises(ros_rig):
+    rig = ros_rig({"daq.seed": 8}, hosted=True)
+    rig.host(Fragile)
+    rig.run(seconds=0.2)
+
+def test_a_peer_that_hangs(ros_rig):
+    rig = ros_rig({"daq.seed": 9, "time.peer_timeout_s": 0.3}, hosted=True)
+    rig.client.host(Fragile, raises=False)  # which acknowledges nothing
+    rig.client.set_parameters("rig", {"time.peers": ["client", "recorder", "fragile"]})
+    rig.run(seconds=0.2)
+"""
+
+
+def test_every_failure_leaves_a_recording_and_its_properties(tmp_path: Path) -> None:
+    """Also where a hosted node raises, or a peer hangs: then what had come."""
+    (tmp_path / "test_failing.py").write_text(FAILING, encoding="utf-8")
+    runs, junit = tmp_path / "runs", tmp_path / "junit.xml"
+    command = [sys.executable, "-m", "pytest", "-q", "-p", PLUGIN, "-p", "no:cacheprovider", "-n", "0"]
+    command += ["--rig-runs", str(runs), f"--junitxml={junit}", str(tmp_path)]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=250)
+    assert "2 failed" in done.stdout, done.stdout + done.stderr
+    for case, seed in zip(ET.parse(junit).iter("testcase"), ("8", "9"), strict=True):
+        found = {one.get("name"): one.get("value") or "" for one in case.iter("property")}
+        assert found["rig.seed"] == seed
+        assert " 0 s of rig time" not in found["rig.report"]
+        with open_run(Path(found["rig.run"])) as run:
+            assert run.topics[run.resolve("daq/scan")].count >= 5
 
 
 WITH_CAPSYS = """
