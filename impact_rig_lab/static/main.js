@@ -270,10 +270,10 @@ function showDt() {
   setText("dt-why", why || (old && !settles ? "the last value; it does not hold now" : ""));
   const none = row && row.ipc === 0 && row.gap ? "no impacts" : "";
   const without = row?.gap ? rows.findLast((one) => one.gap === 0 && one.settled && one.f === row.f) : undefined;
-  const reduction = without ? `${fixed(100 * (1 - row.dt / without.dt), 1)} %` : row?.gap ? "measure none at this frequency" : "";
+  const reduction = without ? `${fixed(100 * (1 - row.dt / without.dt), 1)} %` : row?.gap ? "not measured" : "";
   const more = row && !settles ? {
     [old ? "last, at" : "at"]: `${fixed(row.f, 3)} Hz`, phase: `${fixed(row.phase, 1)}°`, regime: none || row.regime,
-    ...(reduction ? { "reduction against none": reduction } : {}),
+    ...(reduction ? { "reduction": reduction } : {}),
     "impacts per cycle": fixed(row.ipc, 2), "|X₁|": `${fixed(row.x1 * 1e3, 3)} mm`, "|X_b|": `${fixed(row.xb * 1e6, 1)} µm`,
     ...(row.status ? { status: row.note || row.status } : {}),
   } : {};
