@@ -19,15 +19,18 @@ import itertools
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from typing import TypeVar
+from typing import Any, Generic, TypeVar  # futures of an optional dependency
+
+import attrs
 
 from impact_rig.errors import ConfigError, GoneError, ImpactRigError
 from impact_rig.system.endings import SIGNALS, end_with, held, unhurried
-from impact_rig_studies.campaign.store import fingerprint
+from impact_rig_studies.campaign.store import DECIDING, fingerprint
 from impact_rig_studies.campaign.tasks import Portable
 
 J = TypeVar("J")
@@ -100,15 +103,36 @@ def _begin_worker(parent: int) -> None:
 
 # --- The same on an existing Dask cluster, for studies that outgrow one machine; needs the extra `[cluster]`
 #
-# The workers need this package in the same version, and one thread each (`--nthreads 1`): a job keeps one core busy.
-# Results travel back, nothing is written there.
+# Scheduler and workers need this package, workers one thread each (`--nthreads 1`): a job keeps one core busy. Results
+# travel back, nothing is written there. Workers may join and leave: each result carries the code that made it.
 
 CONNECT_S = 10.0
+ROOMS = (*DECIDING, "campaign", "dynamics", "kernels", "maps")
+"""What decides the result of any job."""
 P = TypeVar("P", bound=Portable)
+
+
+@attrs.frozen
+class _Made(Generic[R]):
+    """Result of a job with the worker and the code that made it; no result where that is other code."""
+
+    worker: str
+    code: str
+    result: R | None
+
+
+def _make(work: Callable[[P], R], job: P, code: str) -> _Made[R]:
+    """Run a job on a worker if its code is the one that is asked for."""
+    from distributed import get_worker  # noqa: PLC0415  # an optional dependency
+
+    own = fingerprint(ROOMS)
+    return _Made(get_worker().address, own, work(job) if own == code else None)
 
 
 def on_cluster(work: Callable[[P], R], address: str) -> Callable[[Sequence[P]], Generator[tuple[P, R], None, None]]:
     """Return what sends jobs to the scheduler at `address`, and yields every one with what `work` returns for it.
+
+    A cluster without workers is waited for. A worker with other code is reported, and its jobs are sent to others.
 
     Raises:
         ConfigError: Dask is not installed.
@@ -123,25 +147,56 @@ def on_cluster(work: Callable[[P], R], address: str) -> Callable[[Sequence[P]], 
             client = Client(address, timeout=CONNECT_S, set_as_default=False)
         except (OSError, ValueError) as error:
             raise ImpactRigError(f"cannot reach a Dask scheduler at {address}: {error}") from error
+        code, wrong, lost = fingerprint(ROOMS), dict[str, str](), list[str]()
+        running: dict[Any, P] = {}
         with client:
-            _check_code(client.run(fingerprint))
-            # a job gives the same bits wherever it runs, so one whose worker died is simply run again elsewhere
-            futures = {client.submit(work, job, key=f"impact_rig-{job.key}", retries=2): job for job in jobs}
-            lost = []
-            for future in as_completed(list(futures), loop=client.loop):
+            done = as_completed(loop=client.loop)
+
+            def usable() -> list[str]:
+                present = client.nthreads()
+                if not present:
+                    _warn(f"waiting for a worker of the Dask cluster at {address}")
+                    client.wait_for_workers(1)
+                    present = client.nthreads()
+                found = [worker for worker in present if worker not in wrong]
+                if not found:
+                    raise ImpactRigError(f"no worker of the Dask cluster at {address} has this code, {code}")
+                return found
+
+            def submit(job: P) -> None:
+                # a job gives the same bits wherever it runs, so one whose worker died is simply run again elsewhere
+                # impure: a result of this key that another client has left there is not taken
+                others = usable() if wrong else None
+                future = client.submit(_make, work, job, code, retries=2, pure=False, workers=others)
+                running[future] = job
+                done.add(future)
+
+            waiting = iter(jobs)
+            for job in itertools.islice(waiting, AHEAD * max(1, len(usable()))):
+                submit(job)
+            while running:
+                future = next(done)
+                job = running.pop(future)
+                if future.status != "finished":
+                    lost.append(f"{job.describe()}: {future.exception()}")
+                elif (made := future.result()).code != code:
+                    if made.worker not in wrong:
+                        wrong[made.worker] = made.code
+                        _warn(
+                            f"worker {made.worker} has impact_rig {made.code}, this is {code}: nothing of it is taken"
+                        )
+                    submit(job)
+                    continue
+                for following in itertools.islice(waiting, max(1, AHEAD * len(usable()) - len(running))):
+                    submit(following)
                 if future.status == "finished":
-                    yield futures[future], future.result()
-                else:
-                    lost.append(f"{futures[future].describe()}: {future.exception()}")
-            if lost:
-                raise ImpactRigError(f"{len(lost)} runs were lost, run it again to go on; {lost[0]}")
+                    yield job, made.result
+                future.release()
+        if lost:
+            raise ImpactRigError(f"{len(lost)} runs were lost, run it again to go on; {lost[0]}")
 
     return run
 
 
-def _check_code(found: dict[str, str]) -> None:
-    if not found:
-        raise ImpactRigError("the Dask cluster has no workers")
-    for worker, code in found.items():
-        if code != fingerprint():
-            raise ImpactRigError(f"worker {worker} has impact_rig {code}, this is {fingerprint()}")
+def _warn(text: str) -> None:
+    sys.stderr.write(f"impact-rig: {text}\n")

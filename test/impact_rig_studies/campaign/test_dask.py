@@ -15,17 +15,22 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 import signal
 import socket
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 from kits.campaign import TINY, assert_same
 
 pytest.importorskip("distributed", reason="needs the extra [cluster]")
 
+import impact_rig
+import impact_rig_studies
 from impact_rig_studies.campaign import run
 from impact_rig_studies.campaign.plan import load_campaign
 from impact_rig_studies.campaign.store import Store
@@ -103,6 +108,39 @@ def test_a_map_has_the_same_bits_there(cluster, tmp_path):
     assert process.returncode == 0, output
     for line in load_map(file).lines():
         assert store(directory).get(line) == measure_line(line)
+
+
+def test_workers_with_other_code_are_named_and_nothing_of_them_is_stored(cluster, tmp_path):
+    """One is there from the start, one joins late: results of other code were stored as right."""
+    from distributed import Client
+
+    address, _ = cluster
+    for package in (impact_rig, impact_rig_studies):
+        root = Path(package.__file__).parent
+        shutil.copytree(root, tmp_path / "other" / root.name, ignore=shutil.ignore_patterns("__pycache__"))
+    changed = tmp_path / "other/impact_rig_studies/maps/measure.py"
+    changed.write_text(changed.read_text(encoding="utf-8") + "\nDT_IS_WRONG = True\n", encoding="utf-8")
+    file, directory = tmp_path / "tiny.yaml", tmp_path / "out"
+    file.write_text(TINY + MORE)
+    worker = [sys.executable, "-m", "dask", "worker", address, "--host", "127.0.0.1", "--nthreads", "1", "--no-nanny"]
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path / "other")}
+    quiet = {"cwd": tmp_path, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment}
+    others = [subprocess.Popen([*worker, "--no-dashboard"], **quiet)]
+    try:
+        with Client(address, timeout=WAIT_S, set_as_default=False) as client:
+            before = len(client.nthreads())
+            client.wait_for_workers(before if before > 1 else 2, timeout=WAIT_S)
+            process = start(file, directory, address)
+            others.append(subprocess.Popen([*worker, "--no-dashboard"], **quiet))
+            output, _ = process.communicate(timeout=2 * WAIT_S)
+    finally:
+        for one in others:
+            one.terminate()
+            one.wait(20)
+    assert process.returncode == 0, output
+    assert "nothing of it is taken" in output
+    store = Store(directory)
+    assert all(store.get(job) is not None for job in run.unique_jobs(load_campaign(file).planned()))
 
 
 def test_a_cluster_that_cannot_be_reached_is_one_clear_line(tmp_path):
