@@ -131,13 +131,10 @@ class LookingExecutor(EventsExecutor):
 
 
 def _look(reference: weakref.ref[Any]) -> None:
-    entity = reference()
-    if entity is not None:
-        hand_over_waiting(entity)
-
-
-def hand_over_waiting(entity: Any) -> None:
     """Hand over what an entity holds; what was told as well is no longer there when its turn comes."""
+    entity = reference()
+    if entity is None:
+        return
     qos = entity.qos_profile
     endless = qos.history == HistoryPolicy.KEEP_ALL
     for _ in range(MOST if endless else qos.depth or MOST):  # more come, and are told, meanwhile

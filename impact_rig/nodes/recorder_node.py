@@ -41,8 +41,7 @@ from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.names import FILE_NAME, FILE_NAME_MEANS, one_line
 from impact_rig.nodes.acknowledgements import Acknowledgements
 from impact_rig.nodes.managed import Done, Level, ManagedNode, NodeState, guarded
-from impact_rig.nodes.messages import TOPICS, by_name
-from impact_rig.nodes.rclpy_internals import hand_over_waiting
+from impact_rig.nodes.messages import TOPICS
 from impact_rig.recording import (
     CONFIGURATION,
     Account,
@@ -88,8 +87,7 @@ class RecorderSettings:
 class RecorderNode(ManagedNode[RecorderSettings]):
     """Writes what it receives; acknowledges every block that is written, or that nobody asked it to record.
 
-    A recorder that was to record and cannot, or that lacks messages of the rig, acknowledges nothing: a rig that waits
-    for it stops and names it.
+    A recorder that was to record and cannot acknowledges nothing: a rig that waits for it stops and names it.
     """
 
     COMPONENT = "recording"
@@ -142,8 +140,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     def deactivate(self) -> None:
         """Finish the run and stop listening."""
         self._take_all()
-        self._acknowledgements.flush()
         self._finish()
+        self._acknowledgements.flush()
         self._scans = None
 
     def rig_time_ns(self) -> int | None:
@@ -179,8 +177,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         if mixed:
             return Level.WARN, f"this run cannot be verified: {mixed}"
         if self._account.lost():
-            held = "; no block is acknowledged until ~/stop" if self._lacks_blocks() else ""
-            return Level.ERROR, f"messages were lost before they reached the recorder{held}"
+            return Level.ERROR, "messages were lost before they reached the recorder"
         if self._writer is not None and self._refused:
             return Level.WARN, f"not recorded, as it is no such table: what came on {', '.join(sorted(self._refused))}"
         if self._waiting:
@@ -436,26 +433,13 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         )
 
     def _secured(self) -> bool:
-        """Make sure that what is acknowledged outlives this process; return whether it may be acknowledged.
-
-        The scans are sent last of a block: what else belongs to it is here, or lost. An acknowledgement stands for all
-        that was before, too, so after a loss there is none.
-        """
-        for subscription in self._recorded:
-            hand_over_waiting(subscription)
-        self._take_all()
+        """Make sure that what is acknowledged outlives this process; return whether it may be acknowledged."""
         if self._writer is not None:
             try:
                 self._writer.secure()
             except RecordingError as error:
                 self._fail(error)
-        return not self._failure and not self._lacks_blocks()
-
-    def _lacks_blocks(self) -> bool:
-        """Whether this run lacks messages of the rig."""
-        return self._writer is not None and any(
-            by_name(self._added[name]).publisher == "rig" for name in self._account.lost()
-        )
+        return not self._failure
 
 
 def run_directory(text: str) -> Path:

@@ -135,7 +135,7 @@ class Block:
     lost: bool  # a lost_block fault acts on one of its scans: the scans are withheld, truth and monitors are not
 
     def tables(self) -> list[tuple[topics.Topic, Table]]:
-        """Return its tables: scans first, then what is true about them."""
+        """Return its tables in the order they are published: scans first, then what is true about them."""
         order = (topics.SCAN, topics.IMPACTS_TRUTH, topics.FAULTS, topics.TRUTH_SCAN)
         tables = (None if self.lost else self.scan, self.impacts, self.faults, self.truth)
         return [(topic, table) for topic, table in zip(order, tables, strict=True) if table is not None]
