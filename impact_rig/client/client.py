@@ -178,7 +178,7 @@ class Activation:
 
     @property
     def _is_changing(self) -> bool:
-        """Whether diagnostics of the previous rig may still be under way."""
+        """True while diagnostics of the previous rig may still arrive."""
         return self._clock() - self._changed_at <= LOOK_S
 
     def heard(self, instance: str) -> None:

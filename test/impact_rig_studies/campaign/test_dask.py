@@ -125,11 +125,13 @@ def test_workers_with_other_code_are_named_and_nothing_of_them_is_stored(cluster
     worker = [sys.executable, "-m", "dask", "worker", address, "--host", "127.0.0.1", "--nthreads", "1", "--no-nanny"]
     environment = {**os.environ, "PYTHONPATH": str(tmp_path / "other")}
     quiet = {"cwd": tmp_path, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment}
-    others = [subprocess.Popen([*worker, "--no-dashboard"], **quiet)]
+    others = []
     try:
         with Client(address, timeout=WAIT_S, set_as_default=False) as client:
+            client.wait_for_workers(1, timeout=WAIT_S)
             before = len(client.nthreads())
-            client.wait_for_workers(before if before > 1 else 2, timeout=WAIT_S)
+            others.append(subprocess.Popen([*worker, "--no-dashboard"], **quiet))
+            client.wait_for_workers(before + 1, timeout=WAIT_S)
             process = start(file, directory, address)
             others.append(subprocess.Popen([*worker, "--no-dashboard"], **quiet))
             output, _ = process.communicate(timeout=2 * WAIT_S)
