@@ -164,6 +164,17 @@ def test_a_test_that_runs_a_page_reads_it():
         ("`impact-rig info RUN --figure x`", "unrecognized arguments: --figure x"),
         ("`impact-rig replay --rate fast`", "argument --rate"),
         ("| a |\n|---|\n| `make test ARGSS=-k` |\n", "the Makefile has no variable ARGSS"),
+        ("`make bench ONLY=codec`", "benchmarks/ has no part codec"),
+        ("`make test ROS=humble`", "requirements/ has no ROS humble"),
+        ("`make test ARGS=test/test_nothing.py`", "there is no test/test_nothing.py"),
+        ("`make test ARGS='-k nothing_of_this'`", "no test has nothing_of_this in its name"),
+        ("`make check ARGS=--changes`", "the plugin has no --changes"),
+        ("`make lab ARGS='--rates 9'`", "unrecognized arguments: --rates"),
+        ("`make campaign ARGS='--alone curves'`", "unrecognized arguments: --alone curves"),
+        ("`make figures ARGS=paper.png`", "figures has no paper.png"),
+        ("`make fuzz ARGS='--inputs 9 words'`", "fuzz has no words"),
+        ("`make soak ARGS='--part dead'`", "soak has no dead"),
+        ("`make lock ARGS=--checks`", "lock has no --checks"),
         ("`python -m impact_rig.nodes.interfaces`", "there is no module impact_rig.nodes.interfaces"),
         ("`python tools/sock.py`", "there is no tools/sock.py"),
         ("`pytest --rig-golden`", "the plugin has no --rig-golden"),
@@ -193,9 +204,18 @@ def test_what_is_wrong_is_named(text, fault):
     assert fault in found
 
 
+def test_the_menu_of_make_names_what_there_is():
+    menu = re.findall(r"^(\w+):.*##.*?(ARGS=(?:'[^']*'|\S+))", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    assert len(menu) > 8
+    text = "\n".join(f"make {target} {arguments}" for target, arguments in menu)
+    page = TOOL["Page"].parse("Makefile", f"```sh\n{text}\n```\n")
+    assert list(TOOL["faults"](page)) == []
+
+
 def test_what_is_right_is_not():
     text = (
-        "```sh\nmake bench ONLY=physics; make  # all\n```\n\n`build/bench.json`, `test_codec.py`, "
+        "```sh\nmake bench ONLY=physics; make  # all\nmake figures ARGS='paper.svg lab_pictures'\n```\n\n"
+        "`build/bench.json`, `test_codec.py`, "
         "`impact-rig recover`, `rig/start`, `analysis/settings`, `impact-rig campaign FILE`, "
         "`~/stop`, `daq.rate_hz`, `analysis.tracker.Tracker`, `e.g.`, [x](physics.md#numerics)\n"
     )

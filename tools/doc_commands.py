@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import itertools
 import re
 import shlex
 from collections.abc import Callable, Iterator
@@ -68,15 +69,40 @@ def _impact_rig(words: list[str], whole: bool) -> str | None:
     return next((text for text in said if whole or "are required" not in text), None)
 
 
-def _make(words: list[str], _: bool) -> str | None:
+def _make(words: list[str], whole: bool) -> str | None:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
-    for word in words:
-        variable = re.match(r"[A-Z]+(?==)", word)
-        if variable and f"$({variable[0]})" not in makefile:
-            return f"the Makefile has no variable {variable[0]}"
-        if not variable and word != "…" and not re.search(rf"^{re.escape(word)}:.*##", makefile, re.MULTILINE):
-            return f"the Makefile has no target {word}"
-    return None
+    given = {name: value for name, is_set, value in (word.partition("=") for word in words) if is_set}
+    for variable in given:
+        if f"$({variable})" not in makefile:
+            return f"the Makefile has no variable {variable}"
+    recipe = ""
+    for target in (word for word in words if "=" not in word and word != "…"):
+        found = re.search(rf"^{re.escape(target)}:.*##.*\n((?:\t.*\n)*)", makefile, re.MULTILINE)
+        if found is None:
+            return f"the Makefile has no target {target}"
+        recipe = found[1]
+    if (ros := given.get("ROS")) and not (ROOT / "requirements" / f"{ros}.txt").exists():
+        return f"requirements/ has no ROS {ros}"
+    if (part := given.get("ONLY")) and not (ROOT / "benchmarks" / f"{part}.py").exists():
+        return f"benchmarks/ has no part {part}"
+    return _options(recipe, shlex.split(given.get("ARGS", "")), whole)
+
+
+def _options(recipe: str, words: list[str], whole: bool) -> str | None:
+    """Hold the words of ARGS against the program that a target starts with them."""
+    line = next((line for line in recipe.splitlines() if "$(ARGS)" in line), "")
+    if command := re.search(r"bin/impact-rig (.*?)\$\(ARGS\)", line):
+        return _impact_rig([*command[1].split(), *words], whole)
+    if "pytest" in recipe:
+        return _pytest(words, whole)
+    module = re.search(r"(?:-m | )([\w./]+?)(?:\.py)? \$\(ARGS\)", line)
+    path = ROOT / module[1].replace(".", "/") if module else ROOT
+    files = (file for file in (path.with_suffix(".py"), *path.glob("*.py")) if file.is_file())
+    source = "".join(file.read_text(encoding="utf-8") for file in files)
+    known = (word.isdigit() or f'"{word}"' in source or f"/{word}.py" in source for word in words)
+    return next(
+        (f"{path.name} has no {word}" for word, is_known in zip(words, known, strict=True) if not is_known), None
+    )
 
 
 def _python(words: list[str], _: bool) -> str | None:
@@ -86,9 +112,22 @@ def _python(words: list[str], _: bool) -> str | None:
 
 
 def _pytest(words: list[str], _: bool) -> str | None:
-    plugin = (ROOT / "impact_rig" / "testing" / "plugin.py").read_text(encoding="utf-8")
-    unknown = [word for word in words if word.startswith("--rig") and f'"{word}"' not in plugin]
-    return f"the plugin has no {unknown[0]}" if unknown else None
+    files = ("impact_rig/testing/plugin.py", "test/conftest.py")
+    plugins = "".join((ROOT / name).read_text(encoding="utf-8") for name in files)
+    for before, word in itertools.pairwise(["", *words]):
+        option = word.partition("=")[0]
+        if option.startswith(("--rig", "--thorough", "--change")) and f'"{option}"' not in plugins:
+            return f"the plugin has no {option}"
+        if "/" in word and not exists(word):
+            return f"there is no {word}"
+        if before == "-k" and not _names_a_test(word):
+            return f"no test has {word} in its name"
+    return None
+
+
+def _names_a_test(word: str) -> bool:
+    paths = (ROOT / "test").rglob("test_*.py")
+    return any(word in path.name or re.search(rf"^def test_\w*{word}", path.read_text("utf-8"), re.M) for path in paths)
 
 
 def _ros2(words: list[str], whole: bool) -> str | None:

@@ -48,6 +48,13 @@ def test_a_new_command_without_a_journey_is_found(monkeypatch: pytest.MonkeyPatc
     assert table.faults() == ["docs/instruments.md: impact-rig check new.yaml: it has no journey in journeys.yaml"]
 
 
+def test_what_is_run_instead_of_a_command_exists() -> None:
+    from tools.doc_commands import command_faults, commands
+
+    said = {text for one in table.journeys() for text in (one.instead, *one.before)}
+    assert [fault for text in said for words in commands(text) for fault in command_faults(words, whole=True)] == []
+
+
 @pytest.fixture(scope="module")
 def places() -> Places:
     """One run-tier environment and one of the wheel alone, kept below build/ for the next time."""

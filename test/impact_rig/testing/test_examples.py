@@ -44,6 +44,15 @@ def test_every_example_passes(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir()), "only failures leave runs"
 
 
+def test_they_are_collected_in_a_checkout() -> None:
+    """`pytest examples`, with the configuration of this repository and nothing of it on the path."""
+    command = [sys.executable, "-P", "-m", "pytest", "-p", "impact_rig.testing.plugin", "-p", "no:cacheprovider"]
+    command += ["-q", "--collect-only", "examples"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "tests collected" in done.stdout
+
+
 @pytest.mark.parametrize(("page", "name"), [("first_node", "first_node.py"), ("drive", "velocity_feedback.py")])
 def test_a_node_of_the_docs_is_the_one_that_is_tested(page: str, name: str) -> None:
     text = (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8")
