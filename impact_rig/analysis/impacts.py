@@ -35,6 +35,7 @@ from impact_rig.analysis.calibration import Calibration, Real
 from impact_rig.analysis.cycles import PHASE_BINS, Cycles
 from impact_rig.analysis.scans import ACCELEROMETER
 from impact_rig.analysis.settings import ImpactSettings
+from impact_rig.arithmetic.elementary import PI, exp, power, sincos
 from impact_rig.blocks import DETECTED_IMPACTS, Table
 from impact_rig.kernels import INTEGERS, REALS, REALS_2D, entry
 from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S
@@ -90,7 +91,8 @@ def _high_pass(corner_hz: float, rate_hz: float) -> NDArray[np.float64]:
     (Oppenheim and Schafer, Discrete-Time Signal Processing, section 7.1.2). `scipy.signal.butter` gives the same, for
     60 MB of memory in a node that runs for days.
     """
-    k = math.tan(math.pi * corner_hz / rate_hz)
+    sine, cosine = sincos(PI * corner_hz / rate_hz)
+    k = sine / cosine
     b = 1.0 / (1.0 + math.sqrt(2.0) * k + k * k)
     return np.array([b, -2.0 * b, b, 2.0 * b * (k * k - 1.0), b * (1.0 - math.sqrt(2.0) * k + k * k)])
 
@@ -105,7 +107,7 @@ class ImpactDetector:
         corner = min(settings.corner_hz, rate / 10.0)
         ring_time = max(settings.ring_time_s, RING_SCANS / rate)
         self._filter = _high_pass(corner, rate)
-        decay, forget = math.exp(-1.0 / (ring_time * rate)), 1.0 / (RMS_TIME_S * rate)
+        decay, forget = exp(-1.0 / (ring_time * rate)), 1.0 / (RMS_TIME_S * rate)
         self._limits = np.array([
             settings.threshold_m_s2, settings.noise_factor, settings.ring_factor, decay, forget,
         ])  # fmt: skip
@@ -124,7 +126,7 @@ class ImpactDetector:
     def restart(self, scan: int) -> None:
         """Forget the past; the next sample is that of scan `scan`: at the start and after a gap in the stream."""
         noise = self._sensors[self._sensor_at(scan)][2]
-        self._state[:] = (0.0, 0.0, noise**2, 0.0, 0.0, 0.0, 0.0)
+        self._state[:] = (0.0, 0.0, noise * noise, 0.0, 0.0, 0.0, 0.0)
         self._place[:] = (scan, 0, 0, 1, 0, 0)
         self._history[:] = 0.0
 
@@ -222,7 +224,7 @@ def _detect(
                 out[count, 0] = k - (after - level) / (after - before)
                 out[count, 1], out[count, 2] = peak, sign
                 count += 1
-                ring = ring_factor * swing * decay ** (scan - peak_at)
+                ring = ring_factor * swing * power(decay, scan - peak_at)
                 since = scan - peak_at
         elif blank > 0:
             blank -= 1

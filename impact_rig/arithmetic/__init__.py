@@ -18,7 +18,7 @@ matrix routine may add in any order it likes. Whatever decides a sample or an im
 in here and with those operations in a written order, and with nothing of libm, BLAS or LAPACK.
 """
 
-ARITHMETIC = 5
+ARITHMETIC = 6
 """Version of the arithmetic: it rises when the same seed and commands give other bits than before.
 
 A recording carries it; what another version recorded can be replayed and analysed, but not re-simulated bit for bit.

@@ -27,7 +27,7 @@ from impact_rig.arithmetic import ARITHMETIC
 
 FILE = Path(__file__).parents[2] / "test" / "data" / "digests.txt"
 HEADER = f"""\
-# What every x86-64 machine must give, bit for bit: SHA-256 over the rows of each topic of the runs in
+# What every supported machine must give, bit for bit: SHA-256 over the rows of each topic of the runs in
 # qualification/portability/runs.py. `make test` and `make portability` compare; `make portability ARGS=--write`
 # rewrites this.
 # arithmetic {ARITHMETIC}

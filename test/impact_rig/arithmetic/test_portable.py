@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Nothing on the path to a sample or an impact calls what differs between machines: read from the sources.
+"""Nothing on the path to a sample or an impact calls what differs between machines: read from sources and library.
 
 Libm, BLAS, LAPACK and NumPy's sums may give other last bits on another machine; powers of floats are libm's pow. What
 is left of them is listed here with the reason why no sample and no impact depends on it.
@@ -20,15 +20,22 @@ is left of them is listed here with the reason why no sample and no impact depen
 from __future__ import annotations
 
 import ast
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 import impact_rig
+from impact_rig import kernels
+from impact_rig.kernels import build
 
 ROOT = Path(impact_rig.__file__).parent
-PARTS = ("arithmetic", "physics", "instruments", "rig")
+PARTS = ("arithmetic", "physics", "instruments", "rig", "analysis/impacts.py", "codec.py")
+EXACT = {"ceil", "floor", "frexp", "rint", "sqrt", "trunc"}
+"""Functions of libm whose results IEEE 754 fixes."""
+PLAIN_C = {"abort", "calloc", "free", "memcmp", "memcpy", "memmove", "memset", "strcmp", "strcpy", "strdup", "strlen"}
+"""What `library.c` and copies of records need."""
 
 LIBM = {"exp", "expm1", "exp2", "log", "log2", "log10", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "atan2"}
 LIBM |= {
@@ -114,21 +121,44 @@ def offences(tree: ast.AST) -> Iterator[tuple[int, str]]:
             yield getattr(node, "lineno", 0), found
 
 
-def files() -> list[Path]:
-    return sorted(path for part in PARTS for path in (ROOT / part).rglob("*.py"))
+def is_kernel(node: ast.AST) -> bool:
+    if not isinstance(node, ast.FunctionDef):
+        return False
+    marks = [mark.func if isinstance(mark, ast.Call) else mark for mark in node.decorator_list]
+    return bool({"kernel", "entry"} & {dotted(mark) for mark in marks})
+
+
+def sources() -> Iterator[tuple[str, ast.AST]]:
+    """Name and text of what decides samples and impacts: whole files, and the kernels of all others."""
+    for path in sorted(ROOT.rglob("*.py")):
+        name, tree = path.relative_to(ROOT).as_posix(), ast.parse(path.read_text())
+        if name.startswith(tuple(f"{part}/" for part in PARTS)) or name in PARTS:
+            yield name, tree
+        else:
+            yield from ((name, node) for node in ast.walk(tree) if is_kernel(node))
 
 
 def test_nothing_on_the_way_to_a_sample_is_left_to_the_machine() -> None:
     found, used = [], set()
-    for path in files():
-        name = path.relative_to(ROOT).as_posix()
-        for line, what in offences(ast.parse(path.read_text())):
+    for name, tree in sources():
+        for line, what in offences(tree):
             reason = next((key for key in (name, f"{name}: {what}") if key in ALLOWED), None)
             used.add(reason)
             if reason is None:
                 found.append(f"{name}:{line}: {what}")
     assert not found, "\n".join(found)
     assert used - {None} == set(ALLOWED), "an exception that nobody needs any more"
+
+
+@pytest.mark.skipif(kernels.MODE != "library", reason="kernels run otherwise here")
+def test_the_library_calls_nothing_inexact() -> None:
+    """The compiler makes a call of libm out of operators, too: `x ** n` called its pow."""
+    command = ["nm", "--dynamic", "--undefined-only", "--format=just-symbols", str(build.FOLDER / build.OUTPUT)]
+    listed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    called = {line.partition("@")[0] for line in listed.split()}
+    called = {name for name in called if not name.startswith(("Py", "_Py", "__", "_ITM"))}
+    assert "floor" in called
+    assert not called - EXACT - PLAIN_C
 
 
 @pytest.mark.parametrize(
