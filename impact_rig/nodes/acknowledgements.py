@@ -44,6 +44,8 @@ REALTIME_S = 0.05
 """Time between acknowledgements of a rig in real time, which waits for nobody and only wants to know who is late."""
 PRESENT_NS = NS_PER_S
 """Stamps this near to the system's time are those of a rig in real time; in the other modes they begin at 0."""
+REPEATED_S = 3.25
+"""Time within which Fast DDS repeats what a suspended reader has missed: with heartbeats, which are 3 s apart."""
 ALONE_S = 0.004  # a block that comes this long after the last acknowledgement is acknowledged at once
 MOST = 16  # blocks acknowledged together, at most: as many as a rig runs ahead by default
 

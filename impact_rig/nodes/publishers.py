@@ -42,6 +42,9 @@ KEPT_S, KEPT_BYTES = 25.0, 16_000_000
 their messages until the middleware forgets it, some 20 s later; what is kept still reaches them then."""
 LEAST_S, LEAST_BLOCKS = 2.0, 100  # kept of them in any case, whichever is more
 LOOK_S = 0.1  # least time between two looks at who listens, in real time: each costs a twentieth of a block
+QUEUE = 256
+"""Messages to one process that the middleware surely holds: half of the queue of a shared-memory port of Fast DDS. What
+exceeds it is dropped, and repeated seconds later."""
 DELIVERY = Duration(seconds=0.2)
 """Longest wait for the delivery of a change; only a subscriber that died without a word takes so long."""
 
@@ -127,8 +130,10 @@ class Publishers:
         absent = [topic for name, topic in MONITORS.items() if name not in fitted]
         # as many as the blocks hold that may be published and not acknowledged: none of them is overwritten
         in_window = (config.time.ack_window + 1) * math.ceil(config.output.monitor_rate_hz / per_second + 1)
+        often = [topics.JOINT_STATES, *MONITORS.values()]
+        self._may_overflow = config.time.mode != "realtime" and in_window * len(often) > QUEUE
         depths = dict.fromkeys(topics.BULKY, depth)
-        depths |= dict.fromkeys((topics.JOINT_STATES, *MONITORS.values()), max(topics.DATA_DEPTH, in_window))
+        depths |= dict.fromkeys(often, max(topics.DATA_DEPTH, in_window))
         node.outputs |= {
             t.name: node.publisher(t, depths.get(t))
             for t in PUBLISHED
@@ -167,8 +172,12 @@ class Publishers:
             if topic is topics.SCAN or topic.qos.transient_local or self._heard(topic)
         }
         scans = rendered.pop(topics.SCAN, None)
-        for topic, data in (*rendered.items(), *self._monitors.messages(block, self._heard)):
+        messages = (*rendered.items(), *self._monitors.messages(block, self._heard))
+        for number, (topic, data) in enumerate(messages, 1):
             self._node.send(topic, data)
+            if self._may_overflow and (number % QUEUE == 0 or number == len(messages)):
+                for sent in {one: None for one, _ in messages[:number]}:
+                    self._settle(sent)
         if scans is not None:
             self._node.send(topics.SCAN, scans)
 

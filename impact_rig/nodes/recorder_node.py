@@ -39,7 +39,7 @@ from impact_rig.config.fields import choice, integer, quantity, switch, text
 from impact_rig.config.tree import Tree, parameters_in
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.names import FILE_NAME, FILE_NAME_MEANS, one_line
-from impact_rig.nodes.acknowledgements import Acknowledgements
+from impact_rig.nodes.acknowledgements import PRESENT_NS, REPEATED_S, Acknowledgements
 from impact_rig.nodes.managed import Done, Level, ManagedNode, NodeState, guarded
 from impact_rig.nodes.messages import TOPICS
 from impact_rig.recording import (
@@ -52,6 +52,7 @@ from impact_rig.recording import (
     TopicDescription,
     schema_text,
 )
+from impact_rig.simtime import NS_PER_S
 from impact_rig.system.machine import identity
 
 FLUSH_S = 0.2
@@ -64,6 +65,9 @@ ONE_WRITER = {topic.name for topic in TOPICS if topic.columns is not None} | {to
 """Topics that one node alone may write: of two a run could not be simulated or analysed again."""
 QUIET_S = 0.1  # a configuration this old is the one in force: who comes late is handed every earlier one first
 CALIBRATION = "calibration.yaml"
+LATE_NS = NS_PER_S // 2  # a message that takes this long to arrive may be one that was lost and sent again
+NEEDED = frozenset(topic.name for topic in TOPICS if topic.publisher == "rig" and topic.qos is not topics.Qos.LATCHED)
+"""Topics of the rig of which every message counts, not only the newest."""
 
 
 @attrs.frozen(kw_only=True)
@@ -85,9 +89,10 @@ class RecorderSettings:
 
 
 class RecorderNode(ManagedNode[RecorderSettings]):
-    """Writes what it receives; acknowledges every block that is written, or that nobody asked it to record.
+    """Writer of what it receives, which acknowledges every block that is written or that it does not have to record.
 
-    A recorder that was to record and cannot acknowledges nothing: a rig that waits for it stops and names it.
+    An acknowledgement covers all earlier blocks on all topics. So a recorder that should record and cannot, or that
+    has lost a message of the rig, sends none: a rig that waits for it stops and names it.
     """
 
     COMPONENT = "recording"
@@ -110,6 +115,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._awaited: set[str] = set()
         self._opened_at = 0.0
         self._opened_ns = 0
+        self._late_at = -math.inf  # when a block in real time last arrived late, by the monotonic clock
         self._scans: Any = None
         self._recorded: list[Any] = []
         self._inbox: deque[tuple[topics.Topic, bytes, dict[str, Any]]] = deque()  # came, and not looked at yet
@@ -140,8 +146,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     def deactivate(self) -> None:
         """Finish the run and stop listening."""
         self._take_all()
-        self._finish()
         self._acknowledgements.flush()
+        self._finish()
         self._scans = None
 
     def rig_time_ns(self) -> int | None:
@@ -177,7 +183,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         if mixed:
             return Level.WARN, f"this run cannot be verified: {mixed}"
         if self._account.lost():
-            return Level.ERROR, "messages were lost before they reached the recorder"
+            held = "; no block is acknowledged until ~/stop" if self._lacks_messages() else ""
+            return Level.ERROR, f"messages were lost before they reached the recorder{held}"
         if self._writer is not None and self._refused:
             return Level.WARN, f"not recorded, as it is no such table: what came on {', '.join(sorted(self._refused))}"
         if self._waiting:
@@ -398,6 +405,9 @@ class RecorderNode(ManagedNode[RecorderSettings]):
                 self._fail(error)
         if table is not None and topic is topics.SCAN and not self._failure:
             self._newest_ns = table.stamp_ns
+            sent_ns, received_ns = int(info["source_timestamp"]), int(info["received_timestamp"])
+            if received_ns - sent_ns > LATE_NS and abs(sent_ns - table.stamp_ns) < PRESENT_NS:
+                self._late_at = time.monotonic()
             self._acknowledgements.processed(table.stamp_ns)
 
     def _write(
@@ -433,13 +443,25 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         )
 
     def _secured(self) -> bool:
-        """Make sure that what is acknowledged outlives this process; return whether it may be acknowledged."""
+        """Make sure that what is acknowledged outlives this process; return whether it may be acknowledged.
+
+        The rig publishes the scans of a block last, and middleware and executor keep the order, so the rest of the
+        block is here. Exceptions are messages that the middleware lost and repeats, when this process was suspended or
+        too slow: in real time nothing is acknowledged until all repetitions must have arrived. In the other modes the
+        rig waits before it sends more than the middleware holds.
+        """
         if self._writer is not None:
             try:
                 self._writer.secure()
             except RecordingError as error:
                 self._fail(error)
-        return not self._failure
+        is_recording = self._writer is not None
+        may_lack = is_recording and (self._lacks_messages() or time.monotonic() - self._late_at < REPEATED_S)
+        return not self._failure and not may_lack
+
+    def _lacks_messages(self) -> bool:
+        """Whether messages of the rig are missing in this run."""
+        return self._writer is not None and any(self._added[name] in NEEDED for name in self._account.lost())
 
 
 def run_directory(text: str) -> Path:

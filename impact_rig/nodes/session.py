@@ -41,7 +41,7 @@ from impact_rig import codec, states, topics
 from impact_rig.blocks import Table, joined
 from impact_rig.errors import CodecError, CommandError, describe
 from impact_rig.instruments.section import channels_of
-from impact_rig.nodes.acknowledgements import AckWindow, Readers
+from impact_rig.nodes.acknowledgements import REPEATED_S, AckWindow, Readers
 from impact_rig.nodes.managed import Done, ManagedNode, NodeState
 from impact_rig.nodes.pacing import Pacer, WorkTimer
 from impact_rig.nodes.publishers import Publishers
@@ -142,10 +142,9 @@ EXPIRES_S = 2.0
 """After a suspension this long the commands that were queued meanwhile are dropped: their senders have already received
 an error."""
 BUSY_SHARE = 0.25  # of a processor: a process that used more between two calls of the work timer was not suspended
-REPEATED_S, RECEIVED_S = 10.0, 3.25
-"""For so long after a suspension commands are checked: Fast DDS repeats what a suspended reader has missed with later
-heartbeats, which are 3 s apart. Within the first time a command is refused that was sent before the rig resumed. Where
-clocks have been set, or differ, stamps tell nothing: every command received within the second time is refused."""
+CHECKED_S = 10.0
+"""For so long after a suspension commands are refused that were sent before the rig resumed. Where clocks have been
+set, or differ, stamps prove nothing: every command received within `REPEATED_S` is refused."""
 STEP_NS = 100_000_000  # two clocks differ, or one was set, where more than this lies between them
 IDLE_S = 1.0  # who steps in turns asks more often than this: a rig between two steps of a series is not paused
 RATE_WINDOW_S = 2.0
@@ -427,7 +426,7 @@ class Session:
             is_busy = used_s - self._used_s > BUSY_SHARE * (now - self._worked_at)  # a new law is compiled, for one
             if now - self._worked_at > EXPIRES_S and not is_busy:
                 self._resumed_at, self._resumed_ns = now, time.time_ns()
-        elif now - self._resumed_at > REPEATED_S:
+        elif now - self._resumed_at > CHECKED_S:
             self._clock_is_set = False
         self._worked_at, self._used_s = now, used_s
         return now
@@ -442,11 +441,11 @@ class Session:
             CommandError: it was.
         """
         since_s = self._notice_absence() - self._resumed_at
-        if since_s > REPEATED_S:
+        if since_s > CHECKED_S:
             return
         late_s = (self._resumed_ns - sent_ns) / NS_PER_S
         if self._clock_is_set or sent_ns > time.time_ns() + STEP_NS:
-            if since_s < RECEIVED_S:
+            if since_s < REPEATED_S:
                 raise CommandError("it may have been sent before this rig, which was suspended, went on: send it again")
         elif late_s > 0.0:
             raise CommandError(f"it was sent {late_s:.1f} s before this rig, which was suspended, went on")

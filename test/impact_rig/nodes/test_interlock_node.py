@@ -110,7 +110,7 @@ def test_no_step_of_the_system_clock_decides_about_commands_after_a_suspension(
     client.command(current_a=0.1)
     client.trigger("rig/stop")
     system_ns = time.time_ns
-    monkeypatch.setattr(session, "RECEIVED_S", 1.5)
+    monkeypatch.setattr(session, "REPEATED_S", 1.5)
     with monkeypatch.context() as patch:
         patch.setattr(session, "AWAY_S", -1.0)
         patch.setattr(session, "EXPIRES_S", -1.0)
@@ -122,7 +122,7 @@ def test_no_step_of_the_system_clock_decides_about_commands_after_a_suspension(
             client.trigger(f"rig/{name}")
     client.trigger("rig/stop")
     resumed = node._session._resumed_at
-    client.wait_until(lambda: time.monotonic() - resumed > session.RECEIVED_S, "the end of what may have been queued")
+    client.wait_until(lambda: time.monotonic() - resumed > session.REPEATED_S, "the end of what may have been queued")
     for name in ("clear_trip", "reset"):
         client.trigger(f"rig/{name}")
     assert client.command(current_a=0.2)["current"] == 0.2

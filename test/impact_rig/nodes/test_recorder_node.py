@@ -18,6 +18,7 @@ from __future__ import annotations
 import errno
 import functools
 import os
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -296,6 +297,67 @@ def test_messages_that_never_arrived_are_told_by_topic_and_kept_in_the_file(clie
     with open_run(tmp_path / "run") as run:
         (stream,) = read_record(run.record(RECORD_NAME))["/shaker/applied"]
     assert stream.publisher == "/rig"
+
+
+def test_what_is_acknowledged_is_complete_on_every_topic(client: Client, tmp_path: Path) -> None:
+    taken: Counter[str] = Counter()
+    acknowledged: list[Counter[str]] = []
+
+    class Counting(RecorderNode):
+        def _take(self, topic: topics.Topic, data: bytes, info: dict[str, Any]) -> None:
+            taken[topic.name] += 1
+            super()._take(topic, data, info)
+
+        def send(self, topic: topics.Topic, message: Any) -> None:
+            if topic is topics.ACK:
+                acknowledged.append(Counter(taken))
+            super().send(topic, message)
+
+    client.host(Counting, parameter_overrides=ros_parameters({"directory": str(tmp_path), "name": "run"}))
+    host_rig(client, time__peers=["recorder"], output__monitor_rate_hz=100.0, output__truth_scan=True)
+    client.wait_active("rig", "recorder")
+    client.wait_until(lambda: recording(client), "the recorder")
+    client.step(20)
+    client.trigger("recorder/stop")
+    assert acknowledged
+    for counts in acknowledged:
+        assert counts[topics.SCAN.name] <= min(counts[topics.TRUTH_SCAN.name], counts[topics.JOINT_STATES.name]), counts
+
+
+@pytest.mark.parametrize("topic", [topics.SCAN, topics.JOINT_STATES])
+def test_after_a_loss_nothing_is_acknowledged_until_the_recording_is_stopped(
+    client: Client, tmp_path: Path, topic: topics.Topic
+) -> None:
+    recorder = host_recorder(client, tmp_path)
+    host_rig(client, time__peers=["recorder"], time__peer_timeout_s=0.3, output__monitor_rate_hz=100.0)
+    client.wait_active("rig", "recorder")
+    client.wait_until(lambda: recording(client), "the recorder")
+    client.step(2)
+    (inlet,) = [one for one in recorder.subscriptions if one.topic_name == f"/{topic.name}"]
+    really, arrived = inlet.callback, []
+
+    def lose_the_first(*arguments: object) -> object:
+        arrived.append(arguments)
+        return None if len(arrived) == 1 else really(*arguments)
+
+    inlet.callback = functools.wraps(really)(lose_the_first)
+    with pytest.raises(ServiceFailedError, match="peer recorder does not acknowledge"):
+        client.step(6)
+    client.wait_until(lambda: "no block is acknowledged" in client.status("recorder").message, "the reason")
+    client.trigger("recorder/stop")
+    client.pause(False)
+    client.step(3)
+
+
+def test_long_blocks_ahead_of_time_lose_no_monitor_message(client: Client, tmp_path: Path) -> None:
+    """The rig sends 16 blocks of half a second ahead: more messages than the middleware holds."""
+    host_recorder(client, tmp_path)
+    host_rig(client, "freewheel", time__peers=["recorder"], daq__block_scans=5000, output__monitor_rate_hz=200.0)
+    client.wait_active("rig", "recorder")
+    scans = client.listen("daq/scan")
+    client.wait_until(lambda: len(scans) > 40, "blocks", 60.0)
+    client.trigger("recorder/stop")
+    assert info(tmp_path / "run").lost == {}
 
 
 def test_results_of_before_are_not_those_of_a_run(client: Client, tmp_path: Path) -> None:
