@@ -16,15 +16,20 @@
 Lateness is receipt at a further subscriber less the end of the block, so it holds computing, pacing, DDS and that
 subscriber's own wake-up. CPU shares are those of the processes, from /proc, in percent of one core. The environment
 variable SECONDS sets how long each measurement runs: `SECONDS=300 make bench ONLY=live`.
+
+`stop_latency_p99_s` is the time from sending `rig/stop` to receiving the block in which the current has become zero,
+the ramp included, while a busy process loads every core.
 """
 
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +37,7 @@ import numpy as np
 from benchmarks import wire
 from benchmarks.cpu import cpu_share
 from impact_rig import codec, topics
-from impact_rig.client import Client, Processes, isolated_domain
+from impact_rig.client import Client, Collector, Processes, isolated_domain
 from impact_rig.client.processes import ParameterValue
 from impact_rig.runs import info
 
@@ -42,6 +47,7 @@ NODES = ("rig", "analysis", "recorder")
 WARM_UP_S = 2.0
 FREEWHEEL_WINDOW = 64
 ROUNDS = 3
+STOPS = 50
 BESIDE = dict(zip(NODES, ("source", *wire.READERS), strict=True))  # node -> the bare process with its messages
 WORST = ("lost_blocks", "wrong_stamps", "p99_lateness_ms", "slips")  # figures of which no median is taken
 
@@ -53,6 +59,7 @@ def run() -> dict[str, float]:
         **live_beside_the_wire(seconds / 2),
         **live(seconds, 50_000),
         **freewheel_beside_the_wire(seconds / 2),
+        **stop_under_load(),
     }
 
 
@@ -135,6 +142,32 @@ def freewheel(seconds: float) -> dict[str, float]:
             marks.append((time.monotonic(), float(client.figures("rig")["rig_time_s"])))
         (began, first), (ended, last) = marks
         return {"freewheel_x_realtime_10kSps": (last - first) / (ended - began)}
+
+
+def stop_under_load() -> dict[str, float]:
+    """Stop a rig in real time again and again, with analysis and recorder attached and all cores busy."""
+    latencies_s = []
+    with graph({"output.truth_scan": True, **DRIVE}) as (client, _, _), ExitStack() as load:
+        for _ in range(os.cpu_count() or 1):
+            busy = load.enter_context(subprocess.Popen([sys.executable, "-c", "while True: pass"]))
+            load.callback(busy.kill)
+        truth = client.collect(topics.TRUTH_SCAN.name)
+        for _ in range(STOPS):
+            client.wait_until(lambda: _ends_with_current(truth, True), "a current")
+            truth.clear()
+            sent_ns = time.time_ns()
+            client.trigger("rig/stop")
+            client.wait_until(lambda: _ends_with_current(truth, False), "the end of the current")
+            last = max(number for number, table in enumerate(truth.tables()) if table.rows["current"].any())
+            latencies_s.append((truth.received[last + 1].received_system_ns - sent_ns) * 1e-9)
+            client.trigger("rig/clear_trip")
+            client.command(current_a=DRIVE["drive.amplitude"])
+    return {"stop_latency_p99_s": float(np.percentile(latencies_s, 99))}
+
+
+def _ends_with_current(truth: Collector, flows: bool) -> bool:
+    newest = truth.last()
+    return newest is not None and bool(newest.rows["current"].any()) is flows
 
 
 @contextmanager

@@ -131,7 +131,8 @@ class Publishers:
         # as many as the blocks hold that may be published and not acknowledged: none of them is overwritten
         in_window = (config.time.ack_window + 1) * math.ceil(config.output.monitor_rate_hz / per_second + 1)
         often = [topics.JOINT_STATES, *MONITORS.values()]
-        self._may_overflow = config.time.mode != "realtime" and in_window * len(often) > QUEUE
+        in_flight = config.time.ack_window * (1.0 + len(often) * config.output.monitor_rate_hz / per_second)
+        self._may_overflow = config.time.mode != "realtime" and in_flight > QUEUE
         depths = dict.fromkeys(topics.BULKY, depth)
         depths |= dict.fromkeys(often, max(topics.DATA_DEPTH, in_window))
         node.outputs |= {
