@@ -20,6 +20,8 @@ import json
 import math
 from pathlib import Path
 
+import numpy as np
+
 from impact_rig.cli.terminal import Console, TextTable, add_json, figure, subcommand, tell_json, tell_program
 from impact_rig.errors import ConfigError, ImpactRigError
 from impact_rig.recording import open_run
@@ -31,7 +33,16 @@ from impact_rig_studies.campaign import run
 from impact_rig_studies.campaign.paper import CURRENT_A, FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT
 from impact_rig_studies.decay import REASONS, fit_decay, log_decrement
 from impact_rig_studies.identification import paper_fit
-from impact_rig_studies.identification.fit import NAMES, START, UNITS, Identified, Information, identify, logarithms
+from impact_rig_studies.identification.fit import (
+    NAMES,
+    SCALED,
+    START,
+    UNITS,
+    Identified,
+    Information,
+    identify,
+    logarithms,
+)
 from impact_rig_studies.identification.measurements import (
     U_RESTITUTION,
     Gains,
@@ -158,8 +169,9 @@ def print_identified(console: Console, found: Identified) -> None:
     if math.isfinite(found.restitution):
         table.add_row("e", f"{found.restitution:.5g}", figure(2 * found.u_restitution, ".2g"), "-", "nominal")
     console.print(table)
-    for gap, why in found.left_out.items():
-        console.print(f"the reduction at {gap * 1e3:g} mm is not used: {why}", style="yellow")
+    for gap, u in found.irregular.items():
+        console.print(f"at {gap * 1e3:g} mm the fitted motion does not repeat: its mean is used, u {100 * u:.2g} %")
+    _print_alternatives(console, found)
     console.print(
         f"χ² {found.chi_square:.1f} for {found.freedom} degrees of freedom: by chance as bad or worse in "
         f"{100 * found.chance:.1f} % of cases"
@@ -175,6 +187,24 @@ def print_identified(console: Console, found: Identified) -> None:
             style="red",
         )
     _print_combinations(console, found.information)
+
+
+def _print_alternatives(console: Console, found: Identified) -> None:
+    if not found.ambiguous:
+        return
+    console.print(
+        "AMBIGUOUS: the data have several explanations, and the uncertainties above include all of them. A drop test "
+        "(e), or one more gap, decides between them",
+        style="yellow",
+    )
+    table = TextTable("Explanations", left=("probability",), right=("e", *SCALED))
+    for one in found.alternatives:
+        cells = [f"{one.restitution:.4f} ± {2 * one.u_restitution:.2g}"]
+        for name in SCALED:
+            value, u = (float(column[NAMES.index(name)]) for column in (np.exp(one.log_constants), one.u_relative))
+            cells.append(f"{value:.5g} ± {2 * u * value:.2g}")
+        table.add_row(f"{100 * one.share:.0f} %", *cells)
+    console.print(table)
 
 
 def _print_combinations(console: Console, information: Information) -> None:
@@ -235,7 +265,18 @@ def identified_content(found: Identified) -> dict[str, object]:
         ],
         "restitution": found.restitution if math.isfinite(found.restitution) else None,
         "restitution_standard_uncertainty": found.u_restitution if math.isfinite(found.u_restitution) else None,
-        "left_out_mm": {f"{gap * 1e3:g}": why for gap, why in found.left_out.items()},
+        "irregular_mm": {f"{gap * 1e3:g}": u for gap, u in found.irregular.items()},
+        "ambiguous": found.ambiguous,
+        "alternatives": [
+            {
+                "probability": one.share,
+                "restitution": one.restitution,
+                "restitution_standard_uncertainty": one.u_restitution,
+                "constants": dict(zip(NAMES, np.exp(one.log_constants).tolist(), strict=True)),
+                "relative_uncertainties": dict(zip(NAMES, one.u_relative.tolist(), strict=True)),
+            }
+            for one in found.alternatives
+        ],
         "chi_square": found.chi_square,
         "degrees_of_freedom": found.freedom,
         "chance": found.chance,

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -87,6 +87,18 @@ class Note(NamedTuple):
     properties: Properties
     cycles: int
     turn: float
+
+
+class Slopes(NamedTuple):
+    """Transmissibility on an orbit, and how it changes with the rig."""
+
+    log_dt: float  # ln(|X_1| / |X_b|) of the fundamentals
+    by: Real  # its derivatives by each parameter
+    stable: bool  # whether all multipliers of the orbit are inside the unit circle
+
+
+STEP = 1e-6
+"""Relative step of differences: truncation falls with it, rounding and the contacts' tolerance grow."""
 
 
 class Stroboscope:
@@ -196,8 +208,65 @@ class Stroboscope:
             energy=Energy(*per_cycle),
         )
 
+    def slopes(self, z: Real, p: float, varied: Callable[[int, float], Place], count: int) -> Slopes | None:
+        """Return the transmissibility on the orbit near z and its derivatives by `count` parameters.
+
+        With the map z → f(z, q), the transmissibility g(z, q) of one return and J = ∂f/∂z, the orbit moves by
+        (I − J)⁻¹ ∂f/∂q, so that dg/dq = ∂g/∂q + ∂g/∂z (I − J)⁻¹ ∂f/∂q. Single returns are enough.
+
+        Args:
+            z: coordinates near the orbit, shape (n,).
+            p: the parameter of the map.
+            varied: place with the i-th parameter changed by a small step.
+            count: number of parameters.
+
+        Returns:
+            None where a neighbour strikes in another pattern or cannot be resolved.
+        """
+        place, model = self._found(p)
+        here, log_dt, impacts = self._returned(z, place, model)
+        n = len(z)
+        matrix, gradient = np.zeros((n, n)), np.zeros(n)
+        by_place, direct = np.zeros((n, count)), np.zeros(count)
+        for i in range(n):
+            aside = np.zeros(n)
+            aside[i] = STEP
+            sides = (self._returned(z + sign * aside, place, model) for sign in (1.0, -1.0))
+            (more, upper, one), (less, lower, other) = sides
+            matrix[:, i], gradient[i] = (more - less) / (2.0 * STEP), (upper - lower) / (2.0 * STEP)
+            if not one == other == impacts:
+                return None
+        for i in range(count):
+            changed = varied(i, STEP)
+            built = model if changed.config is place.config else build(changed.config)
+            other_z, other_dt, other = self._returned(z, changed, built)
+            by_place[:, i], direct[i] = (other_z - here) / STEP, (other_dt - log_dt) / STEP
+            if other != impacts:
+                return None
+        if not (np.isfinite(matrix).all() and np.isfinite(by_place).all()):
+            return None
+        moved = np.linalg.solve(np.eye(n) - matrix, np.column_stack([here - z, by_place]))
+        stable = bool(np.abs(np.linalg.eigvals(matrix)).max() < 1.0)
+        return Slopes(log_dt + float(gradient @ moved[:, 0]), direct + gradient @ moved[:, 1:], stable)
+
+    def _returned(self, z: Real, place: Place, model: Model) -> tuple[Real, float, int]:
+        """Return coordinates, ln DT and number of impacts of one return; NaN in a contact or what is not resolved."""
+        try:
+            motion = self._run_at(z, place, model, self.cycles)
+            state = self._simulation.state()
+        except SimulationError:
+            state = None
+        if state is None:
+            return np.full(len(z), math.nan), math.nan, -1
+        cycles = motion.cycles()
+        ratio = abs(cycles["x_1"].mean() / cycles["x_b"].mean())
+        return state[self._free] / self.scale, math.log(ratio), len(motion.impacts)
+
     def _run(self, z: Real, p: float, cycles: float) -> Motion:
         place, model = self._found(p)
+        return self._run_at(z, place, model, cycles)
+
+    def _run_at(self, z: Real, place: Place, model: Model, cycles: float) -> Motion:
         if model is not self._at:
             self._simulation.configure(place.config, model)
             self._at = model

@@ -24,28 +24,26 @@ reductions weigh the structure with the known mass of the sphere.
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import attrs
 import numpy as np
 from scipy import special
+from scipy.interpolate import PchipInterpolator, interp1d
+from scipy.signal import find_peaks
 
 from impact_rig.analysis.calibration import Real
 from impact_rig.analysis.scans import BASE, CURRENT, LASER
 from impact_rig.config.tree import Value
-from impact_rig.errors import ConfigError
+from impact_rig.errors import ConfigError, SimulationError
 from impact_rig.physics.linear_response import base_per_ampere, transmissibility
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.states import Regime
-from impact_rig_studies.identification.measurements import (
-    NUISANCES,
-    RESTITUTION,
-    Measured,
-    SettledMotion,
-    simulated,
-    slope,
-)
+from impact_rig_studies.dynamics.stroboscope import Place
+from impact_rig_studies.identification.measurements import GAIN_CURRENT, NUISANCES, Measured
+from impact_rig_studies.identification.motions import SettledMotion, SettledRig, place_of
 
 # --- The constants that are identified, as logarithms, and the rig that they make.
 
@@ -175,36 +173,49 @@ def _combination(names: Sequence[str], direction: Real, u: float) -> Combination
 
 STEP = 1e-6  # of logarithms, for derivatives of closed forms
 U_SIMULATED = 1e-4
-"""Relative standard uncertainty of a ratio beside its noise: transients that the analysis calls settled."""
+"""Relative standard uncertainty of a ratio in addition to its noise: transients that the analysis calls settled."""
 SIGNIFICANCE = 0.01  # a fit as bad as this or worse by chance alone is an alarm
 ITERATIONS = 30
 CONVERGED = 1e-4  # a step this small, in standard uncertainties, ends the fit of the closed forms
-ROUNDS = 8  # of adjusting the constants to the reductions, at most; each simulates all derivatives anew
+ROUNDS = 8  # of adjusting the constants to the reductions with e held, at most
 SMALL = 0.05  # a step this small, in standard uncertainties, ends them
+SCATTERED = 0.5  # the same where a mean of a motion that does not repeat scatters
 RANK = 1e-6
 """Share of the largest singular value below which a direction is not determined; derivatives are good to that."""
 UNBOUND = 1.0
 """Relative standard uncertainty beyond which a constant is hardly moved: a few data would send it out of all range."""
 LARGEST_STEP = 0.5
-COARSE = 0.02  # step for the common factor, which need not be exact
-CROSSED = "the orbit changes, or does not quite repeat: no step of a constant gives one slope on both sides"
 LEAST_RESTITUTION, MOST_RESTITUTION = 0.02, 0.98  # of a fitted e
+
+
+@attrs.frozen(eq=False)
+class Alternative:
+    """One of several sets of constants that explain the data."""
+
+    share: float  # of the probability
+    log_constants: Real  # in the order of `NAMES`
+    u_relative: Real  # their standard uncertainties
+    restitution: float  # nominal e
+    u_restitution: float  # its standard uncertainty
 
 
 @attrs.frozen(eq=False)
 class Identified:
     """The result."""
 
-    log_constants: Real  # in the order of `constants.NAMES`; what the data do not determine stays near its start
+    log_constants: Real  # in the order of `NAMES`; what the data do not determine stays near its start
     information: Information  # what the data say
-    chi_square: float  # sum of squared residuals, prior of the nuisances included
+    chi_square: float  # sum of squared residuals at the best fit, priors of e and of the nuisances included
     freedom: int  # residuals less determined parameters
     config: RigConfig  # the known rig, with the identified constants
     restitution: float = math.nan  # nominal e found, NaN without reductions; u_restitution likewise
     u_restitution: float = math.nan
-    left_out: Mapping[float, str] = attrs.field(factory=dict)
-    """Gaps [m] whose reductions were not used, with the reason."""
-    contradicted: tuple[float, ...] = ()  # those of them that were measured to be periodic where the fitted rig is not
+    irregular: Mapping[float, float] = attrs.field(factory=dict)
+    """Gaps [m] at which the fitted motion does not repeat, with the standard uncertainty of its mean ratio."""
+    contradicted: tuple[float, ...] = ()  # those of them at which the motion was measured to be periodic
+    alternatives: tuple[Alternative, ...] = ()
+    """Where the data have several explanations, all of them, the most probable first; the uncertainties above include
+    the distance between them."""
     converged: bool = True  # whether the last step was small; where not, the uncertainties are of no minimum
 
     @property
@@ -216,6 +227,11 @@ class Identified:
     def consistent(self) -> bool:
         """Whether the fit has converged, and data, uncertainties and what was taken as known go together."""
         return self.converged and self.chance >= SIGNIFICANCE and not self.contradicted
+
+    @property
+    def ambiguous(self) -> bool:
+        """Whether the data have more than one explanation."""
+        return len(self.alternatives) > 1
 
     def value(self, name: str) -> float:
         """Return a constant."""
@@ -239,6 +255,7 @@ def identify(
 
     Raises:
         ConfigError: nothing was measured.
+        SimulationError: no motion with the sphere can be resolved.
     """
     if measured.decay is None and measured.sine is None and measured.reduced is None:
         raise ConfigError("nothing to identify from: no free decay, no stepped sine, no reductions")
@@ -252,40 +269,12 @@ def identify(
         converged = bool(np.linalg.norm(jacobian @ change + bent @ along) < CONVERGED)
         if converged:
             break
-    residual, jacobian, bent = _linear(measured, known, theta, nuisance)
-    restitution = u_restitution = math.nan
-    left_out: Mapping[float, str] = {}
-    contradicted: tuple[float, ...] = ()
     if measured.reduced is not None:
-        impacts = _Impacts(measured, known)
-        on_step("weighing the structure with the sphere")
-        theta = impacts.weigh(theta)
-        for turn in range(1, ROUNDS + 1):
-            on_step(f"adjusting, {turn} of at most {ROUNDS}")
-            parts = zip(_linear(measured, known, theta, nuisance), impacts.linear(theta, nuisance), strict=True)
-            residual, jacobian, bent = (np.concatenate(part) for part in parts)
-            change, along = _step(residual, jacobian, bent)
-            size = np.linalg.norm(jacobian @ change + bent @ along)
-            converged = bool(size < SMALL)
-            if converged or turn == ROUNDS:
-                break
-            theta, nuisance = theta + change, nuisance + along
-            nuisance[RESTITUTION] = impacts.within(nuisance[RESTITUTION])
-        left_out, contradicted = impacts.left_out, impacts.contradicted()
-        if len(left_out) < len(measured.reduced.ratio):
-            restitution = known.contact.restitution + float(nuisance[RESTITUTION])
-            u_restitution = 0.0
-            if measured.u_restitution > 0.0:
-                u_restitution = _spread(np.concatenate([jacobian, bent], axis=1), len(NAMES) + RESTITUTION)
+        return _with_reductions(measured, known, theta, nuisance, on_step)
+    residual, jacobian, bent = _linear(measured, known, theta, nuisance)
     found = information(NAMES, jacobian, bent)
-    determined = sum(combination.determined for combination in found.combinations)
-    config = rig(known, theta)
-    if math.isfinite(restitution):
-        config = from_flat(config, {"contact.restitution": restitution})
-    return Identified(
-        theta, found, float(residual @ residual), len(residual) - len(NUISANCES) - determined, config,
-        restitution, u_restitution, left_out, contradicted, converged,
-    )  # fmt: skip
+    freedom = len(residual) - len(NUISANCES) - sum(one.determined for one in found.combinations)
+    return Identified(theta, found, float(residual @ residual), freedom, rig(known, theta), converged=converged)
 
 
 def _begun(measured: Measured, start: Real) -> Real:
@@ -299,12 +288,6 @@ def _begun(measured: Measured, start: Real) -> Real:
     return theta
 
 
-def _spread(jacobian: Real, column: int) -> float:
-    """Return the standard uncertainty of one unknown, all others free."""
-    size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-30)
-    return float(np.linalg.norm(np.linalg.pinv(jacobian / size, rcond=RANK)[column]) / size[column])
-
-
 def _step(residual: Real, jacobian: Real, bent: Real) -> tuple[Real, Real]:
     """Return the Gauss-Newton step; along what the data do not determine, none, or a damped one."""
     damped = np.eye(len(NAMES), len(NAMES) + bent.shape[1]) / UNBOUND
@@ -315,80 +298,307 @@ def _step(residual: Real, jacobian: Real, bent: Real) -> tuple[Real, Real]:
     return change[: len(NAMES)], change[len(NAMES) :]
 
 
-class _Impacts:
-    """The reductions' part of the problem; gaps whose motion has no derivative are left out as they are found."""
+# --- Reductions. The masses follow from them, and e is known beforehand within its uncertainty only. χ² is not smooth
+# in e: where the sphere strikes in another pattern, the slopes are others, and there the data may have another
+# explanation. So χ² is profiled: e is held at many values, the constants are fitted at each, and the result is the mean
+# over the profile, weighted by exp(−χ²/2), with all of its spread.
+
+FACTORS = np.arange(-1.2, 1.21, 0.08)  # logarithms of the common factor of forces and masses that are tried first
+U_FACTOR = 0.03  # relative: how well a ratio must be met there
+TRIED, WORSE = 3, 24.0  # factors that are the start of a fit, and the χ² up to which they are worse than the best
+COARSE_E = np.arange(-3.0, 3.1, 0.75)  # values of e of the first profile, in its standard uncertainties
+MINIMA = 3  # values of e from which a minimum is looked for
+PROPOSED = 4  # steps towards it
+NEAR_E = 0.3  # nearer to a value that is there, in standard uncertainties, none is added
+KNOWN = 0.05  # change of the density over an interval of e, in share of the area, that need not be resolved
+MOST_E = 30  # values of e
+SAME_E, SAME_M = 0.01, 0.01  # change of e, and relative one of the mass, over which slopes of one kind of motion hold
+GRID = 4001  # points of the profile between its values
+SEPARATE, LEAST_PART = 0.1, 0.05
+"""The density between two explanations falls below this share of the lower peak; least probability of one."""
+APART = 2.0  # standard uncertainties on either side: explanations that overlap in all constants are one
+
+
+@attrs.frozen(eq=False)
+class _Held:
+    """The fit with e held."""
+
+    e: float
+    theta: Real
+    nuisance: Real
+    chi_square: float
+    cost: float  # −2 ln of the probability: χ², and what widths that depend on the motion add
+    jacobian: Real  # whitened, by the constants
+    bent: Real  # by the nuisances
+    by_e: Real  # by e
+    residual: Real
+    motions: Mapping[float, SettledMotion]
+    converged: bool
+
+    def covariance(self) -> Real:
+        """Return the covariance of the constants with e held."""
+        basis, _ = np.linalg.qr(self.bent)
+        matrix = self.jacobian - basis @ (basis.T @ self.jacobian)
+        size = np.maximum(np.linalg.norm(matrix, axis=0), 1e-30)
+        inverse = np.linalg.pinv(matrix / size, rcond=RANK) / size[:, None]
+        return np.asarray(inverse @ inverse.T)
+
+    def proposal(self) -> tuple[float, float]:
+        """Return the e of the minimum as the slopes tell it, and its standard uncertainty."""
+        others = np.concatenate([self.jacobian, self.bent], axis=1)
+        size = np.maximum(np.linalg.norm(others, axis=0), 1e-30)
+        basis, values, _ = np.linalg.svd(others / size, full_matrices=False)
+        basis = basis[:, values > RANK * values[0]]
+        left = self.by_e - basis @ (basis.T @ self.by_e)
+        power = float(left @ left)
+        return self.e - float(left @ self.residual) / power, 1.0 / math.sqrt(power)
+
+
+def _with_reductions(
+    measured: Measured, known: RigConfig, theta: Real, nuisance: Real, on_step: Callable[[str], None]
+) -> Identified:
+    """Return the constants from everything that was measured."""
+    profile = _Profile(measured, known)
+    on_step("weighing the structure with the sphere")
+    starts = profile.factors(theta)
+    on_step(f"fitting with e held, from {len(starts)} starts")
+    held = profile.run(starts, nuisance, on_step)
+    best = min(held, key=lambda one: one.cost)
+    mean, covariance, alternatives = _summary(held)
+    constants, e, u_e = mean[:-1], float(mean[-1]), math.sqrt(float(covariance[-1, -1]))
+    if np.linalg.matrix_rank(covariance[:-1, :-1] / np.outer(*2 * [np.sqrt(np.diag(covariance)[:-1])])) == len(NAMES):
+        found = information(NAMES, np.linalg.cholesky(np.linalg.inv(covariance[:-1, :-1])).T)
+    else:  # there is something of which the data say nothing
+        found = information(NAMES, best.jacobian, np.column_stack([best.bent, best.by_e]))
+    determined = sum(combination.determined for combination in found.combinations)
+    irregular = {gap: motion.u for gap, motion in best.motions.items() if motion.regime != Regime.PERIODIC.value}
+    assert measured.reduced is not None
+    regimes = measured.reduced.regimes
+    return Identified(
+        constants, found, best.chi_square, len(best.residual) - len(NUISANCES) - 1 - determined,
+        from_flat(rig(known, constants), {"contact.restitution": e}), e, u_e, irregular,
+        tuple(gap for gap in irregular if regimes[gap] == Regime.PERIODIC.value), alternatives, best.converged,
+    )  # fmt: skip
+
+
+class _Profile:
+    """Fits with e held."""
 
     def __init__(self, measured: Measured, known: RigConfig) -> None:
         assert measured.reduced is not None
-        self._reduced, self._known = measured.reduced, known
+        self._measured, self._reduced, self._known = measured, measured.reduced, known
         self._uncertain = _prior(measured) > 0.0
-        self.left_out: dict[float, str] = {}
+        self._nominal, self._u = known.contact.restitution, measured.u_restitution
+        self._slopes: dict[float, list[tuple[float, float, tuple[float, ...], Real]]] = {}
 
-    def contradicted(self) -> tuple[float, ...]:
-        """Return the gaps left out for a motion that does not repeat, though it was measured to be periodic."""
-        regimes = self._reduced.regimes
-        return tuple(g for g, why in self.left_out.items() if why != CROSSED and regimes[g] == Regime.PERIODIC.value)
-
-    def within(self, change: float) -> float:
-        """Return a change of e that leaves it possible."""
-        e = self._known.contact.restitution
-        return min(max(change, LEAST_RESTITUTION - e), MOST_RESTITUTION - e)
-
-    def linear(self, theta: Real, nuisance: Real) -> tuple[Real, Real, Real]:
-        """Return whitened residuals, their derivatives by the constants and by the nuisances, a row a gap in use."""
-        residual, jacobian, bent = [], [], []
-        for place, (gap, ratio) in enumerate(self._reduced.ratio.items()):
-            if gap in self.left_out:
-                continue
-            u = math.hypot(self._reduced.u[place], U_SIMULATED)
-            here = self._motion(gap, theta, nuisance[RESTITUTION])
-            slopes = [self._slope(gap, theta, nuisance, here, direction) for direction in np.eye(len(NAMES) + 1)]
-            if here.orbit() is None or None in slopes:
-                self.left_out[gap] = (
-                    f"the motion is {here.regime}: it does not repeat" if here.orbit() is None
-                    else CROSSED
-                )  # fmt: skip
-                continue
-            row = self._reduced.effects[place] * self._uncertain
-            row[RESTITUTION] = slopes[-1] if self._uncertain[RESTITUTION] else 0.0
-            others = np.where(np.arange(len(NUISANCES)) == RESTITUTION, 0.0, nuisance)  # e is in the simulation
-            residual.append((here.log_ratio - math.log(ratio) + row @ others) / u)
-            jacobian.append(np.array(slopes[:-1]) / u)
-            bent.append(row / u)
-        return (
-            np.array(residual),
-            np.reshape(jacobian, (len(residual), len(NAMES))),
-            np.reshape(bent, (len(residual), len(NUISANCES))),
-        )
-
-    def weigh(self, theta: Real) -> Real:
-        """Return the constants with their common factor adjusted to the reductions."""
-        for _ in range(ROUNDS):
-            here, slopes = [], []
+    def factors(self, theta: Real) -> list[Real]:
+        """Return the constants with common factors with which the ratios are met best."""
+        misfits = []
+        for factor in FACTORS:
+            off = 0.0
             for gap, ratio in self._reduced.ratio.items():
-                motion = self._motion(gap, theta, 0.0)
-                here.append(motion.log_ratio - math.log(ratio))
-                slopes.append((self._motion(gap, theta + COARSE * SCALE, 0.0).log_ratio - motion.log_ratio) / COARSE)
-            change = float(np.clip(-np.dot(slopes, here) / np.dot(slopes, slopes), -LARGEST_STEP, LARGEST_STEP))
-            theta = theta + change * SCALE
-            if abs(change) < COARSE:
-                break
-        return theta
+                try:
+                    motion = SettledRig(self._place(gap, theta + factor * SCALE, 0.0, self._nominal)).motion
+                    off += min(abs(motion.log_ratio - math.log(ratio)) / U_FACTOR, 10.0) ** 2
+                except SimulationError:
+                    off += 100.0
+            misfits.append(off)
+        padded = np.concatenate([[np.inf], misfits, [np.inf]])
+        lowest = np.flatnonzero((padded[1:-1] <= padded[:-2]) & (padded[1:-1] < padded[2:]))
+        order = sorted(lowest, key=lambda i: misfits[i])[:TRIED]
+        return [theta + FACTORS[i] * SCALE for i in order if misfits[i] <= misfits[order[0]] + WORSE]
 
-    def _motion(self, gap_m: float, theta: Real, restitution: float) -> SettledMotion:
-        e = self._known.contact.restitution + restitution
+    def run(self, starts: Sequence[Real], nuisance: Real, on_step: Callable[[str], None]) -> list[_Held]:
+        """Return the profile: the best fit at each value of e, ascending."""
+        first = [one for theta in starts if (one := self._fit(self._nominal, theta, nuisance)) is not None]
+        if not first:
+            raise SimulationError("no motion with the sphere can be resolved")
+        if self._u == 0.0:
+            return [min(first, key=lambda one: one.cost)]
+        held: dict[float, _Held] = {}
+        for branch in first:
+            for side in (COARSE_E[COARSE_E >= 0.0], COARSE_E[COARSE_E < 0.0][::-1]):
+                here = branch
+                for away in side:
+                    e = self._within(self._nominal + away * self._u)
+                    new = here if away == 0.0 else self._fit(e, here.theta, here.nuisance)
+                    if new is not None:
+                        self._keep(held, new)
+                        here = new
+        on_step("looking for the minima of χ² over e")
+        for one in sorted(held.values(), key=lambda each: each.cost)[:MINIMA]:
+            self._descend(held, one)
+        while len(held) < MOST_E and self._divide(held):
+            pass
+        return [held[e] for e in sorted(held)]
+
+    def _descend(self, held: dict[float, _Held], here: _Held) -> None:
+        """Go towards the minimum of χ² over e as the slopes tell."""
+        for _ in range(PROPOSED):
+            e, u = here.proposal()
+            beyond = abs(e - self._nominal) > COARSE_E[-1] * self._u or e != self._within(e)
+            if beyond or min(abs(e - other) for other in held) < NEAR_E * u:
+                return
+            new = self._fit(e, here.theta, here.nuisance)
+            if new is None or new.cost > here.cost:
+                return
+            self._keep(held, new)
+            here = new
+
+    def _divide(self, held: dict[float, _Held]) -> bool:
+        """Divide the interval of e over which the density changes most; return whether there is one that matters."""
+        e = sorted(held)
+        cost = np.array([held[one].cost for one in e])
+        density, width = np.exp(-0.5 * (cost - cost.min())), np.diff(e)
+        unknown = width * np.abs(np.diff(density))
+        at = int(np.argmax(unknown))
+        if unknown[at] < KNOWN * float(width @ (density[1:] + density[:-1])) / 2.0:
+            return False
+        middle = 0.5 * (e[at] + e[at + 1])
+        ends = sorted((held[e[at]], held[e[at + 1]]), key=lambda one: one.cost)
+        for one in ends:
+            new = self._fit(middle, one.theta, one.nuisance)
+            if new is not None:
+                self._keep(held, new)
+                if new.cost < ends[1].cost:
+                    break
+        return middle in held
+
+    def _within(self, e: float) -> float:
+        return float(min(max(e, LEAST_RESTITUTION), MOST_RESTITUTION))
+
+    @staticmethod
+    def _keep(held: dict[float, _Held], new: _Held) -> None:
+        if new.e not in held or new.cost < held[new.e].cost:
+            held[new.e] = new
+
+    def _place(self, gap_m: float, theta: Real, gain: float, e: float) -> Place:
+        """Return a rig with a gap, driven by what moved the current's sensor so far, its gain being off by `gain`."""
         config = from_flat(rig(self._known, theta), {"contact.restitution": e})
-        return simulated(config, gap_m, self._reduced.frequency_hz, self._reduced.current_a)
+        return place_of(config, gap_m, self._reduced.frequency_hz, self._reduced.current_a[gap_m] * math.exp(-gain))
 
-    def _slope(self, gap_m: float, theta: Real, nuisance: Real, here: SettledMotion, direction: Real) -> float | None:
-        """Return the derivative along a direction in the space of the constants and, last, e."""
-        e = float(nuisance[RESTITUTION])
-        return slope(lambda h: self._motion(gap_m, theta + h * direction[:-1], e + h * direction[-1]), here)
+    def _fit(self, e: float, theta: Real, nuisance: Real) -> _Held | None:
+        """Return the best fit with e held, from a start; None if a motion cannot be resolved there."""
+        try:
+            here = self._at(e, theta, nuisance)
+            for _ in range(ROUNDS):
+                change, along = _step(here.residual, here.jacobian, here.bent)
+                size = np.linalg.norm(here.jacobian @ change + here.bent @ along)
+                if size < (SMALL if all(motion.repeats for motion in here.motions.values()) else SCATTERED):
+                    return attrs.evolve(here, converged=True)
+                new = self._at(e, here.theta + change, here.nuisance + along)
+                if new.cost > here.cost:  # across a jump, or too far
+                    new = self._at(e, here.theta + 0.3 * change, here.nuisance + 0.3 * along)
+                    if new.cost > here.cost:  # at the edge of a jump
+                        return attrs.evolve(here, converged=True)
+                here = new
+        except (SimulationError, ConfigError):
+            return None
+        return here
+
+    def _at(self, e: float, theta: Real, nuisance: Real) -> _Held:
+        """Return residuals and derivatives at a point."""
+        residual, jacobian, bent = _linear(self._measured, self._known, theta, nuisance)
+        rows, by_constants, by_nuisances, by_e = [], [], [], []
+        motions, widths = {}, 0.0
+        for place, (gap, ratio) in enumerate(self._reduced.ratio.items()):
+            motion, slope = self._motion(gap, theta, float(nuisance[GAIN_CURRENT]), e)
+            known = math.hypot(self._reduced.u[place], U_SIMULATED)
+            u = math.hypot(known, motion.u)
+            effect = self._reduced.effects[place] * self._uncertain
+            rows.append((motion.log_ratio - math.log(ratio) + effect @ nuisance) / u)
+            effect[GAIN_CURRENT] -= slope[NAMES.index("K_f")] * self._uncertain[GAIN_CURRENT]
+            by_constants.append(slope[:-1] / u)
+            by_nuisances.append(effect / u)
+            by_e.append(slope[-1] / u)
+            motions[gap] = motion
+            widths += 2.0 * math.log(u / known)
+        away = 0.0 if self._u == 0.0 else (e - self._nominal) / self._u
+        whole = np.concatenate([residual, rows, [away]])
+        chi_square = float(whole @ whole)
+        return _Held(
+            e, theta, nuisance, chi_square, chi_square + widths,
+            np.concatenate([jacobian, by_constants, np.zeros((1, len(NAMES)))]),
+            np.concatenate([bent, by_nuisances, np.zeros((1, len(NUISANCES)))]),
+            np.concatenate([np.zeros(len(residual)), by_e, [1.0 / self._u if self._u else 0.0]]),
+            whole, motions, converged=False,
+        )  # fmt: skip
+
+    def _motion(self, gap_m: float, theta: Real, gain: float, e: float) -> tuple[SettledMotion, Real]:
+        """Return a motion, and its derivatives by the constants and e; those of a near motion of the same kind do."""
+        force = NAMES.index("K_f")
+        here = SettledRig(self._place(gap_m, theta, gain, e))
+        motion = here.motion
+        kind = (motion.period, motion.impacts) if motion.repeats else ()
+        factor = float(theta[NAMES.index("m_1")])
+        for e_0, factor_0, kind_0, slopes in self._slopes.setdefault(gap_m, []):
+            if kind == kind_0 and abs(e - e_0) <= (SAME_E if kind else 3 * SAME_E) and abs(factor - factor_0) <= SAME_M:
+                return motion, slopes
+
+        def neighbour(i: int, step: float) -> Place:
+            if i == force:
+                return here.place._replace(amplitude=here.place.amplitude * math.exp(step))
+            change = step * np.eye(len(NAMES) + 1)[i]
+            return self._place(gap_m, theta + change[:-1], gain, e + float(change[-1]))
+
+        slopes = here.slopes(neighbour, len(NAMES) + 1, force, NAMES.index("m_1"))
+        self._slopes[gap_m].append((e, factor, kind, slopes))
+        return motion, slopes
+
+
+def _summary(held: Sequence[_Held]) -> tuple[Real, Real, tuple[Alternative, ...]]:
+    """Return mean and covariance of the constants and e over a profile, and the explanations if there are several."""
+    e = np.array([one.e for one in held])
+    theta, within = np.array([one.theta for one in held]), np.array([one.covariance() for one in held])
+    if len(held) == 1:
+        whole = np.zeros((len(NAMES) + 1, len(NAMES) + 1))
+        whole[:-1, :-1] = within[0]
+        return np.append(theta[0], e), whole, ()
+    grid = np.linspace(e[0], e[-1], GRID)
+    cost = PchipInterpolator(e, [one.cost for one in held])(grid)
+    density = np.exp(-0.5 * (cost - cost.min()))
+    values = np.column_stack([interp1d(e, theta, axis=0)(grid), grid])
+    inside = interp1d(e, within, axis=0)(grid)
+
+    def moments(part: slice) -> tuple[Real, Real]:
+        weight = density[part] / density[part].sum()
+        mean = weight @ values[part]
+        apart = values[part] - mean
+        covariance = (apart * weight[:, None]).T @ apart
+        covariance[:-1, :-1] += np.tensordot(weight, inside[part], axes=1)
+        return mean, covariance
+
+    found = []
+    for part in _parts(density):
+        mean, covariance = moments(part)
+        u = np.sqrt(np.diag(covariance))
+        share = float(density[part].sum() / density.sum())
+        if share >= LEAST_PART:
+            found.append(Alternative(share, mean[:-1], u[:-1], float(mean[-1]), float(u[-1])))
+    mean, covariance = moments(slice(None))
+    return mean, covariance, tuple(sorted(found, key=lambda one: -one.share)) if _differ(found) else ()
+
+
+def _differ(found: Sequence[Alternative]) -> bool:
+    """Return whether explanations exclude each other by a constant."""
+    return any(
+        bool(np.any(np.abs(one.log_constants - other.log_constants) > APART * (one.u_relative + other.u_relative)))
+        for one, other in itertools.combinations(found, 2)
+    )
+
+
+def _parts(density: Real) -> Iterator[slice]:
+    """Yield the stretches of a density about its peaks, separated where it falls far below both neighbours."""
+    level = np.log(np.maximum(density, 1e-300))
+    peaks = find_peaks(np.pad(level, 1, constant_values=-1e9), prominence=-math.log(SEPARATE))[0] - 1
+    cuts = [first + int(np.argmin(level[first:last])) for first, last in itertools.pairwise(peaks.tolist())]
+    for begin, end in itertools.pairwise([0, *cuts, len(density)]):
+        yield slice(begin, end)
 
 
 def _linear(measured: Measured, known: RigConfig, theta: Real, nuisance: Real) -> tuple[Real, Real, Real]:
     """Return whitened residuals of what needs no simulation, and their derivatives by constants and nuisances."""
-    residuals, slopes, bends = [], [], []
+    residuals, rows, bends = [], [], []
     decay, sine, gains = measured.decay, measured.sine, measured.gains
     if decay is not None:
         for place, value, u_value in (
@@ -396,7 +606,7 @@ def _linear(measured: Measured, known: RigConfig, theta: Real, nuisance: Real) -
             (1, decay.damping_ratio, decay.u_damping_ratio),
         ):
             residuals.append(np.array([(theta[place] - np.log(value)) * value / u_value]))
-            slopes.append(np.eye(len(NAMES))[place : place + 1] * value / u_value)
+            rows.append(np.eye(len(NAMES))[place : place + 1] * value / u_value)
             bends.append(np.zeros((1, len(NUISANCES))))
     if sine is not None:
         laser, base = gains.relative(LASER, sine.laser_m), gains.relative(BASE, sine.base_m)
@@ -413,16 +623,16 @@ def _linear(measured: Measured, known: RigConfig, theta: Real, nuisance: Real) -
         for row in range(3):
             told = np.isfinite(data[row])  # a point whose current is unsound tells DT and phase
             residuals.append(((off[row] + effects[row] @ nuisance) / u[row])[told])
-            slopes.append((derivative[row] / u[row][:, None])[told])
+            rows.append((derivative[row] / u[row][:, None])[told])
             bends.append((effects[row] / u[row][:, None])[told])
     prior = _prior(measured)
     uncertain = prior > 0.0  # what is known exactly bends nothing
     width = np.where(uncertain, prior, 1.0)
     residuals.append(np.where(uncertain, nuisance / width, 0.0))
-    slopes.append(np.zeros((len(NUISANCES), len(NAMES))))
+    rows.append(np.zeros((len(NUISANCES), len(NAMES))))
     bends = [bent * uncertain for bent in bends]
     bends.append(np.diag(1.0 / width))
-    return np.concatenate(residuals), np.concatenate(slopes), np.concatenate(bends)
+    return np.concatenate(residuals), np.concatenate(rows), np.concatenate(bends)
 
 
 def _apart(one: Real, other: Real) -> Real:
@@ -435,7 +645,7 @@ def _apart(one: Real, other: Real) -> Real:
 def _prior(measured: Measured) -> Real:
     """Return the standard uncertainty of each nuisance, known beforehand."""
     without = measured.reduced.u_without if measured.reduced else 0.0
-    return np.array([*measured.gains.u, without, measured.u_restitution])
+    return np.array([*measured.gains.u, without])
 
 
 def _model(known: RigConfig, theta: Real, frequency_hz: Real) -> Real:

@@ -21,8 +21,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
 
 import attrs
 import numpy as np
@@ -32,8 +31,7 @@ from impact_rig import topics
 from impact_rig.analysis.calibration import U_CUBIC, Calibration, Real
 from impact_rig.analysis.scans import BASE, CURRENT, LASER, Recent, samples_of
 from impact_rig.blocks import joined
-from impact_rig.errors import RecordingError, SimulationError
-from impact_rig.physics.linear_response import transmissibility
+from impact_rig.errors import RecordingError
 from impact_rig.recording import Run, is_measured
 from impact_rig.rig import InputKind, Rig
 from impact_rig.rig.config import RigConfig, from_flat
@@ -43,15 +41,13 @@ from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Regime
 from impact_rig_studies.campaign.results import Curves, Point
 from impact_rig_studies.decay import Decay, DecayMethod, fit_decay, measure_decay
-from impact_rig_studies.maps.measure import FAILED, MapRig, Settings
 from impact_rig_studies.reduction import repeatability
 
 LEAST_NOISE = 1e-4  # relative; repeatability that is not claimed to be better, whatever a few seconds of signal suggest
 CALIBRATION = ("gain laser", "gain base", "gain current", "curve laser", "curve base")
-NUISANCES = (*CALIBRATION, "DT without sphere", "e")
-"""Errors that several data share. "DT without sphere" is the noise of the point that all reductions are taken against,
-e the error of the nominal restitution that is taken as known."""
-RESTITUTION = NUISANCES.index("e")
+NUISANCES = (*CALIBRATION, "DT without sphere")
+"""Errors that several data share. "DT without sphere" is the noise of the point that all reductions refer to."""
+GAIN_CURRENT = NUISANCES.index("gain current")
 U_RESTITUTION = 0.02
 """Standard uncertainty of the nominal e, unless a better one is given: the reductions tell more if they are several."""
 
@@ -75,11 +71,11 @@ class Reduced:
     """DT with the sphere over DT without, at one frequency."""
 
     frequency_hz: float  # of the drive
-    current_a: float  # of the drive
+    current_a: Mapping[float, float]  # amplitude of the drive with the sphere, by gap [m], as its sensor read it
     ratio: Mapping[float, float]  # by gap [m]
     u: Real  # relative standard uncertainty by the noise of DT with the sphere, shape (n,)
     u_without: float  # that of DT without
-    effects: Real  # d ln ratio / d nuisance, shape (n, 7); that of e is left to the simulation
+    effects: Real  # d ln ratio / d nuisance, shape (n, 6); what the current does is left to the simulation
     regimes: Mapping[float, str]
     """What the motion with the sphere was measured to be, by gap; unknown where nobody counted the impacts: a light
     sphere strikes irregularly while the amplitude stands still."""
@@ -106,7 +102,7 @@ class Gains:
         return cls(np.array([*gains, *curve]), calibration)
 
     def relative(self, channel: int, amplitude: Real) -> Real:
-        """Return d ln(amplitude) / d nuisance for a channel, shape (n, 7)."""
+        """Return d ln(amplitude) / d nuisance for a channel, shape (n, 6)."""
         effect = np.zeros((len(amplitude), len(NUISANCES)))
         effect[:, (LASER, BASE, CURRENT).index(channel)] = 1.0
         if channel != CURRENT:
@@ -152,13 +148,19 @@ def reduced_of(curves: Curves, frequency_hz: float, gaps_m: Sequence[float], gai
     effects[:, NUISANCES.index("DT without sphere")] = -1.0
     return Reduced(
         frequency_hz=frequency_hz,
-        current_a=without.current_a,
+        current_a={point.gap_m: _current(point) for point in points},
         ratio={point.gap_m: point.dt / without.dt for point in points},
         u=np.array([_noise(point, gains) for point in points]),
         u_without=_noise(without, gains),
         effects=effects,
         regimes={point.gap_m: point.regime if _counted(point) else Regime.UNKNOWN.value for point in points},
     )
+
+
+def _current(point: Point) -> float:
+    """Return the measured amplitude of the current, that of the command where it was not measured."""
+    read = float(np.mean(point.rows["current_amplitude"]))
+    return read if math.isfinite(read) and read > 0.0 else point.current_a
 
 
 def _counted(point: Point) -> bool:
@@ -172,7 +174,10 @@ def _noise(point: Point, gains: Gains) -> float:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Measured:
-    """Everything that was measured; None where it was not. `u_restitution`: how well the nominal e is known."""
+    """Everything that was measured; None where it was not.
+
+    `u_restitution` is the standard uncertainty of the nominal e before the measurement.
+    """
 
     gains: Gains
     decay: Decay | None = None
@@ -237,70 +242,3 @@ def recorded_decay(run: Run, method: DecayMethod = fit_decay) -> Decay:
     if not decay.count:
         raise RecordingError(f"{run.path}: no scans after the pluck")
     return measure_decay(decay.rows(), info.rows, method)
-
-
-# --- Simulated reductions, and their derivatives along one orbit: the mechanics alone, settled to 1e-6. ln(DT with /
-# DT without) is smooth in the constants of the rig as long as the sphere strikes in the same pattern; where the pattern
-# changes it has a kink or a jump, and a difference across one is no derivative. So a difference counts only where the
-# motion on its sides repeats after as many cycles, with as many impacts, as the motion between, and where both sides
-# give one slope.
-
-SETTLED = Settings(settle_tolerance=1e-6, settle_cycles=1200, cycles=400)
-STEPS = (1e-3, 3e-4, 1e-4)  # for differences; the next one where the one before crosses a change of orbit
-SAME_SLOPE, LEAST_SLOPE = 0.1, 0.05  # the slopes of both sides differ by at most this share of them, plus this
-
-
-class SettledMotion(NamedTuple):
-    """What the rig settles to with its sphere."""
-
-    log_ratio: float  # ln(DT with sphere / DT without)
-    regime: str  # periodic, modulated or chaotic
-    period: float  # cycles after which it repeats; NaN if it does not
-    impacts: float  # that many in a period
-
-    def orbit(self) -> tuple[float, int] | None:
-        """Return period and impacts of an orbit, None of a motion that does not repeat."""
-        if self.regime != Regime.PERIODIC.value:
-            return None
-        return self.period, round(self.impacts)
-
-
-def simulated(config: RigConfig, gap_m: float, frequency_hz: float, current_a: float) -> SettledMotion:
-    """Return the motion of a rig, from its reset on; without the sphere DT is known in closed form.
-
-    Raises:
-        SimulationError: it could not be resolved.
-    """
-    config = from_flat(config, {"sphere.present": True, "barriers.gap_m": gap_m})
-    found = MapRig(config, SETTLED).measure(frequency_hz, current_a)
-    if found.regime == FAILED or not found.dt > 0.0:
-        raise SimulationError(f"gap {gap_m * 1e3:g} mm, {frequency_hz:g} Hz: the motion cannot be resolved")
-    without = abs(complex(transmissibility(config, frequency_hz)))
-    return SettledMotion(
-        math.log(found.dt / without), found.regime, found.period, found.impacts_per_cycle * found.period
-    )
-
-
-def slope(at: Callable[[float], SettledMotion], here: SettledMotion) -> float | None:
-    """Return the derivative of `log_ratio` along the orbit of `here`, or None where its neighbours have no such one.
-
-    Args:
-        at: the motion a step away; the step is of the order of a relative change.
-        here: the motion at step 0.
-    """
-    orbit = here.orbit()
-    if orbit is None:
-        return None
-    one_sided = None
-    for step in STEPS:
-        sides = [
-            ((other.log_ratio - here.log_ratio) / h, other.orbit() == orbit)
-            for h in (step, -step)
-            for other in (at(h),)
-        ]
-        (right, right_same), (left, left_same) = sides
-        if right_same and left_same and abs(right - left) <= SAME_SLOPE * (abs(right) + abs(left)) + LEAST_SLOPE:
-            return 0.5 * (right + left)
-        if right_same != left_same:
-            one_sided = right if right_same else left
-    return one_sided

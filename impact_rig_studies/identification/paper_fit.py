@@ -29,7 +29,7 @@ from impact_rig.analysis.calibration import Real
 from impact_rig.rig.config import RigConfig
 from impact_rig_studies.campaign.paper import CURRENT_A, FREQUENCY_HZ, REDUCTION_PERCENT
 from impact_rig_studies.identification.fit import NAMES, Information, information, logarithms, rig
-from impact_rig_studies.identification.measurements import simulated
+from impact_rig_studies.identification.motions import simulated
 
 U_POINTS = 1.0
 """Assumed standard uncertainty of a published reduction: the paper prints three of five to whole percent, states no
