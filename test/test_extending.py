@@ -32,9 +32,9 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
+from tools import recipes
 from tools.generate import ROOT, generated
 
-PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 COPIED = (
     "benchmarks",
     "config",
@@ -49,8 +49,6 @@ COPIED = (
     "test",
     "tools",
 )
-NOTICE = (ROOT / "setup.py").read_text(encoding="utf-8").partition('"""')[0]
-"""What every Python file begins with; the page leaves it out."""
 GENERATED = {str(path.relative_to(ROOT)) for path in generated()}
 
 
@@ -76,8 +74,8 @@ class Recipe:
 
     @property
     def files(self) -> dict[str, str]:
-        section = PAGE.partition(f"\n## {self.title}\n")[2].partition("\n## ")[0]
-        return dict(re.findall(r"```\w+ title=(\S+)\n(.*?)```", section, re.DOTALL))
+        page = recipes.PAGE.read_text(encoding="utf-8")
+        return recipes.files(page.partition(f"\n## {self.title}\n")[2].partition("\n## ")[0])
 
 
 RECIPES = (
@@ -162,27 +160,27 @@ def copy(tmp_path: Path) -> Copy:
 @pytest.mark.ros
 @pytest.mark.timeout(900)  # in a fresh clone it may be the first to compile
 @pytest.mark.parametrize(
-    "recipes",
+    "chosen",
     [RECIPES, *(pytest.param((recipe,), marks=pytest.mark.slow) for recipe in RECIPES)],
-    ids=lambda recipes: " and ".join(recipe.title for recipe in recipes),
+    ids=lambda chosen: " and ".join(recipe.title for recipe in chosen),
 )
-def test_a_recipe_is_the_whole_change(recipes: tuple[Recipe, ...], copy: Copy):
+def test_a_recipe_is_the_whole_change(chosen: tuple[Recipe, ...], copy: Copy):
     before = copy.state()
-    files = {path: content for recipe in recipes for path, content in recipe.files.items()}
+    files = {path: content for recipe in chosen for path, content in recipe.files.items()}
     for path, content in files.items():
         assert not (copy.root / path).exists(), f"{path}: a recipe adds files, it edits none"
-        (copy.root / path).write_text(NOTICE + content, encoding="utf-8")
+        (copy.root / path).write_text(content, encoding="utf-8")
     copy.run("-m", "tools.generate")
     after = copy.state()
     changed = {path for path in {*before, *after} if before.get(path) != after.get(path)}
     assert changed - GENERATED == set(files)
     own = {path for path in files if path.startswith("test/")}
-    words = " or ".join(word for recipe in recipes for word in recipe.chosen)
-    chosen = " or ".join([*(Path(path).name for path in own), f"(({words}) and not 0.6 and not 0.8)"])
-    common = {recipe.common for recipe in recipes}
-    ran = copy.run("-m", "pytest", "-q", "-rA", "-p", "no:cacheprovider", *own, *common, "-k", chosen)
+    words = " or ".join(word for recipe in chosen for word in recipe.chosen)
+    names = " or ".join([*(Path(path).name for path in own), f"(({words}) and not 0.6 and not 0.8)"])
+    common = {recipe.common for recipe in chosen}
+    ran = copy.run("-m", "pytest", "-q", "-rA", "-p", "no:cacheprovider", *own, *common, "-k", names)
     passed = re.findall(r"^PASSED (.+)", ran, re.MULTILINE)
-    for recipe in recipes:
+    for recipe in chosen:
         assert len(recipe.files) <= recipe.most
         for path, text in recipe.seen.items():
             assert text in (copy.root / path).read_text(encoding="utf-8"), path

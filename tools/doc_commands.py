@@ -21,6 +21,7 @@ import itertools
 import re
 import shlex
 from collections.abc import Callable, Iterator
+from functools import cache
 
 from impact_rig.cli.main import command_line
 from tools.doc_paths import ROOT, exists
@@ -55,8 +56,7 @@ def command_faults(words: list[str], *, whole: bool) -> Iterator[str]:
 
 
 def _impact_rig(words: list[str], whole: bool) -> str | None:
-    parser = command_line()
-    choices = next(action.choices for action in parser._actions if isinstance(action.choices, dict))
+    choices = next(action.choices for action in _parser()._actions if isinstance(action.choices, dict))
     if words[:1] in (["--help"], ["--version"]):
         return None
     if not words or words[0] not in choices:
@@ -67,6 +67,11 @@ def _impact_rig(words: list[str], whole: bool) -> str | None:
     unknown = chosen.parse_known_args(words[1:])[1]
     said += [f"unrecognized arguments: {' '.join(unknown)}"] if unknown else []
     return next((text for text in said if whole or "are required" not in text), None)
+
+
+@cache
+def _parser() -> argparse.ArgumentParser:
+    return command_line()
 
 
 def _make(words: list[str], whole: bool) -> str | None:
@@ -93,19 +98,21 @@ def _options(recipe: str, words: list[str], whole: bool) -> str | None:
     line = next((line for line in recipe.splitlines() if "$(ARGS)" in line), "")
     if command := re.search(r"bin/impact-rig (.*?)\$\(ARGS\)", line):
         return _impact_rig([*command[1].split(), *words], whole)
-    if "pytest" in recipe:
+    if "pytest" in recipe.lower():
         return _pytest(words, whole)
     module = re.search(r"(?:-m | )([\w./]+?)(?:\.py)? \$\(ARGS\)", line)
     path = ROOT / module[1].replace(".", "/") if module else ROOT
     files = (file for file in (path.with_suffix(".py"), *path.glob("*.py")) if file.is_file())
     source = "".join(file.read_text(encoding="utf-8") for file in files)
-    known = (word.isdigit() or f'"{word}"' in source or f"/{word}.py" in source for word in words)
+    known = (word[0].isdigit() or f'"{word}"' in source or f"/{word}.py" in source for word in words)
     return next(
         (f"{path.name} has no {word}" for word, is_known in zip(words, known, strict=True) if not is_known), None
     )
 
 
 def _python(words: list[str], _: bool) -> str | None:
+    if words[:1] == ["-c"]:
+        return None
     if words[:1] == ["-m"]:
         return None if importlib.util.find_spec(words[1]) else f"there is no module {words[1]}"
     return None if exists(words[0]) else f"there is no {words[0]}"

@@ -14,15 +14,16 @@
 """Run what README and docs show, each command in the environment that its page names: `make journeys`.
 
 The table is `test/journeys/journeys.yaml`. Every environment begins as a reader's does: a fresh clone of the last
-commit or an empty directory, an empty home, virtual environments of its own. `test/journeys` holds the table against
-the pages, and runs the cheap steps on the working tree with `--thorough`.
+commit or an empty directory, an empty home, virtual environments of its own. What the commands print is kept in
+`build/journeys.txt`; a result that is not a number is a failure. `test/journeys` holds the table against the pages and
+runs the cheap journeys of the working tree, in environments that are made of what the tests have installed.
 """
 
 from __future__ import annotations
 
 import argparse
-import hashlib
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -37,7 +38,9 @@ import yaml
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
-from tools.check_docs import Block, pages  # noqa: E402
+from tools.check_docs import Block, Page, pages  # noqa: E402
+from tools.doc_commands import PROGRAMS, command_faults, commands  # noqa: E402
+from tools.environments import assemble, closure, install, pinned  # noqa: E402
 
 TABLE = ROOT / "test" / "journeys" / "journeys.yaml"
 CLONE, TEST, JAZZY = "clone", "test", "jazzy"
@@ -45,12 +48,17 @@ ENVIRONMENTS = {
     CLONE: "a fresh clone, in which `make` sets up `.venv`",
     TEST: "the tests' part of `.venv`, which `make test` installs",
     JAZZY: "Environment: a shell in which ROS 2 Jazzy is sourced.",
-    "wheel[lab]": "Environment: the installed package with the extra `[lab]`, or a clone.",
+    "wheel": "the installed package",
+    "wheel[lab]": "Environment: the installed package with the extra `[lab]`",
     "wheel[import]": "Environment: the installed package with the extra `[import]`; ROS 2 is not needed.",
     "wheel[wheels,strategies]": "Environment: the installed package with the extras `[wheels,strategies]`",
 }
 """Environments of the table, each with the words by which a page names it."""
-OTHERS = "*"
+OUTPUT = ROOT / "build" / "journeys.txt"
+NOT_A_NUMBER = re.compile(r'^(?!\s*"doc":).*\b(nan|inf)\b', re.IGNORECASE)
+"""A line that gives a result as nan or inf; the interface's own description may speak of them."""
+PLACEHOLDER = re.compile(r"(?<![\w=])(?!(ARGS|ONLY|SHUFFLE|ROS|SECONDS|MEMORY_S|IMPACT_RIG_HOSTILE)=)\[?[A-Z]{2,}\b|…")
+"""Words that a reader replaces: a command in running text with one of them cannot be run as it stands."""
 DOMAIN = "75"
 """ROS domain of the journeys: not that of `make`, where somebody may be at work."""
 LIMIT_S = 1200.0
@@ -73,8 +81,8 @@ class Journey:
 
     @property
     def name(self) -> str:
-        """Page and command."""
-        return f"{self.page}: {self.run}"
+        """Page, command and environment."""
+        return f"{self.page}: {self.run} [{self.environment}]"
 
 
 def journeys() -> list[Journey]:
@@ -84,10 +92,11 @@ def journeys() -> list[Journey]:
         Journey(
             page=page,
             before=about.get("before", ()),
-            **{**step, "environment": step.get("environment", about["environment"])},
+            **{**step, "run": run, "environment": step.get("environment", about["environment"])},
         )
         for page, about in table.items()
         for step in about["steps"]
+        for run in ([step["run"]] if isinstance(step["run"], str) else step["run"])
     ]
 
 
@@ -99,22 +108,37 @@ def commands_of(block: Block) -> Iterator[str]:
             yield from (" ".join(part.split()) for part in words.split("&&"))
 
 
+def in_text(page: Page) -> Iterator[str]:
+    """Yield the commands in a page's running text that can be run as they stand."""
+    for _, text in page.words:
+        if set(text.split()).isdisjoint(PROGRAMS) or PLACEHOLDER.search(text):
+            continue
+        for words in commands(text):
+            if words[0] in PROGRAMS.keys() - {"ros2"} and len(words) > 1 and not any(command_faults(words, whole=True)):
+                yield text
+                break
+
+
 def faults() -> list[str]:
     """Return commands without a journey, journeys without a command, and pages that do not name their environment."""
     table = journeys()
+    known = {one.run for one in table}
     found = []
     for name, page in pages().items():
-        said = [command for block in page.blocks if block.language == "sh" for command in commands_of(block)]
-        known = [one.run for one in table if one.page == name]
-        if OTHERS not in known:
-            found += [
-                f"{name}: {command}: it has no journey in {TABLE.name}" for command in said if command not in known
-            ]
-        found += [f"{name}: {run}: the page has no such command" for run in known if run not in (*said, OTHERS)]
+        if name.startswith("docs/decisions/"):  # they say what was run, not what to run
+            continue
+        shown = [command for block in page.blocks if block.language == "sh" for command in commands_of(block)]
+        own = [one.run for one in table if one.page == name]
+        found += [f"{name}: {command}: it has no journey in {TABLE.name}" for command in shown if command not in own]
+        found += [f"{name}: {text}: it has no journey in {TABLE.name}" for text in in_text(page) if text not in known]
+        shown += in_text(page)
+        found += [f"{name}: {run}: the page has no such command" for run in own if run not in shown]
         text = " ".join((ROOT / name).read_text(encoding="utf-8").split())
         for environment in {one.environment for one in table if one.page == name}:
             if ENVIRONMENTS[environment] not in text:
                 found.append(f"{name}: it does not say {ENVIRONMENTS[environment]!r}")
+        if shown and not any(words in text for words in ENVIRONMENTS.values()):
+            found.append(f"{name}: it names no environment for {shown[0]}")
     return found
 
 
@@ -123,68 +147,63 @@ class Places:
 
     Args:
         folder: holds them, with an empty home.
-        source: repository that is cloned; None: the working tree is copied, and what is there already is kept.
+        is_offline: whether they are made of the working tree and what this environment has installed, in seconds.
     """
 
-    def __init__(self, folder: Path, source: Path | None) -> None:
-        self.folder, self._source = folder, source
+    def __init__(self, folder: Path, *, is_offline: bool = False) -> None:
+        self.folder, self._is_offline = folder, is_offline
         self.home = folder / "home"
-        shutil.rmtree(self.home, ignore_errors=True)
         self.home.mkdir(parents=True)
+        self._made: dict[str, tuple[Path, dict[str, str]]] = {}
+        self._built: Path | None = None
 
     def environment(self, name: str) -> tuple[Path, dict[str, str]]:
         """Return working directory and variables of an environment, made if it is not there."""
-        directory, programs = self._clone(name) if name in (CLONE, TEST) else self._wheel(name)
-        kept = {key: value for key, value in os.environ.items() if not key.startswith(HOST)}
-        own = {"HOME": str(self.home), "PATH": f"{programs}:{os.environ['PATH']}", "ROS_DOMAIN_ID": DOMAIN}
-        if programs.parent.name == ".venv" or "wheels" in name:
-            own["AMENT_PREFIX_PATH"] = str(programs.parent)
-        return directory, {**kept, **own, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "MPLBACKEND": "agg"}
+        if name not in self._made:
+            make = self._clone if name in (CLONE, TEST) else self._wheel
+            directory, programs = make(name)
+            own = {"HOME": str(self.home), "PATH": f"{programs}:{os.environ['PATH']}", "ROS_DOMAIN_ID": DOMAIN}
+            if name in (CLONE, TEST) or "wheels" in name:
+                own["AMENT_PREFIX_PATH"] = str(programs.parent)
+            own |= {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "MPLBACKEND": "agg"}
+            self._made[name] = directory, {**of_host(), **own}
+        return self._made[name]
 
     def _clone(self, name: str) -> tuple[Path, Path]:
         checkout = self.folder / name
-        if self._source is not None:
-            if not checkout.exists():
-                call(["git", "clone", "--quiet", str(self._source), str(checkout)], self.folder)
+        programs = checkout / ".venv" / "bin"
+        if self._is_offline:
+            checkout.mkdir()
+            for path in ROOT.iterdir():
+                if path.name not in {".venv", "build", "runs"}:
+                    (checkout / path.name).symlink_to(path)
+            assemble(programs.parent, closure([*pinned("run"), *pinned("wheels"), "impact_rig"]))
         else:
-            from tools.release import tracked  # noqa: PLC0415  # needs the built package
-
-            files = [*tracked(), *(f"impact_rig/kernels/{one}" for one in ("_library.abi3.so", "impact_rig.h"))]
-            for file in files:
-                copy(ROOT / file, checkout / file)
-        environment = {key: value for key, value in os.environ.items() if not key.startswith(HOST)}
-        target = "kernels" if name == CLONE else ".venv/registered"
-        wanted = ["make", "--silent", target] if name == CLONE else ["make", "--silent", "venv"]
-        call(wanted, checkout, {**environment, "HOME": str(self.home)})
-        return checkout, checkout / ".venv" / "bin"
+            call(["git", "clone", "--quiet", str(ROOT), str(checkout)], self.folder)
+            target = "kernels" if name == CLONE else "venv"
+            call(["make", "--silent", target], checkout, {**of_host(), "HOME": str(self.home)})
+        return checkout, programs
 
     def _wheel(self, name: str) -> tuple[Path, Path]:
+        from tools.release import build  # noqa: PLC0415  # needs the built package
+
         extras = name.removeprefix("wheel")
-        key = hashlib.sha256((name + (ROOT / "setup.py").read_text(encoding="utf-8")).encode()).hexdigest()[:8]
-        place = self.folder / f"{name.replace('[', '_').replace(',', '_').rstrip(']')}_{key}"
+        place = self.folder / re.sub(r"\W", "_", name)
         programs = place / "venv" / "bin"
-        from tools.release import build  # noqa: PLC0415  # as above
-
-        with tempfile.TemporaryDirectory() as made:
-            _, wheel = build(Path(made), ROOT / "impact_rig" / "kernels")
-            if not (place / "ready").exists():
-                call([sys.executable, "-m", "venv", "--clear", str(programs.parent)], self.folder)
-                call([str(programs / "python"), "-m", "pip", "install", "--quiet", f"{wheel}{extras}"], self.folder)
-                (place / "ready").touch()
-            else:
-                again = ["--quiet", "--no-deps", "--no-index", "--force-reinstall", str(wheel)]
-                call([str(programs / "python"), "-m", "pip", "install", *again], self.folder)
-        work = place / "work"
-        shutil.rmtree(work, ignore_errors=True)
-        shutil.copytree(ROOT / "config", work / "config")
-        return work, programs
+        self._built = self._built or build(self.folder / "release", ROOT / "impact_rig" / "kernels")[1]
+        if self._is_offline:
+            assemble(programs.parent, closure([f"impact_rig{extras}"]) - {"impact-rig"})
+            install(programs.parent, self._built)
+        else:
+            call([sys.executable, "-m", "venv", str(programs.parent)], self.folder)
+            call([str(programs / "python"), "-m", "pip", "install", "--quiet", f"{self._built}{extras}"], self.folder)
+        shutil.copytree(ROOT / "config", place / "work" / "config")
+        return place / "work", programs
 
 
-def copy(source: Path, target: Path) -> None:
-    """Copy a file where it is new; what has not changed keeps its time, so that make leaves it alone."""
-    if not target.exists() or target.read_bytes() != source.read_bytes():
-        target.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy2(source, target)
+def of_host() -> dict[str, str]:
+    """Return the variables of this process that a reader's shell would have."""
+    return {key: value for key, value in os.environ.items() if not key.startswith(HOST)}
 
 
 def call(command: Sequence[str], directory: Path, environment: dict[str, str] | None = None) -> None:
@@ -201,55 +220,66 @@ def call(command: Sequence[str], directory: Path, environment: dict[str, str] | 
 
 
 def prepare(journey: Journey, place: tuple[Path, dict[str, str]]) -> None:
-    """Make what a page takes as given, in its environment."""
+    """Make what a page takes as given in its environment: the files that it shows, and what its commands need."""
     directory, environment = place
+    for block in pages()[journey.page].blocks:
+        title = block.info.removeprefix("title=")
+        if title != block.info and "/" not in title:
+            (directory / title).write_text(block.content, encoding="utf-8")
     for command in journey.before:
         call(["bash", "-c", command], directory, environment)
 
 
-def travel(journey: Journey, place: tuple[Path, dict[str, str]]) -> str:
-    """Run a journey; return what was wrong, or nothing."""
+def travel(journey: Journey, place: tuple[Path, dict[str, str]]) -> tuple[str, str]:
+    """Run a journey; return what was wrong, or nothing, and what it printed."""
     directory, environment = place
     try:
         done = subprocess.run(  # noqa: S603  # our own pages
             ["bash", "-c", journey.instead or journey.run],  # noqa: S607  # the one that a reader has
-            cwd=directory, env=environment, capture_output=True, text=True, check=False, timeout=LIMIT_S,
+            cwd=directory, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False,
+            timeout=LIMIT_S,
         )  # fmt: skip
-    except subprocess.TimeoutExpired:
-        return f"it did not end within {LIMIT_S:g} s"
+    except subprocess.TimeoutExpired as error:
+        return f"it did not end within {LIMIT_S:g} s", str(error.output)
     if done.returncode != journey.exit:
-        words = f"{done.stdout[-2000:]}{done.stderr[-2000:]}"
-        return f"exit code {done.returncode}, expected {journey.exit}\n{words}"
-    missing = [name for name in journey.leaves if not (directory / name).exists()]
-    return f"it left no {', '.join(missing)}" if missing else ""
+        fault = f"exit code {done.returncode}, expected {journey.exit}\n{done.stdout[-4000:]}"
+    elif missing := [name for name in journey.leaves if not (directory / name).exists()]:
+        fault = f"it left no {', '.join(missing)}"
+    else:
+        fault = "\n".join(line for line in done.stdout.splitlines() if NOT_A_NUMBER.search(line))
+    return fault, done.stdout
 
 
 def main() -> int:
     """Run all journeys from nothing and print a line for each."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--cheap", action="store_true", help="run the cheap ones only")
+    parser.add_argument("--cheap", action="store_true", help="run only the cheap journeys, with what is installed")
     parser.add_argument("pages", nargs="*", metavar="PAGE", help="pages whose journeys are run (default: all)")
     arguments = parser.parse_args()
     wrong = faults()
     print(*wrong, sep="\n", end="\n" if wrong else "")  # noqa: T201  # a program
-    with tempfile.TemporaryDirectory(prefix="impact_rig_journeys_") as folder:
-        places, prepared = Places(Path(folder), ROOT), set()
-        made: dict[str, tuple[Path, dict[str, str]]] = {}
+    OUTPUT.parent.mkdir(exist_ok=True)
+    with (
+        tempfile.TemporaryDirectory(prefix="impact_rig_journeys_") as folder,
+        OUTPUT.open("w", encoding="utf-8") as output,
+    ):
+        places, prepared = Places(Path(folder), is_offline=arguments.cheap), set()
         for journey in journeys():
             if (arguments.cheap and not journey.cheap) or (arguments.pages and journey.page not in arguments.pages):
                 continue
-            began = time.monotonic()
             if journey.not_run:
                 print(f"not run: {journey.name}: {journey.not_run}")  # noqa: T201  # as above
                 continue
-            if journey.environment not in made:
-                made[journey.environment] = places.environment(journey.environment)
-                print(f"made {journey.environment}, {time.monotonic() - began:.0f} s", flush=True)  # noqa: T201
-            began, place = time.monotonic(), made[journey.environment]
-            if journey.page not in prepared:
-                prepared.add(journey.page)
+            began = time.monotonic()
+            place = places.environment(journey.environment)
+            made_s, began = time.monotonic() - began, time.monotonic()
+            if made_s > 1.0:
+                print(f"made {journey.environment}, {made_s:.0f} s", flush=True)  # noqa: T201  # as above
+            if (journey.page, journey.environment) not in prepared:
+                prepared.add((journey.page, journey.environment))
                 prepare(journey, place)
-            fault = travel(journey, place)
+            fault, printed = travel(journey, place)
+            output.write(f"$ {journey.name}\n{printed}\n")
             wrong += [f"{journey.name}: {fault}"] if fault else []
             word = "FAILED" if fault else "ok"
             print(f"{word}, {time.monotonic() - began:.0f} s: {journey.name} {fault}", flush=True)  # noqa: T201

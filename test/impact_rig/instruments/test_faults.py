@@ -24,6 +24,7 @@ from impact_rig.blocks import FAULTS
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.instruments import Chain, Fault
 from impact_rig.instruments.instrument import FAULT_KINDS
+from impact_rig.instruments.section import INSTRUMENTS
 from impact_rig.rig.config import RigConfig, from_flat
 
 START, DURATION = 300, 400
@@ -198,7 +199,7 @@ def test_the_past_cannot_be_changed():
     ("fault", "message"),
     [
         ({"kind": "gremlin"}, "fault kind must be one of dropout, stuck"),
-        ({"kind": "stuck"}, "stuck needs a channel, one of accelerometer, laser, base, current, got ''"),
+        ({"kind": "stuck"}, f"stuck needs a channel, one of {', '.join(INSTRUMENTS)}, got ''"),
         ({"kind": "lost_block", "channel": "laser"}, "lost_block is a fault of the whole board"),
         (
             {"kind": "stuck", "channel": "base", "start_sample": -1},

@@ -1,0 +1,90 @@
+# Copyright 2026 The impact_rig developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Virtual environments made of what this one has installed, without a network and within seconds."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Iterable
+from importlib.metadata import PackageNotFoundError, distribution
+from pathlib import Path
+
+from packaging.requirements import Requirement
+
+from tools.doc_paths import ROOT
+
+PIN = re.compile(r"^([\w.-]+)==", re.MULTILINE)
+SCRIPT = f"#!{sys.prefix}/bin/".encode()
+
+
+def pinned(part: str) -> list[str]:
+    """Return the names of a file of requirements/."""
+    return PIN.findall((ROOT / "requirements" / f"{part}.txt").read_text(encoding="utf-8"))
+
+
+def closure(requirements: Iterable[str]) -> set[str]:
+    """Return the normalised names of distributions with what they require, of those that are installed here."""
+    found: dict[str, set[str]] = {}
+    waiting = [Requirement(one) for one in requirements]
+    while waiting:
+        one = waiting.pop()
+        name = re.sub(r"[-_.]+", "-", one.name).lower()
+        extras = {"", *one.extras}
+        if extras <= found.get(name, set()):
+            continue
+        found[name] = extras | found.get(name, set())
+        try:
+            requires = distribution(name).requires or ()
+        except PackageNotFoundError:  # of another Python or platform
+            del found[name]
+            continue
+        for text in requires:
+            other = Requirement(text)
+            if other.marker is None or any(other.marker.evaluate({"extra": extra}) for extra in found[name]):
+                waiting.append(other)
+    return set(found)
+
+
+def assemble(venv: Path, names: Iterable[str]) -> None:
+    """Make a virtual environment with links to the files of some installed distributions, and to no others."""
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(venv)], check=True)  # noqa: S603  # ours
+    site = Path(*Path(distribution("attrs").locate_file("")).relative_to(sys.prefix).parts)
+    for name in names:
+        one = distribution(name)
+        for file in one.files or ():
+            source = Path(one.locate_file(file))
+            target = venv / site / file
+            if target.exists() or not source.exists():
+                continue
+            target.parent.mkdir(parents=True, exist_ok=True)
+            if source.suffix == ".py" and (compiled := source.parent / "__pycache__").is_dir():
+                _link(target.parent / "__pycache__", compiled)
+            if source.parent == Path(sys.prefix, "bin") and source.read_bytes().startswith(SCRIPT):
+                target.write_bytes(source.read_bytes().replace(SCRIPT, f"#!{venv}/bin/".encode(), 1))
+                target.chmod(0o755)
+            elif source.parent.name != "__pycache__":
+                _link(target, source)
+
+
+def _link(target: Path, source: Path) -> None:
+    if not target.is_symlink() and not target.exists():
+        target.symlink_to(source)
+
+
+def install(venv: Path, wheel: Path) -> None:
+    """Install a wheel, and nothing that it requires."""
+    command = [sys.executable, "-m", "pip", "--python", str(venv / "bin" / "python"), "install", "--quiet"]
+    subprocess.run([*command, "--no-deps", "--no-index", "--no-compile", str(wheel)], check=True)  # noqa: S603  # ours
