@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import shutil
 import tempfile
 import time
@@ -29,12 +30,12 @@ from fuzz.target import Target
 from impact_rig import blocks, codec, topics
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import Table
-from impact_rig.errors import CodecError, ConfigError
+from impact_rig.errors import CodecError
 from impact_rig.recording import Attachment, Provenance, RunWriter, TopicDescription, open_run
 from impact_rig.recording.writer import tail_of
 from impact_rig.rig import Rig, resimulate
 from impact_rig.rig.config import RigConfig, from_flat
-from impact_rig.rig.journal import JournalView
+from impact_rig.rig.journal import InputKind, JournalEntry, JournalView
 from impact_rig.runs import recover
 
 TABLES = {name: value for name, value in vars(blocks).items() if isinstance(value, np.dtype)}
@@ -151,32 +152,35 @@ def mcap_recover(raw: tuple[bytes, bytes | None]) -> None:
 
 # --- journals --------------------------------------------------------------------------------------------------------
 
-JOURNAL = np.concatenate([table.rows for table in _rig().take_journal()])
-WORDS = sorted({*JOURNAL["kind"].tolist(), *JOURNAL["key"].tolist(), b"fault", b"pluck", b"reset", b"laser", b"9" * 32})
+JOURNAL = _rig().take_journal()
+MEMBERS = ("sequence", "kind", "sample", "stamp_ns", "name", "value", "text", "values", "fault", "more")
+CELLS = st.recursive(
+    st.sampled_from([*(kind.value for kind in InputKind), "frequency", "daq.seed", "sphere.start", "dropout", "laser"])
+    | st.floats() | st.integers(-2, 30) | st.sampled_from((2**62, 10**400)) | st.booleans() | st.none() | st.text(),
+    lambda cells: st.lists(cells, max_size=3) | st.dictionaries(st.sampled_from([*MEMBERS, "daq.seed"]), cells),
+    max_leaves=5,
+)  # fmt: skip
 
 
 @st.composite
-def journals(draw: st.DrawFn) -> Table:
-    """A journal with some of its cells changed, rows dropped or doubled."""
-    rows = JOURNAL.copy()
+def journals(draw: st.DrawFn) -> list[str]:
+    """The lines of a journal with some of their members changed, entries dropped or doubled."""
+    contents = [json.loads(entry.line()) for entry in JOURNAL]
     for _ in range(draw(st.integers(1, 4))):
-        row = draw(st.integers(0, len(rows) - 1))
-        name = draw(st.sampled_from(rows.dtype.names))
-        if name in ("kind", "key", "text"):
-            rows[row][name] = draw(st.sampled_from(WORDS) | st.binary(max_size=32))
-        else:
-            rows[row][name] = draw(st.floats() | st.integers(-2, 30).map(float))
+        content = draw(st.sampled_from(contents))
+        content[draw(st.sampled_from(MEMBERS))] = draw(CELLS)
     if draw(st.booleans()):
-        rows = np.delete(rows, draw(st.integers(0, len(rows) - 1)))
-    return Table(draw(st.sampled_from((0, 10**9, -(10**9), 2**62))), rows)
+        del contents[draw(st.integers(0, len(contents) - 1))]
+    return [json.dumps(content) for content in contents]
 
 
-def journal(table: Table) -> None:
+def journal(lines: list[str]) -> None:
     """A re-simulation begins with what the journal says, or says why it cannot; its scans are numbers."""
     deadline = time.perf_counter() + LARGEST_S
-    with contextlib.suppress(ConfigError):
-        JournalView().take(table)
-    for block in resimulate([table]):
+    entries, view = [JournalEntry.from_line(line) for line in lines], JournalView()
+    for entry in entries:
+        view.follow(entry)
+    for block in resimulate(entries):
         _all_finite(block.scan)
         if block.number >= 3 or time.perf_counter() > deadline:
             return

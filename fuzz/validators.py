@@ -34,7 +34,7 @@ from impact_rig.instruments.instrument import FAULT_KINDS
 from impact_rig.recording.description import schema_text
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, dump, fields, from_flat, load, to_flat
-from impact_rig.rig.journal import read
+from impact_rig.rig.journal import JournalEntry, last_journal
 from impact_rig.system.files import config_dir
 
 KNOWN = {name: about for name, about, _ in fields()}
@@ -112,7 +112,7 @@ LINES = st.lists(
 
 
 def texts(words: list[str]) -> tuple[int, int]:
-    """Remarks, fault lines, journal rows and type names, which all come from the network or a file."""
+    """Remarks, fault lines, journal entries and type names, which all come from the network or a file."""
     label = parse_label("".join(words))
     if label is not None:
         assert math.isnan(label.gap_m) or 0 <= label.gap_m <= 1
@@ -120,7 +120,7 @@ def texts(words: list[str]) -> tuple[int, int]:
     refused = 0
     for attempt in (
         lambda: Fault.from_line(" ".join(words), 1000),
-        lambda: Fault.from_journal("/".join(words[:2]), 1.0, "/".join(words[2:]), 0),
+        lambda: JournalEntry.from_line(" ".join(words)),
         lambda: schema_text("".join(words)),
     ):
         try:
@@ -164,7 +164,7 @@ def commands(operations: list[tuple[Any, ...]]) -> tuple[int, int]:
         except ImpactRigError:
             refused += 1
     _advance(rig, 2)
-    assert read(rig.take_journal())
+    assert last_journal(rig.take_journal())
     return len(operations), refused
 
 

@@ -150,23 +150,6 @@ STREAM_COLUMNS = (
 )
 STREAM = row_type(STREAM_COLUMNS)
 
-JOURNAL_COLUMNS = (
-    time("Since the stamp, which is that of `sample`: 0."),
-    index("sample", "Index of the first scan it acts on, since the start or reset."),
-    index("sequence", "Number of the row, from 0 at `start` or `reset`: a gap is a lost row."),
-    Column("kind", "-", "Kind of input, see below.", TEXT),
-    Column("key", "-", "What it is about: a command, the last 32 bytes of a parameter's name, a fault.", TEXT),
-    Column("value", "as the key", "New value; of a text: number of this row's part."),
-    Column(
-        "text",
-        "-",
-        "New value of a text parameter, 32 bytes per row; version at `start` and `reset`.",
-        TEXT,
-        is_part=True,
-    ),
-)
-JOURNAL = row_type(JOURNAL_COLUMNS)
-
 FAULTS_COLUMNS = (
     time("When it starts or ends, since the stamp."),
     index("sample", "Index of that scan, since the start or reset."),

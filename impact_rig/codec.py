@@ -359,6 +359,13 @@ def plain(data: Buffer, members: Sequence[tuple[str, str, int]]) -> dict[str, An
     return found
 
 
+def encode_text(content: str) -> bytes:
+    """Return a serialised `std_msgs/String`."""
+    stream = bytearray(_ENCAPSULATION)
+    _append_text(stream, content, "data")
+    return bytes(stream)
+
+
 def text(data: Buffer) -> str:
     """Return what a serialised `std_msgs/String` says.
 

@@ -31,7 +31,7 @@ from impact_rig.blocks import NUMBER, Column, row_type
 
 DATA_DEPTH = 1000  # messages a data topic keeps: 10 s of 10 ms blocks, 1 s of 1 ms blocks
 HISTORY_DEPTH = 5000
-"""Rows a late subscriber of the journal still gets; one with a gap in `sequence` is known to be incomplete."""
+"""Entries that a late subscriber of the journal still receives; a gap in `sequence` shows that entries are missing."""
 
 
 class Qos(enum.Enum):
@@ -80,6 +80,11 @@ def _table(
     return Topic(name, TABLE, qos, publisher, doc, fields, row_type(fields), frame_id)
 
 
+def former_table(name: str, fields: tuple[Column, ...]) -> Topic:
+    """Return the topic of a table that only recordings of an earlier version hold."""
+    return _table(name, Qos.HISTORY, "rig", fields, "")
+
+
 SCAN = attrs.evolve(
     _table("daq/scan", Qos.DATA, "rig", blocks.SCAN_COMMON_COLUMNS, "One block of scans; stamp = first scan."),
     further=NUMBER,
@@ -92,9 +97,10 @@ APPLIED = _table(
     "shaker/applied", Qos.STATE, "rig", blocks.APPLIED_COLUMNS,
     "What the shaker does and since which sample; one row per accepted change, published on acceptance.",
 )  # fmt: skip
-JOURNAL = _table(
-    "rig/journal", Qos.HISTORY, "rig", blocks.JOURNAL_COLUMNS,
+JOURNAL = Topic(
+    "rig/journal", "std_msgs/msg/String", Qos.HISTORY, "rig",
     "Every state-changing input with its sample index, from the last `start` or `reset` on (sequence 0).",
+    (Column("data", "-", "One JSON object, see below."),),
 )  # fmt: skip
 CONFIGURATION = Topic(
     "rig/configuration", "std_msgs/msg/String", Qos.STATE, "rig",

@@ -37,7 +37,7 @@ from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.errors import ImpactRigError, RecordingError
 from impact_rig.recording import Message, Run, open_run
-from impact_rig.runs import recover
+from impact_rig.runs import recorded_journal, recover
 from impact_rig.simtime import NS_PER_S
 from impact_rig.states import MEASURED
 from impact_rig_lab.protocol import Request
@@ -206,10 +206,16 @@ class RunPlayer:
 
     def _note(self, topic: topics.Topic, message: Message) -> None:
         note = {topics.SCAN.name: self._count_lost, topics.IMPACTS_TRUTH.name: self._note_impacts}.get(topic.name)
-        if note is None:
+        if topic is topics.JOURNAL:
+            guard(self.record.refused, topic.name, lambda: self._note_entries(message))
+        elif note is None:
             self.record.take(topic, bytes(message.data), message.log_time)
         else:
             guard(self.record.refused, topic.name, lambda: note(codec.decode(message.data, topic)))
+
+    def _note_entries(self, message: Message) -> None:
+        for entry in recorded_journal.entries(message):
+            self.record.journal.add(entry)
 
     def _note_impacts(self, table: Table) -> None:
         begin = (table.stamp_ns - self.start_ns) / NS_PER_S
@@ -239,7 +245,7 @@ class RunPlayer:
         view, change = self.record.journal.at(at_ns)
         changed_ns = 0 if change is None else change.stamp_ns
         drives = [one for one in list(self.record.applied) if one[0] <= at_ns] or [(self.start_ns, AT_REST)]
-        latched = "" if view.latched is None else plain(view.latched.key) or "emergency stop"
+        latched = "" if view.latched is None else plain(view.latched.name) or "emergency stop"
         values = {
             name: list(value) if isinstance(value, tuple) else value for name, value in view.configuration.items()
         }

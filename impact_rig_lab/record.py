@@ -35,7 +35,7 @@ from impact_rig.analysis.transmissibility import note_on
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, ImpactRigError, RecordingError
 from impact_rig.rig.config import parameters_in
-from impact_rig.rig.journal import PLANNED, SEPARATOR, InputKind, JournalInput, JournalView, short_key
+from impact_rig.rig.journal import PLANNED, InputKind, JournalEntry, JournalView, decode
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 from impact_rig.states import MEASURED, Status
 from impact_rig_lab.scope import Scope
@@ -135,26 +135,24 @@ class RigHistory:
 
     def __init__(self, most: int | None = MOST_APPLIED) -> None:
         self._view = JournalView()
-        self._changes: deque[JournalInput] = deque(maxlen=most)
+        self._changes: deque[JournalEntry] = deque(maxlen=most)
         self._lines: deque[list[Any]] = deque(maxlen=None if most is None else MOST_ENTRIES)
         self._part: tuple[int, list[list[Any]]] | None = None
 
-    def add(self, table: Table) -> None:
-        """Take a table of `rig/journal`.
-
-        Raises:
-            ConfigError: it is none.
-        """
-        for change in self._view.take(table):
-            self._changes.append(change)
-            if change.kind is InputKind.PARAMETER:
-                for name, value in change.configuration.items():
-                    words = SEPARATOR.join(value) if isinstance(value, tuple) else value
-                    shown = words if isinstance(words, str) else f"{words:.6g}"
-                    self._add(change.stamp_ns, "parameter", short_key(name), shown)
-            elif change.kind is not InputKind.INITIAL:
-                words = "" if change.text else _value(change.kind, change.key, change.value)
-                self._add(change.stamp_ns, change.kind.value, change.key, change.text or words)
+    def add(self, entry: JournalEntry) -> None:
+        """Take an entry of `rig/journal`."""
+        self._view.follow(entry)
+        self._changes.append(entry)
+        if entry.kind is InputKind.PARAMETER:
+            for name, value in entry.values.items():
+                words = " ".join(value) if isinstance(value, tuple) else value
+                self._add(entry.stamp_ns, "parameter", name, words if isinstance(words, str) else f"{words:.6g}")
+        elif entry.fault is not None:
+            self._add(
+                entry.stamp_ns, "fault", f"{entry.fault.kind} {entry.fault.channel}".strip(), f"{entry.fault.value:g}"
+            )
+        else:
+            self._add(entry.stamp_ns, entry.kind.value, entry.name, entry.text or _value(entry))
 
     @property
     def configuration(self) -> Mapping[str, Any]:
@@ -182,23 +180,23 @@ class RigHistory:
             self._part = start_ns, [[round((stamp - start_ns) / NS_PER_S, 3), *words] for stamp, *words in found]
         return self._part[1]
 
-    def at(self, instant_ns: int) -> tuple[JournalView, JournalInput | None]:
+    def at(self, instant_ns: int) -> tuple[JournalView, JournalEntry | None]:
         """Return what the rig was at an instant, and what had changed it last."""
         view, newest = JournalView(), None
         for change in list(self._changes):
             if change.stamp_ns <= instant_ns:
                 view.follow(change)
-                if change.kind not in NO_CHANGE and set(change.configuration) != {PLANNED}:
+                if change.kind not in NO_CHANGE and set(change.values) != {PLANNED}:
                     newest = change
         return view, newest
 
 
-def _value(kind: InputKind, key: str, value: float) -> str:
-    if kind in (InputKind.COMMAND, InputKind.TRIP):
-        return f"{value:.6g} {UNITS.get(key, '')}".strip()
-    if kind is InputKind.CLEAR_FAULT:
-        return f"{value:.6g}"
-    return f"{value * 1e3:.4g} mm" if kind is InputKind.PLUCK else ""
+def _value(entry: JournalEntry) -> str:
+    if entry.value is None:
+        return "all" if entry.kind is InputKind.CLEAR_FAULT else ""
+    if entry.kind is InputKind.PLUCK:
+        return f"{entry.value * 1e3:.4g} mm"
+    return f"{entry.value:.6g} {UNITS.get(entry.name, '')}".strip()
 
 
 class Faults:
@@ -363,7 +361,7 @@ class RigView:
         found += [f"{fault} was in force while it was made (truth)" for fault in over]
         view, change = self.journal.at(LAST_NS if at_ns is None else at_ns)
         if change is not None and not came_before(change.stamp_ns, row):
-            found.append(f"{plain(change.key or change.kind.value)} was changed after it began")
+            found.append(f"{plain(change.name or change.kind.value)} was changed after it began")
         configuration = self.journal.configuration if at_ns is None else view.configuration
         gap_m: Any = configuration["barriers.gap_m"] if configuration["sphere.present"] else 0.0
         if abs(row.gap_m - gap_m) > SAME_M:  # not where it has no label
@@ -390,6 +388,8 @@ class RigView:
             self.motion.add_state(data, self.start_ns)
         elif topic is topics.NOTES:
             self.journal.remark(codec.text(data), self.newest_ns if at_ns is None else at_ns)
+        elif topic is topics.JOURNAL:
+            self.journal.add(decode(data))
         elif topic is topics.CONFIGURATION:
             content = codec.text(data)
             self.knobs, self.configuration = parameters_in(content), content
@@ -416,8 +416,6 @@ class RigView:
                 stamp = table.stamp_ns + round(float(row["time"]) * NS_PER_S)
                 self.applied.append((stamp, {name: float(row[name]) for name in ("frequency", "current")}))
                 self.changes, self.changed_at_s = self.changes + 1, time.monotonic()
-        elif topic is topics.JOURNAL:
-            self.journal.add(table)
         elif topic is topics.FAULTS:
             self.faults.add(table)
             self.journal.fault(table)

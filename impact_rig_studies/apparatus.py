@@ -26,7 +26,6 @@ from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import attrs
-import numpy as np
 
 from impact_rig import topics
 from impact_rig.analysis.settings import TrackerSettings
@@ -34,9 +33,9 @@ from impact_rig.blocks import Table
 from impact_rig.client.client import Client, Collector
 from impact_rig.client.processes import ParameterValue, Processes, isolated_domain
 from impact_rig.errors import ImpactRigError
-from impact_rig.rig import InputKind
 from impact_rig.rig.config import RigConfig, differences, to_flat
 from impact_rig.rig.interlock import OVER_TRAVEL, Trip
+from impact_rig.rig.journal import InputKind, JournalEntry
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system import files
 from impact_rig_studies.campaign.job import TRACE_BLOCKS, Job, JobApparatus, Outcome, Trace, columns, run_job
@@ -144,9 +143,9 @@ def _run_all(
         yield job, outcome
 
 
-def _first_trip(journal: Collector) -> np.void | None:
-    """Return the first row of `rig/journal` that says that the rig has tripped."""
-    return next((row for row in journal.rows() if row["kind"] == InputKind.TRIP.value.encode()), None)
+def _first_trip(journal: Collector) -> JournalEntry | None:
+    """Return the first entry of `rig/journal` that says that the rig has tripped."""
+    return next((entry for entry in journal.entries() if entry.kind is InputKind.TRIP), None)
 
 
 class RosApparatus(JobApparatus):
@@ -217,9 +216,9 @@ class RosApparatus(JobApparatus):
         trip = _first_trip(self._journal)
         if trip is None:
             return None
-        reason, shaker = trip["key"].decode(), self._config.shaker
+        reason, shaker = trip.name, self._config.shaker
         limit = shaker.travel_limit_m if reason == OVER_TRAVEL else shaker.current_limit_a_rms
-        return f"the rig tripped: {Trip(0, reason, float(trip['value']), limit).message()}"
+        return f"the rig tripped: {Trip(0, reason, trip.number, limit).message()}"
 
 
 class SteppedApparatus(RosApparatus):
@@ -437,7 +436,7 @@ class SteppedLoop:
 
     def _stopped(self) -> str | None:
         trip = _first_trip(self._journal)
-        return None if trip is None else f"the rig tripped: {trip['key'].decode()}"
+        return None if trip is None else f"the rig tripped: {trip.name}"
 
 
 def stepped_hold(directory: Path, job: Job, plan: HoldPlan) -> HeldSweep:

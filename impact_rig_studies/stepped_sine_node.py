@@ -19,7 +19,7 @@ from collections.abc import Callable, Mapping
 from typing import Any  # rclpy messages
 
 import attrs
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, String
 from std_srvs.srv import Trigger
 
 from impact_rig import codec, states, topics
@@ -31,6 +31,7 @@ from impact_rig.names import one_line
 from impact_rig.nodes.acknowledgements import Acknowledgements
 from impact_rig.nodes.managed import Done, Level, ManagedNode, NodeState
 from impact_rig.nodes.messages import MONITORS
+from impact_rig.rig.journal import InputKind, JournalEntry
 from impact_rig_studies.operate.operator import Applied, News, Operator, Walk
 from impact_rig_studies.operate.phase_lock import LockedSine, LockPlan, Reference
 from impact_rig_studies.operate.stepped_sine import (
@@ -45,7 +46,10 @@ from impact_rig_studies.operate.stepped_sine import (
 )
 
 WATCH_S = 0.1  # how often the node looks for the rig, while a sweep waits to begin
-STOPPING = {b"trip": "tripped", b"stop": "was stopped", b"timeout": "missed commands", b"reset": "was reset"}
+STOPPING = {
+    InputKind.TRIP: "tripped", InputKind.STOP: "was stopped", InputKind.TIMEOUT: "missed commands",
+    InputKind.RESET: "was reset",
+}  # fmt: skip
 """Kinds of journal entries that end a sweep, and what the rig did then."""
 COMMAND, PHASE = "command", "phase"  # what stays constant besides the amplitudes of `Hold`
 
@@ -156,7 +160,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         self.until_deactivated(
             self.subscribe(MONITORS["base"], self._on_time, raw=True),
             self._follow(topics.APPLIED, self._on_applied),
-            self._follow(topics.JOURNAL, self._on_journal),
+            self.subscribe(topics.JOURNAL, self._on_journal),
             self._follow(topics.TRANSMISSIBILITY_TABLE, self._on_measurement),
             self.subscribe_table(topics.INFO, self._on_info),
         )
@@ -352,11 +356,16 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     def _on_applied(self, operator: Operator[Walk], table: Table) -> None:
         operator.hear(News(now_ns=self.now_ns(), applied=Applied.of(table)))
 
-    def _on_journal(self, operator: Operator[Walk], table: Table) -> None:
-        for row in table.rows:
-            if bytes(row["kind"]) in STOPPING:
-                cause = f" ({bytes(row['key']).decode(errors='replace')})" if row["key"] else ""
-                operator.abort(f"the rig {STOPPING[bytes(row['kind'])]}{cause}")
+    def _on_journal(self, message: String) -> None:
+        operator = self._operator
+        try:
+            entry = JournalEntry.from_line(message.data)
+        except ConfigError as error:
+            self.refuse(topics.JOURNAL.name, str(error))
+            return
+        begun = operator is not None and operator.busy and entry.stamp_ns >= self._began_ns
+        if operator is not None and begun and entry.kind in STOPPING:
+            operator.abort(f"the rig {STOPPING[entry.kind]}" + f" ({entry.name})" * bool(entry.name))
 
     def _on_measurement(self, operator: Operator[Walk], table: Table) -> None:
         operator.hear(News(now_ns=table.stamp_ns, rows=table.rows))

@@ -16,6 +16,8 @@
 from __future__ import annotations
 
 import itertools
+import json
+import math
 import sys
 from pathlib import Path
 
@@ -35,6 +37,7 @@ from impact_rig.instruments.fault import Fault  # noqa: E402
 from impact_rig.recording import TopicDescription, open_run  # noqa: E402
 from impact_rig.rig import resimulate  # noqa: E402
 from impact_rig.rig.config import load  # noqa: E402
+from impact_rig.rig.journal import JournalEntry  # noqa: E402
 
 TARGETS = (*decoders.TARGETS, *validators.TARGETS, *importers.TARGETS, *sockets.TARGETS)
 SLICE = 60
@@ -55,35 +58,42 @@ def test_a_slice_of_hostile_inputs(one: target.Target) -> None:
 # What was found, each with the input that found it
 
 
-def journal_with(row: int, **cells: object) -> Table:
-    rows = decoders.JOURNAL.copy()
-    for name, value in cells.items():
-        rows[row][name] = value
-    return Table(0, rows)
+def journal_with(number: int, **members: object) -> list[JournalEntry]:
+    lines = [entry.line() for entry in decoders.JOURNAL]
+    lines[number] = json.dumps(json.loads(lines[number]) | members)
+    return [JournalEntry.from_line(line) for line in lines]
 
 
 @pytest.mark.parametrize(
-    ("row", "cells", "words"),
+    ("members", "words"),
     [
-        (6, {"kind": b"parameter", "key": b"sphere.start", "text": b"\x80"}, "is not UTF-8"),
-        (5, {"sample": np.nan}, "sample must be a whole number from 0"),
-        (5, {"sample": -1.0}, "sample must be a whole number from 0"),
-        (5, {"time": np.inf}, "time must be a number"),
-        (5, {"time": 1e305}, "time must be a number"),
-        (3, {"value": np.nan}, "seed must be an integer"),
-        (3, {"value": 5.5}, "seed must be an integer"),
-        (5, {"kind": b"clear_fault", "value": np.nan}, "no fault has the number nan"),
+        ({"sample": math.nan}, "sample of a journal entry must be int"),
+        ({"sample": -1}, "must be from 0 to 2"),
+        ({"stamp_ns": 10**30}, "stamp_ns of a journal entry must be from 0 to 2"),
+        ({"value": 10**400}, "value of a journal entry is too large"),
+        ({"kind": "parameter", "values": {"daq.seed": 5.5}}, "daq.seed in the journal must be int, got 5.5"),
+        ({"kind": "parameter", "values": {"daq.sed": 5}}, "unknown configuration value 'daq.sed'"),
+        ({"kind": "parameter", "values": {"sphere.start": [1]}}, "sphere.start in the journal must be str"),
+        ({"kind": "clear_fault", "value": math.nan}, "no fault has the number nan"),
+        ({"kind": "fault"}, "has a fault if it is of kind fault"),
+        ({"kind": "fault", "fault": {"kind": "dropout", "channel": "laser", "seed": "x"}}, "seed of a fault"),
+        ({"kind": "fault", "fault": {"kind": "stuck", "channel": "x"}}, "fault in the journal: stuck needs a channel"),
+        ({"kind": "pluck", "value": None}, "value of a journal entry must be float"),
+        ({"more": 1}, "unknown member 'more'"),
     ],
 )
-def test_a_journal_that_makes_no_sense_is_refused_by_name(row: int, cells: dict[str, object], words: str) -> None:
-    """They ended in UnicodeDecodeError, ValueError and OverflowError; a fraction of a seed was rounded."""
+def test_a_journal_that_makes_no_sense_is_refused_by_name(members: dict[str, object], words: str) -> None:
     with pytest.raises(ConfigError, match=words):
-        list(itertools.islice(resimulate([journal_with(row, **cells)]), 5))
+        list(itertools.islice(resimulate(journal_with(2, **members)), 5))
 
 
-def test_a_journal_row_far_in_the_future_costs_only_what_is_looked_at() -> None:
-    """All blocks up to it were simulated into one list first."""
-    found = resimulate([journal_with(5, sample=2.0**50)])
+def test_a_line_that_is_nested_too_deeply_is_refused() -> None:
+    with pytest.raises(ConfigError, match="must be JSON"):
+        JournalEntry.from_line("[" * 100_000)
+
+
+def test_a_journal_entry_far_in_the_future_costs_only_what_is_read() -> None:
+    found = resimulate(journal_with(2, sample=2**50))
     assert [next(found).number for _ in range(150)] == list(range(150))
 
 

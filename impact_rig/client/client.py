@@ -51,6 +51,7 @@ from impact_rig.nodes import messages
 from impact_rig.nodes.managed import with_info
 from impact_rig.nodes.messages import Template, by_name, header_stamp_ns
 from impact_rig.nodes.process import make_executor, patient_threads
+from impact_rig.rig.journal import JournalEntry
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system.endings import unhurried
 from impact_rig.topics import Topic
@@ -118,6 +119,10 @@ class Collector:
         """Return the newest table, decoding nothing else; None if there is none."""
         found = self.tables(-1)
         return found[0] if found else None
+
+    def entries(self, since: int = 0) -> list[JournalEntry]:
+        """Return the entries of `rig/journal` that arrived, without the first `since` messages."""
+        return [JournalEntry.from_line(message.data.data) for message in self.received[since:]]
 
     def rows(self) -> NDArray[np.void]:
         """Return the rows of all tables, one after the other; shape (n,)."""

@@ -40,7 +40,7 @@ from impact_rig.simtime import NS_PER_S, stamp_ns
 CONTROLLER = "controller"  # of the client's node: in `freewheel` and `stepped` it is among `time.peers`
 REALTIME_LEAD_S = 0.2
 SCANS_TIMEOUT_S = 30.0  # wall time in which a rig that is followed must have given scans
-_STOPS = tuple(kind.value.encode() for kind in (InputKind.TRIP, InputKind.STOP))
+_STOPS = (InputKind.TRIP, InputKind.STOP)
 
 
 class OverTopics:
@@ -122,9 +122,9 @@ class OverTopics:
         return (2 * since * self.scan_rate_hz + NS_PER_S) // (2 * NS_PER_S), table.rows
 
     def _refuse_if_stopped(self) -> None:
-        for table in self._journal.tables(self._before):
-            for row in table.rows[np.isin(table.rows["kind"], _STOPS)]:
-                raise CommandError(f"the rig stopped: {row['kind'].decode()} {row['key'].decode()}".rstrip())
+        for entry in self._journal.entries(self._before):
+            if entry.kind in _STOPS:
+                raise CommandError(f"the rig stopped: {entry.kind.value} {entry.name}".rstrip())
 
     def _start_ns(self) -> int:
         table = self._stream.received[-1].table
@@ -169,9 +169,9 @@ class MeasuredOverTopics:
             CommandError: the rig has stopped.
             ImpactRigError: no scans arrived.
         """
-        for table in self._journal.tables(self._before):
-            for row in table.rows[np.isin(table.rows["kind"], _STOPS)]:
-                raise CommandError(f"the rig stopped: {row['kind'].decode()} {row['key'].decode()}".rstrip())
+        for entry in self._journal.entries(self._before):
+            if entry.kind in _STOPS:
+                raise CommandError(f"the rig stopped: {entry.kind.value} {entry.name}".rstrip())
         what = "a block of scans"
         self._client.wait_until(lambda: len(self._scans), what, SCANS_TIMEOUT_S, self._client.given(what))
         newest = self._scans.last()

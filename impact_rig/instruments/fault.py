@@ -26,9 +26,7 @@ behind it. `lost_block` and `clock_drift` concern the whole board: the rig asks 
 
 from __future__ import annotations
 
-import base64
 import math
-import struct
 from collections.abc import Iterable
 
 import attrs
@@ -36,17 +34,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.random import Random
-from impact_rig.blocks import FAULTS, TEXT_BYTES
+from impact_rig.blocks import FAULTS
 from impact_rig.config.fields import names
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.instruments.instrument import BOARD_KINDS, FAULT_KINDS
 from impact_rig.instruments.registry import INSTRUMENTS
 
 DEFAULT_SPIKE_RATE_HZ = 10.0
-MOST = 2**53  # of the whole numbers: beyond, the journal's columns are not exact
+MOST = 2**53  # of the whole numbers: beyond, the columns of `truth/faults` are not exact
 LARGEST_DRIFT_PPM = 5e5
 """Of the scan clock: at −10⁶ a tick of it takes no time at all; far above 0 one takes for ever."""
-_PACKED = struct.Struct("<QQd")
 _NUMBERS = ("start_s", "duration_s", "value", "seed", "rate_hz")
 
 
@@ -109,35 +106,6 @@ class Fault:
             )
         except CommandError as error:
             raise ConfigError(str(error)) from error
-
-    def journal(self) -> tuple[str, float, str]:
-        """Return (key, value, text) for a journal row; the row's sample is the start.
-
-        The text is readable where that fits into its cell, and packed where it does not.
-        """
-        text = f"{self.samples}/{self.seed}/{self.rate_hz!r}"
-        if len(text) > TEXT_BYTES:
-            text = "~" + base64.b85encode(_PACKED.pack(self.samples, self.seed, self.rate_hz)).decode()
-        return f"{self.kind}/{self.channel}", self.value, text
-
-    @classmethod
-    def from_journal(cls, key: str, value: float, text: str, start_sample: int) -> Fault:
-        """Return the fault of a journal row.
-
-        Raises:
-            CommandError: the row does not describe a fault.
-        """
-        try:
-            kind, channel = key.split("/")
-            if text.startswith("~"):
-                samples, seed, rate = _PACKED.unpack(base64.b85decode(text[1:]))
-            else:
-                samples, seed, rate = (one(word) for one, word in zip((int, int, float), text.split("/"), strict=True))
-        except (ValueError, struct.error) as error:
-            raise CommandError(f"not a fault of a journal: key {key!r}, text {text!r}") from error
-        return cls(
-            kind=kind, channel=channel, start_sample=start_sample, samples=samples, value=value, seed=seed, rate_hz=rate
-        )
 
     def __str__(self) -> str:
         where = f" on {self.channel}" if self.channel else ""

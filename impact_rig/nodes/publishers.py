@@ -29,7 +29,7 @@ from impact_rig.instruments.section import row_type_of
 from impact_rig.nodes import messages
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.messages import MONITORS, TOPICS, Template, put
-from impact_rig.rig import Block, Rig
+from impact_rig.rig import Block, Rig, journal
 from impact_rig.rig.config import RigConfig, dump
 from impact_rig.rig.description import JOINTS, joints, robot_description
 from impact_rig.rig.monitors import AntiAlias
@@ -198,15 +198,17 @@ class Publishers:
         self._node.send(topics.CLOCK, messages.CLOCK.render(now_ns))
 
     def changes(self, rig: Rig) -> bool:
-        """Publish the new rows of rig/journal and shaker/applied, causes before effects; return whether any came."""
-        changed = False
-        for topic, tables in ((topics.JOURNAL, rig.take_journal()), (topics.APPLIED, rig.take_applied())):
-            for table in tables:
-                self._node.send_table(topic, table)
-            if tables:
-                self._settle(topic)
-                changed = True
-        return changed
+        """Publish new entries of rig/journal and rows of shaker/applied, causes first; return whether any came."""
+        entries, applied = rig.take_journal(), rig.take_applied()
+        for entry in entries:
+            self._node.send(topics.JOURNAL, journal.encode(entry))
+        if entries:
+            self._settle(topics.JOURNAL)
+        for table in applied:
+            self._node.send_table(topics.APPLIED, table)
+        if applied:
+            self._settle(topics.APPLIED)
+        return bool(entries or applied)
 
     def configuration(self, rig: Rig) -> None:
         """Publish the configuration, and the calibration if it is another; take both for the monitors."""

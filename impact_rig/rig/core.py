@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Any  # members of a journal entry
 
 import attrs
 import numpy as np
@@ -164,7 +165,7 @@ class Rig:
         self.config = config
         self.rate_hz = config.daq.rate_hz
         self._journal = Journal(self.rate_hz, start_ns)
-        self.take_journal = self._journal.take  # returns the new rows of the journal and forgets them
+        self.take_journal = self._journal.take  # returns the new entries of the journal and forgets them
         self._applied: list[Table] = []
         self._latched: str | None = None
         self._tripped: frozenset[str] = frozenset()  # reasons of the interlock since the shaker was last free
@@ -325,7 +326,7 @@ class Rig:
             return None
         happened, stream.events = stream.events, []
         for event, sample, text in happened:
-            self._journal_row(InputKind.STREAM, event.value, float(sample), text.encode())
+            self._add_entry(InputKind.STREAM, name=event.value, value=float(sample), text=text)
             if event is Event.END and text == UNDERRUN and self._drive.on_underrun == "trip" and self._latched is None:
                 trip = Trip(0, UNDERRUN, float(sample), 0.0)
         return trip
@@ -373,10 +374,10 @@ class Rig:
             check_amplitude(amplitude, self._drive, self.config.shaker)
         if frequency_hz is not None:
             self._generator.set_frequency(frequency_hz)
-            self._journal.add(self.frontier_sample, InputKind.COMMAND, "frequency", frequency_hz)
+            self._journal.add(self.frontier_sample, InputKind.COMMAND, name="frequency", value=frequency_hz)
         if amplitude is not None:
             self._generator.set_amplitude(amplitude)
-            self._journal.add(self.frontier_sample, InputKind.COMMAND, "current", amplitude)
+            self._journal.add(self.frontier_sample, InputKind.COMMAND, name="current", value=amplitude)
         self._last_command_tick, self._timed_out = self._ticks, False
         return self._add_applied()
 
@@ -466,7 +467,8 @@ class Rig:
         self.config = config
         self._truth.configure(config.output.monitor_rate_hz, config.output.truth_scan)
         values = {name: value for name, value in deciding_samples(changed).items() if name != PLANNED}
-        self._journal.add_values(self.frontier_sample, InputKind.PARAMETER, values.items())
+        if values:
+            self._add_entry(InputKind.PARAMETER, values=values)
         self._planned_faults.put_into_force(replan, self._clear_if_there, self.inject)
         if new_instruments:
             self._info_sample = self.frontier_sample
@@ -493,7 +495,7 @@ class Rig:
             raise CommandError(f"a pluck must be finite, got {displacement_m:g} m")
         self._simulation.pluck(displacement_m)
         self._generator.set_amplitude(0.0)
-        self._journal_row(InputKind.PLUCK, value=displacement_m)
+        self._add_entry(InputKind.PLUCK, value=displacement_m)
         self._add_applied()
 
     def stop(self, reason: str = EMERGENCY) -> None:
@@ -501,12 +503,12 @@ class Rig:
 
         A rig that has not simulated anything yet never begins to move.
         """
-        self._journal_row(InputKind.STOP)
+        self._add_entry(InputKind.STOP)
         self._latch(reason)
 
     def clear_trip(self) -> None:
         """Release the latch, if there is one; the amplitude stays zero until the next command."""
-        self._journal_row(InputKind.CLEAR_TRIP)
+        self._add_entry(InputKind.CLEAR_TRIP)
         if self._latched is not None:
             self._latched, self._tripped = None, frozenset()
             self._interlock.reset()
@@ -518,14 +520,13 @@ class Rig:
             CommandError: unknown kind or channel, or a start that is already measured.
         """
         number = self._chain.inject(fault)
-        key, value, text = fault.journal()
-        self._journal.add(fault.start_sample, InputKind.FAULT, key, value, text.encode())
+        self._journal.add(fault.start_sample, InputKind.FAULT, fault=fault)
         return number
 
     def clear_fault(self, number: int | None = None) -> None:
         """End one instrument fault, or all of them, at the first scan not yet measured."""
         self._chain.clear(number)
-        self._journal_row(InputKind.CLEAR_FAULT, value=-1.0 if number is None else float(number))
+        self._add_entry(InputKind.CLEAR_FAULT, value=None if number is None else float(number))
 
     def take_applied(self) -> list[Table]:
         """Return the new rows of shaker/applied and forget them."""
@@ -557,8 +558,7 @@ class Rig:
         self._interlock = Interlock()
         self._planned_faults = PlanInForce(config.instruments.faults.planned, self.rate_hz)
         self._truth = Truth(self.rate_hz, config.output.monitor_rate_hz, config.output.truth_scan)
-        self._journal_row(kind, text=impact_rig.__version__.encode())
-        self._journal.add_values(0, InputKind.INITIAL, not_default(config).items())
+        self._add_entry(kind, text=impact_rig.__version__, values=not_default(config))
         self._add_applied()
 
     def _clear_if_there(self, number: int) -> None:
@@ -577,7 +577,7 @@ class Rig:
         return self._interlock.watch(motion, tick_s, self._drive, self.config.shaker, self._tripped)
 
     def _trip(self, trip: Trip) -> None:
-        self._journal_row(InputKind.TRIP, trip.reason, trip.measured)
+        self._add_entry(InputKind.TRIP, name=trip.reason, value=trip.measured)
         self._tripped |= {trip.reason}
         self._latch(trip.message())
 
@@ -598,12 +598,12 @@ class Rig:
         if due is None or self._ticks < due:
             return
         self._timed_out = True
-        self._journal_row(InputKind.TIMEOUT)
+        self._add_entry(InputKind.TIMEOUT)
         self._generator.set_amplitude(0.0)
         self._add_applied()
 
-    def _journal_row(self, kind: InputKind, key: str = "", value: float = 0.0, text: bytes = b"") -> None:
-        self._journal.add(self.frontier_sample, kind, key, value, text)
+    def _add_entry(self, kind: InputKind, **members: Any) -> None:
+        self._journal.add(self.frontier_sample, kind, **members)
 
     def _add_applied(self) -> Table:
         sample = self.frontier_sample

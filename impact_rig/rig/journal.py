@@ -11,307 +11,288 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The journal: every input that changes what the rig will do, with the first scan it acts on.
+"""The journal: every input that changes what the rig will do, with the first scan that it acts on.
 
-One journal, from its `start` or `reset` on, is all a re-simulation needs: it opens with the configuration (rows
-`initial`, what differs from the default `RigConfig`) and numbers its rows, so a missing one is seen. What a change of a
-value touches, and from when on, stands here too.
+Each entry is one JSON object on `rig/journal`. One journal, from its `start` or `reset` on, is all that a re-simulation
+needs: its first entry holds the configuration (what differs from the default `RigConfig`), and entries are numbered, so
+a missing one is detected. This module also knows what a change of a parameter touches, and when it takes effect.
 """
 
 from __future__ import annotations
 
 import enum
-import itertools
-import struct
+import json
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any  # what JSON may hold
 
 import attrs
-import numpy as np
 
-from impact_rig import codec, topics
-from impact_rig.blocks import JOURNAL, TEXT_BYTES, Table
+from impact_rig import codec
 from impact_rig.errors import CodecError, CommandError, ConfigError
 from impact_rig.instruments.fault import Fault
 from impact_rig.instruments.section import InstrumentSetup
 from impact_rig.rig.config import RigConfig, differences, to_flat
-from impact_rig.simtime import NS_PER_S, stamp_ns
+from impact_rig.simtime import stamp_ns
 
 Value = bool | int | float | str | tuple[str, ...]
 
-SEPARATOR = "\n"  # between the items of a list
 PUBLISHING_SECTIONS = ("time.", "step.", "pluck.", "output.")
 """Sections that change when and what is published, but not one sample: they are not in the journal."""
 SAMPLE_DECIDING = frozenset({"output.command_timeout_s"})  # exceptions in `PUBLISHING_SECTIONS`: they decide samples
 
 
 class InputKind(enum.Enum):
-    """What kind of input a row is, and what its columns say."""
+    """Kind of input of an entry, with the meaning of the entry's other members."""
 
     doc: str
 
     def __new__(cls, value: str, doc: str = "") -> InputKind:  # looked up by value alone
-        """Make a member: its value is the word in the table."""
+        """Make a member: its value is the word in the entry."""
         member = object.__new__(cls)
         member._value_ = value
         member.doc = doc
         return member
 
-    START = "start", "Scan 0 of a new rig; text = version of impact_rig."
-    RESET = "reset", "Scan 0 of the same rig as new; text = version."
-    INITIAL = "initial", "One configuration value at the start that is not the default."
-    COMMAND = "command", "key = frequency or current."
-    PARAMETER = "parameter", "One configuration value changes; rows `more` after it belong to the same change."
-    MORE = "more", "One more configuration value, or one more part of a text, of the change before."
+    START = "start", "Scan 0 of a new rig; text = version of impact_rig, values = what differs from the default rig."
+    RESET = "reset", "Scan 0 of the same rig after a reset; text and values as for `start`."
+    COMMAND = "command", "name = frequency [Hz] or current [A; m or V by `drive.kind`], value = its new value."
+    PARAMETER = "parameter", "Configuration values change; values = the new ones by full name."
     PLUCK = "pluck", "value = displacement of x_1 [m]."
     STOP = "stop", "The emergency stop."
     CLEAR_TRIP = "clear_trip", "The latch is released."
-    FAULT = "fault", "An instrument fault on demand: key = kind/channel, text = duration/seed/rate."
-    CLEAR_FAULT = "clear_fault", "value = id of the fault, -1 all of them."
+    FAULT = "fault", "An instrument fault begins at `sample`; fault = its members."
+    CLEAR_FAULT = "clear_fault", "value = number of the fault; without a value, all faults."
     TRIP = (
         "trip",
         (
-            "The interlock: key = over_travel, over_current or underrun, value = what was measured, of an underrun the "
-            "sample that was missing; a result, no input."
+            "The interlock trips: name = over_travel, over_current or underrun, value = the measured quantity or, for "
+            "an underrun, the number of the missing sample; a result, not an input."
         ),
     )
-    TIMEOUT = "timeout", "No command for output.command_timeout_s; a result, no input."
+    TIMEOUT = "timeout", "No command arrived for output.command_timeout_s; a result, not an input."
     STREAM = (
         "stream",
         (
-            "Of shaker/waveform, value = number of a sample; key = begin (samples are in force from it on), end (they "
-            "no longer are; text = underrun, ended or stopped), crc32 (so many from it on came into force; text = how "
-            "many, and their CRC-32); a result."
+            "An event of shaker/waveform: value = number of a sample; name = begin (samples act from it on), end (they "
+            "no longer do; text = underrun, ended or stopped), crc32 (text = how many samples from it on acted, and "
+            "their CRC-32); a result, not an input."
         ),
     )
 
 
-RESULTS = (InputKind.TRIP, InputKind.TIMEOUT, InputKind.STREAM)  # rows a re-simulation produces by itself
+BEGINNINGS = (InputKind.START, InputKind.RESET)
+RESULTS = (InputKind.TRIP, InputKind.TIMEOUT, InputKind.STREAM)  # entries that a re-simulation produces by itself
 
 
 @attrs.frozen
-class JournalRow:
-    """One row of `blocks.JOURNAL`, with its time as a stamp."""
+class JournalEntry:
+    """One entry of a journal."""
 
-    stamp_ns: int
-    sample: int
-    sequence: int
+    sequence: int  # number of the entry, from 0 at `start` or `reset`
     kind: InputKind
-    key: str
-    value: float
-    text: bytes
+    sample: int  # index of the first scan that it acts on
+    stamp_ns: int  # of that scan
+    name: str = ""  # what it concerns: a command, the quantity that tripped, an event of the stream
+    value: float | None = None
+    text: str = ""
+    values: Mapping[str, Value] = attrs.field(factory=dict)  # configuration values by full name
+    fault: Fault | None = None
+
+    @property
+    def number(self) -> float:
+        """The value of an entry whose kind always has one."""
+        assert self.value is not None
+        return self.value
+
+    def line(self) -> str:
+        """Return the entry as one line of JSON; members that say nothing are left out."""
+        content: dict[str, Any] = {
+            "sequence": self.sequence, "kind": self.kind.value, "sample": self.sample, "stamp_ns": self.stamp_ns
+        }  # fmt: skip
+        content |= {key: found for key in ("name", "value", "text") if (found := getattr(self, key)) not in ("", None)}
+        if self.values:
+            content["values"] = dict(self.values)
+        if self.fault is not None:
+            content["fault"] = {name: number for name, number in attrs.asdict(self.fault).items() if name in _OF_FAULT}
+        return json.dumps(content)
 
     @classmethod
-    def of(cls, table: Table, row: np.void) -> JournalRow:
-        """Return a row of a checked table.
+    def from_line(cls, line: str) -> JournalEntry:
+        """Return the entry that one line of JSON holds.
 
         Raises:
-            ConfigError: its kind is unknown.
+            ConfigError: the line is not a journal entry of this version.
         """
-        kind = bytes(row["kind"]).decode()
         try:
-            known = InputKind(kind)
+            content = json.loads(line)
+        except (ValueError, RecursionError) as error:
+            raise ConfigError(f"a journal entry must be JSON, got {line[:60]!r}") from error
+        if not isinstance(content, dict):
+            raise ConfigError(f"a journal entry must be a JSON object, got {line[:60]!r}")
+        unknown = content.keys() - _MEMBERS.keys()
+        if unknown:
+            raise ConfigError(f"journal entry with unknown member {min(unknown)!r}")
+        for member, kinds in _MEMBERS.items():
+            is_required = member in ("sequence", "kind", "sample", "stamp_ns")
+            if (member in content or is_required) and type(content.get(member)) not in kinds:
+                raise ConfigError(f"{member} of a journal entry must be {kinds[0].__name__}: {line[:60]!r}")
+        try:
+            kind = InputKind(content["kind"])
         except ValueError:
-            raise ConfigError(f"journal row of unknown kind {kind!r}") from None
-        stamp = table.stamp_ns + round(float(row["time"]) * NS_PER_S)
-        key, text = bytes(row["key"]).decode(), bytes(row["text"])
-        return cls(stamp, int(row["sample"]), int(row["sequence"]), known, key, float(row["value"]), text)
+            raise ConfigError(f"journal entry of unknown kind {content['kind']!r}") from None
+        values = {name: _typed(name, value) for name, value in content.pop("values", {}).items()}
+        fault = _fault(content.pop("fault"), content["sample"]) if "fault" in content else None
+        if "value" in content:
+            content["value"] = _float("value", content["value"])
+        if kind in _NEED_VALUE and "value" not in content:
+            raise ConfigError(f"a journal entry of kind {kind.value} needs a value: {line[:60]!r}")
+        if not (0 <= content["sequence"] <= _LARGEST and 0 <= content["sample"] <= _LARGEST):
+            raise ConfigError(f"sequence and sample of a journal entry must be from 0 to 2**53: {line[:60]!r}")
+        if not 0 <= content["stamp_ns"] < 2**63:
+            raise ConfigError(f"stamp_ns of a journal entry must be from 0 to 2**63 - 1: {line[:60]!r}")
+        if (fault is not None) != (kind is InputKind.FAULT):
+            raise ConfigError(f"a journal entry has a fault if it is of kind fault, and only then: {line[:60]!r}")
+        return cls(**content | {"kind": kind, "values": values, "fault": fault})
 
-    def same(self, other: JournalRow) -> bool:
-        """Return whether two rows are the same bit for bit."""
-        ours, theirs = (attrs.evolve(one, value=0.0) for one in (self, other))
-        return ours == theirs and struct.pack("<d", self.value) == struct.pack("<d", other.value)
+
+_MEMBERS: dict[str, tuple[type, ...]] = {
+    "sequence": (int,), "kind": (str,), "sample": (int,), "stamp_ns": (int,), "name": (str,), "value": (float, int),
+    "text": (str,), "values": (dict,), "fault": (dict,),
+}  # fmt: skip
+_OF_FAULT = {field.name for field in attrs.fields(Fault)} - {"start_sample"}  # it begins at the entry's sample
+_NEED_VALUE = (InputKind.COMMAND, InputKind.PLUCK, InputKind.TRIP, InputKind.STREAM)
+_LARGEST = 2**53
+
+
+def _float(name: str, value: float) -> float:
+    try:
+        return float(value)
+    except OverflowError:
+        raise ConfigError(f"{name} of a journal entry is too large") from None
+
+
+def _typed(name: str, value: Any) -> Value:
+    """Return a value of JSON as the type of a configuration value's default."""
+    if name not in _DEFAULTS:
+        raise ConfigError(f"journal entry of unknown configuration value {name!r}")
+    default = _DEFAULTS[name]
+    if isinstance(default, tuple) and isinstance(value, list) and all(isinstance(one, str) for one in value):
+        return tuple(value)
+    if isinstance(default, float) and type(value) is int:
+        return _float(name, value)
+    if type(value) is not type(default):
+        raise ConfigError(f"{name} in the journal must be {type(default).__name__}, got {value!r}")
+    return value
+
+
+def _fault(content: Mapping[str, Any], sample: int) -> Fault:
+    for name, value in content.items():
+        if name not in _OF_FAULT:
+            raise ConfigError(f"fault in the journal with unknown member {name!r}")
+        allowed = (str,) if name in ("kind", "channel") else (int,) if name in ("samples", "seed") else (int, float)
+        if type(value) not in allowed:
+            raise ConfigError(f"{name} of a fault in the journal must be {allowed[-1].__name__}, got {value!r}")
+    try:
+        return Fault(**{"kind": ""} | dict(content), start_sample=sample)
+    except (CommandError, OverflowError) as error:
+        raise ConfigError(f"fault in the journal: {error}") from error
+
+
+def encode(entry: JournalEntry) -> bytes:
+    """Return an entry as a message of `rig/journal`."""
+    return codec.encode_text(entry.line())
+
+
+def decode(data: codec.Buffer) -> JournalEntry:
+    """Return the entry in a message of `rig/journal`.
+
+    Raises:
+        ConfigError: the message holds no journal entry of this version.
+    """
+    try:
+        return JournalEntry.from_line(codec.text(data))
+    except CodecError as error:
+        raise ConfigError(f"a journal entry must be text: {error}") from error
 
 
 class Journal:
-    """Numbers the rows and hands them over as tables."""
+    """Writer of a rig's journal: it numbers the entries and hands them over."""
 
     def __init__(self, rate_hz: int, start_ns: int) -> None:
         self._rate_hz = rate_hz
         self._start_ns = start_ns
         self._sequence = 0
-        self._pending: list[JournalRow] = []
+        self._pending: list[JournalEntry] = []
 
     def restart(self, start_ns: int) -> None:
-        """Begin a new journal; rows of the old one that were not taken yet stay in front."""
+        """Begin a new journal; entries of the old one that were not taken yet come first."""
         self._start_ns, self._sequence = start_ns, 0
 
-    def add(self, sample: int, kind: InputKind, key: str = "", value: float = 0.0, text: bytes = b"") -> None:
-        """Append one row."""
+    def add(self, sample: int, kind: InputKind, **members: Any) -> None:
+        """Append one entry: see `JournalEntry`."""
         stamp = stamp_ns(sample, self._rate_hz, self._start_ns)
-        self._pending.append(JournalRow(stamp, sample, self._sequence, kind, key, value, text))
+        self._pending.append(JournalEntry(self._sequence, kind, sample, stamp, **members))
         self._sequence += 1
 
-    def add_values(self, sample: int, kind: InputKind, values: Iterable[tuple[str, Value]]) -> None:
-        """Append the configuration values of one change; a text needs one row per 32 bytes, `value` counts them."""
-        for name, value in values:
-            if isinstance(value, (bool, int, float)):
-                self.add(sample, kind, short_key(name), float(value))
-                kind = InputKind.MORE if kind is InputKind.PARAMETER else kind
-                continue
-            raw = (SEPARATOR.join(value) if isinstance(value, tuple) else value).encode()
-            for part in range(0, max(len(raw), 1), TEXT_BYTES):
-                self.add(sample, kind, short_key(name), part / TEXT_BYTES, raw[part : part + TEXT_BYTES])
-                kind = InputKind.MORE if kind is InputKind.PARAMETER else kind
-
-    def take(self) -> list[Table]:
-        """Return the new rows, one table per run of equal stamps, and forget them."""
+    def take(self) -> list[JournalEntry]:
+        """Return the new entries and forget them."""
         pending, self._pending = self._pending, []
-        tables: list[Table] = []
-        for stamp, run in itertools.groupby(pending, lambda entry: entry.stamp_ns):
-            rows = [(0.0, e.sample, e.sequence, e.kind.value, e.key, e.value, e.text) for e in run]
-            tables.append(Table(stamp, np.array(rows, JOURNAL)))
-        return tables
-
-
-@attrs.frozen(eq=False)
-class JournalInput:
-    """One input, whatever number of rows it has."""
-
-    stamp_ns: int  # of the first scan it acts on
-    sample: int  # index of that scan
-    sequence: int  # number of its first row
-    kind: InputKind  # what it is; never `more`
-    key: str  # what it is about
-    value: float  # new value of a command, displacement of a pluck [m], number of a fault to clear, what tripped
-    text: str  # of a fault; version at `start` and `reset`
-    configuration: Mapping[str, Value]  # values by full name; of `parameter` and `initial`, empty otherwise
-
-
-def changes(entries: Sequence[JournalRow]) -> Iterator[JournalInput]:
-    """Yield the inputs that rows say: the one interpretation of a journal.
-
-    Rows `more` belong to the parameter before them; the rows `initial` of one start are one input.
-
-    Raises:
-        ConfigError: a key is no configuration value, or a text no UTF-8.
-    """
-    numbers = itertools.accumulate(_begins(entries[n - 1] if n else None, entry) for n, entry in enumerate(entries))
-    for _, numbered in itertools.groupby(zip(numbers, entries, strict=True), lambda one: one[0]):
-        group = [entry for _, entry in numbered]
-        first = group[0]
-        text = first.text.decode(errors="replace")
-        found = values_of(group) if first.kind in (InputKind.PARAMETER, InputKind.MORE, InputKind.INITIAL) else {}
-        kind = (
-            InputKind.PARAMETER if first.kind is InputKind.MORE else first.kind
-        )  # its beginning came in another table
-        yield JournalInput(first.stamp_ns, first.sample, first.sequence, kind, first.key, first.value, text, found)
-
-
-def _begins(before: JournalRow | None, entry: JournalRow) -> bool:
-    """Return whether a row is the first of an input."""
-    if entry.kind is InputKind.INITIAL:
-        return before is None or before.kind is not InputKind.INITIAL
-    return entry.kind is not InputKind.MORE
+        return pending
 
 
 class JournalView:
-    """What a journal says so far, table by table: what happened, and what the rig is by that.
+    """State of a rig according to its journal, entry by entry.
 
-    It needs no whole journal: of one that is heard from its middle on it says what it can.
+    The journal need not be complete: one that is received from its middle on gives what it can.
 
     Attributes:
-        configuration: every value by full name; of what no row has said, the default.
-        drive: what was commanded last, `frequency` [Hz] and `current` [A; m or V by `drive.kind`].
-        latched: the row that latched the shaker, kind `trip` or `stop`; None: it is free.
+        configuration: every value by full name; the default where no entry has changed it.
+        drive: the last commands, `frequency` [Hz] and `current` [A; m or V by `drive.kind`].
+        latched: the entry that latched the shaker, kind `trip` or `stop`; None: it is not latched.
         plucked: whether the base is locked after a pluck, until the next reset.
-        start_ns: stamp of scan 0; None: no start has been heard.
+        start_ns: stamp of scan 0; None: no start was received.
     """
 
     def __init__(self) -> None:
         self.start_ns: int | None = None
         self.configuration: dict[str, Value] = dict(_DEFAULTS)
         self.drive: dict[str, float] = {}
-        self.latched: JournalInput | None = None
+        self.latched: JournalEntry | None = None
         self.plucked = False
 
-    def take(self, table: Table) -> list[JournalInput]:
-        """Take the rows of a table and return the inputs they say, in order.
-
-        Raises:
-            ConfigError: the table is no journal's, or of a version with other kinds or values; nothing of it is taken.
-        """
-        found = list(changes([*_entries(table)]))
-        for change in found:
-            self.follow(change)
-        return found
-
-    def follow(self, change: JournalInput) -> None:
-        """Take one input."""
-        if change.kind in (InputKind.START, InputKind.RESET):
-            self.start_ns, self.latched, self.plucked = change.stamp_ns, None, False
+    def follow(self, entry: JournalEntry) -> None:
+        """Take one entry."""
+        if entry.kind in BEGINNINGS:
+            self.start_ns, self.latched, self.plucked = entry.stamp_ns, None, False
             self.configuration, self.drive = dict(_DEFAULTS), {}
-        elif change.kind in (InputKind.TRIP, InputKind.STOP):
-            self.latched = change
-        elif change.kind is InputKind.CLEAR_TRIP:
+        elif entry.kind in (InputKind.TRIP, InputKind.STOP):
+            self.latched = entry
+        elif entry.kind is InputKind.CLEAR_TRIP:
             self.latched = None
-        elif change.kind is InputKind.PLUCK:
+        elif entry.kind is InputKind.PLUCK:
             self.plucked = True
-        elif change.kind is InputKind.COMMAND:
-            self.drive[change.key] = change.value
-        self.configuration.update(change.configuration)
+        elif entry.kind is InputKind.COMMAND:
+            self.drive[entry.name] = entry.number
+        self.configuration.update(entry.values)
 
 
-def read(tables: Iterable[Table]) -> list[JournalRow]:
-    """Return the rows of the last journal in these tables: from its `start` or `reset` on, in order.
-
-    Raises:
-        ConfigError: there is no beginning, rows are missing, a kind is unknown, or a table is no journal's.
-    """
-    entries: list[JournalRow] = []
-    for table in tables:
-        for entry in _entries(table):
-            if entry.kind in (InputKind.START, InputKind.RESET):
-                entries.clear()
-            if entry.sequence != len(entries):
-                raise ConfigError(f"the journal is not whole: row {len(entries)} is missing (found {entry.sequence})")
-            entries.append(entry)
-    if not entries:
-        raise ConfigError("the journal is empty")
-    return entries
-
-
-def _entries(table: Table) -> Iterator[JournalRow]:
-    """Yield the rows of a table."""
-    try:
-        rows = codec.checked(table, topics.JOURNAL).rows
-    except CodecError as error:
-        raise ConfigError(str(error)) from error
-    for row in rows:
-        yield JournalRow.of(table, row)
-
-
-def values_of(entries: Iterable[JournalRow]) -> dict[str, Value]:
-    """Return the configuration values in rows made by `Journal.add_values`.
+def last_journal(entries: Iterable[JournalEntry]) -> list[JournalEntry]:
+    """Return the last journal in these entries: from its `start` or `reset` on, in order.
 
     Raises:
-        ConfigError: a key is no configuration value.
+        ConfigError: there is no beginning, or entries are missing.
     """
-    numbers: dict[str, float] = {}
-    texts: dict[str, bytes] = {}
+    found: list[JournalEntry] = []
     for entry in entries:
-        name, default = _full_name(entry.key)
-        if isinstance(default, (str, tuple)):
-            texts[name] = (texts.get(name, b"") if entry.value else b"") + entry.text
-        else:
-            numbers[name] = entry.value
-    found: dict[str, Value] = {}
-    for name, number in numbers.items():
-        found[name] = _of_its_type(number, _DEFAULTS[name])
-    for name, raw in texts.items():
-        try:
-            text = raw.decode()
-        except UnicodeDecodeError as error:
-            raise ConfigError(f"journal row of {name} is not UTF-8: {raw[:40]!r}") from error
-        found[name] = tuple(text.split(SEPARATOR)) if isinstance(_DEFAULTS[name], tuple) else text
+        if entry.kind in BEGINNINGS:
+            found.clear()
+        if entry.sequence != len(found):
+            raise ConfigError(f"incomplete journal: entry {len(found)} is missing (found {entry.sequence})")
+        found.append(entry)
+    if not found:
+        raise ConfigError("the journal is empty")
     return found
-
-
-def _of_its_type(number: float, default: Value) -> Value:
-    """Return a number as the type of its default; a fraction where it is none is left for the validator to refuse."""
-    if isinstance(default, bool):
-        return bool(number) if number in (0.0, 1.0) else number
-    return int(number) if isinstance(default, int) and number.is_integer() else number
 
 
 def deciding_samples(values: Mapping[str, Value]) -> dict[str, Value]:
@@ -328,20 +309,7 @@ def not_default(configuration: RigConfig) -> dict[str, Value]:
     return deciding_samples(differences(configuration))
 
 
-def short_key(name: str) -> str:
-    """Return what stands for a configuration value in a row: the last 32 bytes of its name, which are unique."""
-    return name[-TEXT_BYTES:]
-
-
 _DEFAULTS = to_flat(RigConfig())
-_NAMES = {short_key(name): name for name in _DEFAULTS}
-
-
-def _full_name(key: str) -> tuple[str, Value]:
-    if key not in _NAMES:
-        raise ConfigError(f"journal row of unknown configuration value {key!r}")
-    return _NAMES[key], _DEFAULTS[_NAMES[key]]
-
 
 MECHANICAL_SECTIONS = ("structure.", "shaker.", "sphere.", "barriers.", "contact.")
 LIMITS = frozenset({

@@ -16,7 +16,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
@@ -27,12 +26,11 @@ from numpy.typing import NDArray
 from impact_rig import topics
 from impact_rig.blocks import Table
 from impact_rig.errors import CommandError, ConfigError
-from impact_rig.instruments.fault import Fault
 from impact_rig.physics.stream import ENDED, Buffer, Event
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.core import Block, Rig
 from impact_rig.rig.interlock import check_stream
-from impact_rig.rig.journal import RESULTS, InputKind, JournalInput, JournalRow, changes, read
+from impact_rig.rig.journal import RESULTS, InputKind, JournalEntry, last_journal
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, TICKS_PER_S
 
 Samples = NDArray[np.float64]
@@ -47,17 +45,17 @@ class Sent(NamedTuple):
 
 
 def resimulate(
-    journal: Iterable[Table], base: RigConfig | None = None, waveform: Sequence[Sent] = ()
+    journal: Iterable[JournalEntry], base: RigConfig | None = None, waveform: Sequence[Sent] = ()
 ) -> Iterator[Block]:
     """Yield the blocks of the rig that wrote this journal, from its last start or reset on, without end.
 
     Args:
-        journal: the tables of rig/journal, in order; the last `start` or `reset` in them begins.
-        base: what the initial rows do not decide (`daq.block_scans` is in them): publishing options; default none.
+        journal: the entries of rig/journal, in order; the last `start` or `reset` in them begins.
+        base: what the first entry does not decide (`daq.block_scans` is in it): publishing options; default none.
         waveform: what came on shaker/waveform, in order, where the drive is a stream.
 
     Raises:
-        ConfigError: the journal is not whole or does not fit this version; the message says why.
+        ConfigError: the journal is incomplete or does not fit this version; the message says why.
     """
     yield from Resimulation(journal, base, waveform).blocks
 
@@ -74,7 +72,7 @@ class RecordedSamples(Buffer):
         waveform: what came, in order; of what came late only that is taken of which nothing came before.
     """
 
-    def __init__(self, rig: Rig, entries: Iterable[JournalRow], waveform: Sequence[Sent]) -> None:
+    def __init__(self, rig: Rig, entries: Iterable[JournalEntry], waveform: Sequence[Sent]) -> None:
         super().__init__(0)
         parts, last = [], 0
         most = (
@@ -97,10 +95,10 @@ class RecordedSamples(Buffer):
             self._are_there[numbers[taken]] = True
         self._switches = [0]  # samples are in force from each odd one of these to the next
         for entry in entries:
-            if entry.kind is InputKind.STREAM and entry.key in (Event.BEGIN, Event.END):
-                self._switches.append(int(entry.value))
-            if entry.kind is InputKind.STREAM and entry.text == ENDED.encode():
-                self.ends.add(int(entry.value))
+            if entry.kind is InputKind.STREAM and entry.name in (Event.BEGIN, Event.END):
+                self._switches.append(int(entry.number))
+            if entry.kind is InputKind.STREAM and entry.text == ENDED:
+                self.ends.add(int(entry.number))
         self._sample_s = 1.0 / rig.stream.rate_hz
 
     def there(self, first: int, end: int) -> NDArray[np.bool_]:
@@ -156,22 +154,22 @@ class Resimulation:
         configurations: the configuration at the start and after each change.
     """
 
-    def __init__(self, journal: Iterable[Table], base: RigConfig | None = None, waveform: Sequence[Sent] = ()) -> None:
-        entries = read(journal)
-        inputs = deque(changes(entries[1:]))
-        initial = inputs.popleft().configuration if inputs and inputs[0].kind is InputKind.INITIAL else {}
-        self.rig = Rig(from_flat(base or RigConfig(), initial), entries[0].stamp_ns)
+    def __init__(
+        self, journal: Iterable[JournalEntry], base: RigConfig | None = None, waveform: Sequence[Sent] = ()
+    ) -> None:
+        first, *inputs = last_journal(journal)
+        self.rig = Rig(from_flat(base or RigConfig(), first.values), first.stamp_ns)
         self.calibrations: list[Table] = [self.rig.info()]
         self.configurations: list[RigConfig] = [self.rig.config]
-        self._coming = inputs
+        self._coming = deque(inputs)
         self.blocks = self._run()
         if self.rig.config.drive.waveform == "stream":
-            self.rig.stream.buffer = RecordedSamples(self.rig, entries, waveform)
+            self.rig.stream.buffer = RecordedSamples(self.rig, inputs, waveform)
 
     def finish(self, until_ns: int) -> None:
         """Give the rig what its journal says up to an instant, at which it was reset."""
         while self._coming and (
-            self._coming[0].kind is InputKind.FAULT  # ordered ahead of the scan its row names
+            self._coming[0].kind is InputKind.FAULT  # ordered ahead of the scan that its entry names
             or self._instant(self._coming[0]) <= until_ns
         ):
             next(self.blocks)
@@ -180,7 +178,7 @@ class Resimulation:
         rig = self.rig
         while self._coming:
             change = self._coming[0]
-            if change.kind is not InputKind.FAULT:  # a fault was ordered ahead of the scan its row names
+            if change.kind is not InputKind.FAULT:  # a fault was ordered ahead of the scan that its entry names
                 until_ns = self._instant(change)
                 while rig.frontier_ns < until_ns:  # in parts: nobody knows how far away a damaged row is
                     yield from rig.advance(min(until_ns, rig.frontier_ns + NS_PER_S))
@@ -193,30 +191,30 @@ class Resimulation:
         while True:
             yield from rig.advance(rig.block_end_ns(1))
 
-    def _instant(self, change: JournalInput) -> int:
+    def _instant(self, change: JournalEntry) -> int:
         """Return the instant of the command grid at which an input took effect: the tick whose first scan it names."""
         return self.rig.start_ns + change.sample * TICKS_PER_S // self.rig.rate_hz * COMMAND_GRID_NS
 
 
-def apply(rig: Rig, change: JournalInput) -> None:
+def apply(rig: Rig, change: JournalEntry) -> None:
     """Give the rig, at its frontier, one input as journaled."""
     if change.kind is InputKind.PARAMETER:
-        rig.configure(change.configuration)
-    elif change.kind is InputKind.COMMAND and change.key == "frequency":
-        rig.accept(frequency_hz=change.value)
-    elif change.kind is InputKind.COMMAND and change.key == "current":
-        rig.accept(amplitude=change.value)
+        rig.configure(change.values)
+    elif change.kind is InputKind.COMMAND and change.name == "frequency":
+        rig.accept(frequency_hz=change.number)
+    elif change.kind is InputKind.COMMAND and change.name == "current":
+        rig.accept(amplitude=change.number)
     elif change.kind is InputKind.PLUCK:
-        rig.pluck(change.value)
+        rig.pluck(change.number)
     elif change.kind is InputKind.STOP:
         rig.stop()
     elif change.kind is InputKind.CLEAR_TRIP:
         rig.clear_trip()
-    elif change.kind is InputKind.FAULT:
-        rig.inject(Fault.from_journal(change.key, change.value, change.text, change.sample))
+    elif change.fault is not None:
+        rig.inject(change.fault)
     elif change.kind is InputKind.CLEAR_FAULT:
-        if not (math.isfinite(change.value) and change.value == int(change.value)):
-            raise ConfigError(f"journal row {change.sequence}: no fault has the number {change.value!r}")
-        rig.clear_fault(None if change.value < 0 else int(change.value))
+        if change.value is not None and not change.value.is_integer():
+            raise ConfigError(f"journal entry {change.sequence}: no fault has the number {change.value!r}")
+        rig.clear_fault(None if change.value is None else int(change.value))
     elif change.kind not in RESULTS:
-        raise ConfigError(f"journal row {change.sequence}: {change.kind.value!r} cannot be in the middle of a journal")
+        raise ConfigError(f"journal entry {change.sequence}: {change.kind.value!r} cannot be inside a journal")

@@ -29,6 +29,8 @@ from __future__ import annotations
 import csv
 import importlib
 import io
+import json
+import math
 import os
 import tempfile
 import warnings
@@ -40,9 +42,11 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig import topics
 from impact_rig.errors import RecordingError
 from impact_rig.names import csv_cell, file_name, one_line
 from impact_rig.recording.reader import Run
+from impact_rig.runs import recorded_journal
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system import files
 
@@ -86,6 +90,9 @@ def write_columns(batches: Callable[[], Iterator[Columns]], target: Path) -> Pat
 
 def _batches(run: Run, topic: str) -> Iterator[Columns]:
     """Yield the columns of many messages at a time; text as str. At least one batch, empty if there are no rows."""
+    if run.resolve(topic) == run.name(topics.JOURNAL):
+        yield _journal_columns(run)
+        return
     dtype: np.dtype[np.void] | None = None
     rows: list[NDArray[np.void]] = []
     stamps: list[NDArray[np.int64]] = []
@@ -108,6 +115,29 @@ def _batches(run: Run, topic: str) -> Iterator[Columns]:
         raise RecordingError(f"topic {topic} holds no message, so its columns are not known")
     if rows:
         yield _columns(rows, stamps, earlier)
+
+
+def _journal_columns(run: Run) -> Columns:
+    """Return the journal, one row per entry; values and faults as JSON."""
+    began_ns = _wall_start_ns(run)
+    found = [
+        (message.publish_time < began_ns, entry)
+        for message in run.messages([topics.JOURNAL.name], recorded_order=True)
+        for entry in recorded_journal.entries(message)
+    ]
+    contents = [json.loads(entry.line()) for _, entry in found]
+    texts = {
+        name: [one if isinstance(one := content.get(name, ""), str) else json.dumps(one) for content in contents]
+        for name in ("kind", "name", "text", "values", "fault")
+    }
+    return {
+        STAMP: np.array([entry.stamp_ns for _, entry in found], np.int64),
+        EARLIER: np.array([is_earlier for is_earlier, _ in found], np.uint8),
+        "sequence": np.array([entry.sequence for _, entry in found], np.int64),
+        "sample": np.array([entry.sample for _, entry in found], np.int64),
+        "value": np.array([math.nan if entry.value is None else entry.value for _, entry in found], np.float64),
+        **{name: np.array(column, np.str_) for name, column in texts.items()},
+    }
 
 
 def _wall_start_ns(run: Run) -> int:

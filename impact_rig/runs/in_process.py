@@ -26,7 +26,7 @@ from impact_rig.analysis.settings import TrackerSettings, settings_table
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import Table
 from impact_rig.recording import CONFIGURATION, Attachment, Provenance, RunWriter, TopicDescription, open_run
-from impact_rig.rig import Block, Rig
+from impact_rig.rig import Block, Rig, journal
 from impact_rig.rig.config import RigConfig, dump
 from impact_rig.rig.description import joints
 from impact_rig.simtime import NS_PER_S, stamp_ns
@@ -81,10 +81,11 @@ class RigRecorder:
     def changes(self) -> list[Table]:
         """Write what has changed since the last call; return what was applied."""
         applied = self._rig.take_applied()
-        journal = self._rig.take_journal()
-        self.write(topics.JOURNAL, *journal)
+        entries = self._rig.take_journal()
+        for entry in entries:
+            self._writer.write(f"/rig/{topics.JOURNAL.name}", journal.encode(entry), entry.stamp_ns)
         self.write(topics.APPLIED, *applied)
-        if journal and codec.encode(self._rig.info()) != self._info:
+        if entries and codec.encode(self._rig.info()) != self._info:
             self._info = codec.encode(self._rig.info())
             self.write(topics.INFO, self._rig.info())
         return applied

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig import codec, topics
-from impact_rig.errors import CodecError
+from impact_rig.errors import CodecError, ConfigError
 from impact_rig.recording import description, losses
 from impact_rig.recording.description import CONFIGURATION
 from impact_rig.recording.losses import Contiguity, check_contiguity, scan_rate_hz
@@ -36,7 +36,7 @@ from impact_rig.recording.records import DamageError
 from impact_rig.recording.rigs import prefix_of
 from impact_rig.recording.writer import CONTINUES_RECORD_NAME
 from impact_rig.rig.journal import InputKind
-from impact_rig.runs import recovery, structure
+from impact_rig.runs import recorded_journal, recovery, structure
 from impact_rig.runs.recovery import Recovered
 from impact_rig.simtime import NS_PER_S
 
@@ -358,13 +358,13 @@ class _Tally:
                 rates = self._rig(message, topics.INFO).rates
                 rates += codec.decode(message.data, topics.INFO).rows["rate"][:1].tolist()
         elif message.topic in self._journals:
-            with contextlib.suppress(CodecError):
-                table = codec.decode(message.data, topics.JOURNAL)
-                rig = self._rig(message, topics.JOURNAL)
-                if InputKind.START.value.encode() in table.rows["kind"]:
-                    rig.starts.append(table.stamp_ns)
-                if InputKind.RESET.value.encode() in table.rows["kind"]:
-                    rig.resets.append(table.stamp_ns)
+            with contextlib.suppress(ConfigError):
+                for entry in recorded_journal.entries(message):
+                    rig = self._rig(message, topics.JOURNAL)
+                    if entry.kind is InputKind.START:
+                        rig.starts.append(entry.stamp_ns)
+                    if entry.kind is InputKind.RESET:
+                        rig.resets.append(entry.stamp_ns)
 
     def _rig(self, message: Message, topic: topics.Topic) -> _RigScans:
         """Return the rig whose topic a message is of."""

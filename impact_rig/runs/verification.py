@@ -42,10 +42,10 @@ from impact_rig.names import quoted
 from impact_rig.recording import CONFIGURATION, Message, Run, arithmetic_of, is_measured
 from impact_rig.recording.description import members
 from impact_rig.recording.losses import last_scan_ns
-from impact_rig.rig import Block, InputKind
+from impact_rig.rig import Block
 from impact_rig.rig.config import RigConfig, from_flat, parse, to_flat
 from impact_rig.rig.description import joints, robot_description
-from impact_rig.rig.journal import PLANNED, JournalRow, deciding_samples, read
+from impact_rig.rig.journal import BEGINNINGS, PLANNED, InputKind, JournalEntry, deciding_samples, decode, last_journal
 from impact_rig.rig.monitors import HALF_PERIODS, AntiAlias, Smoothed
 from impact_rig.rig.resimulation import Resimulation, Sent
 from impact_rig.rig.truth import monitor_step
@@ -53,7 +53,6 @@ from impact_rig.runs import structure
 from impact_rig.runs.reanalysis import Compared, lag_s, texts
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, stamp_ns
 
-_BEGINS = (InputKind.START.value.encode(), InputKind.RESET.value.encode())
 _NO_JOURNAL = (ConfigError, CommandError, SimulationError)  # what a journal raises that is incomplete, or no rig's
 _NOT_COMPARED = {
     topics.CLOCK.name: "rig time, which the stamps hold",
@@ -117,7 +116,7 @@ def verify(run: Run) -> Verification:
         return Verification(False, 0, problems[0])
     try:
         journals, waveforms, first, foreign = _journals(run)
-    except RecordingError as error:
+    except (RecordingError, ConfigError) as error:
         return Verification(None, 0, str(error))
     if not journals:
         return Verification(None, 0, "the journal is empty")
@@ -130,14 +129,12 @@ def verify(run: Run) -> Verification:
     return attrs.evolve(found, topics=compared if found.identical is not None else ())
 
 
-def _verify_all(run: Run, journals: list[list[Table]], first: int, beside: _Beside) -> Verification:
+def _verify_all(run: Run, journals: list[list[JournalEntry]], first: int, beside: _Beside) -> Verification:
     compared, rest = 0, None
     scans = run.tables(topics.SCAN, recorded_order=True)
     for number, stretch in itertools.groupby(_assigned(scans, journals, first), key=lambda pair: pair[0]):
         begun = journals[number][0]
-        is_reset = (
-            begun.rows["kind"][0] != InputKind.START.value.encode()
-        )  # else nobody knows when the rig before ended
+        is_reset = begun.kind is not InputKind.START  # else it is unknown when the rig before ended
         if rest is not None and is_reset and _is_missing(rest, begun.stamp_ns):
             return _missing(rest, compared)
         following = journals[number + 1][0] if number + 1 < len(journals) else None
@@ -148,13 +145,15 @@ def _verify_all(run: Run, journals: list[list[Table]], first: int, beside: _Besi
     return Verification(True, compared) if compared else Verification(None, 0, "the run holds no block of daq/scan")
 
 
-def _journals(run: Run) -> tuple[list[list[Table]], list[list[Sent]], int, int]:
+def _journals(run: Run) -> tuple[list[list[JournalEntry]], list[list[Sent]], int, int]:
     """Return the journals of a run, what came on shaker/waveform in each, and which the first scan belongs to.
 
-    A journal goes from its start or reset on; rows before the first are one without its beginning. Messages that are no
-    journal's, of somebody else on the topic, are left out and counted: if they were ours, rows would be missing.
+    A journal goes from its start or reset on; entries before the first are one without its beginning. Messages of
+    another publisher that are not entries are left out and counted: if they were ours, entries would be missing.
     """
-    found: list[list[Table]] = []
+    found: list[list[JournalEntry]] = []
+    if run.topics[run.resolve(topics.JOURNAL.name)].topic.type_name == topics.TABLE:
+        raise RecordingError("the journal is a table, as earlier versions wrote it: only their own program verifies it")
     scan, journal = run.resolve(topics.SCAN.name), run.resolve(topics.JOURNAL.name)
     waveform = run.resolve(topics.WAVEFORM.name) if run.holds(topics.WAVEFORM) else ""
     sent: list[list[Sent]] = [[]]
@@ -171,29 +170,27 @@ def _journals(run: Run) -> tuple[list[list[Table]], list[list[Sent]], int, int]:
                 sent[-1].append(Sent(table.stamp_ns, table.rows["value"].astype(float), received_ns))
             continue
         try:
-            table = run.table(message, topics.JOURNAL)
-        except RecordingError as error:
+            entry = decode(message.data)
+        except ConfigError as error:
             foreign, problem = foreign + 1, problem or error
             continue
-        begun += 0 if scans_seen else int(np.isin(table.rows["kind"], _BEGINS).sum())
-        for rows in np.split(table.rows, np.flatnonzero(np.isin(table.rows["kind"], _BEGINS))):
-            if len(rows) and (not found or rows["kind"][0] in _BEGINS):
-                sent += [[]] * bool(found)
-                found.append([])
-            if len(rows):
-                found[-1].append(Table(table.stamp_ns, rows))
+        begun += 0 if scans_seen else int(entry.kind in BEGINNINGS)
+        if not found or entry.kind in BEGINNINGS:
+            sent += [[]] * bool(found)
+            found.append([])
+        found[-1].append(entry)
     if problem is not None and not found:
         raise problem
     return found, sent, max(0, begun - 1), foreign
 
 
-def _assigned(scans: Iterable[Table], journals: list[list[Table]], first: int) -> Iterator[tuple[int, Table]]:
+def _assigned(scans: Iterable[Table], journals: list[list[JournalEntry]], first: int) -> Iterator[tuple[int, Table]]:
     """Yield every block with the number of the journal it belongs to."""
     number, before_ns = first, None
     for table in scans:
         while number + 1 < len(journals):
             following, begun_ns = journals[number + 1][0], journals[number][0].stamp_ns
-            if following.rows["kind"][0] == InputKind.RESET.value.encode() or following.stamp_ns > begun_ns:
+            if following.kind is InputKind.RESET or following.stamp_ns > begun_ns:
                 is_next = table.stamp_ns >= following.stamp_ns  # stamps go on
             else:
                 is_next = before_ns is not None and table.stamp_ns <= before_ns  # the rig was started anew, at 0 again
@@ -205,7 +202,7 @@ def _assigned(scans: Iterable[Table], journals: list[list[Table]], first: int) -
 
 
 def _verify(
-    journal: list[Table], scans: Iterator[Table], beside: _Beside, following: Table | None
+    journal: list[JournalEntry], scans: Iterator[Table], beside: _Beside, following: JournalEntry | None
 ) -> tuple[Verification, Block | None]:
     """Compare the blocks of one journal; return also the block that would come next."""
     compared = 0
@@ -237,10 +234,9 @@ def _verify(
     return Verification(True, compared), rest
 
 
-def _reset_ns(following: Table | None) -> int | None:
+def _reset_ns(following: JournalEntry | None) -> int | None:
     """Return the instant of the reset that ends a journal; None if something else ends it."""
-    by_reset = following is not None and following.rows["kind"][0] == InputKind.RESET.value.encode()
-    return following.stamp_ns if following is not None and by_reset else None
+    return following.stamp_ns if following is not None and following.kind is InputKind.RESET else None
 
 
 def _next(again: Resimulation) -> Block | None:
@@ -415,7 +411,7 @@ class _Beside:
         waveforms: each journal, and what came on `shaker/waveform` meanwhile.
     """
 
-    def __init__(self, run: Run, foreign: int, waveforms: Sequence[tuple[list[Table], list[Sent]]]) -> None:
+    def __init__(self, run: Run, foreign: int, waveforms: Sequence[tuple[list[JournalEntry], list[Sent]]]) -> None:
         self._run = run
         self._waveforms = waveforms
 
@@ -430,21 +426,23 @@ class _Beside:
         )
         self._monitor_rates_hz = _monitor_rates_hz(run)
         self._monitors = [_Monitor(run, name) for name, kind in INSTRUMENTS.items() if kind.monitor is not None]
-        self._journal = Compared(topics.JOURNAL.name, left_out=f"{foreign} messages are no journal's" * bool(foreign))
+        self._journal = Compared(
+            topics.JOURNAL.name, left_out=f"{foreign} messages are not journal entries" * bool(foreign)
+        )
         self._configurations: list[dict[str, object]] = []
         self._descriptions: set[str] = set()
         self._end_ns = 0
 
-    def begin(self, journal: list[Table]) -> Resimulation:
+    def begin(self, journal: list[JournalEntry]) -> Resimulation:
         """Begin to re-simulate a journal."""
         every_scan = self._truth.coming is not None or self._joints.coming is not None
-        entries, sent = read(journal), next(sent for one, sent in self._waveforms if one is journal)
+        entries, sent = last_journal(journal), next(sent for one, sent in self._waveforms if one is journal)
         try:
             self._again = Resimulation(journal, from_flat(RigConfig(), {"output.truth_scan": every_scan}), sent)
         except ConfigError:  # the truth of such long blocks has no place in a message
             self._again = Resimulation(journal, None, sent)
-        self._entries: list[JournalRow] = entries
-        self._made: list[JournalRow] = []
+        self._entries: list[JournalEntry] = entries
+        self._made: list[JournalEntry] = []
         self._calibrations = 0
         self._filters: list[AntiAlias] = []
         self._smoothed: dict[int, list[tuple[int, Smoothed]]] = {}
@@ -560,29 +558,32 @@ class _Beside:
         for table in self._again.calibrations[self._calibrations :]:
             self._info.expect(table.stamp_ns, table)
         self._calibrations = len(self._again.calibrations)
-        self._made += [JournalRow.of(table, row) for table in rig.take_journal() for row in table.rows]
+        self._made += rig.take_journal()
 
     def _compare_journal(self, whole: bool, lag_ns: int) -> None:
-        """Compare the rows that were recorded with those the re-simulation wrote; the first names version and kind."""
+        """Compare the recorded entries with those that the re-simulation wrote; the first names version and kind."""
         end = self._end_ns
         # ordered ahead of its scan, a fault is compared only if the re-simulation has come to it
         due = [e for e in self._entries if whole or e.stamp_ns < end]
         count = 0
         for recorded, made in zip(self._entries[1:], self._made[1:], strict=False):
-            if not recorded.same(made):
-                self._journal_differs(f"row {recorded.sequence} at {_s(recorded.stamp_ns)} s: {_words(recorded, made)}")
+            if recorded.line() != made.line():
+                self._journal_differs(
+                    f"entry {recorded.sequence} at {_s(recorded.stamp_ns)} s: logged {_quoted(recorded)}, "
+                    f"re-simulated {_quoted(made)}"
+                )
                 return
             count += 1
         reached = [e for e in due if e.kind is not InputKind.FAULT]
         if reached and reached[-1].sequence >= len(self._made):
             extra = next(e for e in reached if e.sequence >= len(self._made))
             self._journal_differs(
-                f"row {extra.sequence} at {_s(extra.stamp_ns)} s: no rig with this journal has written "
-                f"{extra.kind.value} {extra.key} {quoted(extra.value)}"
+                f"entry {extra.sequence} at {_s(extra.stamp_ns)} s: no rig with this journal has written "
+                f"{_quoted(extra)}"
             )
         elif len(self._made) > len(self._entries) and self._made[len(self._entries)].stamp_ns < end - lag_ns:
             missing = self._made[len(self._entries)]
-            self._journal_differs(f"the row {missing.kind.value} {missing.key} at {_s(missing.stamp_ns)} s is missing")
+            self._journal_differs(f"the entry {_quoted(missing)} at {_s(missing.stamp_ns)} s is missing")
         else:
             self._journal = attrs.evolve(self._journal, count=self._journal.count + count + 1)
 
@@ -737,6 +738,5 @@ def _deciding(config: RigConfig) -> dict[str, object]:
     return {name: value for name, value in deciding_samples(to_flat(config)).items() if name != PLANNED}
 
 
-def _words(recorded: JournalRow, made: JournalRow) -> str:
-    one, other = (f"{entry.kind.value} {entry.key} {quoted(entry.value)} {entry.text!r}" for entry in (recorded, made))
-    return f"logged {one}, re-simulated {other}"
+def _quoted(entry: JournalEntry) -> str:
+    return entry.line().partition('"stamp_ns": ')[2].partition(", ")[2].rstrip("}") or entry.kind.value

@@ -40,6 +40,7 @@ from impact_rig.nodes.messages import header_stamp_ns
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
 from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.rig.journal import JournalEntry
 from impact_rig.testing.virtual_rig import SCANS, TOPICS, SteppedRig, configured
 
 NODE_TIMEOUT_S = 30.0  # how long a node under test may take to subscribe
@@ -183,6 +184,10 @@ class RosRig(SteppedRig):
             self.sample += (len(self._collectors[SCANS]) - before) * self.block_scans  # so far it came
             raise
         self.sample += blocks * self.block_scans
+
+    def journal(self) -> list[JournalEntry]:
+        """Return the entries of the journal that arrived, oldest first."""
+        return self._collectors["rig/journal"].entries()
 
     def tables(self, topic: str = SCANS) -> list[Table]:
         """Return what arrived on a table topic, see `TOPICS`, oldest first.

@@ -32,15 +32,17 @@ from impact_rig.blocks import Table
 from impact_rig.errors import CommandError, ConfigError, ImpactRigError, RecordingError
 from impact_rig.instruments.fault import Fault
 from impact_rig.instruments.section import SCAN
-from impact_rig.recording import CONFIGURATION, Attachment, Provenance, RunWriter, TopicDescription, schema_text
-from impact_rig.rig import Block, Rig
+from impact_rig.recording import CONFIGURATION, Attachment, Provenance, RunWriter, TopicDescription
+from impact_rig.rig import Block, Rig, journal
 from impact_rig.rig.config import RigConfig, dump, from_flat, to_flat
+from impact_rig.rig.journal import JournalEntry
 from impact_rig.simtime import NS_PER_S, TICKS_PER_S
 
 SCANS = topics.SCAN.name
 ESSENTIAL = (topics.INFO.name, topics.APPLIED.name, topics.JOURNAL.name)
 """Never forgotten: what they say holds until the next of them."""
 TOPICS = (SCANS, *ESSENTIAL, topics.IMPACTS_TRUTH.name, topics.FAULTS.name)
+TYPES = {topic.name: topic.type_name for topic in topics.COMMON}
 """Tables that every rig under test keeps, and that are in the run of a failed test."""
 _DEFAULTS = to_flat(RigConfig())
 _UNSAID = ("time.", "instruments.faults")  # the same in every test; told in words
@@ -280,9 +282,9 @@ class VirtualRig(SteppedRig):
         self.core = Rig(self.config)  # the rig itself, for what is not offered here (pluck, stop, clear_trip, ...)
         self._injected: list[Fault] = []
         self._listeners: list[Listener] = []
-        self._kept: dict[str, deque[Table]] = {topic: deque() for topic in TOPICS}
-        self._order: deque[tuple[str, Table]] = deque()
-        self._early: list[tuple[str, Table]] = []
+        self._kept: dict[str, deque[Any]] = {topic: deque() for topic in TOPICS}
+        self._order: deque[tuple[str, Table | JournalEntry]] = deque()
+        self._early: list[tuple[str, Table | JournalEntry]] = []
         self._bytes = 0
         self._keep(topics.INFO.name, self.core.info())
         self._changes()
@@ -304,6 +306,10 @@ class VirtualRig(SteppedRig):
     def tables(self, topic: str = SCANS) -> list[Table]:
         """Return what was published on a table topic, see `TOPICS`, oldest first."""
         return list(self._kept[topic])
+
+    def journal(self) -> list[JournalEntry]:
+        """Return the entries of the journal, oldest first."""
+        return list(self._kept[topics.JOURNAL.name])
 
     def configure(self, changes: Mapping[str, Any]) -> RigConfig:
         """Change configuration values; see `SteppedRig`."""
@@ -333,7 +339,6 @@ class VirtualRig(SteppedRig):
         Raises:
             RecordingError: it cannot be written; the message interfaces (`sensor_msgs`) are needed for its schemas.
         """
-        schema = schema_text(topics.TABLE)
         provenance = Provenance(
             version=impact_rig.__version__,
             seed=self.config.daq.seed,
@@ -345,9 +350,10 @@ class VirtualRig(SteppedRig):
             raise RecordingError(f"{directory} exists: nothing is overwritten")
         with RunWriter(directory, provenance=provenance, attachments=(configuration,), clock=time.monotonic) as writer:
             for topic in TOPICS:
-                writer.add_topic(TopicDescription(name=f"/{topic}", type_name=topics.TABLE, schema=schema))
-            for topic, table in (*self._early, *self._order):
-                writer.write(f"/{topic}", codec.encode(table), provenance.wall_start_ns)
+                writer.add_topic(TopicDescription(name=f"/{topic}", type_name=TYPES[topic]))
+            for topic, one in (*self._early, *self._order):
+                data = journal.encode(one) if isinstance(one, JournalEntry) else codec.encode(one)
+                writer.write(f"/{topic}", data, provenance.wall_start_ns)
         return directory
 
     def close(self) -> None:
@@ -371,28 +377,26 @@ class VirtualRig(SteppedRig):
                 listener(block.scan)
 
     def _changes(self) -> None:
-        for topic, tables in (
-            (topics.JOURNAL.name, self.core.take_journal()),
-            (topics.APPLIED.name, self.core.take_applied()),
-        ):
-            for table in tables:
-                self._keep(topic, table)
+        for entry in self.core.take_journal():
+            self._keep(topics.JOURNAL.name, entry)
+        for table in self.core.take_applied():
+            self._keep(topics.APPLIED.name, table)
 
-    def _keep(self, topic: str, table: Table) -> None:
-        self._kept[topic].append(table)
-        self._order.append((topic, table))
-        self._bytes += table.rows.nbytes
+    def _keep(self, topic: str, one: Table | JournalEntry) -> None:
+        self._kept[topic].append(one)
+        self._order.append((topic, one))
+        self._bytes += one.rows.nbytes if isinstance(one, Table) else 0  # entries are few
         while self._bytes > KEPT_BYTES and len(self._order) > 1:
             self._forget()
 
     def _forget(self) -> None:
         """Drop the oldest table, unless it is of those few that a run is worth nothing without."""
-        topic, table = self._order.popleft()
-        if topic in ESSENTIAL:
-            self._early.append((topic, table))
+        topic, one = self._order.popleft()
+        if isinstance(one, JournalEntry) or topic in ESSENTIAL:
+            self._early.append((topic, one))
             return
         self._kept[topic].popleft()
-        self._bytes -= table.rows.nbytes
+        self._bytes -= one.rows.nbytes
         if topic == SCANS:
             self._kept_from = first_scan(self._kept[SCANS][0], self._start_ns(), self.rate_hz)
 

@@ -36,6 +36,7 @@ from impact_rig.recording import Run, is_measured
 from impact_rig.rig import InputKind, Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.gaps import NO_SPHERE
+from impact_rig.runs import recorded_journal
 from impact_rig.runs.wholes import calibration_rows, last_record
 from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Regime
@@ -222,13 +223,11 @@ def recorded_decay(run: Run, method: DecayMethod = fit_decay) -> Decay:
         return measure_decay(record.rows[begin:], calibration_rows(run), method)
     begin_ns: int | None = None
     end_ns = math.inf
-    for table in run.tables(topics.JOURNAL.name, recorded_order=True):
-        for row in table.rows:
-            at_ns = table.stamp_ns + round(float(row["time"]) * NS_PER_S)
-            if row["kind"] == InputKind.PLUCK.value.encode():
-                begin_ns, end_ns = at_ns, math.inf
-            elif row["kind"] == InputKind.RESET.value.encode():
-                end_ns = min(end_ns, at_ns)
+    for entry in recorded_journal.of_run(run):
+        if entry.kind is InputKind.PLUCK:
+            begin_ns, end_ns = entry.stamp_ns, math.inf
+        elif entry.kind is InputKind.RESET:
+            end_ns = min(end_ns, entry.stamp_ns)
     if begin_ns is None:
         raise RecordingError(f"{run.path}: nothing was plucked in this run (rig/pluck)")
     info = list(run.tables(topics.INFO.name, recorded_order=True))[-1]

@@ -35,6 +35,7 @@ from impact_rig.physics.contact.law import compiled_force
 from impact_rig.physics.model import unit_parameters
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.rig.journal import BEGINNINGS
 from impact_rig.rig.monitors import AntiAlias
 from impact_rig.rig.truth import monitor_step
 from impact_rig.simtime import NS_PER_S
@@ -167,8 +168,10 @@ def _rig(run: Run) -> Streams:
                 tables.setdefault(topic, []).extend([table] if table is not None else [])
         if second < run.seconds:
             rig.accept(frequency_hz, amplitude)
-    tables[topics.JOURNAL.name], tables[topics.APPLIED.name] = rig.take_journal(), rig.take_applied()
-    return {topic: _rows(found) for topic, found in sorted(tables.items()) if found}
+    tables[topics.APPLIED.name] = rig.take_applied()
+    entries = [attrs.evolve(entry, text="") if entry.kind in BEGINNINGS else entry for entry in rig.take_journal()]
+    journal = {topics.JOURNAL.name: np.array([(entry.line().encode(),) for entry in entries], [("line", "S4096")])}
+    return dict(sorted((journal | {topic: _rows(found) for topic, found in tables.items() if found}).items()))
 
 
 def _contacts() -> NDArray[np.void]:
@@ -183,8 +186,5 @@ def _contacts() -> NDArray[np.void]:
 
 
 def _rows(tables: list[Table]) -> NDArray[np.void]:
-    """Return all rows without gaps between their columns; what names the version of the package is blanked."""
-    rows = repack_fields(np.concatenate([table.rows for table in tables]))
-    if "kind" in rows.dtype.names and "text" in rows.dtype.names:
-        rows["text"][np.isin(rows["kind"], [b"start", b"reset"])] = b""
-    return rows
+    """Return all rows without gaps between their columns."""
+    return repack_fields(np.concatenate([table.rows for table in tables]))

@@ -261,7 +261,7 @@ def test_a_huge_point_without_rows_allocates_nothing():
     assert len(decode(bytes(Message(point_step=2**31 - 1, width=0, row_step=0, data=b""))).rows) == 0
 
 
-@pytest.mark.parametrize("name", ["IMPACTS", "JOURNAL"])
+@pytest.mark.parametrize("name", ["IMPACTS", "FAULTS"])
 def test_every_truncation_is_refused(name):
     data = encode(Table(1, np.zeros(2, TABLE_DTYPES[name])))
     for length in range(len(data)):
@@ -269,7 +269,7 @@ def test_every_truncation_is_refused(name):
             decode(data[:length])
 
 
-@pytest.mark.parametrize("name", ["IMPACTS", "JOURNAL"])
+@pytest.mark.parametrize("name", ["IMPACTS", "FAULTS"])
 def test_no_flipped_bit_crashes(name):
     """A flip in the data or a name gives another table; any other is refused; nothing else may happen."""
     data = bytearray(encode(Table(1, np.zeros(2, TABLE_DTYPES[name]))))
@@ -412,8 +412,8 @@ def test_each_column_that_is_missing_or_of_another_type_is_named_or_filled(topic
         (topics.INFO, "rate", 1e12, "rate must be a number from 1 to 1000000, got 1000000000000.0 in row 1"),
         (topics.INFO, "since_start", 1e300, "since_start must be"),
         (topics.INFO, "name", b"\xff", r"daq/info: name must be UTF-8, got b'\xff' in row 1"),
-        (topics.JOURNAL, "sequence", 0.5, "sequence must be a whole number from 0 to 9007199254740992, got 0.5"),
-        (topics.JOURNAL, "sample", -1.0, "rig/journal: sample must be"),
+        (topics.APPLIED, "sample", 0.5, "sample must be a whole number from 0 to 9007199254740992, got 0.5"),
+        (topics.APPLIED, "sample", -1.0, "shaker/applied: sample must be"),
         (topics.TRANSMISSIBILITY_TABLE, "waited", np.nan, "transmissibility/table: waited must be"),
         (topics.TRANSMISSIBILITY_TABLE, "waited", 1e308, "got 1e+308 in row 1"),
     ],

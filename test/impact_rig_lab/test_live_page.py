@@ -78,8 +78,8 @@ class Lab:
     def journal(self) -> list[tuple[str, str, float]]:
         """Kinds, keys and values of the journal so far."""
         self.client.spin_for(0.0)
-        rows = self.topics["rig/journal"].rows()
-        return [(r["kind"].decode(), r["key"].decode(), float(r["value"])) for r in rows]
+        entries = self.topics["rig/journal"].entries()
+        return [(entry.kind.value, entry.name, entry.value or 0.0) for entry in entries]
 
     def until(self, condition: Callable[[], Any], what: str) -> Any:
         """Wait on the ROS side; in vain, say what the page shows."""

@@ -31,8 +31,9 @@ from impact_rig.errors import CodecError, RecordingError
 from impact_rig.instruments.fault import Fault
 from impact_rig.instruments.instrument import FAULT_KINDS
 from impact_rig.physics.contact import LAWS
-from impact_rig.rig import Rig
+from impact_rig.rig import Rig, journal
 from impact_rig.rig.config import RigConfig
+from impact_rig.rig.journal import InputKind, JournalEntry
 from impact_rig.states import Regime, Status
 from impact_rig_lab.protocol import FrameKind, RequestError, json_frame, parse
 from impact_rig_lab.record import Curve, Faults, MotionBuffer, RigHistory, RigView, plain, scan_rate
@@ -208,12 +209,11 @@ def test_a_measurement_holds_until_the_rig_is_changed_and_again_from_a_row_that_
     row["status"], row["frequency"], row["cycles"], row["gap"] = b"ok", 10.0, 40.0, 0.006
 
     def told(second: int, kind: str, key: str) -> None:
-        entry = np.zeros(1, topics.JOURNAL.columns)
-        entry["kind"], entry["key"], entry["sequence"] = kind, key, second
-        record.journal.add(Table(second * 10**9, entry))
+        fault = Fault(kind=key, channel="laser") if kind == "fault" else None
+        record.journal.add(JournalEntry(second, InputKind(kind), 0, second * 10**9, name=key, value=1.0, fault=fault))
 
     for second, what, doubts in (
-        (2, ("command", "frequency"), []), (6, None, []), (7, ("fault", "dropout/laser"), []),
+        (2, ("command", "frequency"), []), (6, None, []), (7, ("fault", "dropout"), []),
         (8, ("parameter", "contact.restitution"), ["contact.restitution was changed after it began"]),
         (10, None, ["contact.restitution was changed after it began"]), (12, None, []),
         (13, ("reset", ""), ["reset was changed after it began"]),
@@ -277,12 +277,11 @@ def test_a_label_that_is_not_the_gap_of_the_rig_speaks_against_a_measurement() -
 
 
 def test_a_fault_of_before_a_reset_is_not_in_force_in_playback() -> None:
-    record, entry, fault = RigView(None), np.zeros(1, topics.JOURNAL.columns), np.zeros(1, topics.FAULTS.columns)
+    record, fault = RigView(None), np.zeros(1, topics.FAULTS.columns)
     fault["kind"], fault["channel"], fault["active"] = b"stuck", b"laser", 1
     record.take(topics.FAULTS, encode(Table(3 * 10**9, fault)))
-    for second, kind in ((1, b"start"), (5, b"reset")):
-        entry["kind"], entry["sequence"] = kind, second
-        record.take(topics.JOURNAL, encode(Table(second * 10**9, entry)))
+    for second, kind in ((1, InputKind.START), (5, InputKind.RESET)):
+        record.take(topics.JOURNAL, journal.encode(JournalEntry(0, kind, 0, second * 10**9)))
     assert record.refused == {}
     found = [record.faults.in_force(record.since_ns(at), at) for at in (2 * 10**9, 4 * 10**9, 6 * 10**9)]
     assert [len(one) for one in found] == [0, 1, 0]

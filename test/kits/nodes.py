@@ -42,7 +42,7 @@ def same_as_resimulated(scans: Collector, journal: Collector) -> int:
     """Compare every published block with a re-simulation of the journal; return how many were compared."""
     tables = scans.tables()
     pure = {}
-    for block in resimulate(journal.tables()):
+    for block in resimulate(journal.entries()):
         pure[block.scan.stamp_ns] = block.scan.rows.tobytes()
         if block.scan.stamp_ns >= tables[-1].stamp_ns:
             break

@@ -31,15 +31,21 @@ from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import Table
 from impact_rig.instruments.fault import Fault
 from impact_rig.recording import Provenance, RunWriter, TopicDescription
-from impact_rig.rig import Rig
+from impact_rig.rig import Rig, journal
 from impact_rig.rig.config import RigConfig, dump, from_flat
+from impact_rig.rig.journal import JournalEntry
 from impact_rig.simtime import stamp_ns
 
 TICK = 10_000_000
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 STRING = "std_msgs/msg/String"
-KINDS = {"notes": STRING, "rig/configuration": STRING, "truth/joint_states": "sensor_msgs/msg/JointState"}
-Messages = list[tuple[str, Table]]
+KINDS = {
+    "notes": STRING,
+    "rig/configuration": STRING,
+    "rig/journal": STRING,
+    "truth/joint_states": "sensor_msgs/msg/JointState",
+}
+Messages = list[tuple[str, Any]]
 PROVENANCE = Provenance(version="0", seed=5, wall_start_ns=0)
 
 
@@ -54,12 +60,15 @@ def published(rig: Rig, blocks: int) -> Messages:
     return found
 
 
-def edited(found: Messages, topic: str, change: Callable[[np.ndarray], np.ndarray | None]) -> Messages:
-    """Messages with the rows of a topic's tables passed through `change` (None: the table is left out)."""
+def edited(found: Messages, topic: str, change: Callable[[Any], Any]) -> Messages:
+    """Messages with a topic's entries or the rows of its tables passed through `change` (None: it is left out)."""
     result: Messages = []
     for name, table in found:
         if name != topic:
             result.append((name, table))
+        elif isinstance(table, JournalEntry):
+            changed = change(table)
+            result += [(name, changed)] * (changed is not None)
         elif (rows := change(table.rows.copy())) is not None:
             result.append((name, attrs.evolve(table, rows=rows)))
     return result
@@ -183,7 +192,10 @@ def record(directory: Path, found: Iterable[tuple[str, Any]], provenance: Proven
             writer.add_topic(TopicDescription(name=f"/rig/{name}", type_name=kind))
         newest_ns = 0
         for name, one in found:
-            data = codec.encode(one) if isinstance(one, Table) else one.encoded()
+            if isinstance(one, JournalEntry):
+                data = journal.encode(one)
+            else:
+                data = codec.encode(one) if isinstance(one, Table) else one.encoded()
             newest_ns = max(newest_ns, one.stamp_ns)
             # a label's stamp says since when it holds, not when it was published
             writer.write(f"/rig/{name}", data, newest_ns if name == "analysis/settings" else one.stamp_ns)

@@ -20,10 +20,10 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.lib.recfunctions import repack_fields
 
-from impact_rig.blocks import Table
 from impact_rig.instruments.section import CHANNELS
 from impact_rig.rig import Block, resimulate
 from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.rig.journal import JournalEntry
 from impact_rig.simtime import COMMAND_GRID_NS
 
 TICK = COMMAND_GRID_NS
@@ -58,7 +58,7 @@ def same(one: np.ndarray, other: np.ndarray) -> bool:
     return one.tobytes() == other.tobytes()
 
 
-def resimulated(blocks: list[Block], journal: Iterable[Table]) -> list[Block]:
+def resimulated(blocks: list[Block], journal: Iterable[JournalEntry]) -> list[Block]:
     """Return what the journal gives for these blocks; it must be them, scan by scan and stamp by stamp."""
     copies = [copy for copy, _ in zip(resimulate(journal), blocks, strict=False)]
     for copy, block in zip(copies, blocks, strict=True):

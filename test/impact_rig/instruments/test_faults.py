@@ -214,36 +214,6 @@ def test_nonsense_is_refused_by_name(fault, message):
         Fault(**fault)
 
 
-def test_a_journal_row_gives_the_fault_again():
-    fault = Fault(kind="added_noise", channel="accelerometer", start_sample=7, samples=123_456_789, value=0.25, seed=99)
-    key, value, text = fault.journal()
-    assert len(key.encode()) <= 32
-    assert len(text.encode()) <= 32
-    assert Fault.from_journal(key, value, text, 7) == fault
-    for wrong in (("stuck", 0.0, "1/2/3"), ("stuck/base", 0.0, "1/x/3")):
-        with pytest.raises(CommandError, match="not a fault of a journal"):
-            Fault.from_journal(*wrong, 0)
-
-
-WHOLE = st.integers(0, 2**53)
-
-
-@given(WHOLE, WHOLE, WHOLE, st.floats(allow_nan=False, allow_infinity=False), st.floats(1e-300, 1e300))
-def test_every_number_comes_back_from_the_journal_exactly(start, samples, seed, value, rate):
-    """A rate of 100/3 Hz once came back as 33.3333, and the re-simulation differed."""
-    fault = Fault(
-        kind="spike_train", channel="laser", start_sample=start, samples=samples, seed=seed, value=value, rate_hz=rate
-    )
-    key, number, text = fault.journal()
-    assert len(text.encode()) <= 32
-    assert Fault.from_journal(key, number, text, start) == fault
-
-
-def test_a_journal_of_before_is_read():
-    old = Fault.from_journal("spike_train/laser", 1e-3, "300/7/33.3333", 4000)
-    assert (old.samples, old.seed, old.rate_hz) == (300, 7, 33.3333)
-
-
 @given(
     st.integers(0, 10**9), st.integers(0, 10**9), st.integers(100, 250_000), st.floats(-1e3, 1e3), st.floats(1e-3, 1e5)
 )

@@ -32,6 +32,7 @@ from impact_rig.nodes import session
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
 from impact_rig.recording import open_run
+from impact_rig.runs import recorded_journal
 from impact_rig.runs.verification import verify
 
 pytestmark = pytest.mark.ros
@@ -67,7 +68,7 @@ def test_a_recorded_trip_latches_until_cleared_and_verifies_bit_for_bit(client: 
     client.step(50)
     client.trigger("recorder/stop")
     with open_run(tmp_path / "run") as run:
-        kinds = [bytes(row["kind"]).decode() for table in run.tables("rig/journal") for row in table.rows]
+        kinds = [entry.kind.value for entry in recorded_journal.of_run(run)]
         assert kinds[-4:] == ["command", "trip", "clear_trip", "command"]
         verdict = verify(run)
     assert (verdict.identical, verdict.scans) == (True, 45_000), verdict
@@ -91,7 +92,7 @@ def test_a_latch_survives_leaving_the_active_state(client: Client, by: str, thro
     applied = client.collect("shaker/applied")
     client.step(100)
     assert told(client, node)["latched"].startswith("emergency" if by == "stop" else by)
-    client.wait_until(lambda: len(journal.rows()) and b"stop" in journal.rows()["kind"], "the stop in the journal")
+    client.wait_until(lambda: "stop" in [entry.kind.value for entry in journal.entries()], "the stop in the journal")
     client.wait_until(lambda: len(applied.rows()) and applied.rows()["current"][-1] == 0.0, "the amplitude zero")
     assert abs(float(node._session.rig.simulation.stored_energy())) < 1e-12
     with pytest.raises(CommandError, match="clear_trip"):

@@ -42,7 +42,7 @@ from impact_rig.nodes import messages
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.recording import open_run
 from impact_rig.recording.losses import RECORD_NAME, read_record
-from impact_rig.runs import info
+from impact_rig.runs import info, recorded_journal
 
 pytestmark = pytest.mark.ros
 
@@ -76,8 +76,9 @@ def test_a_run_holds_every_message_and_the_configuration(client: Client, tmp_pat
         assert stamps == [k * 10_000_000 for k in range(50)]
         names = {name.lstrip("/") for name in run.topics}
         assert names >= {"daq/info", "rig/journal", "rig/configuration", "shaker/applied", "accelerometer", "notes"}
-        journal = [row["kind"] for table in run.tables("rig/journal") for row in table.rows]
-        assert journal == [b"start", b"initial", b"initial", b"command", b"command"]
+        entries = list(recorded_journal.of_run(run))
+        assert [entry.kind.value for entry in entries] == ["start", "command", "command"]
+        assert entries[0].values["barriers.gap_m"] == 0.002
         times = [message.log_time for message in run.messages()]
         assert max(times) < 10**9, "rig time, not the system's"
 

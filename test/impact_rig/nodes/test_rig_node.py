@@ -30,6 +30,7 @@ from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig, from_flat, load
+from impact_rig.rig.journal import InputKind
 from impact_rig.topics import Topic
 
 pytestmark = pytest.mark.ros
@@ -55,16 +56,10 @@ def test_reset_begins_a_new_journal_and_stamps_go_on(client: Client) -> None:
     assert [table.stamp_ns for table in scans.tables()] == [k * TICK for k in range(10)]
     first, second = ([t.rows.tobytes() for t in scans.tables()[k : k + 5]] for k in (0, 5))
     assert first == second, "as new"
-    rows = journal.rows()
-    assert [bytes(kind) for kind in rows["kind"]] == [
-        b"start",
-        b"initial",
-        b"initial",
-        b"reset",
-        b"initial",
-        b"initial",
-    ]
-    assert rows["sequence"].tolist() == [0, 1, 2, 0, 1, 2]
+    begun, again = journal.entries()
+    assert (begun.kind, again.kind) == (InputKind.START, InputKind.RESET)
+    assert (begun.sequence, again.sequence) == (0, 0)
+    assert begun.values == again.values
 
 
 def test_a_late_subscriber_gets_calibration_configuration_journal_and_present_command(client: Client) -> None:
@@ -78,7 +73,7 @@ def test_a_late_subscriber_gets_calibration_configuration_journal_and_present_co
     client.wait_until(lambda: {n: len(c) for n, c in late.items()} == expected, "what was published before")
     assert late["daq/info"].rows()["name"].tolist() == [b"accelerometer", b"laser", b"base", b"current"]
     assert late["shaker/applied"].rows()[["frequency", "current"]].tolist() == [(9.1, 0.0), (8.0, 0.0), (8.0, 0.2)]
-    assert late["rig/journal"].rows()["key"].tolist() == [b"", b"frequency", b"current"]
+    assert [entry.name for entry in late["rig/journal"].entries()] == ["", "frequency", "current"]
 
 
 def test_the_scans_of_a_block_are_published_after_the_rest_of_it(

@@ -31,7 +31,7 @@ from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
 from impact_rig.nodes.session import NamespaceLock
 from impact_rig.recording import open_run
-from impact_rig.runs import info
+from impact_rig.runs import info, recorded_journal
 
 pytestmark = pytest.mark.ros
 LEVELS = {"ok": b"\0", "warn": b"\1", "error": b"\2"}
@@ -55,7 +55,7 @@ def test_a_realtime_recording_begins_with_scan_0(client: Client, tmp_path) -> No
     with open_run(tmp_path / "run") as run:
         (calibration,) = run.tables("daq/info")
         first = next(run.tables("daq/scan"))
-        journal = next(run.tables("rig/journal"))
+        journal = next(recorded_journal.of_run(run))
     assert calibration.rows["since_start"][0] == 0.0
     assert first.stamp_ns == calibration.stamp_ns == journal.stamp_ns
     assert info(tmp_path / "run").intact
@@ -95,7 +95,7 @@ def test_a_rig_that_is_not_alone_says_by_whom_and_goes_on(client: Client, topic:
 
 def starts(journal: Collector) -> int:
     """Return how many starts a journal holds."""
-    return [row["kind"] for row in journal.rows()].count(b"start")
+    return [entry.kind.value for entry in journal.entries()].count("start")
 
 
 @pytest.mark.parametrize("mode", ["realtime", "stepped"])

@@ -128,9 +128,9 @@ def test_a_flood_of_commands_leaves_order_and_a_whole_journal(client: Client) ->
         publisher.publish(Float64(data=10.0 + k / 1000))
         if k % 20 == 0:
             client.executor.spin_once(timeout_sec=0.0)
-    client.wait_until(lambda: (newest := journal.last()) and newest.rows["value"][-1] == 12.999, "the last command")
+    client.wait_until(lambda: journal.entries(-1)[0].value == 12.999, "the last command")
     client.pause()
-    values = journal.rows()["value"][1:]
+    values = [entry.value for entry in journal.entries(1)]
     assert np.all(np.diff(values) >= 0)
     assert same_as_resimulated(scans, journal) > 0
 
@@ -142,8 +142,8 @@ def test_a_parameter_changes_at_a_command_instant_and_is_journaled(client: Clien
     client.step(7)
     client.set_parameters("rig", {"barriers.gap_m": 0.004, "output.monitor_rate_hz": 20.0})
     client.wait_until(lambda: len(journal) == 2, "the journal")
-    (row,) = journal.tables()[1].rows
-    assert (row["kind"], row["key"], row["value"], row["sample"]) == (b"parameter", b"barriers.gap_m", 0.004, 700)
+    (entry,) = journal.entries(1)
+    assert (entry.kind.value, dict(entry.values), entry.sample) == ("parameter", {"barriers.gap_m": 0.004}, 700)
     with pytest.raises(ConfigError, match=r"barriers.gap_m must be >= 1e-06 and <= 1, got 6"):
         client.set_parameters("rig", {"barriers.gap_m": 6, "contact.law": "hertz"})
     assert client.get_parameters("rig", ["barriers.gap_m", "contact.law"]) == {

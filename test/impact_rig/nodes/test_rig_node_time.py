@@ -88,7 +88,7 @@ def test_other_modes_give_the_same_bits_for_the_same_journal(client: Client, mod
     client.trigger("rig/stop")
     client.wait_until(lambda: len(scans) > 60, "60 blocks")
     client.pause()
-    client.wait_until(lambda: b"stop" in journal.rows()["kind"], "the whole journal")
+    client.wait_until(lambda: "stop" in [entry.kind.value for entry in journal.entries()], "the whole journal")
     assert scans.lost() == 0
     stamps = [table.stamp_ns for table in scans.tables()]
     assert set(np.diff(stamps)) == {TICK}
@@ -120,7 +120,7 @@ def test_a_pause_is_answered_when_everything_out_was_processed(client: Client) -
     client.trigger("rig/reset")
     client.pause(False)
     client.wait_until(lambda: len(scans) > received, "blocks after the reset")
-    resets = [table.stamp_ns for table in journal.tables() if table.rows["kind"][0] == b"reset"]
+    resets = [entry.stamp_ns for entry in journal.entries() if entry.kind.value == "reset"]
     assert [scans.tables()[received].stamp_ns] == resets, "the next block is the first after the reset"
 
 

@@ -35,6 +35,7 @@ pytest.importorskip("rclpy", reason="no ROS 2 here")
 
 from impact_rig.client import Client, Processes, isolated_domain
 from impact_rig.recording import open_run
+from impact_rig.rig.journal import InputKind
 from impact_rig.runs import info
 from impact_rig.runs.verification import verify
 
@@ -93,8 +94,7 @@ class Bench:
 
     def told(self, key: str) -> int:
         """How often the journal has told of the stream's `begin` or `end`."""
-        rows = self._journal.rows()
-        return int(((rows["kind"] == b"stream") & (rows["key"] == key.encode())).sum())
+        return sum(entry.kind is InputKind.STREAM and entry.name == key for entry in self._journal.entries())
 
     def wait(self, condition, what: str) -> None:
         self.client.wait_until(condition, what, 60.0)

@@ -73,8 +73,8 @@ def test_a_command_to_a_dead_rig_is_over_and_moves_no_later_one(driven: tuple[Cl
         lambda: (f := client.figures("rig")).get("state") == "at_rest" and float(f["rig_time_s"]) > 1.0 and f, "the rig"
     )
     assert found["current_a"] == "0"
-    client.wait_until(lambda: len(journal.rows()) > 0, "the journal")
-    assert [row["kind"] for row in journal.rows()] == [b"start"]
+    client.wait_until(lambda: len(journal) > 0, "the journal")
+    assert [entry.kind.value for entry in journal.entries()] == ["start"]
     assert client.command(current_a=0.2)["current"] == 0.2, "and this one is its own"
 
 
@@ -98,7 +98,7 @@ def test_what_was_given_to_a_suspended_rig_is_not_done_when_it_goes_on(tmp_path:
             client.wait_active("rig")
             drive(client, 0.1)
             journal = client.collect("rig/journal")
-            currents = lambda: [row["value"] for row in journal.rows() if row["key"] == b"current"]  # noqa: E731
+            currents = lambda: [entry.value for entry in journal.entries() if entry.name == "current"]  # noqa: E731
             client.wait_until(lambda: currents() == [0.1], "the journal, which goes its own way")
             rig = processes.running["rig"]
             rig.signal(signal.SIGSTOP)

@@ -29,7 +29,7 @@ from impact_rig.analysis.tracker import Tracker
 from impact_rig.client import Client, ProcessDiedError, Processes, isolated_domain
 from impact_rig.recording import open_run
 from impact_rig.rig import resimulate
-from impact_rig.runs import info, reanalysis, recover
+from impact_rig.runs import info, reanalysis, recorded_journal, recover
 from impact_rig.runs.reanalysis import compare
 from impact_rig.runs.verification import verify
 from impact_rig.simtime import NS_PER_S
@@ -79,7 +79,7 @@ def test_a_stepped_run_is_whole_and_is_what_its_journal_says(
         recorded = list(run.tables("daq/scan"))
         assert [table.stamp_ns for table in recorded] == [k * TICK for k in range(1620)]
         assert [t.rows.tobytes() for t in recorded] == [t.rows.tobytes() for t in scans.tables()]
-        journal = list(run.tables("rig/journal"))
+        journal = list(recorded_journal.of_run(run))
         for table, block in zip(recorded, resimulate(journal), strict=False):
             assert table.rows.tobytes() == block.scan.rows.tobytes(), f"block {block.number}"
         measured = np.concatenate([table.rows for table in run.tables("transmissibility/table")])

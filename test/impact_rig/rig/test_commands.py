@@ -26,7 +26,7 @@ from kits.rig import TICK, config, same, samples
 
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.rig import Block, Rig
-from impact_rig.rig.journal import InputKind, read
+from impact_rig.rig.journal import InputKind
 
 
 def test_a_command_acts_at_the_first_instant_not_yet_simulated(reference: list[Block]) -> None:
@@ -129,7 +129,7 @@ def test_the_drive_ramps_down_when_the_controller_dies() -> None:
     rig.advance(15 * TICK)
     rig.accept(amplitude=0.52)
     current = samples(rig.advance(60 * TICK))["current"]
-    at = [entry.sample for entry in read(rig.take_journal()) if entry.kind is InputKind.TIMEOUT]
+    at = [entry.sample for entry in rig.take_journal() if entry.kind is InputKind.TIMEOUT]
     assert at == [3500]
     assert np.abs(current[3500 + 1000 - 1500 :]).max() == 0
     rig.accept(amplitude=0.1)

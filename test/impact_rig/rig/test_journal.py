@@ -15,20 +15,22 @@
 
 from __future__ import annotations
 
-import numpy as np
+import json
+
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from kits.rig import START_NS, TICK, config, impacts, resimulated, same
 
-from impact_rig.blocks import JOURNAL, Table
 from impact_rig.errors import ConfigError
 from impact_rig.instruments.fault import Fault
 from impact_rig.rig import Block, Rig
-from impact_rig.rig.config import RigConfig, from_flat, to_flat
-from impact_rig.rig.journal import InputKind, JournalView, read, short_key, values_of
+from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.rig.journal import InputKind, JournalEntry, JournalView, last_journal
 from impact_rig.rig.resimulation import Resimulation
 
 
-def eventful(chosen: RigConfig, cuts: int) -> tuple[list[Block], list[Table], Rig]:
+def eventful(chosen: RigConfig, cuts: int) -> tuple[list[Block], list[JournalEntry], Rig]:
     """A run with every kind of input; `cuts` advances between two of them."""
     rig, blocks = Rig(chosen, START_NS), []
 
@@ -83,18 +85,18 @@ def test_a_fault_ordered_ahead_does_not_end_what_a_resimulation_is_given_before_
     again = Resimulation(rig.take_journal())
     again.finish(3 * TICK)
     assert [one.instruments.laser.lag_s for one in again.configurations] == [0.7e-3, 1e-3]
-    assert any(entry.kind is InputKind.FAULT for entry in read(again.rig.take_journal()))
+    assert any(entry.kind is InputKind.FAULT for entry in again.rig.take_journal())
 
 
-def test_a_journal_with_a_missing_row_is_refused() -> None:
+def test_a_journal_with_a_missing_entry_is_refused() -> None:
     _, journal, _ = eventful(config(), 1)
-    with pytest.raises(ConfigError, match=r"row 3 is missing"):
-        read([journal[0], *journal[2:]])
+    with pytest.raises(ConfigError, match=r"incomplete journal: entry 3 is missing \(found 4\)"):
+        last_journal([*journal[:3], *journal[4:]])
     with pytest.raises(ConfigError, match="empty"):
-        read([])
+        last_journal([])
 
 
-def test_journal_rows_carry_every_kind_of_value_exactly() -> None:
+def test_an_entry_carries_every_kind_of_value_exactly() -> None:
     changes = {
         "barriers.gap_m": 0.1 + 0.2,
         "daq.seed": 2**53,
@@ -102,53 +104,65 @@ def test_journal_rows_carry_every_kind_of_value_exactly() -> None:
         "contact.law": "lankarani_nikravesh",
         "instruments.faults.planned": ("stuck channel=laser start_s=1 duration_s=0.5", "lost_block start_s=2.5 seed=3"),
     }
-    rig = Rig(from_flat(RigConfig(), changes))
-    initial = [entry for entry in read(rig.take_journal()) if entry.kind is InputKind.INITIAL]
-    assert values_of(initial) == changes
+    (start,) = Rig(from_flat(RigConfig(), changes)).take_journal()
+    assert JournalEntry.from_line(start.line()).values == changes
 
 
-def test_short_keys_of_configuration_values_are_unique() -> None:
-    names = list(to_flat(RigConfig()))
-    assert len({short_key(name) for name in names}) == len(names)
-    assert all(len(short_key(name).encode()) <= 32 for name in names)
+def test_an_entry_is_one_json_object_that_leaves_out_what_it_does_not_say() -> None:
+    rig = Rig(config())
+    rig.take_journal()
+    rig.accept(frequency_hz=9.05)
+    (entry,) = rig.take_journal()
+    found = {"sequence": 1, "kind": "command", "sample": 0, "stamp_ns": 0, "name": "frequency", "value": 9.05}
+    assert json.loads(entry.line()) == found
 
 
-def test_a_view_follows_what_a_journal_says_table_by_table() -> None:
-    """What resimulation, playback and page read of it is the same: inputs whole, the state they leave behind."""
+def test_every_entry_comes_back_from_its_line() -> None:
+    _, journal, _ = eventful(config(), 1)
+    assert {entry.kind for entry in journal} > {InputKind.START, InputKind.FAULT, InputKind.PLUCK, InputKind.PARAMETER}
+    again = [JournalEntry.from_line(entry.line()) for entry in journal]
+    assert [entry.line() for entry in again] == [entry.line() for entry in journal]
+
+
+WHOLE = st.integers(0, 2**53)
+
+
+@given(WHOLE, WHOLE, WHOLE, st.floats(allow_nan=False, allow_infinity=False), st.floats(1e-300, 1e300))
+def test_every_number_of_a_fault_comes_back_exactly(start, samples, seed, value, rate):
+    fault = Fault(
+        kind="spike_train", channel="laser", start_sample=start, samples=samples, seed=seed, value=value, rate_hz=rate
+    )
+    entry = JournalEntry(3, InputKind.FAULT, start, 0, fault=fault)
+    assert JournalEntry.from_line(entry.line()).fault == fault
+
+
+def test_a_view_follows_a_journal_entry_by_entry() -> None:
+    """Re-simulation, playback and page read it alike: whole inputs, and the state that they leave behind."""
     rig = Rig(from_flat(RigConfig(), {"daq.seed": 5, "contact.law": "hunt_crossley"}), START_NS)
     view = JournalView()
 
-    def seen() -> list[InputKind]:
-        return [change.kind for table in rig.take_journal() for change in view.take(table)]
+    def followed() -> list[InputKind]:
+        entries = rig.take_journal()
+        for entry in entries:
+            view.follow(entry)
+        return [entry.kind for entry in entries]
 
     rig.advance(START_NS + 5 * TICK)
     rig.accept(frequency_hz=9.1, amplitude=0.3)
     rig.configure({"barriers.gap_m": 0.004, "sphere.present": True, "contact.law": "lankarani_nikravesh"})
-    assert seen() == [InputKind.START, InputKind.INITIAL, InputKind.COMMAND, InputKind.COMMAND, InputKind.PARAMETER]
+    assert followed() == [InputKind.START, InputKind.COMMAND, InputKind.COMMAND, InputKind.PARAMETER]
     assert view.start_ns == START_NS
     assert (view.configuration["daq.seed"], view.configuration["contact.law"]) == (5, "lankarani_nikravesh")
     assert view.configuration["barriers.gap_m"] == 0.004
     assert (view.drive, view.latched, view.plucked) == ({"frequency": 9.1, "current": 0.3}, None, False)
     rig.stop()
-    assert seen() == [InputKind.STOP]
+    assert followed() == [InputKind.STOP]
     assert view.latched is not None
     assert view.latched.kind is InputKind.STOP
     rig.clear_trip()
     rig.pluck(0.001)
-    assert seen() == [InputKind.CLEAR_TRIP, InputKind.PLUCK]
+    assert followed() == [InputKind.CLEAR_TRIP, InputKind.PLUCK]
     assert (view.latched, view.plucked) == (None, True)
     rig.reset()
-    assert seen()[0] is InputKind.RESET
+    assert followed()[0] is InputKind.RESET
     assert (view.plucked, view.drive, view.configuration["barriers.gap_m"]) == (False, {}, 0.004)
-
-
-def test_a_view_takes_nothing_of_a_table_it_does_not_understand() -> None:
-    view = JournalView()
-    rows = np.zeros(2, JOURNAL)
-    rows["kind"], rows["key"] = b"command", b"frequency"
-    view.take(Table(0, rows[:1]))
-    rows["kind"][1] = b"unheard"
-    for table in (Table(0, rows), Table(0, np.zeros(1, [("time", "f8")]))):
-        with pytest.raises(ConfigError, match=r"unknown kind 'unheard'|'sample', 'sequence', .* is missing"):
-            view.take(table)
-    assert view.drive == {"frequency": 0.0}

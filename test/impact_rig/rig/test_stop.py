@@ -23,11 +23,10 @@ import numpy as np
 import pytest
 from kits.rig import TICK, config, paper_rig, resimulated, samples
 
-from impact_rig.blocks import Table
 from impact_rig.errors import CommandError, ImpactRigError
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig
-from impact_rig.rig.journal import InputKind, read
+from impact_rig.rig.journal import InputKind, JournalEntry
 
 
 def test_the_emergency_stop_ramps_and_latches() -> None:
@@ -61,10 +60,10 @@ def test_over_travel_trips_within_a_tick_whatever_the_cut(step: int) -> None:
     rig, blocks = Rig(chosen), []
     while len(blocks) < 200:
         blocks += rig.advance((len(blocks) + step) * TICK)
-    entries = read(rig.take_journal())
+    entries = rig.take_journal()
     (trip,) = [entry for entry in entries if entry.kind is InputKind.TRIP]
     first = int(np.argmax(np.abs(travel(blocks)) > 0.002))
-    assert trip.key == "over_travel"
+    assert trip.name == "over_travel"
     assert first < trip.sample <= first + 100, "at the end of the tick in which the limit was exceeded"
     assert trip.value > 0.002
     assert rig.latched is not None
@@ -73,7 +72,7 @@ def test_over_travel_trips_within_a_tick_whatever_the_cut(step: int) -> None:
     resimulated(blocks, journal_of(chosen, 200))
 
 
-def journal_of(chosen: RigConfig, blocks: int) -> list[Table]:
+def journal_of(chosen: RigConfig, blocks: int) -> list[JournalEntry]:
     """The journal of the same rig, advanced in one go."""
     rig = Rig(chosen)
     rig.advance(blocks * TICK)
@@ -184,7 +183,7 @@ def test_the_interlock_watches_a_latched_shaker_and_reports_each_reason_once() -
     rig.stop()
     rig.configure({"shaker.travel_limit_m": 1e-4})
     blocks = rig.advance(200 * TICK)
-    trips = [row.key for row in read(rig.take_journal()) if row.kind is InputKind.TRIP]
+    trips = [row.name for row in rig.take_journal() if row.kind is InputKind.TRIP]
     assert trips == ["over_travel"]
     assert (rig.latched or "").startswith("over_travel")
     assert blocks

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.rig import Block, InputKind, Rig, resimulate
-from impact_rig.rig.journal import JournalRow, read
+from impact_rig.rig.journal import JournalEntry
 from impact_rig.rig.resimulation import Sent
 from impact_rig.simtime import NS_PER_S
 
@@ -87,9 +87,9 @@ def test_the_scan_rate_does_not_move_an_impact(reference):
     assert same(impacts(found), impacts(reference))
 
 
-def rows(rig: Rig, entries: list[JournalRow]) -> list[tuple[str, float, str]]:
-    entries += read(rig.take_journal()) if not entries else []
-    return [(e.key, e.value, e.text.decode()) for e in entries if e.kind is InputKind.STREAM]
+def rows(rig: Rig, entries: list[JournalEntry]) -> list[tuple[str, float, str]]:
+    entries += rig.take_journal() if not entries else []
+    return [(e.name, e.value, e.text) for e in entries if e.kind is InputKind.STREAM]
 
 
 def test_missing_samples_ramp_to_zero_and_are_told():
@@ -161,15 +161,15 @@ def test_an_underrun_hides_no_trip_of_the_interlock_in_the_same_tick():
     whole, cut = stream_rig(**limits), stream_rig(**limits)
     whole.feed(0, 10.0 * WAVE[:RATE_HZ])
     whole.advance(NS_PER_S)
-    (over,) = [row for row in read(whole.take_journal()) if row.kind is InputKind.TRIP]
-    assert over.key == "over_travel"
+    (over,) = [row for row in whole.take_journal() if row.kind is InputKind.TRIP]
+    assert over.name == "over_travel"
     last = over.sample - 20  # in the tick of the trip
     cut.feed(0, 10.0 * WAVE[:last])
     cut.advance(NS_PER_S)
-    journal = read(cut.take_journal())
-    assert [(row.key, row.value, row.text) for row in journal if row.key == "end"] == [("end", last, b"underrun")]
+    journal = cut.take_journal()
+    assert [(row.name, row.value, row.text) for row in journal if row.name == "end"] == [("end", last, "underrun")]
     (trip,) = [row for row in journal if row.kind is InputKind.TRIP]
-    assert (trip.key, trip.sample) == (over.key, over.sample)
+    assert (trip.name, trip.sample) == (over.name, over.sample)
 
 
 @pytest.mark.parametrize(

@@ -16,31 +16,38 @@
 from __future__ import annotations
 
 import csv
+import json
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
+from kits.recorded_rig import record as record_messages
 from kits.recording import APPLIED_TOPIC, SCAN_TOPIC, START_NS, fill, scan_block
 
 from impact_rig import codec
-from impact_rig.blocks import JOURNAL, Table
+from impact_rig.blocks import Table
 from impact_rig.errors import RecordingError
 from impact_rig.recording import open_run
+from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig
 from impact_rig.runs import export
 from impact_rig.runs.exports import write_columns
+from impact_rig.runs.recorded_journal import TOPIC
 
-JOURNAL_NAME = "/rig/rig/journal"
+TEXTS_NAME = "/rig/texts"
+THIRD_VERSION = Path(__file__).parents[2] / "data" / "third_version"
 
 
 @pytest.fixture
 def run(record):
     with record() as writer:
         fill(writer, 30)
-        writer.add_topic(type(SCAN_TOPIC)(name=JOURNAL_NAME, type_name=SCAN_TOPIC.type_name, schema=SCAN_TOPIC.schema))
-        rows = np.zeros(2, JOURNAL)
+        writer.add_topic(type(SCAN_TOPIC)(name=TEXTS_NAME, type_name=SCAN_TOPIC.type_name, schema=SCAN_TOPIC.schema))
+        rows = np.zeros(2, TOPIC.columns)
         rows["key"] = [b"barriers.gap_m", "µ".encode()]
         rows["value"] = [0.1 + 0.2, np.nan]
-        writer.write(JOURNAL_NAME, codec.encode(Table(START_NS, rows)), START_NS - 1)
+        writer.write(TEXTS_NAME, codec.encode(Table(START_NS, rows)), START_NS - 1)
     with open_run(writer.directory) as opened:
         yield opened
 
@@ -74,18 +81,33 @@ def test_csv_reads_back_to_the_same_bits(run, tmp_path):
 
 
 def test_text_becomes_text(run, tmp_path):
-    with export(run, "rig/journal", tmp_path / "journal.csv").open(newline="", encoding="utf-8") as file:
+    with export(run, "texts", tmp_path / "journal.csv").open(newline="", encoding="utf-8") as file:
         first, second = csv.DictReader(file)
     assert (first["key"], second["key"]) == ("barriers.gap_m", "µ")
     assert float(first["value"]) == 0.1 + 0.2
     assert second["value"] == "nan"
-    with np.load(export(run, "rig/journal", tmp_path / "journal.npz")) as found:
+    with np.load(export(run, "texts", tmp_path / "journal.npz")) as found:
         assert found["key"].tolist() == ["barriers.gap_m", "µ"]
+
+
+@pytest.mark.parametrize("is_table", [False, True], ids=["this version", "third version"])
+def test_a_journal_is_one_row_per_entry(tmp_path, is_table):
+    """A recording of the third version holds it as a table."""
+    rig = Rig(RigConfig())
+    rig.configure({"barriers.gap_m": 0.1 + 0.2})
+    found = [("rig/journal", entry) for entry in rig.take_journal()]
+    source = THIRD_VERSION if is_table else record_messages(tmp_path / "run", found)
+    with open_run(source) as run, export(run, "rig/journal", tmp_path / "journal.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["sequence"]) for row in rows][:1] == [0]
+    assert rows[0]["kind"] == "start"
+    if not is_table:
+        assert json.loads(rows[1]["values"]) == {"barriers.gap_m": 0.1 + 0.2}
 
 
 def test_rows_published_before_the_recording_began_are_marked(run, tmp_path):
     """Thirteen of sixteen rows of a run were those of the cases before it, and nothing said so."""
-    for topic, earlier in (("daq/scan", 0), ("rig/journal", 1)):
+    for topic, earlier in (("daq/scan", 0), ("texts", 1)):
         with np.load(export(run, topic, tmp_path / f"{earlier}.npz")) as found:
             assert (found["earlier"] == earlier).all()
 
@@ -98,7 +120,7 @@ def test_parquet(run, tmp_path):
     np.testing.assert_array_equal(table["stamp_ns"].to_numpy(), stamps)
     for name in rows.dtype.names:
         assert table[name].to_numpy().tobytes() == rows[name].tobytes()
-    journal = parquet.read_table(export(run, "rig/journal", tmp_path / "journal.parquet"))
+    journal = parquet.read_table(export(run, "texts", tmp_path / "journal.parquet"))
     assert journal["key"].to_pylist() == ["barriers.gap_m", "µ"]
 
 
@@ -201,7 +223,7 @@ def test_a_topic_without_messages_or_with_changing_columns_is_refused(record, tm
         writer.add_topic(SCAN_TOPIC)
         writer.add_topic(APPLIED_TOPIC)
         writer.write(SCAN_TOPIC.name, scan_block(0), 0)
-        writer.write(SCAN_TOPIC.name, codec.encode(Table(START_NS + 1, np.zeros(1, JOURNAL))), 0)
+        writer.write(SCAN_TOPIC.name, codec.encode(Table(START_NS + 1, np.zeros(1, TOPIC.columns))), 0)
     with open_run(writer.directory) as run:
         with pytest.raises(RecordingError, match="changes its columns at"):
             export(run, "daq/scan", tmp_path / "scan.csv")

@@ -18,7 +18,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import attrs
 import numpy as np
 import pytest
 import yaml
@@ -33,7 +32,7 @@ from impact_rig.cli.main import main
 from impact_rig.recording import TopicDescription, open_run
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
-from impact_rig.runs import info, reanalysis
+from impact_rig.runs import info, reanalysis, recorded_journal
 from impact_rig.runs.verification import verify
 from impact_rig.simtime import NS_PER_S, stamp_ns
 
@@ -244,9 +243,9 @@ def test_another_sample_that_is_missing_is_found(tmp_path: Path) -> None:
 def test_messages_of_third_kinds_keep_their_stamps(tmp_path: Path) -> None:
     found = messages(2)
     with open_run(record(tmp_path / "run", found)) as run:
-        for name in ("shaker/applied", "rig/journal"):
-            wanted = [attrs.astuple(table)[0] for topic, table in found if topic == name]
-            assert [table.stamp_ns for table in run.tables(name)] == wanted
+        wanted = [table.stamp_ns for topic, table in found if topic == "shaker/applied"]
+        assert [table.stamp_ns for table in run.tables("shaker/applied")] == wanted
+        assert list(recorded_journal.of_run(run)) == [entry for topic, entry in found if topic == "rig/journal"]
         assert codec.header_stamp_ns(next(run.messages(["daq/info"])).data) == 0
 
 

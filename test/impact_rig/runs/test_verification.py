@@ -17,18 +17,30 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import attrs
 import numpy as np
 import pytest
-from kits.recorded_rig import PROVENANCE, TICK, Messages, edited, everything, messages, published, record, spikes
+from kits.recorded_rig import (
+    PROVENANCE,
+    TICK,
+    Messages,
+    Remark,
+    edited,
+    everything,
+    messages,
+    published,
+    record,
+    spikes,
+)  # fmt: skip
 
 from impact_rig.arithmetic import ARITHMETIC
-from impact_rig.blocks import Table
 from impact_rig.cli import main
 from impact_rig.recording import Provenance, arithmetic_of, open_run
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.rig.journal import BEGINNINGS, InputKind, JournalEntry
 from impact_rig.runs import reanalysis, recover
 from impact_rig.runs.verification import Verification, verify
 
@@ -76,18 +88,16 @@ def test_one_changed_bit_is_named(whole: Messages, tmp_path: Path) -> None:
 
 
 def test_a_changed_command_or_seed_is_found_where_it_begins_to_matter(whole: Messages, tmp_path: Path) -> None:
-    def command(rows: np.ndarray) -> np.ndarray:
-        rows["value"][rows["key"] == b"current"] *= 1.001
-        return rows
+    def command(entry: JournalEntry) -> JournalEntry:
+        return attrs.evolve(entry, value=entry.value * 1.001) if entry.name == "current" else entry
 
     found = verdict(tmp_path / "command", edited(whole, "rig/journal", command))
     assert found.identical is False
     assert found.scans < 2_000
     assert "daq/scan at 0." in found.reason
 
-    def seed(rows: np.ndarray) -> np.ndarray:
-        rows["value"][rows["key"] == b"daq.seed"] = 6
-        return rows
+    def seed(entry: JournalEntry) -> JournalEntry:
+        return attrs.evolve(entry, values=entry.values | {"daq.seed": 6}) if "daq.seed" in entry.values else entry
 
     found = verdict(tmp_path / "seed", edited(whole, "rig/journal", seed))
     assert (found.identical, found.scans) == (False, 0)
@@ -100,24 +110,18 @@ def test_a_lost_block_is_a_difference(whole: Messages, tmp_path: Path) -> None:
     assert "the block at 0.500000000 s is missing" in found.reason
 
 
-def damaged(rows: np.ndarray) -> np.ndarray:
-    rows["sequence"][-1] = np.nan
-    return rows
-
-
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (lambda rows: rows[rows["sequence"] != 0], "row 0 is missing"),
-        (lambda rows: rows[rows["key"] != b"frequency"], "is missing"),
-        (lambda rows: rows[:0], "the journal is empty"),
-        (lambda rows: None, "no topic 'rig/journal'"),
-        (damaged, "sequence must be a whole number from 0"),
+        (lambda entry: entry if entry.sequence else None, "entry 0 is missing"),
+        (lambda entry: None if entry.name == "frequency" else entry, "is missing"),
+        (lambda entry: None, "no topic 'rig/journal'"),
+        (lambda entry: Remark(entry.line().replace('"sample": ', '"sample": -1'), entry.stamp_ns), "from 0 to 2**53"),
     ],
-    ids=["beginning", "middle", "empty", "none", "nan"],
+    ids=["beginning", "middle", "none", "negative"],
 )
 def test_without_its_whole_journal_a_run_is_not_verifiable(
-    whole: Messages, tmp_path: Path, change: Callable[[np.ndarray], np.ndarray | None], reason: str
+    whole: Messages, tmp_path: Path, change: Callable[[JournalEntry], Any], reason: str
 ) -> None:
     found = verdict(tmp_path, edited(whole, "rig/journal", change))
     assert found.identical is None
@@ -300,7 +304,7 @@ def test_everything_that_the_rig_published_is_compared_and_told_topic_by_topic(t
     for name in ("truth/scan", "truth/impacts", "truth/faults", "truth/joint_states", "daq/info", "rig/configuration"):
         assert counts[name] == published[name] > 0, name
     assert counts["shaker/applied"] == published["shaker/applied"]
-    assert counts["rig/journal"] == sum(len(table.rows) for name, table in told if name == "rig/journal")
+    assert counts["rig/journal"] == published["rig/journal"]
 
 
 @pytest.mark.parametrize("begun", [3, 80, 200], ids=lambda block: f"block {block}")
@@ -395,45 +399,36 @@ def test_a_session_that_came_back_to_its_first_configuration_is_not_accused(told
 
 def test_a_row_that_the_rig_itself_would_have_written_cannot_be_invented_or_removed(told, tmp_path: Path) -> None:
     """A trip is a result: the journal without it, or with one more, leads to other rows."""
-    tables = [place for place, (name, _) in enumerate(told) if name == "rig/journal"]
-    rows = np.concatenate([told[place][1].rows for place in tables])
-    assert b"trip" in rows["kind"]
+    assert any(name == "rig/journal" and one.kind is InputKind.TRIP for name, one in told)
 
-    def renumbered(change) -> list[tuple[str, object]]:
+    def renumbered(change: Callable[[JournalEntry], list[JournalEntry]]) -> list[tuple[str, object]]:
         result, sequence = [], -1
         for name, one in told:
-            if name != "rig/journal":
-                result.append((name, one))
-                continue
-            rows = change(one.rows.copy())
-            for row in rows:
-                sequence = 0 if row["kind"] in (b"start", b"reset") else sequence + 1
-                row["sequence"] = sequence
-            result.append((name, attrs.evolve(one, rows=rows)))
+            for entry in change(one) if name == "rig/journal" else ():
+                sequence = 0 if entry.kind in BEGINNINGS else sequence + 1
+                result.append((name, attrs.evolve(entry, sequence=sequence)))
+            result += [(name, one)] * (name != "rig/journal")
         return result
 
-    def invented(rows: np.ndarray) -> np.ndarray:
-        if b"frequency" not in rows["key"]:
-            return rows
-        trip = rows[:1].copy()
-        trip["kind"], trip["key"], trip["value"] = b"trip", b"over_travel", 0.007
-        return np.concatenate([rows, trip])
+    def invented(entry: JournalEntry) -> list[JournalEntry]:
+        trip = attrs.evolve(entry, kind=InputKind.TRIP, name="over_travel", value=0.007)
+        return [entry, trip] if entry.name == "frequency" else [entry]
 
     found = verdict(tmp_path / "invented", renumbered(invented))
     assert found.identical is False
-    assert found.reason.startswith("rig/journal: row ")
-    assert "trip over_travel" in found.reason
-    found = verdict(tmp_path / "removed", renumbered(lambda rows: rows[rows["kind"] != b"trip"]))
+    assert found.reason.startswith("rig/journal: entry ")
+    assert '"name": "over_travel"' in found.reason
+    found = verdict(tmp_path / "removed", renumbered(lambda entry: [entry] * (entry.kind is not InputKind.TRIP)))
     assert found.identical is False
-    assert "trip over_travel" in found.reason
+    assert '"name": "over_travel"' in found.reason
 
 
 def test_a_command_altered_by_less_than_a_step_of_the_converter_is_found(told, tmp_path: Path) -> None:
     """The scans are the same to the last bit; what was applied, and what is true, is not."""
 
-    def command(rows: np.ndarray) -> np.ndarray:
-        rows["value"][(rows["key"] == b"current") & (rows["value"] == 0.52)] = 0.520000000001
-        return rows
+    def command(entry: JournalEntry) -> JournalEntry:
+        altered = entry.name == "current" and entry.value == 0.52
+        return attrs.evolve(entry, value=0.520000000001) if altered else entry
 
     found = verdict(tmp_path, edited([one for one in told if one[0] != "truth/scan"], "rig/journal", command))
     assert found.identical is False
@@ -441,11 +436,11 @@ def test_a_command_altered_by_less_than_a_step_of_the_converter_is_found(told, t
 
 
 def test_what_somebody_else_published_on_the_journal_is_left_out_and_told(told, tmp_path: Path) -> None:
-    foreign = ("rig/journal", Table(0, np.zeros(1, [("value", "f8")])))
+    foreign = ("rig/journal", Remark('{"value": 1}', 0))
     found = verdict(tmp_path, [*told[:400], foreign, *told[400:]])
     assert found.identical, found.reason
     assert "rig/journal: " in str(found.topics[1])
-    assert "1 messages are no journal's" in str(found.topics[1])
+    assert "1 messages are not journal entries" in str(found.topics[1])
 
 
 @pytest.mark.parametrize(
@@ -453,7 +448,6 @@ def test_what_somebody_else_published_on_the_journal_is_left_out_and_told(told, 
     [
         ("daq/scan", lambda rows: without(rows, "laser"), "column 'laser' is missing"),
         ("daq/scan", lambda rows: without(rows, "time"), "column 'time' is missing"),
-        ("rig/journal", lambda rows: without(rows, "key"), "column 'key' is missing"),
         ("shaker/applied", lambda rows: without(rows, "phase"), "column 'phase' is missing"),
     ],
 )

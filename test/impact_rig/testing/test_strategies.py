@@ -83,7 +83,7 @@ def test_every_action_does_what_it_says():
         rig, lambda _: None,
         [Command(9.1, 0.5), Pause(5), Silence(10), Inject("lost_block", "", 2), Inject("saturation", "laser", 1, 1e-3)],
     )  # fmt: skip
-    kinds = {row["kind"].decode() for row in rig.rows("rig/journal")}
+    kinds = {entry.kind.value for entry in rig.journal()}
     assert {"command", "timeout", "parameter", "fault"} <= kinds
     assert sum(end - first for first, end in rig.lost_samples()) == 20
     assert rig.config.output.command_timeout_s == VirtualRig(QUICK).config.output.command_timeout_s
@@ -93,6 +93,6 @@ def test_every_action_does_what_it_says():
 def test_a_rig_on_ros_takes_the_same_scenario(ros_rig):
     rig = ros_rig(QUICK, hosted=True)
     repeat(rig, lambda _: None, [Command(9.1, 0.5), Pause(5), Silence(10), Inject("lost_block", blocks=2)])
-    kinds = {row["kind"].decode() for row in rig.rows("rig/journal")}
+    kinds = {entry.kind.value for entry in rig.journal()}
     assert {"command", "timeout", "parameter", "fault"} <= kinds
     assert sum(end - first for first, end in rig.lost_samples()) == 20

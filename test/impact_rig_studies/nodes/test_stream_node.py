@@ -47,6 +47,7 @@ from impact_rig.nodes.rig_node import RigNode
 from impact_rig.physics.stream import StreamState
 from impact_rig.recording import Run
 from impact_rig.rig import Rig
+from impact_rig.rig.journal import InputKind
 from impact_rig.runs.verification import verify
 from impact_rig.simtime import NS_PER_S
 from impact_rig.states import RigWord
@@ -183,11 +184,11 @@ def test_in_real_time_a_controller_that_dies_leaves_a_ramp_a_row_and_a_warning(c
             client.wait_until(lambda: rig.stream.buffered() == 1_000, "the samples")
 
     def kinds():
-        return [bytes(row["key"]) for table in journal.tables() for row in table.rows if row["kind"] == b"stream"]
+        return [entry.name for entry in journal.entries() if entry.kind is InputKind.STREAM]
 
     alive()
-    client.wait_until(lambda: b"end" in kinds(), "the end of the stream")
-    assert kinds()[:3] == [b"begin", b"crc32", b"end"]
+    client.wait_until(lambda: "end" in kinds(), "the end of the stream")
+    assert kinds()[:3] == ["begin", "crc32", "end"]
     client.wait_until(lambda: "no samples" in client.status("rig").message, "the warning")
     alive()
     client.wait_until(lambda: kinds().count(b"begin") == 2, "that it goes on")
@@ -335,7 +336,7 @@ def test_a_stop_while_a_controller_looks_for_readers_is_not_overlooked(
 
     def is_stopped(wire: OverTopics) -> bool:
         stop.call_async(Trigger.Request())
-        return b"stop" in wire._journal.rows()["kind"]
+        return any(entry.kind is InputKind.STOP for entry in wire._journal.entries())
 
     monkeypatch.setattr(OverTopics, "_finds_readers", is_stopped)
     wire = OverTopics(client)
