@@ -61,7 +61,7 @@ AWAITED = (topics.INFO, topics.APPLIED, topics.JOURNAL, topics.CONFIGURATION, to
 AWAIT_S = 2.0
 RESULTS = frozenset({topics.TRANSMISSIBILITY_TABLE.name, topics.CURVE.name, topics.HELD.name})
 """What was measured before a recording is latched, and none of its results: left out."""
-ONE_WRITER = {topic.name for topic in TOPICS if topic.columns is not None} | {topics.CONFIGURATION.name}
+ONE_WRITER = {one.name for one in TOPICS if one.columns is not None} | {topics.CONFIGURATION.name, topics.JOURNAL.name}
 """Topics that one node alone may write: of two a run could not be simulated or analysed again."""
 QUIET_S = 0.1  # a configuration this old is the one in force: who comes late is handed every earlier one first
 CALIBRATION = "calibration.yaml"
