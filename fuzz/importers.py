@@ -107,9 +107,8 @@ def _netcdf() -> bytes:
 
 def _uff() -> bytes:
     """Write it as `impact-rig export` does: its own columns, one dataset each."""
-    columns = {"stamp_ns": np.zeros(SCANS, np.int64), **COLUMNS}
     with tempfile.TemporaryDirectory() as folder:
-        return write_columns(lambda: iter([columns]), Path(folder) / "all.uff").read_bytes()
+        return write_columns(lambda: iter([COLUMNS]), Path(folder) / "all.uff").read_bytes()
 
 
 def _tdms() -> bytes:

@@ -148,14 +148,15 @@ def continued(directory: Path) -> Continued:
     except ImportError as error:
         raise ConfigError(f"{directory}: impact_rig_studies, which reads it, is not installed") from error
 
-    study, found = plan.stored(directory, plan.CONTINUE)
+    done = plan.open_study(directory, plan.CONTINUE)
+    study = done.plan
     if study.over != FREQUENCY:
         raise ConfigError(f"{directory}: branches over {study.over}: the page draws those over {FREQUENCY}")
     rig = to_flat(study.base)
     return Continued(
         values={name: rig[name] for name in DECIDING if name != "sphere.start"},
         amplitude=study.tasks[0].current_a,
-        lines=[line for _, rows in found for line in _parts(*figures.along(study, rows, "dt"))],
+        lines=[line for _, rows in done.found for line in _parts(*figures.along(study, rows, "dt"))],
         title=study.title,
     )
 

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Exporters of the points of a campaign and of a map, for `impact-rig export`."""
+"""Exporters of the tables in directories of campaigns, maps and dynamics, for `impact-rig export`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -24,40 +24,48 @@ from numpy.typing import NDArray
 from impact_rig.errors import RecordingError
 from impact_rig_studies.campaign.results import Point, table
 from impact_rig_studies.campaign.run import CAMPAIGN_FILE, open_finished
+from impact_rig_studies.campaign.tables import by_columns
+from impact_rig_studies.dynamics import plan as dynamics
 from impact_rig_studies.maps import run as maps
 
+POINTS = "points"
 Columns = dict[str, NDArray[np.generic]]
+Tables = Mapping[str, Callable[[str], Columns]]
+"""By name, what returns the columns for a file of a suffix."""
 
 
-def map_points(directory: Path) -> Callable[[str], Columns] | None:
-    """Return what gives the points of a map by columns; None: the directory is of something else."""
+def map_points(directory: Path) -> Tables | None:
+    """Return the table of a map; None: the directory is of something else."""
     if not maps.store(directory).file.exists():
         return None
-    return lambda _suffix: _columns(*maps.table(maps.open_map(directory)))
+    return {POINTS: lambda _suffix: by_columns(*maps.table(maps.open_map(directory)))}
 
 
-def campaign_points(directory: Path) -> Callable[[str], Columns] | None:
-    """Return what gives the points of a campaign by columns; None: the directory is of something else."""
+def study_rows(directory: Path) -> Tables | None:
+    """Return the tables of studies of dynamics, by kind; None: the directory is of something else.
+
+    A table that is alone has the name `points`, too.
+    """
+    if not dynamics.store(directory).file.exists():
+        return None
+
+    def of(kind: str) -> Callable[[str], Columns]:
+        return lambda _suffix: by_columns(*dynamics.open_study(directory, kind).table())
+
+    found = {kind: of(kind) for kind in dynamics.kinds(directory)}
+    return {**found, POINTS: next(iter(found.values()))} if len(found) == 1 else found
+
+
+def campaign_points(directory: Path) -> Tables | None:
+    """Return the table of a campaign; None: the directory is of something else."""
     if not (directory / CAMPAIGN_FILE).exists():
         return None
 
     def columns(suffix: str) -> Columns:
         points = open_finished(directory).points
-        by_name = _columns(*table(points))
-        return _response(points) if suffix == ".uff" else by_name
+        return _response(points) if suffix == ".uff" else by_columns(*table(points))
 
-    return columns
-
-
-def _columns(names: Sequence[str], rows: Sequence[Sequence[object]]) -> dict[str, NDArray[np.generic]]:
-    """Return a table by columns: numbers, or texts where a column has any."""
-    if not rows:
-        raise RecordingError("nothing was measured yet: there is no point to export")
-    found: dict[str, NDArray[np.generic]] = {}
-    for name, cells in zip(names, zip(*rows, strict=True), strict=True):
-        texts = any(isinstance(cell, str) for cell in cells)
-        found[name] = np.array([str(cell) for cell in cells] if texts else cells)
-    return found
+    return {POINTS: columns}
 
 
 def _response(points: Sequence[Point]) -> dict[str, NDArray[np.generic]]:

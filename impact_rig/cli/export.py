@@ -11,12 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig export`: a table topic of a run, the points of a campaign or a map as a file."""
+"""`impact-rig export`: a table of a run, a campaign, a map or a study of dynamics as a file."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from importlib import metadata
 from pathlib import Path
 
@@ -31,8 +31,9 @@ from impact_rig.runs.exports import write_columns
 
 FORMATS = ("csv", "npz", "parquet", "uff")
 Columns = dict[str, NDArray[np.generic]]
-Exporter = Callable[[Path], Callable[[str], Columns] | None]
-"""Takes a directory that is no run; returns what gives its points for a file of a suffix, None for another kind."""
+Exporter = Callable[[Path], Mapping[str, Callable[[str], Columns]] | None]
+"""Takes a directory that is no run; returns its tables by name, None for another kind of directory. A table is a
+function that returns the columns for a file of a suffix."""
 GROUP = "impact_rig.exporters"
 """Entry points by which packages bring their exporters of directories that are no runs, each an `Exporter`."""
 
@@ -44,15 +45,18 @@ def _exporters() -> Iterator[Exporter]:
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
     parser = subcommand(
-        commands, "export", _run, "write a table topic, a campaign or a map as .csv, .npz, .parquet or .uff",
+        commands, "export", _run, "write a table of a run, campaign, map or study as .csv, .npz, .parquet or .uff",
         [
             ("export runs/demo/gap_6mm transmissibility/table dt.csv", "what was measured"),
             ("export runs/demo/gap_6mm daq/scan scans.npz", "every scan, for NumPy"),
             ("export runs/campaign_paper points curves.uff", "curves as a universal file (dataset 58)"),
+            ("export runs/dynamics_nominal bifurcation rows.csv", "a study of dynamics"),
         ],
     )  # fmt: skip
-    add_run(parser, "a run, or the directory of a campaign or a map")
-    parser.add_argument("topic", help="e.g. transmissibility/table; points: of a campaign or a map")
+    add_run(parser, "a run, or the directory of a campaign, a map or studies of dynamics")
+    parser.add_argument(
+        "topic", help="e.g. transmissibility/table; points: of a campaign or a map; kind of study: of dynamics"
+    )
     parser.add_argument("target", type=Path, metavar="FILE", help="its suffix chooses the format")
     parser.add_argument("--format", choices=FORMATS, help="instead of a suffix, which is then appended")
 
@@ -61,11 +65,12 @@ def _run(arguments: argparse.Namespace) -> int:
     path, target = arguments.path, arguments.target
     if arguments.format and target.suffix != f".{arguments.format}":
         target = target.with_name(f"{target.name}.{arguments.format}")
-    points = next((found for exporter in _exporters() if (found := exporter(path)) is not None), None)
-    if points is not None:
-        if arguments.topic != "points":
-            raise ConfigError(f"of a campaign or a map there are points, got {arguments.topic!r}")
-        columns = points(target.suffix)
+    tables = next((found for exporter in _exporters() if (found := exporter(path)) is not None), None)
+    if tables is not None:
+        table = tables.get(arguments.topic)
+        if table is None:
+            raise ConfigError(f"{path} holds {', '.join(tables) or 'nothing yet'}, got {arguments.topic!r}")
+        columns = table(target.suffix)
         written = write_columns(lambda: iter([columns]), target)
     else:
         with open_run(path, arguments.rig) as run:

@@ -31,7 +31,7 @@ from collections import deque
 from collections.abc import Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, NamedTuple  # Any: what YAML may hold
+from typing import Any, NamedTuple  # Any: what YAML may hold, and types of libraries that need not be installed
 
 import attrs
 from mcap import records as mcap_records
@@ -41,7 +41,7 @@ from mcap.summary import Summary
 from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, RecordingError
-from impact_rig.recording import description, records, rigs
+from impact_rig.recording import columns, description, records, rigs
 from impact_rig.recording.description import RECORD_NAME, Attachment, TopicDescription, verify
 from impact_rig.recording.records import DamageError
 from impact_rig.system import budget, files
@@ -311,14 +311,34 @@ class Run:
                 f"{self.path}: {message.topic} at {message.log_time} ns is no table that can be read: {error}"
             ) from error
 
-    def published_tables(self, topic: str) -> Iterator[tuple[int, Table]]:
-        """Return the tables of a topic like `tables`, each with its publish time [ns of the system's clock].
+    def received_tables(self, topic: str) -> Iterator[tuple[Message, Table]]:
+        """Return the tables of a topic like `tables`, each with its message.
 
         Raises:
             RecordingError: as `tables`.
         """
         name = self._table_topic(topic)
-        return ((message.publish_time, self.table(message)) for message in self.messages([name]))
+        return ((message, self.table(message)) for message in self.messages([name]))
+
+    def to_dataframe(self, topic: str) -> Any:
+        """Return the rows of a table topic as a `pandas.DataFrame`.
+
+        Its columns are `time`, `timestamp` and `earlier` (see `impact_rig.recording.columns`) and those of the table.
+
+        Raises:
+            RecordingError: as `tables`; the topic holds no message or changes its columns.
+            ImpactRigError: pandas is not installed.
+        """
+        return columns.to_dataframe(self, topic)
+
+    def to_xarray(self, topic: str) -> Any:
+        """Return the rows of a table topic as an `xarray.Dataset` over `time`; variables name unit and meaning.
+
+        Raises:
+            RecordingError: as `tables`; the topic holds no message or changes its columns.
+            ImpactRigError: xarray is not installed.
+        """
+        return columns.to_xarray(self, topic)
 
     def _table_topic(self, topic: str | Topic) -> str:
         name = self.resolve(topic)

@@ -13,13 +13,11 @@
 # limitations under the License.
 """Table topics as files other programs read: CSV, NumPy's NPZ, Parquet, and universal files (dataset 58).
 
-Every row becomes one row, with the stamp of its message in front: `stamp_ns` is an exact integer, `time` counts from it
-in seconds. `earlier` is 1 where the message was published before the recording began: what a latched topic hands to a
-recorder that comes, such as the journal since the rig's start or the commands of cases before this run. Numbers in CSV
+The columns are those of `impact_rig.recording.columns`: time, date and `earlier`, then the table's own. Numbers in CSV
 are written so that reading them back gives the same bits.
 
-A universal file holds one dataset 58b (binary, double precision) per column of numbers: a time response over seconds
-since the first stamp. Of `transmissibility/table` and other tables with frequency, transmissibility and phase it is one
+A universal file holds one dataset 58b (binary, double precision) per column of numbers: a time response over `time`.
+Of `transmissibility/table` and other tables with frequency, transmissibility and phase it is one
 frequency response function more per gap, or per word in a column `curve`, complex, over the frequency: what modal
 analysis reads.
 """
@@ -27,7 +25,6 @@ analysis reads.
 from __future__ import annotations
 
 import csv
-import importlib
 import io
 import json
 import math
@@ -45,15 +42,12 @@ from numpy.typing import NDArray
 from impact_rig import topics
 from impact_rig.errors import RecordingError
 from impact_rig.names import csv_cell, file_name, one_line
+from impact_rig.recording.columns import EARLIER, TIME, Columns, batches, complete, first_scan_ns, is_earlier, leading
 from impact_rig.recording.reader import Run
 from impact_rig.runs import recorded_journal
-from impact_rig.simtime import NS_PER_S
-from impact_rig.system import files
+from impact_rig.system import extras, files
 
-STAMP, EARLIER, CURVE = "stamp_ns", "earlier", "curve"
-_BATCH_BYTES = 4 * 2**20  # a text takes four times as much when it is decoded, a number when it is written
-
-Columns = dict[str, NDArray[np.generic]]
+CURVE = "curve"
 
 
 def export(run: Run, topic: str, target: Path) -> Path:
@@ -89,39 +83,17 @@ def write_columns(batches: Callable[[], Iterator[Columns]], target: Path) -> Pat
 
 
 def _batches(run: Run, topic: str) -> Iterator[Columns]:
-    """Yield the columns of many messages at a time; text as str. At least one batch, empty if there are no rows."""
+    """Yield the columns of a table topic, or of the journal, many messages at a time."""
     if run.resolve(topic) == run.name(topics.JOURNAL):
         yield _journal_columns(run)
-        return
-    dtype: np.dtype[np.void] | None = None
-    rows: list[NDArray[np.void]] = []
-    stamps: list[NDArray[np.int64]] = []
-    earlier: list[NDArray[np.uint8]] = []
-    waiting = 0
-    began_ns = _wall_start_ns(run)
-    for published_ns, table in run.published_tables(topic):
-        if dtype is None:
-            dtype = table.rows.dtype
-        elif dtype != table.rows.dtype:
-            raise RecordingError(f"topic {topic} changes its columns at {table.stamp_ns} ns")
-        rows.append(table.rows)
-        stamps.append(np.full(len(table.rows), table.stamp_ns, np.int64))
-        earlier.append(np.full(len(table.rows), published_ns < began_ns, np.uint8))
-        waiting += table.rows.nbytes
-        if waiting >= _BATCH_BYTES:
-            yield _columns(rows, stamps, earlier)
-            rows, stamps, earlier, waiting = [], [], [], 0
-    if dtype is None:
-        raise RecordingError(f"topic {topic} holds no message, so its columns are not known")
-    if rows:
-        yield _columns(rows, stamps, earlier)
+    else:
+        yield from batches(run, topic)
 
 
 def _journal_columns(run: Run) -> Columns:
     """Return the journal, one row per entry; values and faults as JSON."""
-    began_ns = _wall_start_ns(run)
     found = [
-        (message.publish_time < began_ns, entry)
+        (is_earlier(run, message), entry)
         for message in run.messages([topics.JOURNAL.name], recorded_order=True)
         for entry in recorded_journal.entries(message)
     ]
@@ -130,36 +102,15 @@ def _journal_columns(run: Run) -> Columns:
         name: [one if isinstance(one := content.get(name, ""), str) else json.dumps(one) for content in contents]
         for name in ("kind", "name", "text", "values", "fault")
     }
+    stamps = np.array([entry.stamp_ns for _, entry in found], np.int64)
+    origin_ns = first_scan_ns(run, topics.JOURNAL.name)
     return {
-        STAMP: np.array([entry.stamp_ns for _, entry in found], np.int64),
-        EARLIER: np.array([is_earlier for is_earlier, _ in found], np.uint8),
+        **leading(stamps, np.zeros(len(found)), [one for one, _ in found], origin_ns),
         "sequence": np.array([entry.sequence for _, entry in found], np.int64),
         "sample": np.array([entry.sample for _, entry in found], np.int64),
         "value": np.array([math.nan if entry.value is None else entry.value for _, entry in found], np.float64),
         **{name: np.array(column, np.str_) for name, column in texts.items()},
     }
-
-
-def _wall_start_ns(run: Run) -> int:
-    """Return when the recording began; 0 where its recorder does not say."""
-    text = run.provenance.get("wall_start_ns", "")
-    return int(text) if text.isdecimal() else 0
-
-
-def _columns(
-    rows: list[NDArray[np.void]], stamps: list[NDArray[np.int64]], earlier: list[NDArray[np.uint8]]
-) -> Columns:
-    joined = np.concatenate(rows)
-    columns: Columns = {STAMP: np.concatenate(stamps), EARLIER: np.concatenate(earlier)}
-    for name in joined.dtype.names or ():
-        column = joined[name]
-        columns[name] = np.char.decode(column, "utf-8", "replace") if column.dtype.kind == "S" else column
-    return columns
-
-
-def _whole(batches: Iterator[Columns]) -> Columns:
-    parts = list(batches)
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def _write_csv(file: BinaryIO, batches: Iterator[Columns]) -> None:
@@ -168,15 +119,21 @@ def _write_csv(file: BinaryIO, batches: Iterator[Columns]) -> None:
     for number, columns in enumerate(batches):
         if number == 0:
             writer.writerow(map(csv_cell, columns))
-        cells = [column.tolist() for column in columns.values()]
-        texts = [column.dtype.kind == "U" for column in columns.values()]
-        plain = (map(csv_cell, column) if text else column for column, text in zip(cells, texts, strict=True))
-        writer.writerows(zip(*plain, strict=True))
+        plain = [_plain(column) for column in columns.values()]
+        cells = [column.tolist() for column in plain]
+        texts = [column.dtype.kind == "U" for column in plain]
+        shown = (map(csv_cell, column) if text else column for column, text in zip(cells, texts, strict=True))
+        writer.writerows(zip(*shown, strict=True))
     text.detach()
 
 
+def _plain(column: NDArray[np.generic]) -> NDArray[np.generic]:
+    """Return a column for a text file: dates as ISO 8601 has them, to the nanosecond."""
+    return np.datetime_as_string(column, unit="ns") if column.dtype.kind == "M" else column  # type: ignore[call-overload]
+
+
 def _write_npz(file: BinaryIO, batches: Iterator[Columns]) -> None:
-    columns = _whole(batches)
+    columns = complete(batches)
     # np.savez would take columns called `file` or `allow_pickle` for its own arguments
     with zipfile.ZipFile(file, "w") as archive:
         for name, column in columns.items():
@@ -185,10 +142,7 @@ def _write_npz(file: BinaryIO, batches: Iterator[Columns]) -> None:
 
 
 def _write_parquet(file: BinaryIO, batches: Iterator[Columns]) -> None:
-    try:
-        arrow, parquet = importlib.import_module("pyarrow"), importlib.import_module("pyarrow.parquet")
-    except ImportError as error:
-        raise RecordingError("Parquet needs pyarrow, which is not installed: pip install pyarrow") from error
+    arrow, parquet = (extras.load(module, "Parquet", "exchange") for module in ("pyarrow", "pyarrow.parquet"))
     writer = None
     try:
         for columns in batches:
@@ -201,11 +155,8 @@ def _write_parquet(file: BinaryIO, batches: Iterator[Columns]) -> None:
 
 
 def _write_uff(file: BinaryIO, batches: Iterator[Columns]) -> None:
-    try:
-        pyuff = importlib.import_module("pyuff")
-    except ImportError as error:
-        raise RecordingError("UFF needs pyuff, which is not installed: pip install pyuff") from error
-    columns = _whole(batches)
+    pyuff = extras.load("pyuff", "UFF", "exchange")
+    columns = complete(batches)
     with tempfile.TemporaryDirectory(prefix="impact_rig_uff_") as folder:  # pyuff opens files by name only
         path = Path(folder) / "all.uff"
         with warnings.catch_warnings():
@@ -218,14 +169,13 @@ def _datasets(columns: Columns) -> list[dict[str, object]]:
     """Return the functions of a universal file; values that are no numbers stay out."""
     found: list[dict[str, object]] = []
     numbers = {name: np.asarray(column, float) for name, column in columns.items() if column.dtype.kind in "fiu"}
-    stamps = columns.get(STAMP)
-    if stamps is not None and len(stamps) > 1 and "time" in numbers:
-        x = np.asarray(stamps - stamps[0], float) / NS_PER_S + numbers["time"]
+    x = numbers.pop(TIME, None)
+    if x is not None and np.ptp(x) > 0.0:
         order = np.argsort(x, kind="stable")
         found += [
             _dataset(name, _TIME_RESPONSE, x[own], column[own], "s")
             for name, column in numbers.items()
-            if name not in (STAMP, EARLIER, "time") and len(own := order[np.isfinite(column[order])]) > 1
+            if name != EARLIER and len(own := order[np.isfinite(column[order])]) > 1
         ]
     if {"frequency", "transmissibility", "phase"} <= numbers.keys():
         found += _response_functions(numbers, columns.get(CURVE))

@@ -37,10 +37,10 @@ from impact_rig_studies.maps.plan import DOWN, UP, load_map, measure_line
 
 SHOWN = {
     plans.ORBIT: ("event", "period", "dt", "impacts_per_cycle", "loss_factor", "multiplier_real", "multiplier_imag"),
-    plans.CONTINUE: ("value", "event", "dt", "impacts_per_cycle", "loss_factor", "multiplier_real", "multiplier_imag"),
-    plans.EXPONENT: plans.COLUMNS[plans.EXPONENT],
+    plans.CONTINUE: ("event", "dt", "impacts_per_cycle", "loss_factor", "multiplier_real", "multiplier_imag"),
+    plans.EXPONENT: plans.COLUMNS[plans.EXPONENT][1:],
 }
-"""Columns that the terminal shows; of a branch only where something happens."""
+"""Columns that the terminal shows behind the parameter; of a branch only where something happens."""
 MOST_ROWS = 40
 
 
@@ -154,9 +154,9 @@ def _dynamics(arguments: argparse.Namespace) -> int:
     console = Console(quiet=arguments.json)
     with files.results_in(directory, lambda: store.prepare(plan.text, plan.base)):
         measured, wall_s = tasks.measure(plan.tasks, store, runner, console, lambda _: 1)
-    found = [(task, store.get(task) or []) for task in plan.tasks]
-    rows = [row for _, each in found for row in each]
-    files.write_csv(directory / f"{kind}.csv", plans.COLUMNS[kind], rows)
+    done = plans.finished(plan, directory)
+    rows = done.rows
+    files.write_csv(directory / f"{kind}.csv", *done.table())
     told = {
         "title": plan.title, "kind": kind, "measured_on": "mechanics", "tasks": len(plan.tasks), "rows": len(rows),
         "measured_tasks": measured, "wall_s": wall_s, **_summary(plan, rows),
@@ -165,7 +165,7 @@ def _dynamics(arguments: argparse.Namespace) -> int:
     if not arguments.no_figures:
         from impact_rig_studies.dynamics.figures import drawn  # noqa: PLC0415  # matplotlib
 
-        drawn(plan, found).save(tasks.figures_folder(directory))
+        drawn(plan, done.found).save(tasks.figures_folder(directory))
     _show(console, plan, rows)
     console.print(f"{len(rows)} rows on the mechanics; {kind}.csv, {kind}.json")
     empty = _unsolved(plan, rows) == len(rows)
@@ -177,11 +177,10 @@ def _dynamics(arguments: argparse.Namespace) -> int:
 
 def _named(plan: Plan, rows: list[Row], names: tuple[str, ...]) -> list[dict[str, object]]:
     """Return some columns of rows by name; what is no number is None."""
-    columns = plans.COLUMNS[plan.kind]
     return [
         {
             name: None if isinstance(cell, float) and not math.isfinite(cell) else cell
-            for name, cell in zip(columns, row, strict=True)
+            for name, cell in zip(plan.columns, row, strict=True)
             if name in names
         }
         for row in rows
@@ -192,14 +191,13 @@ def _told(plan: Plan, rows: list[Row]) -> list[Row]:
     """Return the rows that say what happens: along a branch those that are no mere orbits."""
     if plan.kind != plans.CONTINUE:
         return rows
-    event = plans.COLUMNS[plan.kind].index("event")
+    event = plan.columns.index("event")
     return [row for row in rows if row[event] != "orbit"]
 
 
 def _unsolved(plan: Plan, rows: list[Row]) -> int:
     """Return how many rows could not be resolved."""
-    columns = plans.COLUMNS[plan.kind]
-    return sum(row[columns.index("regime")] == FAILED for row in rows) if "regime" in columns else 0
+    return sum(row[plan.columns.index("regime")] == FAILED for row in rows) if "regime" in plan.columns else 0
 
 
 def _summary(plan: Plan, rows: list[Row]) -> dict[str, object]:
@@ -214,7 +212,7 @@ def _summary(plan: Plan, rows: list[Row]) -> dict[str, object]:
         return {"failed_rows": failed} if failed else {}
     if plan.kind == plans.SECTION:
         return {}
-    return {"found": _named(plan, _told(plan, rows), plans.COLUMNS[plan.kind])}
+    return {"found": _named(plan, _told(plan, rows), plan.columns)}
 
 
 def _show(console: Console, plan: Plan, rows: list[Row]) -> None:
@@ -225,7 +223,8 @@ def _show(console: Console, plan: Plan, rows: list[Row]) -> None:
         console.print(f"{summary['failed_rows']} of {len(rows)} rows could not be resolved")
     if plan.kind not in SHOWN:
         return
-    table = TextTable(right=[name.replace("_", " ") for name in SHOWN[plan.kind]])
-    for row in _named(plan, _told(plan, rows)[:MOST_ROWS], SHOWN[plan.kind]):
+    shown = (plan.columns[0], *SHOWN[plan.kind])
+    table = TextTable(right=[name.replace("_", " ") for name in shown])
+    for row in _named(plan, _told(plan, rows)[:MOST_ROWS], shown):
         table.add_row(*(f"{cell:.5g}" if isinstance(cell, float) else str(cell or "-") for cell in row.values()))
     console.print(table)

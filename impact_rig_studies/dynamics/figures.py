@@ -24,13 +24,12 @@ from numpy.typing import NDArray
 from impact_rig.drawing import INK, SERIES, Drawn, new_axes, style
 from impact_rig_studies.campaign.tasks import Row
 from impact_rig_studies.dynamics import plan as plans
-from impact_rig_studies.dynamics.plan import Plan, StudyTask
-from impact_rig_studies.maps.plan import CURRENT, FREQUENCY, GAP, POSITION, SPEED
+from impact_rig_studies.dynamics.plan import Found, Plan
+from impact_rig_studies.maps.plan import CURRENT, FREQUENCY, GAP, POSITION, RESET, SPEED
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Found = Sequence[tuple[StudyTask, Sequence[Row]]]
 MARKS = {"fold": "o", "symmetry": "D", "flip": "s", "torus": "^", "grazing": "v", "lost": "x"}
 """Of what changes along a branch."""
 LABELS = {
@@ -55,7 +54,7 @@ def drawn(plan: Plan, found: Found) -> Drawn:
 
 def column(plan: Plan, rows: Sequence[Row], name: str) -> NDArray[np.float64]:
     """Return a column of numbers by its name."""
-    place = plans.COLUMNS[plan.kind].index(name)
+    place = plan.columns.index(name)
     return np.array([row[place] for row in rows], float)
 
 
@@ -68,8 +67,8 @@ def along(
     plan: Plan, rows: Sequence[Row], quantity: str
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
     """Return the parameter [SI] along a branch, a quantity there, and whether the motion is stable; each shape (n,)."""
-    path = [row for row in rows if row[plans.COLUMNS[plan.kind].index("event")] in ("orbit", "start")]
-    across, height, stable = (column(plan, path, name) for name in ("value", quantity, "stable"))
+    path = [row for row in rows if row[plan.columns.index("event")] in ("orbit", "start")]
+    across, height, stable = (column(plan, path, name) for name in (plan.columns[0], quantity, "stable"))
     return across, height, stable > 0.0
 
 
@@ -84,13 +83,11 @@ def _bifurcation(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
     label, factor = label_of(plan.over)
     known: dict[str, int] = {}
     for task, rows in found:
-        values, way = task.what["values"], "from rest"
-        if task.what["marched"]:
-            way = "up" if values[0] <= values[-1] else "down"  # type: ignore[index]  # numbers
-        name = f"{plans.named(task.what['start'])}, {way}"
+        direction = plans.direction_of(task)
+        name = f"{plans.named(task.what['start'])}, {'from rest' if direction == RESET else direction}"
         first = name not in known
         colour = SERIES[known.setdefault(name, len(known))]
-        across = factor * column(plan, rows, "value")
+        across = factor * column(plan, rows, plan.columns[0])
         for pane, quantity, scale in zip(panes, ("x_2_m", "dt"), (1e3, 1.0), strict=True):
             pane.plot(
                 across, scale * column(plan, rows, quantity), ".", color=colour, markersize=1.2,
@@ -124,7 +121,7 @@ def _basin(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
 
 def motion(plan: Plan, row: Row) -> str:
     """Return the words for the motion that a start leads to."""
-    cell = dict(zip(plans.COLUMNS[plan.kind], row, strict=True))
+    cell = dict(zip(plan.columns, row, strict=True))
     if not cell["impacts_per_cycle"]:
         return "no impacts"
     return f"DT {cell['dt']:.0f}" if cell["regime"] == "periodic" else str(cell["regime"])
@@ -156,7 +153,7 @@ def draw_branch(
 
 def _continue(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
     label, factor = label_of(plan.over)
-    events = plans.COLUMNS[plan.kind].index("event")
+    events = plan.columns.index("event")
     marked: set[str] = set()
     for i, (task, rows) in enumerate(found):
         for pane, quantity in zip(panes, ("dt", "loss_factor"), strict=True):
@@ -167,7 +164,7 @@ def _continue(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
                     new = event not in marked and pane is panes[0]
                     marked |= {event} if new else set()
                     pane.plot(
-                        factor * column(plan, [row], "value"), column(plan, [row], quantity), MARKS[event],
+                        factor * column(plan, [row], plan.columns[0]), column(plan, [row], quantity), MARKS[event],
                         color=INK, fillstyle="none", linestyle="none", label=event if new else None,
                     )  # fmt: skip
     panes[0].set(ylabel="DT (-)")
@@ -181,7 +178,7 @@ def _exponent(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
         rows = [row for task, each in found for row in each if plans.named(task.what["start"]) == start]
         rate, doubt = column(plan, rows, "exponent_per_s"), column(plan, rows, "uncertainty_per_s")
         panes[0].errorbar(
-            factor * column(plan, rows, "value"), rate, 2.0 * doubt, fmt=".", color=SERIES[i], label=start
+            factor * column(plan, rows, plan.columns[0]), rate, 2.0 * doubt, fmt=".", color=SERIES[i], label=start
         )
     panes[0].axhline(0.0, color=INK, linewidth=0.8)
     panes[0].set(xlabel=label, ylabel="largest exponent (1/s)")

@@ -19,6 +19,7 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import attrs
 import numpy as np
@@ -26,7 +27,7 @@ import numpy as np
 from impact_rig.config.tree import Value
 from impact_rig.errors import ConfigError, SimulationError
 from impact_rig.rig.config import RigConfig, differences, from_flat, to_flat
-from impact_rig_studies.campaign import axes
+from impact_rig_studies.campaign import axes, tables
 from impact_rig_studies.campaign.paper import CURRENT_A, FREQUENCY_HZ
 from impact_rig_studies.campaign.plan import STARTS
 from impact_rig_studies.campaign.tasks import Keyed, Row, TaskStore, load_plan
@@ -63,7 +64,8 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
     CONTINUE: _ORBIT,
     EXPONENT: ("value", "regime", "dt", "exponent_per_s", "uncertainty_per_s"),
 }
-"""What the tables of a study hold; `event` is orbit, or what changes there, or why the branch ends there."""
+"""Columns of a task's rows: `value` is the parameter's, `event` is orbit, or what changes there, or why the branch ends
+there."""
 NAMES = (FREQUENCY, CURRENT, GAP)
 CHUNK_VALUES = 20  # places that begin from rest in one task
 _CYCLES, _WINDOWS = 100, 20  # of an exponent
@@ -119,24 +121,112 @@ class Plan:
     over: str  # name of the parameter, empty where there is none
     tasks: tuple[StudyTask, ...]  # in order
 
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the columns of rows, with that of the parameter."""
+        return tuple((self.over or FREQUENCY) if name == "value" else name for name in COLUMNS[self.kind])
+
+
+Found = Sequence[tuple[StudyTask, Sequence[Row]]]
+
+
+@attrs.frozen(eq=False)
+class FinishedStudy:
+    """A study with what is measured of it."""
+
+    plan: Plan
+    found: Found  # rows of each task, none of a task that was not run
+
+    @property
+    def rows(self) -> list[Row]:
+        """Rows of all tasks, with the columns of the plan."""
+        return [row for _, rows in self.found for row in rows]
+
+    def table(self) -> tuple[list[str], list[list[object]]]:
+        """Return the names of the columns and the rows, each with what its task says of it in front.
+
+        `start` is where the sphere begins, `direction` up, down or reset, `branch` the number of a branch, from 1.
+        """
+        found = []
+        front: dict[str, object] = {}
+        for number, (task, rows) in enumerate(self.found, 1):
+            front = _front(task, number)
+            found += [[*front.values(), *row] for row in rows]
+        return [*front, *self.plan.columns], found
+
+    def to_dataframe(self) -> Any:
+        """Return the table as a `pandas.DataFrame`.
+
+        Raises:
+            ImpactRigError: pandas is not installed, or nothing is measured yet.
+        """
+        return tables.to_dataframe(*self.table())
+
+    def to_xarray(self) -> Any:
+        """Return the table as an `xarray.Dataset`: a basin over its starts, other studies over `row`.
+
+        Raises:
+            ImpactRigError: xarray is not installed, or nothing is measured yet.
+        """
+        if self.plan.kind == BASIN:
+            return tables.to_xarray(*self.table(), grid=(SPEED, POSITION))
+        return tables.to_xarray(*self.table(), coordinates=("start", "direction", "branch", self.plan.columns[0]))
+
+
+def _front(task: StudyTask, number: int) -> dict[str, object]:
+    """Return what a task says of each of its rows, by column."""
+    if task.kind == BASIN:
+        return {}
+    front: dict[str, object] = {"start": named(task.what["start"])}
+    if task.kind == BIFURCATION:
+        front["direction"] = direction_of(task)
+    if task.kind == CONTINUE:
+        front["branch"] = number
+    return front
+
+
+def direction_of(task: StudyTask) -> str:
+    """Return how the values of a bifurcation task are visited: up, down, or each from rest (reset)."""
+    values = task.what["values"]
+    assert isinstance(values, Sequence)
+    return RESET if not task.what["marched"] else UP if values[0] <= values[-1] else DOWN
+
 
 def store(directory: Path) -> TaskStore[StudyTask]:
     """Return what keeps a study's tasks in a directory."""
     return TaskStore(directory, "dynamics", "tasks", ("maps", "dynamics"))
 
 
-def stored(directory: Path, kind: str) -> tuple[Plan, list[tuple[StudyTask, Sequence[Row]]]]:
-    """Return the study of one kind in a directory, and what is stored of each task.
+def open_study(directory: Path, kind: str) -> FinishedStudy:
+    """Return the study of one kind in a directory.
 
     Raises:
         ConfigError: it is no directory of a study of dynamics, or of none of that kind, or nothing is stored of it.
     """
     kept = store(directory)
     plan = load(kept.file, kind, kept.configuration())
-    found = [(task, kept.get(task) or []) for task in plan.tasks]
-    if not any(rows for _, rows in found):
+    done = finished(plan, directory)
+    if not done.rows:
         raise ConfigError(f"{directory} holds nothing yet: impact-rig dynamics {kind} {kept.file} --output {directory}")
-    return plan, found
+    return done
+
+
+def finished(plan: Plan, directory: Path) -> FinishedStudy:
+    """Return a study with everything that is stored of it."""
+    kept = store(directory)
+    return FinishedStudy(plan, [(task, kept.get(task) or []) for task in plan.tasks])
+
+
+def kinds(directory: Path) -> list[str]:
+    """Return the kinds of study of which something is stored in a directory.
+
+    Raises:
+        ConfigError: it is no directory of studies of dynamics.
+    """
+    kept = store(directory)
+    rig = kept.configuration()
+    asked = load_plan(kept.file, "dynamics file", lambda document, _: axes.mapping("a dynamics file", document))
+    return [kind for kind in KINDS if kind in asked and finished(load(kept.file, kind, rig), directory).rows]
 
 
 def run(task: StudyTask) -> list[Row]:

@@ -95,6 +95,7 @@ def signals_of(
     numeric: dict[str, Column] = {}
     clocks: list[tuple[str, cells.Times]] = []
     stamps: NDArray[np.int64] | None = None
+    dates: tuple[str, NDArray[np.int64]] | None = None
     for name, column in columns.items():
         values = np.asarray(column)
         name = name[:LONGEST_NAME]  # noqa: PLW2901  # the heading of a damaged file may be megabytes long
@@ -110,8 +111,8 @@ def signals_of(
             texts[name] = words
         elif values.dtype.kind in "Mm" and values.ndim == 1:
             ns = values.astype("datetime64[ns]" if values.dtype.kind == "M" else "timedelta64[ns]").astype(np.int64)
-            if values.dtype.kind == "M" and stamps is None:
-                stamps = ns
+            if values.dtype.kind == "M" and dates is None:
+                dates = name, ns
             else:
                 numeric[f"{name} [s]"] = ns / NS_PER_S
         elif values.dtype.kind == "c":
@@ -128,7 +129,7 @@ def signals_of(
             stamps = values.astype(np.int64)
         else:
             numeric[name] = values
-    axis = _axis(numeric, column_units, clocks, stamps)
+    axis = _axis(numeric, column_units, clocks, stamps, dates)
     abscissa, kind = _abscissa(axis, rate_hz)
     names = UniqueNames()
     signals: dict[str, Signal] = {}
@@ -162,11 +163,16 @@ def _axis(
     column_units: Mapping[str, str],
     clocks: list[tuple[str, cells.Times]],
     stamps: NDArray[np.int64] | None,
+    dates: tuple[str, NDArray[np.int64]] | None,
 ) -> _Axis:
     """Take the columns of times, or of frequencies, out of the others and return what they say."""
+    timed = next((name for name in numeric if headings.is_time_name(_name(name)) and _is_column(numeric[name])), None)
+    if timed is not None and (clocks or dates):
+        del numeric[timed]  # a column of seconds beside the dates says the same
     if clocks:
         return _clock_axis(clocks)
-    timed = next((name for name in numeric if headings.is_time_name(_name(name)) and _is_column(numeric[name])), None)
+    if dates:
+        return _date_axis(*dates)
     if timed is None:
         timed = next(
             (name for name in list(numeric)[:1] if _unit(name, column_units) and _is_column(numeric[name])), None
@@ -205,6 +211,11 @@ def _clock_axis(clocks: list[tuple[str, cells.Times]]) -> _Axis:
     start_ns = int(ns[0]) if has_date and len(ns) else None
     note = next((one.note for _, one in clocks if one.note), "")
     return _Axis(AbscissaKind.TIME, name, "s", seconds, start_ns, note, is_clock=True)
+
+
+def _date_axis(name: str, ns: NDArray[np.int64]) -> _Axis:
+    """Return times from dates in binary form."""
+    return _Axis(AbscissaKind.TIME, name, "s", (ns - ns[0]) / NS_PER_S, int(ns[0])) if len(ns) else _Axis()
 
 
 def _time_axis(name: str, unit: str, values: Real) -> _Axis:

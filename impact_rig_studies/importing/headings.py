@@ -20,7 +20,7 @@ from collections.abc import Sequence
 
 from impact_rig_studies.importing.units import is_unit
 
-STAMP = "stamp_ns"  # column of our own exports that is an exact integer; `time` counts from it
+STAMP = "stamp_ns"  # column of integers; `time` counts from it
 TIME_NAMES = frozenset({
     "time", "times", "t", "zeit", "temps", "tiempo", "tempo", "abscissa", "timedomain", "timestamp", "timestamps",
     "elapsed", "elapsedtime", "reltime", "relativetime", "relativezeit", "messzeit", "xvalue", "datetime", "date",

@@ -26,15 +26,18 @@ import math
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import attrs
 import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.system import files
+from impact_rig_studies.campaign import tables
+from impact_rig_studies.campaign.plan import STARTS
 from impact_rig_studies.campaign.tasks import TaskStore
 from impact_rig_studies.maps.measure import Reading
-from impact_rig_studies.maps.plan import DOWN, MapLine, MapPlan, load_map
+from impact_rig_studies.maps.plan import DOWN, POSITION, RESET, SPEED, UP, MapLine, MapPlan, load_map
 
 CSV_FILE, JSON_FILE = "map.csv", "map.json"
 
@@ -48,6 +51,24 @@ class FinishedMap:
     values: dict[str, dict[str, NDArray[np.generic]]]
     """By direction and name of a reading, or of what was added beside: arrays in the order of the axes, NaN (or "")
     where not measured."""
+
+    def to_dataframe(self) -> Any:
+        """Return the measured places as a `pandas.DataFrame`, with the columns of `map.csv`.
+
+        Raises:
+            ImpactRigError: pandas is not installed, or nothing is measured yet.
+        """
+        return tables.to_dataframe(*table(self))
+
+    def to_xarray(self) -> Any:
+        """Return the map as an `xarray.Dataset` over its axes and `direction`, or `start` where there are several.
+
+        Raises:
+            ImpactRigError: xarray is not installed, or nothing is measured yet.
+        """
+        names, rows = table(self)
+        layers = "start" if self.plan.starts else "direction"
+        return tables.to_xarray(names, rows, grid=(*self.plan.axes, layers))
 
 
 def store(directory: Path) -> TaskStore[MapLine]:
@@ -98,15 +119,28 @@ def write_results(done: FinishedMap, more: dict[str, object]) -> None:
 
 
 def table(done: FinishedMap) -> tuple[list[str], list[list[object]]]:
-    """Return the names of the columns and a row a measured place; NaN where a reading is none."""
-    return [*done.plan.axes, "direction", *next(iter(done.values.values()))], list(_rows(done))
+    """Return the names of the columns and a row a measured place; NaN where a reading is none.
+
+    `direction` is up, down or reset, `start` where the sphere begins, unless that is an axis.
+    """
+    first = next(iter(done.values))
+    return [*done.plan.axes, *_layer(done.plan, first), *done.values[first]], list(_rows(done))
+
+
+def _layer(plan: MapPlan, layer: str) -> dict[str, str]:
+    """Return what a layer of a map means, by column."""
+    found = {"direction": layer if layer in (UP, DOWN) else RESET}
+    if not {POSITION, SPEED} & set(plan.axes):
+        found["start"] = layer if layer in STARTS else plan.base.sphere.start
+    return found
 
 
 def _rows(done: FinishedMap) -> Iterable[list[object]]:
     axes = list(done.plan.axes.values())
     for layer, values in done.values.items():
+        front = _layer(done.plan, layer).values()
         for place in np.ndindex(*map(len, axes)):
             if not values["regime"][place]:
                 continue
             cells = [array[place].item() for array in values.values()]
-            yield [*(axis[i] for axis, i in zip(axes, place, strict=True)), layer, *cells]
+            yield [*(axis[i] for axis, i in zip(axes, place, strict=True)), *front, *cells]

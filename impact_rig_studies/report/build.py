@@ -85,7 +85,7 @@ def build_report(
     with style():
         opening = list(cover.opening(done, content))
         beside = [
-            continued(f"continued_{i}", *dynamics.stored(one, dynamics.CONTINUE), done.points, done.campaign.base)
+            continued(f"continued_{i}", dynamics.open_study(one, dynamics.CONTINUE), done.points, done.campaign.base)
             for i, one in enumerate(branches)
         ]
         sections = list(filter(None, _sections(done, varied, beside, content, target.parent)))

@@ -34,8 +34,7 @@ from impact_rig.rig.gaps import NO_SPHERE
 from impact_rig_studies import prediction
 from impact_rig_studies.campaign.results import Curves, Point
 from impact_rig_studies.dynamics import figures
-from impact_rig_studies.dynamics.figures import Found
-from impact_rig_studies.dynamics.plan import Plan
+from impact_rig_studies.dynamics.plan import FinishedStudy
 from impact_rig_studies.reduction import reduction
 from impact_rig_studies.report.content import COVERAGE
 
@@ -149,12 +148,13 @@ def _reduction(point: Point, curves: Curves, calibration: Calibration) -> tuple[
     return found.percent, found.u_points
 
 
-def continued(name: str, plan: Plan, found: Found, points: Sequence[Point], config: RigConfig) -> Drawn:
+def continued(name: str, study: FinishedStudy, points: Sequence[Point], config: RigConfig) -> Drawn:
     """Draw DT along the continued motions of the model, and what was measured at their places.
 
     Raises:
         ConfigError: the motions are of another rig, or over something that a campaign names otherwise.
     """
+    plan = study.plan
     others = {"barriers.gap_m", "sphere.start", "sphere.present"}
     ours, theirs = to_flat(config), to_flat(plan.base)
     for key in ours:
@@ -174,7 +174,7 @@ def continued(name: str, plan: Plan, found: Found, points: Sequence[Point], conf
     figure, (axis,) = new_axes(3.5)
     label, factor = figures.label_of(plan.over)
     numbers: list[Line] = []
-    for i, (one, rows) in enumerate(found):
+    for i, (one, rows) in enumerate(study.found):
         both = figures.draw_branch(axis, plan, rows, "dt", SERIES[i % len(SERIES)], one.name)
         for word, (x, y) in zip(("stable", "unstable"), both, strict=True):
             numbers.append(Line(f"{one.name}, {word}", {plan.over: [v / factor for v in x], "transmissibility": y}))

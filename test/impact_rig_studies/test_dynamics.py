@@ -420,7 +420,7 @@ def test_a_value_that_cannot_be_resolved_after_it_has_settled_is_marked_and_the_
     path.write_text("bifurcation: {over: gap_m, values: [0.011, 0.0115, 0.012], direction: up}")
     assert main(["dynamics", "bifurcation", str(path), "--output", str(tmp_path / "out"), "--no-figures"]) == 0
     rows = list(csv.DictReader((tmp_path / "out" / "bifurcation.csv").read_text().splitlines()))
-    assert [(row["value"], row["regime"]) for row in rows] == [
+    assert [(row["gap_m"], row["regime"]) for row in rows] == [
         ("0.011", "failed"), ("0.0115", "periodic"), ("0.012", "periodic"),
     ]  # fmt: skip
     assert json.loads((tmp_path / "out" / "bifurcation.json").read_text())["failed_rows"] == 1
@@ -611,6 +611,68 @@ def test_what_was_interrupted_is_resumed_to_the_same_bytes(kind, tmp_path, capsy
     assert contents() == whole
     with (tmp_path / "out" / f"{kind}.csv").open() as file:
         assert len(list(csv.DictReader(file))) == told["rows"]
+
+
+LEADING = {
+    "section": ["start", "x_1_m"],
+    "bifurcation": ["start", "direction", "gap_m", "regime"],
+    "basin": ["sphere_position_m", "sphere_speed_m_s", "attractor"],
+    "orbit": ["start", "frequency_hz", "event"],
+    "continue": ["start", "branch", "current_a", "event"],
+    "exponent": ["start", "frequency_hz", "regime"],
+}
+
+
+@pytest.fixture(scope="module")
+def several(tmp_path_factory):
+    """A directory with two kinds of study."""
+    folder = tmp_path_factory.mktemp("several")
+    (folder / "small.yaml").write_text(SMALL)
+    for kind in ("bifurcation", "basin"):
+        words = ["--workers", "1", "--no-figures", "--output", str(folder / "out")]
+        assert main(["dynamics", kind, str(folder / "small.yaml"), *words]) == 0
+    return folder / "out"
+
+
+@pytest.mark.parametrize("kind", plan.KINDS)
+def test_the_table_of_a_study_names_parameter_direction_and_start(kind, tmp_path):
+    """Parameter, direction and start were in the file that was asked for, and not in the table."""
+    path = tmp_path / "small.yaml"
+    path.write_text(SMALL)
+    study = plan.load(path, kind)
+    names, _ = plan.FinishedStudy(study, [(task, []) for task in study.tasks]).table()
+    assert names[: len(LEADING[kind])] == LEADING[kind]
+    assert "value" not in names
+
+
+@pytest.mark.parametrize("kind", ["bifurcation", "basin"])
+def test_a_study_is_exported_as_its_table(several, kind, tmp_path):
+    assert main(["export", str(several), kind, str(tmp_path / "rows.csv")]) == 0
+    with (several / f"{kind}.csv").open() as written, (tmp_path / "rows.csv").open() as exported:
+        own, found = list(csv.DictReader(written)), list(csv.DictReader(exported))
+    assert list(own[0]) == list(found[0])
+    for one, other in zip(own, found, strict=True):
+        assert [cell or "nan" for cell in one.values()] == list(other.values())
+
+
+def test_what_is_not_stored_of_a_study_is_refused_with_what_is(several, tmp_path, capsys):
+    assert main(["export", str(several), "orbit", str(tmp_path / "rows.csv")]) == 1
+    assert f"{several} holds bifurcation, basin, got 'orbit'" in capsys.readouterr().err
+
+
+def test_a_study_becomes_a_data_frame_and_a_dataset(several):
+    pytest.importorskip("pandas")
+    pytest.importorskip("xarray")
+    march, basin = (plan.open_study(several, kind) for kind in ("bifurcation", "basin"))
+    frame, rows = march.to_dataframe(), march.to_xarray()
+    assert set(frame["direction"]) == {"up", "down"}
+    assert set(rows.coords) == {"start", "direction", "gap_m"}
+    assert frame["dt"].tolist() == rows["dt"].values.tolist()
+    grid = basin.to_xarray()
+    assert dict(grid.sizes) == {"sphere_speed_m_s": 2, "sphere_position_m": 2}
+    for _, row in basin.to_dataframe().iterrows():
+        place = grid.sel(sphere_speed_m_s=row["sphere_speed_m_s"], sphere_position_m=row["sphere_position_m"])
+        assert float(place["dt"]) == pytest.approx(row["dt"], nan_ok=True)
 
 
 def test_the_exponent_stands_beside_the_regime_in_a_map_that_asks(tmp_path, capsys):

@@ -27,12 +27,13 @@ from kits.recording import APPLIED_TOPIC, SCAN_TOPIC, START_NS, fill, scan_block
 
 from impact_rig import codec
 from impact_rig.blocks import Table
-from impact_rig.errors import RecordingError
+from impact_rig.errors import ImpactRigError, RecordingError
 from impact_rig.recording import open_run
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig
 from impact_rig.runs import export
 from impact_rig.runs.exports import write_columns
+from impact_rig.runs.in_process import RigRecorder
 from impact_rig.runs.recorded_journal import TOPIC
 
 TEXTS_NAME = "/rig/texts"
@@ -52,32 +53,46 @@ def run(record):
         yield opened
 
 
+LEADING = ["time", "timestamp", "earlier"]
+
+
 def expected():
+    """The times in ns since the first scan, and the other columns by name."""
     rows = np.concatenate([codec.decode(scan_block(number)).rows for number in range(30)])
-    stamps = np.repeat(START_NS + np.arange(30) * 10_000_000, 100)
-    return stamps, rows
+    since_ns = np.repeat(np.arange(30) * 10_000_000, 100) + np.round(rows["time"] * 1e9).astype(np.int64)
+    return since_ns, {name: rows[name] for name in rows.dtype.names if name != "time"}
 
 
 def test_npz(run, tmp_path):
-    stamps, rows = expected()
+    since_ns, columns = expected()
     with np.load(export(run, "daq/scan", tmp_path / "scan.npz")) as found:
-        assert found.files == ["stamp_ns", "earlier", *rows.dtype.names]
-        assert found["stamp_ns"].dtype == np.int64
-        np.testing.assert_array_equal(found["stamp_ns"], stamps)
-        for name in rows.dtype.names:
-            assert found[name].tobytes() == rows[name].tobytes()
-            assert found[name].dtype == rows[name].dtype
+        assert found.files == [*LEADING, *columns]
+        np.testing.assert_array_equal(found["timestamp"], (START_NS + since_ns).astype("datetime64[ns]"))
+        np.testing.assert_allclose(found["time"], 1e-9 * since_ns, rtol=1e-12)
+        for name, column in columns.items():
+            assert found[name].tobytes() == column.tobytes()
+            assert found[name].dtype == column.dtype
 
 
 def test_csv_reads_back_to_the_same_bits(run, tmp_path):
-    stamps, rows = expected()
+    since_ns, columns = expected()
     with export(run, "/rig/daq/scan", tmp_path / "scan.csv").open(newline="") as file:
         header, *lines = csv.reader(file)
-    assert header == ["stamp_ns", "earlier", *rows.dtype.names]
-    assert [int(line[0]) for line in lines] == stamps.tolist()
-    for number, name in enumerate(rows.dtype.names, start=2):
-        column = np.array([float(line[number]) for line in lines]).astype(rows[name].dtype)
-        assert column.tobytes() == rows[name].tobytes()
+    assert header == [*LEADING, *columns]
+    dates = np.array([line[1] for line in lines], "datetime64[ns]")
+    np.testing.assert_array_equal(dates, (START_NS + since_ns).astype("datetime64[ns]"))
+    for number, column in enumerate(columns.values(), start=3):
+        read = np.array([float(line[number]) for line in lines]).astype(column.dtype)
+        assert read.tobytes() == column.tobytes()
+
+
+def test_time_runs_on_from_block_to_block_and_is_the_same_in_all_topics(run, tmp_path):
+    """It began again in each block, and the stamp had 19 digits, which a spreadsheet rounds."""
+    with np.load(export(run, "daq/scan", tmp_path / "scan.npz")) as found:
+        assert (np.diff(found["time"]) > 0.0).all()
+        assert found["time"][[0, -1]].tolist() == [0.0, pytest.approx(0.2999, abs=1e-12)]
+    with np.load(export(run, "texts", tmp_path / "journal.npz")) as found:
+        assert found["time"].tolist() == [0.0, 0.0]  # stamped START_NS, as the first scan
 
 
 def test_text_becomes_text(run, tmp_path):
@@ -112,35 +127,45 @@ def test_rows_published_before_the_recording_began_are_marked(run, tmp_path):
             assert (found["earlier"] == earlier).all()
 
 
+def test_a_publish_time_that_only_repeats_the_log_time_says_nothing(tmp_path):
+    """What a rig in one process has published was called earlier, all of it: its log times count from 1970."""
+    rig = Rig(RigConfig())
+    with RigRecorder(tmp_path / "run", rig) as recorder:
+        recorder.block(*rig.advance(rig.block_end_ns(1)))
+    with open_run(tmp_path / "run") as run, np.load(export(run, "daq/scan", tmp_path / "scan.npz")) as found:
+        assert not found["earlier"].any()
+
+
 def test_parquet(run, tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet")
-    stamps, rows = expected()
+    since_ns, columns = expected()
     table = parquet.read_table(export(run, "daq/scan", tmp_path / "scan.parquet"))
-    assert table.column_names == ["stamp_ns", "earlier", *rows.dtype.names]
-    np.testing.assert_array_equal(table["stamp_ns"].to_numpy(), stamps)
-    for name in rows.dtype.names:
-        assert table[name].to_numpy().tobytes() == rows[name].tobytes()
+    assert table.column_names == [*LEADING, *columns]
+    np.testing.assert_array_equal(table["timestamp"].to_numpy(), (START_NS + since_ns).astype("datetime64[ns]"))
+    for name, column in columns.items():
+        assert table[name].to_numpy().tobytes() == column.tobytes()
     journal = parquet.read_table(export(run, "texts", tmp_path / "journal.parquet"))
     assert journal["key"].to_pylist() == ["barriers.gap_m", "µ"]
 
 
-def test_parquet_without_pyarrow_says_what_to_install(run, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pyarrow", None)  # not to be imported
-    with pytest.raises(RecordingError, match="Parquet needs pyarrow, which is not installed: pip install pyarrow"):
-        export(run, "daq/scan", tmp_path / "scan.parquet")
-    assert list(tmp_path.glob("*.parquet")) == []
+@pytest.mark.parametrize(("library", "suffix", "name"), [("pyarrow", "parquet", "Parquet"), ("pyuff", "uff", "UFF")])
+def test_a_missing_library_is_named_with_what_installs_it(run, tmp_path, monkeypatch, library, suffix, name):
+    monkeypatch.setitem(sys.modules, library, None)  # not to be imported
+    with pytest.raises(
+        ImpactRigError, match=rf"{name} needs {library}, which is not installed: pip install 'impact_rig\[exchange\]'"
+    ):
+        export(run, "daq/scan", tmp_path / f"scan.{suffix}")
+    assert list(tmp_path.glob(f"*.{suffix}")) == []
 
 
 def test_universal_file(run, tmp_path):
     pyuff = pytest.importorskip("pyuff")
-    stamps, rows = expected()
+    since_ns, columns = expected()
     sets = pyuff.UFF(str(export(run, "daq/scan", tmp_path / "scan.uff"))).read_sets()
-    names = [name for name in rows.dtype.names if name != "time"]
-    assert [(one["type"], one["id1"], one["func_type"]) for one in sets] == [(58, name, 1) for name in names]
-    seconds = (stamps - stamps[0]) / 1e9 + rows["time"]
-    for one, name in zip(sets, names, strict=True):
-        np.testing.assert_allclose(one["x"], seconds, rtol=1e-9, atol=1e-12)
-        np.testing.assert_array_equal(one["data"], rows[name].astype(float))
+    assert [(one["type"], one["id1"], one["func_type"]) for one in sets] == [(58, name, 1) for name in columns]
+    for one, column in zip(sets, columns.values(), strict=True):
+        np.testing.assert_allclose(one["x"], 1e-9 * since_ns, rtol=1e-9, atol=1e-12)
+        np.testing.assert_array_equal(one["data"], column.astype(float))
 
 
 def test_a_curve_is_a_frequency_response_function_per_gap(tmp_path):
@@ -165,7 +190,7 @@ def test_what_is_no_number_stays_out_of_a_universal_file(tmp_path):
     """A measurement that was refused once stood in the file with a DT of 0."""
     pyuff = pytest.importorskip("pyuff")
     columns = {
-        "stamp_ns": np.arange(4) * 10**9, "time": np.zeros(4), "dt": np.array([3.0, np.nan, 5.0, 6.0]),
+        "time": np.arange(4.0), "dt": np.array([3.0, np.nan, 5.0, 6.0]),
         "never": np.full(4, np.nan),
     }  # fmt: skip
     found = pyuff.UFF(str(write_columns(lambda: iter([columns]), tmp_path / "dt.uff"))).read_sets()
@@ -180,29 +205,26 @@ def test_times_in_a_universal_file_are_right_to_the_last(tmp_path, rate_hz, begi
     """A step of 1/3000 s has six digits there: the last time of a minute was 0.2 scans off; of a late begin, 21 ms."""
     pyuff = pytest.importorskip("pyuff")
     times = begin_s + np.arange(60 * rate_hz) / rate_hz
-    columns = {"stamp_ns": np.zeros(len(times), np.int64), "time": times, "x": np.ones(len(times))}
+    columns = {"time": times, "x": np.ones(len(times))}
     found = pyuff.UFF(str(write_columns(lambda: iter([columns]), tmp_path / "x.uff"))).read_sets()
     one = found[0] if isinstance(found, list) else found
     assert one["abscissa_spacing"] == even
     np.testing.assert_allclose(one["x"], times, rtol=0.0, atol=1e-9)
 
 
-def test_universal_file_without_pyuff_or_without_functions(run, tmp_path, monkeypatch):
+def test_a_table_without_functions_is_no_universal_file(tmp_path):
+    pytest.importorskip("pyuff")
     with pytest.raises(RecordingError, match="neither"):
         write_columns(lambda: iter([{"regime": np.array(["periodic"])}]), tmp_path / "words.uff")
-    monkeypatch.setitem(sys.modules, "pyuff", None)  # not to be imported
-    with pytest.raises(RecordingError, match="UFF needs pyuff, which is not installed: pip install pyuff"):
-        export(run, "daq/scan", tmp_path / "scan.uff")
-    assert list(tmp_path.glob("*.uff")) == []
 
 
 def test_large_tables_are_written_in_batches(run, tmp_path, monkeypatch):
-    monkeypatch.setattr("impact_rig.runs.exports._BATCH_BYTES", 10_000)
-    stamps, _ = expected()
+    monkeypatch.setattr("impact_rig.recording.columns.BATCH_BYTES", 10_000)
+    since_ns, _ = expected()
     with np.load(export(run, "daq/scan", tmp_path / "scan.npz")) as found:
-        np.testing.assert_array_equal(found["stamp_ns"], stamps)
+        np.testing.assert_allclose(found["time"], 1e-9 * since_ns, rtol=1e-12)
     lines = export(run, "daq/scan", tmp_path / "scan.csv").read_text().splitlines()
-    assert len(lines) == len(stamps) + 1
+    assert len(lines) == len(since_ns) + 1
 
 
 def test_refusals_name_what_would_be_right(run, tmp_path, record):
@@ -231,3 +253,38 @@ def test_a_topic_without_messages_or_with_changing_columns_is_refused(record, tm
             export(run, "shaker/applied", tmp_path / "applied.csv")
     assert list(tmp_path.glob("*.csv")) == []
     assert list(tmp_path.glob(".*partial")) == []
+
+
+def test_a_table_becomes_a_data_frame_with_the_columns_of_the_export(run, tmp_path):
+    pandas = pytest.importorskip("pandas")
+    frame = run.to_dataframe("daq/scan")
+    with np.load(export(run, "daq/scan", tmp_path / "scan.npz")) as found:
+        assert list(frame.columns) == found.files
+        for name in found.files:
+            np.testing.assert_array_equal(frame[name].to_numpy(), found[name])
+    assert frame["timestamp"].dtype == np.dtype("datetime64[ns]")
+    assert frame.set_index("time")["laser"].loc[0.1:0.2].notna().all()
+    assert pandas.api.types.is_string_dtype(run.to_dataframe("texts")["key"])
+
+
+def test_a_table_becomes_a_dataset_over_time_with_units(tmp_path):
+    pytest.importorskip("xarray")
+    rig = Rig(RigConfig())
+    with RigRecorder(tmp_path / "run", rig) as recorder:
+        recorder.block(*rig.advance(rig.block_end_ns(1)))
+    with open_run(tmp_path / "run") as run:
+        scans, info = run.to_xarray("daq/scan"), run.to_xarray("daq/info")
+    assert scans.sizes == {"time": 100}
+    assert {name: scans[name].attrs["units"] for name in ("laser", "accelerometer", "time")} == {
+        "laser": "m", "accelerometer": "m/s^2", "time": "s",
+    }  # fmt: skip
+    assert float(scans.laser.sel(time=0.005, method="nearest")) == float(scans.laser[50])
+    assert scans.attrs["topic"] == "/rig/daq/scan"
+    assert info["sensitivity"].attrs["units"] == "V/unit"
+
+
+@pytest.mark.parametrize(("call", "library"), [("to_dataframe", "pandas"), ("to_xarray", "xarray")])
+def test_a_missing_extra_of_tables_is_named_with_what_installs_it(run, monkeypatch, call, library):
+    monkeypatch.setitem(sys.modules, library, None)  # not to be imported
+    with pytest.raises(ImpactRigError, match=rf"{call}\(\) needs {library}.*pip install 'impact_rig\[tables\]'"):
+        getattr(run, call)("daq/scan")

@@ -258,7 +258,7 @@ def test_the_best_of_a_map_and_its_neighbours():
 def test_table_and_figures_are_written(small):
     _, directory = small
     rows = (directory / "map.csv").read_text().splitlines()
-    assert rows[0].startswith("gap_m,frequency_hz,direction,regime,dt,reduction_percent")
+    assert rows[0].startswith("gap_m,frequency_hz,direction,start,regime,dt,reduction_percent")
     assert len(rows) == 1 + 12
     assert {path.name for path in (directory / "figures").glob("*.svg")} == {
         "map_up.svg", "map_down.svg", "map_up_down.svg",
@@ -276,7 +276,30 @@ def test_points_are_exported(small, tmp_path, capsys):
     assert table["dt"].to_numpy()[0] == run.open_map(directory).values[UP]["dt"][0, 0]
     assert table["regime"].to_pylist()[0] == "periodic"
     assert main(["export", str(directory), "curve", str(tmp_path / "map.csv")]) == 1
-    assert "there are points" in capsys.readouterr().err
+    assert f"{directory} holds points, got 'curve'" in capsys.readouterr().err
+
+
+def test_a_map_becomes_a_data_frame_and_a_dataset(small):
+    pytest.importorskip("pandas")
+    pytest.importorskip("xarray")
+    done = run.open_map(small[1])
+    frame, dataset = done.to_dataframe(), done.to_xarray()
+    with (small[1] / "map.csv").open() as file:
+        assert list(frame.columns) == file.readline().strip().split(",")
+    assert dict(dataset.sizes) == {"gap_m": 3, "frequency_hz": 2, "direction": 2}
+    for _, row in frame.iterrows():
+        place = dataset.sel(gap_m=row["gap_m"], frequency_hz=row["frequency_hz"], direction=row["direction"])
+        assert (float(place["dt"]), str(place["regime"].item())) == (row["dt"], row["regime"])
+    assert set(frame["start"]) == {small[0].base.sphere.start}
+
+
+def test_starts_that_are_measured_one_beside_the_other_have_a_column(tmp_path):
+    path = tmp_path / "map.yaml"
+    path.write_text("axes: {gap_m: [0.006, 0.008], current_a: [0.5, 0.52]}\nstarts: [left, right]\n")
+    assert main(["map", str(path), "--workers", "1", "--no-figures", "--output", str(tmp_path / "out")]) == 0
+    frame = run.open_map(tmp_path / "out").to_dataframe()
+    assert sorted(set(zip(frame["direction"], frame["start"], strict=True))) == [("reset", "left"), ("reset", "right")]
+    assert dict(run.open_map(tmp_path / "out").to_xarray().sizes) == {"gap_m": 2, "current_a": 2, "start": 2}
 
 
 def test_a_motion_that_cannot_be_resolved_is_told_as_such(monkeypatch):

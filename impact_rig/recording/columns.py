@@ -1,0 +1,164 @@
+# Copyright 2026 The impact_rig developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The rows of a table topic by columns, for exports, data frames and datasets.
+
+Three columns stand in front of those of the table, which a row of any topic has:
+
+| column | content |
+|---|---|
+| `time` | seconds since the first scan of the recording, in all topics of a rig: it runs on from message to message |
+| `timestamp` | the same instant as a date, to the nanosecond: rig time, which counts from 1970 as ROS time does |
+| `earlier` | 1 where the message was published before the recording began: a latched topic hands it to a new recorder |
+
+Of a table with a column `time`, seconds since the stamp of its message, each row has the time of its own; the rows of
+other tables have the stamp.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig import topics
+from impact_rig.blocks import LONGEST_S, Table
+from impact_rig.errors import RecordingError
+from impact_rig.simtime import NS_PER_S
+from impact_rig.system import extras
+
+if TYPE_CHECKING:
+    from impact_rig.recording.reader import Message, Run
+
+TIME, TIMESTAMP, EARLIER = "time", "timestamp", "earlier"
+BATCH_BYTES = 4 * 2**20  # a text takes four times as much when it is decoded, a number when it is written
+
+Columns = dict[str, NDArray[np.generic]]
+
+
+def batches(run: Run, topic: str) -> Iterator[Columns]:
+    """Yield the columns of many messages at a time; text as str. At least one batch, empty if there are no rows.
+
+    Raises:
+        RecordingError: the topic carries no tables, holds no message or changes its columns.
+    """
+    dtype: np.dtype[np.void] | None = None
+    tables: list[Table] = []
+    earlier: list[bool] = []
+    waiting = 0
+    origin_ns = first_scan_ns(run, topic)
+    for message, table in run.received_tables(topic):
+        if dtype is None:
+            dtype = table.rows.dtype
+        elif dtype != table.rows.dtype:
+            raise RecordingError(f"topic {topic} changes its columns at {table.stamp_ns} ns")
+        origin_ns = table.stamp_ns if origin_ns is None else origin_ns
+        tables.append(table)
+        earlier.append(is_earlier(run, message))
+        waiting += table.rows.nbytes
+        if waiting >= BATCH_BYTES:
+            yield _joined(tables, earlier, origin_ns)
+            tables, earlier, waiting = [], [], 0
+    if dtype is None:
+        raise RecordingError(f"topic {topic} holds no message, so its columns are not known")
+    if tables:
+        yield _joined(tables, earlier, origin_ns or 0)
+
+
+def complete(parts: Iterator[Columns]) -> Columns:
+    """Return batches of columns as one."""
+    found = list(parts)
+    return {name: np.concatenate([part[name] for part in found]) for name in found[0]}
+
+
+def to_dataframe(run: Run, topic: str) -> Any:
+    """Return a `pandas.DataFrame`, see `Run.to_dataframe`."""
+    pandas = extras.load("pandas", "to_dataframe()", "tables")
+    return pandas.DataFrame(complete(batches(run, topic)))
+
+
+def to_xarray(run: Run, topic: str) -> Any:
+    """Return an `xarray.Dataset`, see `Run.to_xarray`."""
+    xarray = extras.load("xarray", "to_xarray()", "tables")
+    columns = complete(batches(run, topic))
+    described = _described(run, topic)
+    coordinates = {name: (TIME, columns.pop(name)) for name in (TIME, TIMESTAMP, EARLIER)}
+    dataset = xarray.Dataset(
+        {name: (TIME, column, described.get(name, {})) for name, column in columns.items()},
+        coordinates, {"run": str(run.path), "topic": run.resolve(topic)},
+    )  # fmt: skip
+    dataset[TIME].attrs |= {"units": "s", "long_name": "Since the first scan of the recording."}
+    return dataset
+
+
+def first_scan_ns(run: Run, topic: str) -> int | None:
+    """Return the stamp of the first scan of the rig that a topic is of; None: there is none."""
+    name = run.resolve(topic)
+    prefix = max((one for one in run.prefixes if name.startswith(one)), key=len, default="")
+    scans = prefix + topics.SCAN.name
+    if scans not in run.topics:
+        return None
+    return next((table.stamp_ns for table in run.tables(scans)), None)
+
+
+def is_earlier(run: Run, message: Message) -> bool:
+    """Return whether a message was published before the recording began; False where its recorder does not say."""
+    text = run.provenance.get("wall_start_ns", "")
+    if message.publish_time == message.log_time:
+        return False  # its writer knew no publish time: both are rig time
+    return text.isdecimal() and message.publish_time < int(text)
+
+
+def leading(
+    stamps: NDArray[np.int64], since: NDArray[np.float64], earlier: Sequence[bool], origin_ns: int | None
+) -> Columns:
+    """Return the columns in front, of rows `since` seconds after the stamps of their messages; all of shape (n,)."""
+    known = np.abs(since) <= LONGEST_S
+    own = stamps + np.round(np.where(known, since, 0.0) * NS_PER_S).astype(np.int64)
+    begin = origin_ns if origin_ns is not None else int(stamps[0]) if len(stamps) else 0
+    return {
+        TIME: (stamps - begin) / NS_PER_S + since,
+        TIMESTAMP: np.where(known, own.astype("datetime64[ns]"), np.datetime64("NaT", "ns")),
+        EARLIER: np.array(earlier, np.uint8),
+    }
+
+
+def _joined(tables: list[Table], earlier: list[bool], origin_ns: int) -> Columns:
+    """Return the columns of some tables of one type."""
+    rows = np.concatenate([table.rows for table in tables])
+    counts = [len(table.rows) for table in tables]
+    stamps = np.repeat(np.array([table.stamp_ns for table in tables], np.int64), counts)
+    fields: Mapping[str, tuple[Any, ...]] = rows.dtype.fields or {}
+    timed = TIME in fields and fields[TIME][0].kind in "fiu"
+    since = np.asarray(rows[TIME], float) if timed else np.zeros(len(rows))
+    columns = leading(stamps, since, np.repeat(earlier, counts).tolist(), origin_ns)
+    for name in fields:
+        if name != TIME or not timed:
+            column = rows[name]
+            own_name = f"{name}_of_table" if name in columns else name
+            columns[own_name] = np.char.decode(column, "utf-8", "replace") if column.dtype.kind == "S" else column
+    return columns
+
+
+def _described(run: Run, topic: str) -> dict[str, dict[str, str]]:
+    """Return unit and meaning of the columns of a topic, as far as interface and calibration say."""
+    relative = run.relative(run.resolve(topic))
+    known = next((one for one in topics.COMMON if one.name == relative), None)
+    found = {one.name: {"units": one.unit, "long_name": one.doc} for one in (known.fields if known else ())}
+    if known is topics.SCAN and run.holds(topics.INFO):
+        for table in run.tables(topics.INFO):
+            for row in table.rows:
+                found[row["name"].decode("utf-8", "replace")] = {"units": row["unit"].decode("utf-8", "replace")}
+    return found

@@ -1,0 +1,41 @@
+# Copyright 2026 The impact_rig developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Libraries that only an extra of the package installs."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+from impact_rig.errors import ImpactRigError
+
+
+def load(module: str, purpose: str, extra: str) -> Any:  # a module, whose names no type checker knows
+    """Import a library of an extra.
+
+    Args:
+        module: name of the module.
+        purpose: what needs it, for the message.
+        extra: name of the extra in `setup.py`.
+
+    Raises:
+        ImpactRigError: it is not installed; the message has the command that installs it.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        library = module.partition(".")[0]
+        raise ImpactRigError(
+            f"{purpose} needs {library}, which is not installed: pip install 'impact_rig[{extra}]'"
+        ) from error

@@ -1,0 +1,93 @@
+# Copyright 2026 The impact_rig developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Tables of a study's results by columns, as data frames and as datasets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.errors import RecordingError
+from impact_rig.system import extras
+
+
+def by_columns(names: Sequence[str], rows: Sequence[Sequence[object]]) -> dict[str, NDArray[np.generic]]:
+    """Return a table by columns: numbers, or texts where a column has any.
+
+    Raises:
+        RecordingError: the table is empty.
+    """
+    if not rows:
+        raise RecordingError("nothing was measured yet: there is no point to export")
+    found: dict[str, NDArray[np.generic]] = {}
+    for name, cells in zip(names, zip(*rows, strict=True), strict=True):
+        texts = any(isinstance(cell, str) for cell in cells)
+        found[name] = np.array([str(cell) for cell in cells] if texts else cells)
+    return found
+
+
+def to_dataframe(names: Sequence[str], rows: Sequence[Sequence[object]]) -> Any:
+    """Return a table as a `pandas.DataFrame`.
+
+    Raises:
+        ImpactRigError: pandas is not installed, or the table is empty.
+    """
+    pandas = extras.load("pandas", "to_dataframe()", "tables")
+    return pandas.DataFrame(by_columns(names, rows))
+
+
+def to_xarray(
+    names: Sequence[str],
+    rows: Sequence[Sequence[object]],
+    *,
+    grid: Sequence[str] = (),
+    coordinates: Sequence[str] = (),
+) -> Any:
+    """Return a table as an `xarray.Dataset`.
+
+    Args:
+        names: of the columns.
+        rows: of the table.
+        grid: columns that are the dimensions, each combination of their values being one row at most; none: the only
+            dimension is `row`.
+        coordinates: columns that are coordinates along `row`, those that the table has.
+
+    Raises:
+        ImpactRigError: xarray is not installed, or the table is empty.
+    """
+    xarray = extras.load("xarray", "to_xarray()", "tables")
+    columns = by_columns(names, rows)
+    if not grid:
+        along = {name: ("row", columns.pop(name)) for name in coordinates if name in columns}
+        return xarray.Dataset({name: ("row", column) for name, column in columns.items()}, along)
+    axes, order = {}, []
+    for name in grid:
+        axes[name], places = np.unique(columns.pop(name), return_inverse=True)
+        order.append(places)
+    shape = tuple(map(len, axes.values()))
+    variables = {name: (list(grid), _spread(column, tuple(order), shape)) for name, column in columns.items()}
+    return xarray.Dataset(variables, axes)
+
+
+def _spread(
+    column: NDArray[np.generic], order: tuple[NDArray[np.intp], ...], shape: tuple[int, ...]
+) -> NDArray[np.generic]:
+    """Return a column as an array over a grid; NaN or an empty text where it has no row."""
+    filler: object = "" if column.dtype.kind == "U" else np.nan
+    found = np.full(shape, filler, column.dtype if column.dtype.kind == "U" else float)
+    found[order] = column
+    return found
