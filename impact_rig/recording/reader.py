@@ -649,17 +649,15 @@ class McapSource:
         Raises:
             RecordingError: one is damaged.
         """
-        return [attachment for attachment, _ in self._attachments()]
+        found = (record for record, _ in self.attachment_records())
+        return [Attachment(record.name, bytes(record.data), record.media_type) for record in found]
 
-    def attachment_crcs(self) -> list[bool]:
-        """Return for each attachment whether it carries a checksum, which then fits.
+    def attachment_records(self) -> list[tuple[mcap_records.Attachment, bool]]:
+        """Return the attachment records, and for each whether it carries a checksum, which then fits.
 
         Raises:
             RecordingError: one is damaged.
         """
-        return [is_checked for _, is_checked in self._attachments()]
-
-    def _attachments(self) -> list[tuple[Attachment, bool]]:
         found = []
         for index in self.summary.attachment_indexes:
             try:
@@ -670,7 +668,7 @@ class McapSource:
                     raise DamageError("its checksum does not fit")  # noqa: TRY301  (one place words both kinds of damage)
             except DamageError as error:
                 raise DamageError(f"{self.path}: the attachment at byte {index.offset} is damaged: {error}") from error
-            found.append((Attachment(attachment.name, bytes(attachment.data), attachment.media_type), fits is not None))
+            found.append((attachment, fits is not None))
         return found
 
     def metadata(self) -> list[tuple[str, dict[str, str]]]:

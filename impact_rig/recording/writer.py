@@ -38,13 +38,14 @@ from types import MappingProxyType
 
 import attrs
 from mcap.data_stream import RecordBuilder
+from mcap.records import Attachment as AttachmentRecord
 from mcap.records import Channel, McapRecord, Schema
 from mcap.writer import CompressionType, Writer
 
 from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, RecordingError
-from impact_rig.recording import description, losses
+from impact_rig.recording import description, digests, losses
 from impact_rig.recording.description import (
     ENCODING,
     INFINITE_NS,
@@ -612,9 +613,10 @@ class McapFile:
         self._open_bytes = 0  # what the open chunk holds
         self._chunks = 0
         self._channels = 0
-        self._schema_ids: dict[str, int] = {}
+        self._schemas: dict[str, Schema | None] = {"": None}  # by name of the type
         self._index_bytes = _INDEX_BYTES_FIXED
         self.finished = False
+        self._digests = digests.Digests()
         self._fd = _create(path)
         self._buffer = _Buffer()
         self._writer = Writer(
@@ -637,28 +639,32 @@ class McapFile:
 
     def add_topic(self, topic: TopicDescription) -> int:
         """Register `topic` and return its channel id: 1 for the first, 2 for the next."""
-        if not topic.type_name:
-            self._schema_ids[""] = 0  # a channel without a schema
-        if topic.type_name not in self._schema_ids:
+        if topic.type_name not in self._schemas:
             data = topic.schema.encode()
             self._index_bytes += len(data) + len(topic.type_name) + 64
-            known = self._writer.register_schema(topic.type_name, ENCODING, data)
-            self._schema_ids[topic.type_name] = known = int(known)
-            self._open_bytes += _length(Schema(known, data, ENCODING, topic.type_name))
+            known = int(self._writer.register_schema(topic.type_name, ENCODING, data))
+            registered = Schema(known, data, ENCODING, topic.type_name)
+            self._schemas[topic.type_name] = registered
+            self._open_bytes += _length(registered)
         self._channels += 1
         metadata = topic.channel_metadata()
         self._index_bytes += (
             _CLOSING_BYTES_PER_TOPIC + len(topic.name) + sum(len(k) + len(v) for k, v in metadata.items()) + 64
         )
-        schema = self._schema_ids[topic.type_name]
-        number = self._writer.register_channel(topic.name, topic.encoding, schema, metadata)
-        self._open_bytes += _length(Channel(number, topic.name, topic.encoding, metadata, schema))
+        schema = self._schemas[topic.type_name]
+        schema_id = schema.id if schema is not None else 0
+        number = self._writer.register_channel(topic.name, topic.encoding, schema_id, metadata)
+        channel = Channel(number, topic.name, topic.encoding, metadata, schema_id)
+        self._open_bytes += _length(channel)
+        self._digests.add_topic(channel, schema)
         return number
 
     def add_message(self, channel: int, log_time: int, data: bytes, publish_time: int, sequence: int) -> bool:
         """Add a message to the open chunk; return whether that closed the chunk (then it waits for `commit`)."""
         self._largest_message = max(self._largest_message, len(data))
-        self._messages.append((channel, log_time, data, publish_time, sequence & SEQUENCE_MASK))
+        sequence &= SEQUENCE_MASK
+        self._messages.append((channel, log_time, data, publish_time, sequence))
+        self._digests.add_message(channel, sequence, log_time, publish_time, data)
         self._open_bytes += MESSAGE_HEAD.size + len(data)
         if self._open_bytes <= self._chunk_bytes:
             return False
@@ -669,11 +675,15 @@ class McapFile:
         """Add a metadata record; it waits for `commit`."""
         self._index_bytes += len(name) + 64
         self._writer.add_metadata(name, dict(record))
+        self._digests.add_metadata(name, record)
 
     def add_attachment(self, attachment: Attachment, log_time: int, create_time: int) -> None:
         """Add an attachment; it waits for `commit`."""
         self._index_bytes += len(attachment.name) + len(attachment.media_type) + 128
         self._writer.add_attachment(create_time, log_time, attachment.name, attachment.media_type, attachment.data)
+        self._digests.add_attachment(
+            AttachmentRecord(create_time, log_time, attachment.name, attachment.media_type, attachment.data)
+        )
 
     def add_record(self, record: bytes) -> None:
         """Add a complete record as it is; it waits for `commit`."""
@@ -741,6 +751,7 @@ class McapFile:
         """
         try:
             self.close_chunk()
+            self.add_metadata(digests.RECORD_NAME, protect(self._digests.to_record()))
             self._writer.finish()  # type: ignore[no-untyped-call]  # mcap annotates arguments, not results
             self.commit()
             self.finished = True

@@ -132,7 +132,8 @@ def info(path: Path | str) -> RunInfo:
             for message in run.messages(recorded_order=True):
                 tally.add(message)
             checked = structure.checksums(run)
-            problem = "; ".join(structure.contradictions(run))
+            examined = structure.examine(run)
+            problem = "; ".join((*examined.contradictions, *examined.changes))
         except DamageError as error:
             problem = str(error)
         rigs = list(tally.rigs.values())

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Structure of a recording: which checksums it carries, and whether its index and statistics fit its messages.
+"""Structure of a recording: its checksums and digests, and whether its index and statistics fit its messages.
 
 A reader finds messages by the index. A topic that the index leaves out looks as if it had never been recorded, whatever
 the checksums of the chunks say. So both are compared, record by record.
@@ -27,7 +27,7 @@ from collections.abc import Iterator
 import attrs
 from mcap import records as mcap_records
 
-from impact_rig.recording import Run, records
+from impact_rig.recording import Run, description, digests, records
 from impact_rig.recording.reader import McapSource, Segment
 from impact_rig.recording.records import DamageError
 from impact_rig.system import files
@@ -83,7 +83,7 @@ def checksums(run: Run) -> Checksums:
         if len(chunks) < len(source.segments):
             found.outside += 1
             found.checked_outside += _check_data_section(source)
-        crcs = source.attachment_crcs()
+        crcs = [is_checked for _, is_checked in source.attachment_records()]
         found.attachments += len(crcs)
         found.checked_attachments += sum(crcs)
     return found
@@ -107,16 +107,48 @@ def _check_data_section(source: McapSource) -> bool:
     return True
 
 
-def contradictions(run: Run) -> list[str]:
-    """Return where index, statistics and definitions of a recording contradict what is in it, one sentence each.
+@attrs.frozen
+class Examination:
+    """What the records of a recording say about each other."""
+
+    contradictions: tuple[str, ...]
+    """Where index, statistics and definitions contradict the messages, one sentence each."""
+    changes: tuple[str, ...]
+    """What was changed after the recording, by the digests, one sentence each."""
+    has_digests: bool
+    """Whether every file has digests."""
+
+
+def examine(run: Run) -> Examination:
+    """Read every record of a recording, and compare index, statistics, definitions and digests with them.
 
     Raises:
         RecordingError: a part is damaged.
     """
-    return [f"{source.path.name}: {problem}" for source in run.sources for problem in _contradictions(source)]
+    contradictions: list[str] = []
+    changes: list[str] = []
+    has_digests = True
+    for source in run.sources:
+        found = digests.Digests()
+        contradictions += [f"{source.path.name}: {problem}" for problem in _contradictions(source, found)]
+        recorded = None
+        for name, content in source.metadata():
+            found.add_metadata(name, content)
+            if name == digests.RECORD_NAME:
+                recorded = description.verify(content) or {}
+        for attachment, _ in source.attachment_records():
+            found.add_attachment(attachment)
+        if recorded is None:
+            has_digests = False
+        else:
+            changes += [f"{source.path.name}: {one}" for one in found.differences(recorded)]
+    return Examination(tuple(contradictions), tuple(changes), has_digests)
 
 
-def _contradictions(source: McapSource) -> Iterator[str]:
+def _contradictions(source: McapSource, digest: digests.Digests) -> Iterator[str]:
+    """Yield where a file contradicts itself, and add its topics and messages to the digests."""
+    for defined in source.summary.channels.values():
+        digest.add_topic(defined, source.summary.schemas.get(defined.schema_id))
     counts: Counter[int] = Counter()
     times: list[int] = []
     summary, statistics = source.summary, source.statistics
@@ -127,6 +159,7 @@ def _contradictions(source: McapSource) -> Iterator[str]:
         for channel_id, log_time, offset in records.positions(content):
             counts[channel_id] += 1
             here.append(log_time)
+            _add_message(digest, content, offset)
             index.setdefault(channel_id, []).append((log_time, offset))
         for definition in records.definitions(content):
             known = summary.schemas if isinstance(definition, mcap_records.Schema) else summary.channels
@@ -155,6 +188,12 @@ def _contradictions(source: McapSource) -> Iterator[str]:
         yield f"its statistics count {claimed.get(channel, 0)} messages of {name}, it holds {counts[channel]}"
     if times and (statistics.message_start_time, statistics.message_end_time) != (min(times), max(times)):
         yield "its statistics give other log times than its messages"
+
+
+def _add_message(found: digests.Digests, content: memoryview, offset: int) -> None:
+    _, length, channel, sequence, log_time, publish_time = records.MESSAGE_HEAD.unpack_from(content, offset)
+    data = content[offset + records.MESSAGE_HEAD.size : offset + records.RECORD_HEAD.size + length]
+    found.add_message(channel, sequence, log_time, publish_time, data)
 
 
 def _what(definition: mcap_records.Schema | mcap_records.Channel) -> str:

@@ -40,6 +40,7 @@ from impact_rig.instruments.instrument import Instrument
 from impact_rig.instruments.registry import INSTRUMENTS
 from impact_rig.names import quoted
 from impact_rig.recording import CONFIGURATION, Message, Run, arithmetic_of, is_measured
+from impact_rig.recording.description import RECORD_NAME as PROVENANCE_RECORD
 from impact_rig.recording.description import members
 from impact_rig.recording.losses import last_scan_ns
 from impact_rig.rig import Block
@@ -70,6 +71,12 @@ _UNKNOWN = "no topic of a rig"
 
 
 NOT_CHECKED = (
+    "metadata.yaml, which other tools read",
+    "how messages are packed into chunks",
+    "who wrote the digests, which a program may renew",
+)
+"""What a verdict says nothing about."""
+NOT_CHECKED_WITHOUT_DIGESTS = (
     "commands and remarks of clients (the journal has what became of them)",
     "what the analysis publishes (`impact-rig analyze` compares it)",
     "diagnostics and topics of other nodes",
@@ -77,9 +84,9 @@ NOT_CHECKED = (
     "frame ids",
     "schemas, type hashes and quality of service of topics",
     f"attachments other than {CONFIGURATION}",
-    "provenance other than the version of the arithmetic",
+    "metadata.yaml, and metadata records other than the version of the arithmetic",
 )
-"""What a verdict says nothing about."""
+"""What a verdict says nothing about if the recorder wrote no digests: only the recorder of this package does."""
 
 
 @attrs.frozen
@@ -91,6 +98,7 @@ class Verification:
     reason: str = ""  # the first difference, or why the run cannot be verified; empty when identical
     topics: tuple[Compared, ...] = attrs.field(default=(), eq=False)
     """What was compared and what could not be, topic by topic."""
+    not_checked: tuple[str, ...] = attrs.field(default=NOT_CHECKED_WITHOUT_DIGESTS, eq=False)
 
     def __str__(self) -> str:
         if self.identical is None:
@@ -111,20 +119,33 @@ def verify(run: Run) -> Verification:
     run.resolve(topics.SCAN.name)
     if is_measured(run.provenance):
         return Verification(None, 0, "a measurement: there is nothing to re-simulate")
-    problems = structure.contradictions(run)
-    if problems:  # what the index leaves out would pass for what was never recorded
-        return Verification(False, 0, problems[0])
+    examined = structure.examine(run)
+    if examined.contradictions:  # what the index leaves out would pass for what was never recorded
+        return Verification(False, 0, examined.contradictions[0])
+    changes = examined.changes
+    if not examined.has_digests and any(name.startswith(PROVENANCE_RECORD) for name in _metadata_names(run)):
+        changes = ("the digests that its recorder wrote are missing",)
+    not_checked = NOT_CHECKED if examined.has_digests else NOT_CHECKED_WITHOUT_DIGESTS
+    return attrs.evolve(_verify_content(run, changes), not_checked=not_checked)
+
+
+def _metadata_names(run: Run) -> Iterator[str]:
+    return (name for source in run.sources for name, _ in source.metadata())
+
+
+def _verify_content(run: Run, changes: Sequence[str]) -> Verification:
+    """Re-simulate a run and compare, and take what was changed after the recording for a difference."""
     try:
         journals, waveforms, first, foreign = _journals(run)
     except (RecordingError, ConfigError) as error:
-        return Verification(None, 0, str(error))
+        return Verification(False if changes else None, 0, changes[0] if changes else str(error))
     if not journals:
-        return Verification(None, 0, "the journal is empty")
+        return Verification(False if changes else None, 0, changes[0] if changes else "the journal is empty")
     with contextlib.closing(_Beside(run, foreign, list(zip(journals, waveforms, strict=True)))) as beside:
         found = _verify_all(run, journals, first, beside)
         compared = (Compared(topics.SCAN.name, found.scans, what="scans"), *beside.compared())
-    differences = [str(one) for one in compared if one.difference]
-    if found.identical and differences:
+    differences = [*(str(one) for one in compared if one.difference), *changes]
+    if found.identical is not False and (changes or (found.identical and differences)):
         found = attrs.evolve(found, identical=False, reason=differences[0])
     return attrs.evolve(found, topics=compared if found.identical is not None else ())
 

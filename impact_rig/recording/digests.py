@@ -1,0 +1,104 @@
+# Copyright 2026 The impact_rig developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Digests of what a recorder wrote: of each topic with all its messages, of the attachments and of the metadata.
+
+A program that changes a recording renews the checksums of MCAP when it writes the file, so they show damage only. The
+digests show every change of a definition, a message, its order, times and number, an attachment or a metadata record.
+They do not depend on how messages are packed into chunks. They do not show who wrote them: a program may renew them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import struct
+from collections.abc import Iterator, Mapping
+
+from mcap.records import Attachment, Channel, Schema
+
+RECORD_NAME = "impact_rig/digests"
+"""The last metadata record of a file; it is in no digest."""
+_TOPIC = "topic "  # what precedes the name of a topic in a key of the record
+_MESSAGE = struct.Struct("<IQQQ")  # sequence number, log time, publish time, length
+
+
+class Digests:
+    """Digests of one file, which grow with what is written to or read from it."""
+
+    def __init__(self) -> None:
+        self._topics: dict[int, tuple[str, hashlib.blake2b]] = {}  # name and digest, by channel
+        self._attachments = _new()
+        self._metadata = _new()
+
+    def add_topic(self, channel: Channel, schema: Schema | None) -> None:
+        """Begin the digest of a topic with its definition."""
+        digest = _new()
+        _add(digest, channel.topic, channel.message_encoding, json.dumps(channel.metadata, sort_keys=True))
+        if schema is not None:
+            _add(digest, schema.name, schema.encoding, schema.data)
+        self._topics[channel.id] = channel.topic, digest
+
+    def add_message(
+        self, channel: int, sequence: int, log_time: int, publish_time: int, data: bytes | memoryview
+    ) -> None:
+        """Add a message to the digest of its topic, in the order of the file; one of an unknown channel is in none."""
+        if channel not in self._topics:
+            return
+        digest = self._topics[channel][1]
+        digest.update(_MESSAGE.pack(sequence, log_time, publish_time, len(data)))
+        digest.update(data)
+
+    def add_attachment(self, attachment: Attachment) -> None:
+        """Add an attachment."""
+        digest = self._attachments
+        _add(digest, attachment.name, attachment.media_type, attachment.data)
+        digest.update(struct.pack("<QQ", attachment.log_time, attachment.create_time))
+
+    def add_metadata(self, name: str, content: Mapping[str, str]) -> None:
+        """Add a metadata record."""
+        if name != RECORD_NAME:
+            _add(self._metadata, name, json.dumps(dict(content), sort_keys=True))
+
+    def to_record(self) -> dict[str, str]:
+        """Return the content of the metadata record."""
+        topics = {_TOPIC + name: digest.hexdigest() for name, digest in self._topics.values()}
+        return {"attachments": self._attachments.hexdigest(), "metadata": self._metadata.hexdigest(), **topics}
+
+    def differences(self, recorded: Mapping[str, str]) -> Iterator[str]:
+        """Yield a sentence for each part that is not what its recorder wrote.
+
+        Args:
+            recorded: content of the metadata record of the same file.
+        """
+        found = self.to_record()
+        for key in sorted({*found, *recorded}):
+            name = key.removeprefix(_TOPIC)
+            if key not in found:
+                yield f"{name}, which was recorded, is missing"
+            elif key not in recorded:
+                yield f"{name} was not recorded by the recorder of this file"
+            elif found[key] != recorded[key]:
+                what = "messages or its definition" if key.startswith(_TOPIC) else "content"
+                yield f"{name}: its digest does not fit, so its {what} changed after the recording"
+
+
+def _new() -> hashlib.blake2b:
+    return hashlib.blake2b(digest_size=16)
+
+
+def _add(digest: hashlib.blake2b, *parts: str | bytes) -> None:
+    for part in parts:
+        data = part.encode() if isinstance(part, str) else part
+        digest.update(struct.pack("<Q", len(data)))
+        digest.update(data)
