@@ -63,7 +63,7 @@ from impact_rig.recording import (
     open_run,
     records,
 )
-from impact_rig.rig import Block, Rig
+from impact_rig.rig import Block, Rig, journal
 from impact_rig.rig.config import RigConfig, dump, from_flat
 from impact_rig.rig.description import robot_description
 from impact_rig.runs import info, reanalysis, recover
@@ -143,8 +143,8 @@ class Stage:
 
     def changes(self) -> None:
         """Publish what has changed, as the rig's node does."""
-        for table in self.rig.take_journal():
-            self.send(topics.JOURNAL.name, codec.encode(table))
+        for entry in self.rig.take_journal():
+            self.send(topics.JOURNAL.name, journal.encode(entry))
         for table in self.rig.take_applied():
             self.send(topics.APPLIED.name, codec.encode(table))
             self._tracker.on_applied(table)
@@ -365,13 +365,13 @@ def record(directory: Path, heard_of: dict[str, Sequence[Sent]], *, finish: bool
         arriving.sort(key=lambda pair: pair[1].sent_ns)
     before = itertools.takewhile(lambda pair: pair[1].topic != SCAN, arriving)
     texts = [one.data for _, one in before if one.topic == topics.CONFIGURATION.name]
+    attachments = [Attachment("environment.json", b'{"machine": "qualification"}', "application/json")]
+    if len(heard_of) == 1:  # a recorder of several rigs attaches no configuration
+        attachments.append(Attachment(CONFIGURATION, texts[-1][8:].rstrip(b"\0"), "application/yaml"))
     writer = RunWriter(
         directory,
         provenance=Provenance(version="0", seed=1, wall_start_ns=START_NS, extra={"namespace": "/rig"}),
-        attachments=(
-            Attachment(CONFIGURATION, texts[-1][8:].rstrip(b"\0"), "application/yaml"),
-            Attachment("environment.json", b'{"machine": "qualification"}', "application/json"),
-        ),
+        attachments=attachments,
         account=Account(),
         clock=time.monotonic,
         chunk_bytes=64 * 1024,
