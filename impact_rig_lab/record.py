@@ -34,6 +34,8 @@ from impact_rig import codec, topics
 from impact_rig.analysis.transmissibility import note_on
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, ImpactRigError, RecordingError
+from impact_rig.instruments.instrument import FAULT_KINDS
+from impact_rig.instruments.registry import INSTRUMENTS
 from impact_rig.rig.config import parameters_in
 from impact_rig.rig.journal import PLANNED, InputKind, JournalEntry, JournalView, decode
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
@@ -61,11 +63,27 @@ HIGHEST_RATE_HZ = 1e7
 LONGEST_RUN_S = 1e9
 STREAM = ("buffered", "capacity", "playing", "late", "refused", "missing", "rate")
 UNITS = {"frequency": "Hz", "current": "A", "over_travel": "m", "over_current": "A"}
+SHOWN_UNITS = {"m": ("mm", 1e-3), "-": ("", 1.0)}
+"""Units that the page shows another way, with their size in the unit of the rig."""
 
 
 def text(raw: Any) -> str:
     """Return the text in a column."""
     return bytes(raw).rstrip(b"\0").decode("utf-8", errors="replace")
+
+
+def fault_unit(kind: str, channel: str) -> str:
+    """Return the unit of the size of a fault; empty: it has none."""
+    if kind == "clock_drift":
+        return "ppm"
+    has_unit = "[unit" in FAULT_KINDS.get(kind, "") and channel in INSTRUMENTS
+    return INSTRUMENTS[channel].unit if has_unit else ""
+
+
+def amount(value: float, unit: str) -> str:
+    """Return a value of the rig as the page shows it, lengths in mm."""
+    shown, size = SHOWN_UNITS.get(unit, (unit, 1.0))
+    return f"{value / size:.6g} {shown}".strip()
 
 
 def plain(word: str) -> str:
@@ -194,9 +212,7 @@ class RigHistory:
 def _value(entry: JournalEntry) -> str:
     if entry.value is None:
         return "all" if entry.kind is InputKind.CLEAR_FAULT else ""
-    if entry.kind is InputKind.PLUCK:
-        return f"{entry.value * 1e3:.4g} mm"
-    return f"{entry.value:.6g} {UNITS.get(entry.name, '')}".strip()
+    return amount(entry.value, "m" if entry.kind is InputKind.PLUCK else UNITS.get(entry.name, ""))
 
 
 class Faults:
@@ -212,9 +228,15 @@ class Faults:
     def add(self, table: Table) -> None:
         """Take a table of `truth/faults`."""
         for row in table.rows:
-            what = f"{plain(text(row['kind']))} {text(row['channel'])}".strip()
+            kind, channel = text(row["kind"]), text(row["channel"])
+            size = (
+                f" ({amount(float(row['value']), fault_unit(kind, channel))})"
+                if "`value`" in FAULT_KINDS.get(kind, "")
+                else ""
+            )
             stamp = table.stamp_ns + round(float(row["time"]) * NS_PER_S)
-            self._rows.append((stamp, int(row["id"]), bool(row["active"]), f"{what} ({float(row['value']):g})"))
+            what = f"{plain(kind)} {channel}".strip() + size
+            self._rows.append((stamp, int(row["id"]), bool(row["active"]), what))
 
     def in_force(self, start_ns: int, at_ns: int | None = None) -> list[str]:
         """Return the faults that are in force at an instant (None: after everything that was heard), in words.

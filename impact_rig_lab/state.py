@@ -40,7 +40,7 @@ from impact_rig.rig.config import fields
 from impact_rig.rig.journal import PLANNED
 from impact_rig.states import Regime, Status
 from impact_rig_lab.protocol import Request
-from impact_rig_lab.record import RigView, guard, plain
+from impact_rig_lab.record import SHOWN_UNITS, RigView, fault_unit, guard, plain
 from impact_rig_lab.scope import Scope
 from impact_rig_lab.theory import Theory, contradiction
 
@@ -206,28 +206,33 @@ def choices() -> dict[str, Any]:
 
 
 SIZES = {"accelerometer": 5.0, "laser": 1e-3, "base": 1e-4, "current": 0.1}
-"""What the fault form proposes for a fault on a channel, in the unit of the channel: it shows, and is no emergency."""
+"""Proposals of the fault form for a fault on a channel, in the unit of the channel: it is seen, and trips nothing."""
 NOISE = 0.1  # the same for the rms of noise, as a part of that
+SIZE_NAMES = {
+    "gain_error": "fraction",
+    "added_noise": "rms",
+    "saturation": "limit ±",
+    "spike_train": "height ±",
+    "offset_step": "step",
+}
 
 
 def _fault_form(kind: str) -> dict[str, Any]:
     """Return what the form asks for a fault of a kind: words, whether it has a channel, a rate, and a size by channel.
 
-    A kind without `value` has no sizes; the channel of a fault of the whole board is empty.
+    A kind without `value` has no sizes; the channel of a fault of the whole board is empty. A size is shown in `unit`,
+    which is `scale` units of the rig.
     """
     words = FAULT_KINDS[kind]
     sizes: dict[str, dict[str, Any]] = {}
     if kind == "clock_drift":
-        sizes[""] = {"name": "drift", "unit": "ppm", "default": 100.0}
+        sizes[""] = {"name": "drift", "unit": "ppm", "scale": 1.0, "default": 100.0}
     elif "`value`" in words:
-        for name, instrument in INSTRUMENTS.items():
-            unit, size = instrument.unit, SIZES.get(name, 1.0)
-            sizes[name] = {
-                "gain_error": {"name": "fraction", "unit": "", "default": 0.02},
-                "added_noise": {"name": "rms", "unit": unit, "default": NOISE * size},
-                "saturation": {"name": "limit ±", "unit": unit, "default": size},
-                "spike_train": {"name": "height ±", "unit": unit, "default": size},
-            }.get(kind, {"name": "step", "unit": unit, "default": size})
+        for name in INSTRUMENTS:
+            size = {"gain_error": 0.02, "added_noise": NOISE * SIZES.get(name, 1.0)}.get(kind, SIZES.get(name, 1.0))
+            of_rig = fault_unit(kind, name)
+            unit, scale = SHOWN_UNITS.get(of_rig, (of_rig, 1.0))
+            sizes[name] = {"name": SIZE_NAMES[kind], "unit": unit, "scale": scale, "default": round(size / scale, 9)}
     return {"words": words, "board": kind in BOARD_KINDS, "rate": "`rate_hz`" in words, "sizes": sizes}
 
 

@@ -9,7 +9,7 @@ python=$1/bin/python
 here=$(dirname "$0")
 
 "$python" -c 'import sys; from impact_rig.kernels import library; sys.exit(library() is None)' && exit
-pip() { "$python" -m pip install --quiet --no-compile --no-deps --no-input --disable-pip-version-check "$@"; }
+pip() { "$python" -W ignore -m pip install --quiet --no-compile --no-deps --no-input --disable-pip-version-check "$@"; }
 
 if ! command -v "${CC:-cc}" >/dev/null; then
     echo 'no C compiler: Numba compiles the kernels at their first call, which takes a minute'

@@ -60,8 +60,9 @@ class Trip:
         """Return one line for people."""
         if self.reason == UNDERRUN:
             return f"{self.reason}: sample {self.measured:.0f} of the stream did not come in time"
-        unit = "m of travel" if self.reason == OVER_TRAVEL else "A rms"
-        return f"{self.reason}: {self.measured:.4g} {unit}, limit {self.limit:.4g}"
+        if self.reason == OVER_TRAVEL:
+            return f"{self.reason}: {1e3 * self.measured:.4g} mm of travel, limit {1e3 * self.limit:.4g} mm"
+        return f"{self.reason}: {self.measured:.4g} A rms, limit {self.limit:.4g} A"
 
 
 class Interlock:

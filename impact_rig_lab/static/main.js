@@ -388,13 +388,18 @@ function look() {
 
 // What people do
 
+function faultSize() {
+  const about = now.choices?.faults?.[byId("fault-kind").value];
+  return about?.sizes[about.board ? "" : byId("fault-channel").value];
+}
+
 function showFault() {
   const about = now.choices?.faults?.[byId("fault-kind").value];
   if (!about) return;
   setText("fault-text", about.words);
   byId("fault-channel").disabled = about.board;
   byId("fault-rate-label").hidden = !about.rate;
-  const size = about.sizes[about.board ? "" : byId("fault-channel").value];
+  const size = faultSize();
   byId("fault-value-label").hidden = !size;
   setText("fault-value-name", size?.name ?? "");
   setText("fault-unit", size?.unit ?? "");
@@ -494,7 +499,7 @@ const onSubmit = (id, deed) => byId(id).addEventListener("submit", (event) => { 
 new SweepForm(act);
 onSubmit("fault-form", () => act("fault", {
   kind: byId("fault-kind").value, channel: byId("fault-channel").disabled ? "" : byId("fault-channel").value,
-  value: byId("fault-value").valueAsNumber, duration: byId("fault-duration").valueAsNumber, rate: byId("fault-rate").valueAsNumber,
+  value: byId("fault-value").valueAsNumber * (faultSize()?.scale ?? 1), duration: byId("fault-duration").valueAsNumber, rate: byId("fault-rate").valueAsNumber,
 }));
 onSubmit("note-form", () => {
   act("note", { value: byId("note").value });

@@ -121,13 +121,14 @@ def test_the_form_of_a_fault_asks_for_what_its_kind_uses() -> None:
     assert set(forms) == set(FAULT_KINDS)
     assert [kind for kind, form in forms.items() if form["rate"]] == ["spike_train"]
     assert {kind for kind, form in forms.items() if not form["sizes"]} == {"dropout", "stuck", "lost_block"}
-    assert forms["clock_drift"]["sizes"] == {"": {"name": "drift", "unit": "ppm", "default": 100.0}}
+    assert forms["clock_drift"]["sizes"] == {"": {"name": "drift", "unit": "ppm", "scale": 1.0, "default": 100.0}}
     units = {name: size["unit"] for name, size in forms["offset_step"]["sizes"].items()}
-    assert units.items() >= {"accelerometer": "m/s^2", "laser": "m", "base": "m", "current": "A"}.items()
+    assert units.items() >= {"accelerometer": "m/s^2", "laser": "mm", "base": "mm", "current": "A"}.items()
     assert all(size["unit"] == "" for size in forms["gain_error"]["sizes"].values())
     for kind, form in forms.items():
         for channel, size in form["sizes"].items():
-            Fault(kind=kind, channel=channel, value=size["default"])  # a rig takes what the form proposes
+            Fault(kind=kind, channel=channel, value=size["default"] * size["scale"])  # as the form proposes it
+    assert forms["saturation"]["sizes"]["laser"] == {"name": "limit ±", "unit": "mm", "scale": 1e-3, "default": 1.0}
 
 
 def test_every_state_of_a_rig_and_an_analysis_has_words() -> None:
@@ -299,6 +300,24 @@ def test_faults_are_in_force_from_begin_to_end_and_not_after_a_new_start() -> No
     faults.add(Table(4 * 10**9, rows))
     assert faults.in_force(0) == []
     assert faults.in_force(0, 3 * 10**9) != []
+
+
+@pytest.mark.parametrize(
+    ("kind", "channel", "value", "words"),
+    [
+        (b"saturation", b"laser", 3e-3, "saturation laser (3 mm)"),
+        (b"added_noise", b"current", 0.01, "added noise current (0.01 A)"),
+        (b"clock_drift", b"", 100.0, "clock drift (100 ppm)"),
+        (b"dropout", b"base", 1e-4, "dropout base"),
+    ],
+)
+def test_a_fault_in_force_has_the_unit_that_its_form_shows(
+    kind: bytes, channel: bytes, value: float, words: str
+) -> None:
+    faults, rows = Faults(), np.zeros(1, topics.FAULTS.columns)
+    rows["kind"], rows["channel"], rows["active"], rows["value"] = kind, channel, 1, value
+    faults.add(Table(10**9, rows))
+    assert faults.in_force(0) == [words]
 
 
 @pytest.mark.parametrize("rate", [math.nan, 0.0, math.inf, 1e12, -1.0])
