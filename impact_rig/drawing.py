@@ -78,6 +78,7 @@ TAG = re.compile("<[^>]*>")
 WIDTH_INCH = 4.4
 """About as wide as a phone: shown there at its own size, its 9 pt stay legible; wide pages show several abreast."""
 WIDE_INCH = 7.2  # a drawing that has a page, or a file, to itself
+PIXELS_PER_INCH = 160
 DIGITS = 9  # of numbers in the CSV of a drawing: more than any screen shows
 POINTS_PER_INCH, CHARACTER = 72.0, 0.55  # width of a character in type sizes, about
 LABELS_INCH = 0.48  # height of the numbers and the name beneath an axis
@@ -85,7 +86,6 @@ STYLE: dict[str, object] = {
     "font.size": 9.0,
     "axes.titlesize": 9.5,
     "legend.fontsize": 8.0,
-    "svg.fonttype": "none",  # text stays text: it can be searched, and is drawn as sharp as the page
     "axes.edgecolor": MUTED,
     "axes.labelcolor": INK,
     "text.color": INK,
@@ -163,7 +163,7 @@ class Line:
 
 
 class Drawn:
-    """A figure in its three forms.
+    """A figure for a page and for files.
 
     Args:
         name: any text; a file name is made of it.
@@ -173,16 +173,15 @@ class Drawn:
     """
 
     def __init__(self, name: str, figure: Figure, caption: str, lines: Sequence[Line] = ()) -> None:
-        from matplotlib import rc_context  # noqa: PLC0415  # as above
-
         self.name, self.caption, self.lines = names.file_name(name), names.visible(caption), tuple(lines)
-        vector, raster = io.StringIO(), io.BytesIO()
+        self._figure = figure
         plain_texts(figure)
-        with any_glyph(), rc_context({"svg.hashsalt": self.name}):  # the same drawing gives the same file
-            figure.savefig(vector, format="svg", transparent=True, metadata={"Date": None})
-            figure.set_layout_engine("none")  # it has found its places, and finding them is half the work
-            figure.savefig(raster, format="png", dpi=160, facecolor="white")
-        self.svg, self.png = vector.getvalue(), raster.getvalue()
+        self.svg = rendered(figure, "svg", self.name).decode()
+        figure.set_layout_engine("none")  # it has found its places, and finding them is half the work
+
+    def content(self, kind: str) -> bytes:
+        """Return the figure as the content of a file of one format."""
+        return self.svg.encode() if kind == "svg" else rendered(self._figure, kind, self.name)
 
     @property
     def identifier(self) -> str:
@@ -214,13 +213,32 @@ class Drawn:
                 writer.writerow([names.csv_cell(line.label), *cells])
         return text.getvalue()
 
-    def save(self, folder: Path) -> None:
-        """Write the files: SVG, PNG and, where there are numbers, CSV."""
-        files.write_text(folder / f"{self.name}.svg", self.svg)
-        with files.written_whole(folder / f"{self.name}.png") as file:
-            file.write(self.png)
+    def save(self, folder: Path, formats: Sequence[str] = names.FIGURE_FORMATS) -> None:
+        """Write the figure in some formats and, where there are numbers, as CSV."""
+        for kind in formats:
+            with files.written_whole(folder / f"{self.name}.{kind}") as file:
+                file.write(self.content(kind))
         if self.lines:
             files.write_text(folder / f"{self.name}.csv", self.csv())
+
+
+def rendered(figure: Figure, kind: str, name: str) -> bytes:
+    """Return a figure as the content of a file, of one of `names.FIGURE_FORMATS`.
+
+    The same drawing and name give the same bytes.
+    """
+    from matplotlib import rc_context  # noqa: PLC0415  # as above
+
+    options: dict[str, Any] = {
+        "png": {"dpi": PIXELS_PER_INCH, "facecolor": "white"},
+        "svg": {"transparent": True, "metadata": {"Date": None}},
+        "pdf": {"facecolor": "white", "metadata": {"CreationDate": None}},
+    }
+    content = io.BytesIO()
+    # text stays text: it can be searched, and is drawn as sharp as the page
+    with any_glyph(), rc_context({"svg.hashsalt": name, "svg.fonttype": "none", "pdf.fonttype": 42}):
+        figure.savefig(content, format=kind, **options[kind])
+    return content.getvalue()
 
 
 def plain_texts(figure: Figure) -> None:

@@ -39,6 +39,7 @@ LONGEST_FILE_NAME = (
 )
 LONGEST_LINE = 2000  # characters of a log line or an error
 LONGEST_QUOTE = 200  # characters of a value that an error quotes
+FIGURE_FORMATS = ("png", "svg", "pdf")  # suffixes of files with figures
 LONGEST_TITLE, LONGEST_LABEL = 200, 50  # characters of a text in a drawing, and of one at an axis or in a legend
 LARGEST_INTEGER = 10**30  # no configuration holds as large a one, and Python refuses to write out some of them
 DIGEST = 8  # hexadecimal digits that tell names apart that became one

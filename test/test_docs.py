@@ -161,7 +161,7 @@ def test_a_test_that_runs_a_page_reads_it():
         ("```sh\nmake lint && impact-rig info\n```\n", "impact-rig info: the following arguments are required: RUN"),
         ("```sh\ncurl x\n```\n", "curl is no program that can be checked"),
         ("```sh not run: so\nFOO=1 make tset  # x\n```\n", "make tset: the Makefile has no target tset"),
-        ("`impact-rig info RUN --figure x`", "unrecognized arguments: --figure x"),
+        ("`impact-rig info RUN --fig x`", "unrecognized arguments: --fig x"),
         ("`impact-rig replay --rate fast`", "argument --rate"),
         ("| a |\n|---|\n| `make test ARGSS=-k` |\n", "the Makefile has no variable ARGSS"),
         ("`make bench ONLY=codec`", "benchmarks/ has no part codec"),

@@ -108,7 +108,7 @@ def test_a_drawing_shows_any_name_as_it_is(name, tmp_path):
     folder.mkdir()
     drawn.save(folder)
     made = {path.name for path in tmp_path.rglob("*")}
-    assert made == {"figures", *(f"{drawn.name}.{suffix}" for suffix in ("svg", "png", "csv"))}
+    assert made == {"figures", *(f"{drawn.name}.{suffix}" for suffix in ("svg", "png", "pdf", "csv"))}
     assert drawn.name == names.file_name(f"study_{name}")
     assert "<script" not in drawn.svg + drawn.inline()
     assert "<img" not in drawn.svg + drawn.inline()

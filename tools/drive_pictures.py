@@ -55,4 +55,4 @@ def hardware(rate_hz: int, **changes: object) -> Hardware:
 if __name__ == "__main__":
     for reached, unit in results():
         drawn = tell(reached, unit).draw()[0]
-        (ROOT / "docs" / "images" / f"drive_{drawn.name}.png").write_bytes(drawn.png)
+        (ROOT / "docs" / "images" / f"drive_{drawn.name}.png").write_bytes(drawn.content("png"))

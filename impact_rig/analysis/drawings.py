@@ -50,7 +50,8 @@ def transmissibility_curves(curves: Mapping[str, NDArray[np.void]]) -> Figure:
         frequency = sound["frequency"]
         for axis, name, factor in ((upper, "transmissibility", 1.0), (lower, "phase", math.degrees(1.0))):
             bars = COVERAGE * factor * sound[f"{name}_uncertainty"]
-            axis.errorbar(frequency, factor * sound[name], bars, marker="o", markersize=3.0, capsize=2.0, label=label)
+            shown = ", ".join(filter(None, [label, amplitudes(sound["current_amplitude"], "A"), "± 2u"]))
+            axis.errorbar(frequency, factor * sound[name], bars, marker="o", markersize=3.0, capsize=2.0, label=shown)
     upper.set_yscale("log")
     upper.yaxis.set_major_formatter("{x:g}")
     upper.yaxis.set_minor_formatter(LogFormatter())  # labels where there is less than a decade
@@ -60,6 +61,15 @@ def transmissibility_curves(curves: Mapping[str, NDArray[np.void]]) -> Figure:
     if curves:
         upper.legend()
     return figure
+
+
+def amplitudes(values: NDArray[np.float64], unit: str) -> str:
+    """Return the range of measured amplitudes, for a legend; empty where none was measured."""
+    known = values[np.isfinite(values) & (values > 0.0)]
+    if not len(known):
+        return ""
+    low, high = (f"{one:.3g}" for one in (known.min(), known.max()))
+    return f"{low} {unit}" if low == high else f"{low} to {high} {unit}"
 
 
 TRACES = (("base", "b"), ("laser", "1"), ("accelerometer", "1"))

@@ -19,7 +19,6 @@ import argparse
 import math
 from collections.abc import Callable, Iterator
 from importlib import metadata
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import attrs
@@ -27,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.transmissibility import note_on
-from impact_rig.cli.terminal import Console, TextTable, add_json, add_run, figure, subcommand, tell_json
+from impact_rig.cli.terminal import Console, TextTable, add_figures, add_json, add_run, figure, subcommand, tell_json
 from impact_rig.errors import ConfigError
 from impact_rig.recording import Run, open_run
 from impact_rig.states import MEASURED, Status
@@ -37,7 +36,6 @@ if TYPE_CHECKING:
 
     from impact_rig.analysis.frf import Frf
 
-FIGURE_FORMATS = ("png", "svg")  # of runs.drawings, which is too heavy for a parser
 WINDOWS = ("hann", "boxcar", "flattop", "blackmanharris")
 LINES = 15  # lines of a frequency response that are printed
 DRAWN_CYCLES = 4
@@ -86,12 +84,11 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.add_argument(
         "--damping", type=float, metavar="ZETA", help="with --frf: damping ratio to resolve (default: what is found)"
     )
-    parser.add_argument(
-        "--figures", type=Path, metavar="DIR",
-        help="also draw: its last settled measurement (time traces, phase plane, spectrum) and the curves it holds, or "
+    add_figures(
+        parser,
+        "also draw: its last settled measurement (time traces, phase plane, spectrum) and the curves it holds, or "
         "what was asked for instead",
-    )  # fmt: skip
-    parser.add_argument("--format", choices=FIGURE_FORMATS, default="png", help="of the figures (default: png)")
+    )
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -107,7 +104,7 @@ def _as_live(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     from impact_rig.runs import drawings, reanalysis  # noqa: PLC0415
 
     if arguments.figures is not None:
-        drawings.prepare(arguments.figures, arguments.format)
+        drawings.prepare(arguments.figures, arguments.formats)
     findings = list(reanalysis.analyze(run))
     found = reanalysis.measurements(iter(findings))
     comparison = reanalysis.compare(run, found, [table for one in findings for table in one.impacts])
@@ -123,7 +120,7 @@ def _as_live(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     for one in comparison.others:
         console.print(str(one))
     if arguments.figures is not None:
-        excerpt, files = drawings.draw(run, findings, arguments.figures, arguments.format)
+        excerpt, files = drawings.draw(run, findings, arguments.figures, arguments.formats)
         console.print(f"drawn: {excerpt}")
         for file in files:
             console.print(f"wrote {file}", soft_wrap=True)
@@ -344,7 +341,7 @@ def prepare_figure(arguments: argparse.Namespace, stem: str) -> None:
     if arguments.figures is not None:
         from impact_rig.runs.drawings import prepare  # noqa: PLC0415  # heavy: after the run is open
 
-        prepare(arguments.figures, arguments.format, [stem])
+        prepare(arguments.figures, arguments.formats, [stem])
 
 
 def draw_figure(
@@ -355,5 +352,5 @@ def draw_figure(
         return
     from impact_rig.runs.drawings import save, titled  # noqa: PLC0415  # heavy: after the run is open
 
-    file = save(titled(draw(), run), arguments.figures / f"{stem}.{arguments.format}")
-    console.print(f"wrote {file}", soft_wrap=True)
+    for file in save(titled(draw(), run), arguments.figures / stem, arguments.formats):
+        console.print(f"wrote {file}", soft_wrap=True)

@@ -44,7 +44,7 @@ from rich.progress import (
 )
 from rich.text import Text
 
-from impact_rig.names import one_line, visible
+from impact_rig.names import FIGURE_FORMATS, one_line, visible
 from impact_rig.recording.rigs import OPTION
 from impact_rig.system.files import plain
 
@@ -198,6 +198,16 @@ def tell_results(directory: Path, content: Mapping[str, object], *, as_json: boo
 def tell_program(path: Path) -> None:
     """Print a path as the last line: as it is for a program that reads it, visible for people."""
     print(visible(str(path)) if sys.stdout.isatty() else path)  # noqa: T201  # a command line tool talks
+
+
+def add_figures(parser: argparse.ArgumentParser, what: str) -> None:
+    """Let a command draw: where to, and in which formats."""
+    parser.add_argument("--figures", type=Path, metavar="DIR", help=what)
+    parser.add_argument(
+        "--format", dest="formats", nargs="+", choices=FIGURE_FORMATS, default=FIGURE_FORMATS,
+        metavar="FORMAT",
+        help=f"formats of the figures: {', '.join(FIGURE_FORMATS)} (default: all)",
+    )  # fmt: skip
 
 
 WIDTH = 78  # of help pages: they are made for a terminal of 80 columns

@@ -27,8 +27,9 @@ from numpy.typing import NDArray
 from impact_rig.analysis import drawings
 from impact_rig.analysis.scans import samples_of
 from impact_rig.analysis.tracker import Findings
-from impact_rig.drawing import any_glyph, plain_texts, style
+from impact_rig.drawing import plain_texts, rendered, style
 from impact_rig.errors import RecordingError
+from impact_rig.names import FIGURE_FORMATS
 from impact_rig.recording import Run
 from impact_rig.runs import reanalysis
 from impact_rig.runs.wholes import Excerpt, calibration_rows, last_excerpt
@@ -37,7 +38,6 @@ from impact_rig.system import files
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FORMATS = ("png", "svg")
 NAMES = ("time_traces", "phase_plane", "spectrum", "curves")
 TRACED_CYCLES = 8
 SMOOTHED_CYCLE = 40.0  # the velocity of the phase plane is smoothed over this part of a cycle
@@ -47,7 +47,7 @@ HARMONICS = 10.5
 UNDRIVEN_HZ = 100.0  # the spectrum ends after so many harmonics of the drive, or here where none is known
 
 
-def prepare(directory: Path, suffix: str, names: Sequence[str] = NAMES) -> None:
+def prepare(directory: Path, formats: Sequence[str], names: Sequence[str] = NAMES) -> None:
     """Make the directory of the figures, so that a long analysis does not end in an error that could be foreseen.
 
     Raises:
@@ -57,12 +57,15 @@ def prepare(directory: Path, suffix: str, names: Sequence[str] = NAMES) -> None:
         files.make_folder(directory)
         with tempfile.TemporaryFile(dir=directory):
             pass
-    there = [name for name in names if (directory / f"{name}.{suffix}").exists()]
+    wanted = [directory / f"{name}.{kind}" for name in names for kind in formats]
+    there = [path for path in wanted if path.exists()]
     if there:
-        raise RecordingError(f"{directory / there[0]}.{suffix} exists already and is not overwritten")
+        raise RecordingError(f"{there[0]} exists already and is not overwritten")
 
 
-def draw(run: Run, found: Sequence[Findings], directory: Path, suffix: str = "png") -> tuple[Excerpt, list[Path]]:
+def draw(
+    run: Run, found: Sequence[Findings], directory: Path, formats: Sequence[str] = FIGURE_FORMATS
+) -> tuple[Excerpt, list[Path]]:
     """Draw a run and return what was drawn, and the files written to `directory`.
 
     Raises:
@@ -87,7 +90,7 @@ def draw(run: Run, found: Sequence[Findings], directory: Path, suffix: str = "pn
     curves = measured_curves(reanalysis.rows(reanalysis.measurements(iter(found))))
     if curves:
         drawn["curves"] = titled(drawings.transmissibility_curves(curves), run, "settled measurements, ±2u")
-    return excerpt, [save(figure, directory / f"{stem}.{suffix}") for stem, figure in drawn.items()]
+    return excerpt, [path for stem, figure in drawn.items() for path in save(figure, directory / stem, formats)]
 
 
 def channel_units(run: Run) -> dict[str, str]:
@@ -148,18 +151,19 @@ def titled(figure: Figure, run: Run, what: str = "") -> Figure:
     return figure
 
 
-def save(figure: Figure, path: Path) -> Path:
-    """Write a figure and return its path; nothing is overwritten.
+def save(figure: Figure, stem: Path, formats: Sequence[str]) -> list[Path]:
+    """Write a figure in some formats and return the paths; nothing is overwritten.
 
     Raises:
         RecordingError: it cannot be written.
     """
     plain_texts(figure)
-    with (
-        files.errors_as(f"{path} cannot be written"),
-        files.written_whole(path, replace=False) as file,
-        style(),
-        any_glyph(),
-    ):
-        figure.savefig(file, format=path.suffix[1:], dpi=150, facecolor="white")
-    return path
+    paths = [stem.with_name(f"{stem.name}.{kind}") for kind in formats]
+    for path, kind in zip(paths, formats, strict=True):
+        with (
+            files.errors_as(f"{path} cannot be written"),
+            files.written_whole(path, replace=False) as file,
+            style(),
+        ):
+            file.write(rendered(figure, kind, stem.name))
+    return paths

@@ -25,6 +25,7 @@ from impact_rig.cli.terminal import (
     Console,
     Counted,
     TextTable,
+    add_figures,
     add_json,
     figure,
     subcommand,
@@ -231,7 +232,7 @@ def add_report(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     """Register `report`: the page of a campaign."""
     parser = subcommand(
         commands, "report", _report,
-        "write the report of a campaign or a run: one HTML page, figures as PNG and SVG, numbers as JSON",
+        "write the report of a campaign or a run: one HTML page, figures as PNG, SVG and PDF, numbers as JSON",
         [
             ("report runs/campaign_paper", "writes runs/campaign_paper/report.html"),
             ("report runs/demo/gap_6mm", "one run: result, uncertainty, conditions, motion"),
@@ -248,11 +249,15 @@ def add_report(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "--branches", type=Path, metavar="DIR", nargs="+", default=(),
         help="of `impact-rig dynamics continue`: its stable and unstable motions, drawn beside what was measured",
     )  # fmt: skip
+    add_figures(parser, "directory of the figures (default: DIR/figures)")
 
 
 def _report(arguments: argparse.Namespace) -> int:
     from impact_rig_studies.report import build_report  # noqa: PLC0415  # loads SciPy, which no other command needs
 
-    path = build_report(arguments.directory, arguments.output, arguments.margins, arguments.branches)
+    path = build_report(
+        arguments.directory, arguments.output, arguments.margins, arguments.branches,
+        figures=arguments.figures, formats=arguments.formats,
+    )  # fmt: skip
     tell_program(path)
     return 0

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from impact_rig.cli.terminal import Console, TextTable, add_json, add_run, figure, subcommand, tell_json
+from impact_rig.cli.terminal import Console, TextTable, add_figures, add_json, add_run, figure, subcommand, tell_json
 from impact_rig.recording import open_run
 from impact_rig.system import files
 
@@ -38,7 +38,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
         commands, "compare", _run, "a measurement and the model side by side, and the constants that would fit best",
         [
             ("compare runs/mine --config my_rig.yaml", "the model of that rig, driven by the measured current"),
-            ("compare runs/mine --drive base --figure build/mine", "driven by the measured base, and drawn"),
+            ("compare runs/mine --drive base --figures build/mine", "driven by the measured base, and drawn"),
         ],
         "Takes recorded and imported runs: docs/own_measurement.md.",
     )  # fmt: skip
@@ -48,7 +48,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.add_argument(
         "--drive", choices=("current", "base"), help="what drives the model (default: the current if it was measured)"
     )
-    parser.add_argument("--figure", type=Path, metavar="DIR", help="draw to DIR/comparison.png, .svg and .csv")
+    add_figures(parser, "also draw model and measurement")
     parser.add_argument("--no-fit", action="store_true", help="look for no better constants")
 
 
@@ -57,15 +57,15 @@ def _run(arguments: argparse.Namespace) -> int:
     from impact_rig_studies.comparison import compare, drawn  # noqa: PLC0415  # as above
 
     console = Console(quiet=arguments.json)
-    if arguments.figure:
-        files.make_folder(arguments.figure)
+    if arguments.figures:
+        files.make_folder(arguments.figures)
     known = load(arguments.config) if arguments.config else None
     with open_run(arguments.path, arguments.rig) as run:
         found = compare(
             run, known, arguments.drive, fits=not arguments.no_fit, on_step=lambda what: console.print(f"{what} ...")
         )
-    if arguments.figure:
-        drawn(found, arguments.path.name).save(arguments.figure)
+    if arguments.figures:
+        drawn(found, arguments.path.name).save(arguments.figures, arguments.formats)
     _print(console, found)
     if arguments.json:
         tell_json(_content(found))

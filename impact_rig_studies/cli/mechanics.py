@@ -85,9 +85,9 @@ def _map(arguments: argparse.Namespace) -> int:
     if not arguments.no_figures:
         from impact_rig_studies.report.heat_map import heat_maps  # noqa: PLC0415  # matplotlib
 
-        folder = tasks.figures_folder(directory)
+        folder = tasks.figures_folder(arguments, directory)
         for drawn in heat_maps(done):
-            drawn.save(folder)
+            drawn.save(folder, arguments.formats)
     console.print(f"{plan.points} points on the mechanics, {measured} of them now; {run.CSV_FILE}, {run.JSON_FILE}")
     if unsolved == plan.points:
         console.print(f"none of the {plan.points} points could be resolved: there is no result", style="red")
@@ -165,7 +165,7 @@ def _dynamics(arguments: argparse.Namespace) -> int:
     if not arguments.no_figures:
         from impact_rig_studies.dynamics.figures import drawn  # noqa: PLC0415  # matplotlib
 
-        drawn(plan, done.found).save(tasks.figures_folder(directory))
+        drawn(plan, done.found).save(tasks.figures_folder(arguments, directory), arguments.formats)
     _show(console, plan, rows)
     console.print(f"{len(rows)} rows on the mechanics; {kind}.csv, {kind}.json")
     empty = _unsolved(plan, rows) == len(rows)

@@ -22,7 +22,7 @@ from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import TypeVar
 
-from impact_rig.cli.terminal import Console, Counted, add_json
+from impact_rig.cli.terminal import Console, Counted, add_figures, add_json
 from impact_rig.errors import ConfigError
 from impact_rig.system import files
 from impact_rig_studies.campaign.pool import in_parallel, on_cluster
@@ -45,6 +45,7 @@ def add_words(parser: argparse.ArgumentParser, what: str) -> None:
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
     add_json(parser)
     parser.add_argument("--no-figures", action="store_true", help="measure only")
+    add_figures(parser, "directory of the figures (default: figures in that of the results)")
 
 
 def words(
@@ -95,13 +96,13 @@ def measure(
     return new, time.monotonic() - began
 
 
-def figures_folder(directory: Path) -> Path:
-    """Make and return the folder of a study's figures.
+def figures_folder(arguments: argparse.Namespace, directory: Path) -> Path:
+    """Make and return the folder of a study's figures: the one that was asked for, or one in its directory.
 
     Raises:
         RecordingError: it cannot be made.
     """
-    folder = directory / "figures"
+    folder: Path = arguments.figures or directory / "figures"
     with files.errors_as(f"cannot write {folder}"):
         files.make_folder(folder)
     return folder

@@ -24,6 +24,7 @@ from markupsafe import Markup
 
 from impact_rig.drawing import Drawn, style
 from impact_rig.errors import ConfigError, RecordingError
+from impact_rig.names import FIGURE_FORMATS
 from impact_rig.rig.config import fields, to_flat
 from impact_rig.rig.gaps import NO_SPHERE
 from impact_rig.system import files
@@ -46,7 +47,13 @@ PEAK_HZ = 0.1  # studies that stay this near to 9.1 Hz are shown as the peaks of
 
 
 def build_report(
-    directory: Path, target: Path | None = None, margins: Path | None = None, branches: Sequence[Path] = ()
+    directory: Path,
+    target: Path | None = None,
+    margins: Path | None = None,
+    branches: Sequence[Path] = (),
+    *,
+    figures: Path | None = None,
+    formats: Sequence[str] = FIGURE_FORMATS,
 ) -> Path:
     """Write the report of a campaign or of a run, its numbers and its figures; return the page.
 
@@ -55,6 +62,8 @@ def build_report(
         target: the page; `report.html` in the directory if None. `report.json` is written beside it.
         margins: directory of a campaign that varies constants, for the table of what the statements owe to them.
         branches: directories of `impact-rig dynamics continue`, whose motions are drawn beside what was measured.
+        figures: directory of the figures; `figures` in the directory if None.
+        formats: of the figures, some of `impact_rig.names.FIGURE_FORMATS`.
 
     Raises:
         ConfigError: a directory holds neither campaign nor run, that of the margins no variation, one of the branches
@@ -64,13 +73,17 @@ def build_report(
     folder = directory if directory.is_dir() else directory.parent
     target = target or folder / PAGE_FILE
     content = Content()
+
+    def write(title: str, html: str) -> Path:
+        return _write(figures or folder / FIGURES_FOLDER, formats, target, content, title, html)
+
     is_campaign = (directory / run.CAMPAIGN_FILE).exists()
     if not is_campaign and (directory.is_file() or any(directory.glob("*.mcap*"))):
         _refuse_comparisons(directory, margins, branches)
         data = measured.of_run(directory)
         paths = [*directory.glob("*.mcap")] if directory.is_dir() else [directory]
         html = measured.document(data, content, _links([target.parent / kept.FILE_NAME, *sorted(paths)], target.parent))
-        return _write(folder, target, content, data.title, html)
+        return write(data.title, html)
     done = run.open_finished(directory)
     if not done.points:
         raise RecordingError(f"{directory} holds no measured point yet")
@@ -78,7 +91,7 @@ def build_report(
         _refuse_comparisons(directory, margins, branches)
         data = measured.of_campaign(done)
         html = measured.document(data, content, _links(_paths(done, target.parent), target.parent))
-        return _write(folder, target, content, data.title, html)
+        return write(data.title, html)
     varied = variations(run.open_finished(margins).points) if margins else variations(done.points)
     if margins and not varied:
         raise ConfigError(f"{margins} holds no campaign that varies constants: see config/campaigns/margins.yaml")
@@ -90,7 +103,7 @@ def build_report(
         ]
         sections = list(filter(None, _sections(done, varied, beside, content, target.parent)))
     html = page(done.campaign.title, [*opening, contents(sections), *sections])
-    return _write(folder, target, content, done.campaign.title, html)
+    return write(done.campaign.title, html)
 
 
 def _refuse_comparisons(directory: Path, margins: Path | None, branches: Sequence[Path]) -> None:
@@ -99,13 +112,12 @@ def _refuse_comparisons(directory: Path, margins: Path | None, branches: Sequenc
         raise ConfigError(f"--margins and --branches belong to a simulated campaign, {directory} is a measurement")
 
 
-def _write(directory: Path, target: Path, content: Content, title: str, html: str) -> Path:
-    """Write page, numbers and figures."""
+def _write(folder: Path, formats: Sequence[str], target: Path, content: Content, title: str, html: str) -> Path:
+    """Write page, numbers, and figures into a folder."""
     try:
-        folder = directory / FIGURES_FOLDER
         files.make_folder(folder)
         for one in content.drawn:
-            one.save(folder)
+            one.save(folder, formats)
         content.write(target.parent / kept.FILE_NAME, title)
         files.write_text(target, html)
     except OSError as error:

@@ -74,7 +74,7 @@ def without_sphere(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
     axis.plot(fine, exact.dt, color=PREDICTED, linewidth=0.9, label="closed form")
     _errorbar(axis, points, MEASURED, "none", label="measured, ± 2u")
     axis.axvline(FREQUENCY_HZ, color=PAPER_RED, linewidth=0.9, linestyle=":", label="paper: 9.1 Hz")
-    axis.set(xlabel="frequency (Hz)", ylabel="transmissibility", title="DT without sphere", ylim=(0.0, None))
+    axis.set(xlabel="frequency (Hz)", ylabel="transmissibility", title=_title(NO_SPHERE), ylim=(0.0, None))
     axis.legend(loc="upper left")
     caption = "Displacement transmissibility without the sphere (the paper's Fig. 6)."
     lines = [measured_line(NO_SPHERE, points), _predicted_line(NO_SPHERE, exact)]
@@ -113,7 +113,11 @@ def by_frequency(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
             for axis in axes[:2]:
                 axis.plot(FREQUENCY_HZ, wanted, "D", color=PAPER_RED, markerfacecolor="none", markersize=5.0)
         axes[2].plot([], [], "D", color=PAPER_RED, markerfacecolor="none", markersize=5.0, label="paper")
-        axes[0].set(ylabel="transmissibility", ylim=(0.0, None), title=f"At {paper.CURRENT_A * 1e3:g} mA")
+        axes[0].set(
+            ylabel="transmissibility",
+            ylim=(0.0, None),
+            title=f"At {paper.CURRENT_A * 1e3:g} mA; points: measured, ± 2u",
+        )
         axes[1].set(ylabel="transmissibility", yscale="log")
         axes[1].yaxis.set_major_formatter("{x:g}")
         axes[1].yaxis.set_minor_formatter(_label_if_first)
@@ -345,10 +349,14 @@ def figure_8(curves: Curves) -> Iterator[Drawn]:
         if wanted is not None:
             label = f"paper, −{REDUCTION_PERCENT[gap]:g} %"
             axis.plot(FREQUENCY_HZ, wanted, "D", color=PAPER_RED, markerfacecolor="none", markersize=6.0, label=label)
-        axis.set(xlabel="frequency (Hz)", ylabel="transmissibility", title=f"Gap {gap * 1e3:g} mm", ylim=(0.0, None))
+        axis.set(xlabel="frequency (Hz)", ylabel="transmissibility", title=_title(gap), ylim=(0.0, None))
         axis.legend(loc="upper left")
         lines = [measured_line(at, one) for at, one in ((NO_SPHERE, without), (gap, points)) if one]
         yield Drawn(f"fig8{letter}_gap_{gap * 1e3:g}mm", figure, f"Gap {gap * 1e3:g} mm (Fig. 8{letter}).", lines)
+
+
+def _title(gap_m: float) -> str:
+    return f"{case_of(gap_m)}, {paper.CURRENT_A * 1e3:g} mA, measured ± 2u"
 
 
 def peaks(curves: Curves) -> Iterator[Drawn]:

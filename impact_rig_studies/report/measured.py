@@ -229,10 +229,11 @@ def transmissibility(rows: NDArray[np.void]) -> Drawn:
             "linewidth": 0.8,
             "capsize": 2.0,
         }
-        upper.errorbar(frequency, dt, u, label=f"{case}, ± 2u", **look)
+        current = drawings.amplitudes(own["current_amplitude"], "A")
+        upper.errorbar(frequency, dt, u, label=", ".join(filter(None, [case, current, "± 2u"])), **look)
         lower.errorbar(frequency, phase, u_phase, **look)
         lines.append(Line(case, columns))
-    upper.set(ylabel="transmissibility", ylim=(0.0, None), title="Displacement transmissibility")
+    upper.set(ylabel="transmissibility $|X_1|/|X_b|$", ylim=(0.0, None), title="Displacement transmissibility")
     lower.set(ylabel="phase (°)", xlabel="frequency (Hz)")
     legend_below(lower, 3, upper)
     caption = "Displacement transmissibility and the phase of the structure to the base, as measured, ± 2u."

@@ -141,14 +141,14 @@ def test_the_command_tells_and_draws(
 ) -> None:
     model = tmp_path / "model.yaml"
     model.write_text(dump(from_flat(RigConfig(), {"sphere.present": False})))
-    words = ["compare", str(recorded["linear"]), "--config", str(model), "--figure", str(tmp_path / "drawn")]
+    words = ["compare", str(recorded["linear"]), "--config", str(model), "--figures", str(tmp_path / "drawn")]
     assert main([*words, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     (place,) = told["places"]
     assert abs(place["transmissibility_off_u"]) < LARGEST_OFF
     assert told["traces"]["residual_rms_m"] < 0.01 * told["traces"]["structure_rms_m"]
     assert told["constants"]["f_n"]["determined"]
-    assert {one.suffix for one in (tmp_path / "drawn").iterdir()} == {".png", ".svg", ".csv"}
+    assert {one.suffix for one in (tmp_path / "drawn").iterdir()} == {".png", ".svg", ".pdf", ".csv"}
     assert main([*words, "--no-fit"]) == 0
     text = capsys.readouterr().out
     assert "driven by the measured current" in text

@@ -15,9 +15,11 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import attrs
 import numpy as np
@@ -70,12 +72,24 @@ def test_the_command_line_draws_and_names_what_it_wrote(run: Path, tmp_path: Pat
     assert done.returncode == 0, done.stderr
     assert "of the last settled measurement" in done.stdout
     assert "nothing to compare with" in done.stdout
-    assert sorted(where.iterdir()) == [where / f"{name}.png" for name in sorted(drawings.NAMES)]
-    for file in where.iterdir():
-        assert f"wrote {file}\n" in done.stdout
+    wanted = [where / f"{name}.{kind}" for name in drawings.NAMES for kind in ("png", "svg", "pdf")]
+    assert sorted(where.iterdir()) == sorted(wanted)
+    assert all(f"wrote {file}\n" in done.stdout for file in wanted)
+    for file in where.glob("*.png"):
         header = file.read_bytes()[:24]
         assert header.startswith(b"\x89PNG")
         assert int.from_bytes(header[16:20]) > 1000, "pixels wide"
+
+
+def test_the_curve_of_a_run_is_fit_to_print_and_the_same_each_time(run: Path, tmp_path: Path) -> None:
+    """Quantities and units at the axes, gap, current and ± 2u in the legend, no date in any file."""
+    for where in ("first", "second"):
+        assert main(["analyze", str(run), "--figures", str(tmp_path / where)]) == 0
+    for first in (tmp_path / "first").iterdir():
+        assert first.read_bytes() == (tmp_path / "second" / first.name).read_bytes(), first.name
+    texts = " ".join(ET.fromstring((tmp_path / "first" / "curves.svg").read_bytes()).itertext())
+    assert "frequency (Hz)" in texts
+    assert re.search(r"gap unknown, 0\.\d+ (to 0\.\d+ )?A, ± 2u", texts)
 
 
 def test_another_format_and_nothing_overwritten(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -155,5 +169,5 @@ def test_figures_are_not_written_through_a_link(tmp_path: Path) -> None:
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "figures").symlink_to("elsewhere")
     with pytest.raises(RecordingError, match="it is a link, and nothing is written through one"):
-        drawings.prepare(tmp_path / "figures", "png")
+        drawings.prepare(tmp_path / "figures", ["png"])
     assert not list((tmp_path / "elsewhere").iterdir())
