@@ -153,12 +153,16 @@ def _take_place(domain: int, namespace: str, stack: contextlib.ExitStack) -> Non
         held = files.hold(files.PLACES, f"{name}.lab")
     except OSError:
         return  # there is no telling on this machine
+    if held is None and files.is_held_by_others(files.PLACES, f"{name}.lab"):
+        return
     if held is None:
         raise ImpactRigError(
             f"the lab of process {files.holder(files.PLACES, f'{name}.lab')} has {namespace}: {advice}"
         )
     stack.callback(os.close, held)
     rig = files.hold(files.PLACES, name)
+    if rig is None and files.is_held_by_others(files.PLACES, name):
+        return
     if rig is None:
         raise ImpactRigError(f"the rig of process {files.holder(files.PLACES, name)} is in {namespace}: {advice}")
     os.close(rig)  # for the rig that is started now

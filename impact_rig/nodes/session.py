@@ -77,6 +77,8 @@ class NamespaceLock:
         """Return whether the namespace is ours now; true as well where only the graph tells."""
         if self._held is None and self.decides:
             self._held = files.hold(files.PLACES, self._name)
+            if self._held is None and files.is_held_by_others(files.PLACES, self._name):
+                self.decides = False
         return self._held is not None or not self.decides
 
     def leave(self) -> None:

@@ -14,8 +14,8 @@
 """Files in directories that others may write to: what is opened is a regular file, what is written was never a link.
 
 Reading never waits (a FIFO has no writer), never runs on (a device has no end) and stops at a limit. Writing goes to a
-new file of a name nobody can guess, which is put in place when it is whole: a link or file that somebody laid out
-under a predictable name is neither followed nor kept from being seen.
+new file, which is put in place when it is complete: a link or file that another user created under its name is not
+followed. What a killed process left of such a file is removed when the file is written again.
 
 A lock is held by one process of this machine at a time and ends with it, however that ends. It is on a file in a
 directory of this user, which stays and means nothing.
@@ -97,9 +97,9 @@ def written_whole(path: Path, *, replace: bool = True) -> Iterator[BinaryIO]:
     Raises:
         OSError: the file cannot be made or put in its place; FileExistsError if it must not replace what is there.
     """
-    partial = path.with_name(f".{path.name[:100]}.{secrets.token_hex(8)}.partial")
+    descriptor, partial = _create_partial(path)
     try:
-        with os.fdopen(os.open(partial, NEW_FILE, 0o666), "w+b") as file:
+        with os.fdopen(descriptor, "w+b") as file:
             yield file
             file.flush()
             os.fsync(file.fileno())
@@ -110,6 +110,34 @@ def written_whole(path: Path, *, replace: bool = True) -> Iterator[BinaryIO]:
     finally:
         with unhurried():
             partial.unlink(missing_ok=True)
+
+
+def _create_partial(path: Path) -> tuple[int, Path]:
+    """Create the file that becomes `path`, locked while this process writes it, in the place of one that was left.
+
+    Raises:
+        OSError: it cannot be created.
+    """
+    usual = path.with_name(f".{path.name[:100]}.partial")
+    with contextlib.suppress(OSError):
+        left = os.open(usual, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
+        try:
+            if stat.S_ISREG(os.fstat(left).st_mode):
+                fcntl.flock(left, fcntl.LOCK_EX | fcntl.LOCK_NB)  # otherwise its writer lives
+                usual.unlink()
+        finally:
+            os.close(left)
+    for partial in (usual, path.with_name(f".{path.name[:100]}.{secrets.token_hex(8)}.partial")):
+        try:
+            descriptor = os.open(partial, NEW_FILE, 0o666)
+        except FileExistsError:
+            continue
+        with contextlib.suppress(OSError):  # a file system without locks
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if os.fstat(descriptor).st_nlink:
+            return descriptor, partial
+        os.close(descriptor)  # another process took it for one that was left
+    raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(usual))
 
 
 def write_text(path: Path, text: str) -> None:
@@ -265,7 +293,24 @@ def hold(folder: str, name: str) -> int | None:
     except BlockingIOError:
         os.close(handle)
         return None
+    with contextlib.suppress(OSError):
+        os.ftruncate(handle, 0)
+        os.pwrite(handle, b"%d" % os.getpid(), 0)
     return handle
+
+
+def is_held_by_others(folder: str, name: str) -> bool:
+    """Return whether a lock is surely held by a process that did not take it by `hold`, and so means nothing."""
+    holding = holder(folder, name)
+    if not holding:  # nobody holds it, or a process in another container
+        return False
+    with contextlib.suppress(OSError):
+        handle = _open(folder, name)
+        try:
+            return os.pread(handle, 32, 0) != b"%d" % holding
+        finally:
+            os.close(handle)
+    return False
 
 
 def holder(folder: str, name: str) -> int | None:
@@ -325,11 +370,11 @@ def lock_directory() -> Path:
 
 
 def _open(folder: str, name: str) -> int:
-    """Open the file of a lock, which reading is enough for."""
+    """Open the file of a lock."""
     directory = lock_directory() / folder
     with contextlib.suppress(FileExistsError):
         directory.mkdir()
-    return os.open(directory / f"{name}.lock", os.O_RDONLY | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+    return os.open(directory / f"{name}.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
 
 
 _PACKAGE = Path(__file__).resolve().parents[1]

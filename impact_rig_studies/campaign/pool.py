@@ -15,13 +15,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import multiprocessing
 import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any, Generic, TypeVar  # futures of an optional dependency
@@ -36,6 +37,8 @@ from impact_rig_studies.campaign.tasks import Portable
 J = TypeVar("J")
 R = TypeVar("R")
 
+BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+"""Variables that a library for linear algebra reads when it is loaded."""
 AHEAD = 2  # jobs handed out per worker: enough to keep it busy, few enough to stop soon after Ctrl-C
 CLOSING_S = 2.0  # how long the end of a pool is waited for whose workers were killed
 
@@ -70,7 +73,7 @@ def in_parallel(
     pool = ProcessPoolExecutor(count, context, initializer=_begin_worker, initargs=(os.getpid(),))
     running: dict[Future[R], J] = {}
     try:
-        with held():  # the workers begin here: signals are the parent's, which ends in order
+        with held(), _one_thread_each():  # the workers begin here: signals are the parent's, which ends in order
             running |= {pool.submit(work, job): job for job in itertools.islice(waiting, AHEAD * count)}
         while running:
             for future in wait(running, return_when=FIRST_COMPLETED).done:
@@ -94,6 +97,18 @@ def in_parallel(
                 pool.shutdown()
 
 
+@contextlib.contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Let processes that begin in this block use one thread for linear algebra, unless the user chose otherwise."""
+    added = dict.fromkeys((name for name in BLAS_THREADS if name not in os.environ), "1")
+    os.environ.update(added)
+    try:
+        yield
+    finally:
+        for name in added:
+            del os.environ[name]
+
+
 def _begin_worker(parent: int) -> None:
     """Leave Ctrl-C to the parent, which ends in order, and never outlive it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -107,6 +122,8 @@ def _begin_worker(parent: int) -> None:
 # travel back, nothing is written there. Workers may join and leave: each result carries the code that made it.
 
 CONNECT_S = 10.0
+UNLIMITED = 1_000_000
+NEEDS_DASK = "--through dask needs Dask: pip install 'impact_rig[cluster]'"
 ROOMS = (*DECIDING, "campaign", "dynamics", "kernels", "maps")
 """What decides the result of any job."""
 P = TypeVar("P", bound=Portable)
@@ -119,6 +136,28 @@ class _Made(Generic[R]):
     worker: str
     code: str
     result: R | None
+
+
+def cluster_threads(address: str) -> int:
+    """Return the threads of the workers at a scheduler; `UNLIMITED` while there are none, since they are to come.
+
+    Raises:
+        ConfigError: Dask is not installed.
+        ImpactRigError: the scheduler cannot be reached.
+    """
+    with _connected(address) as client:
+        return sum(client.nthreads().values()) or UNLIMITED
+
+
+def _connected(address: str) -> Any:
+    try:
+        from distributed import Client  # noqa: PLC0415  # an optional dependency
+    except ImportError as error:
+        raise ConfigError(NEEDS_DASK) from error
+    try:
+        return Client(address, timeout=CONNECT_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise ImpactRigError(f"cannot reach a Dask scheduler at {address}: {error}") from error
 
 
 def _make(work: Callable[[P], R], job: P, code: str) -> _Made[R]:
@@ -138,15 +177,12 @@ def on_cluster(work: Callable[[P], R], address: str) -> Callable[[Sequence[P]], 
         ConfigError: Dask is not installed.
     """
     try:
-        from distributed import Client, as_completed  # noqa: PLC0415  # an optional dependency
+        from distributed import as_completed  # noqa: PLC0415  # an optional dependency
     except ImportError as error:
-        raise ConfigError("--through dask needs Dask: pip install 'impact_rig[cluster]'") from error
+        raise ConfigError(NEEDS_DASK) from error
 
     def run(jobs: Sequence[P]) -> Generator[tuple[P, R], None, None]:
-        try:
-            client = Client(address, timeout=CONNECT_S, set_as_default=False)
-        except (OSError, ValueError) as error:
-            raise ImpactRigError(f"cannot reach a Dask scheduler at {address}: {error}") from error
+        client = _connected(address)
         code, wrong, lost = fingerprint(ROOMS), dict[str, str](), list[str]()
         running: dict[Any, P] = {}
         with client:

@@ -27,6 +27,7 @@ from impact_rig.cli.terminal import Console, TextTable, figure, subcommand, tell
 from impact_rig.errors import ConfigError
 from impact_rig.states import Regime
 from impact_rig.system import files
+from impact_rig_studies.campaign.pool import cluster_threads
 from impact_rig_studies.campaign.tasks import Row, Runner, TaskStore
 from impact_rig_studies.cli import tasks
 from impact_rig_studies.dynamics import plan as plans
@@ -65,7 +66,7 @@ def add_map(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
 def _map(arguments: argparse.Namespace) -> int:
     file, directory, _, address = tasks.words(arguments, "map", "map config/maps/gap_frequency.yaml")
     runner = tasks.runner(measure_line, address, arguments.workers)
-    plan = load_map(file, arguments.workers)
+    plan = load_map(file, cluster_threads(address) if address else arguments.workers)
     if arguments.exponent and {UP, DOWN} & set(plan.layers):
         raise ConfigError("--exponent is of motions that begin from rest: direction must be reset")
     store = run.store(directory)

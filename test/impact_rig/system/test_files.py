@@ -15,10 +15,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
+import signal
 import stat
+import subprocess
+import sys
 from pathlib import Path
+from typing import BinaryIO
 
 import pytest
 
@@ -59,13 +64,50 @@ def test_a_new_file_has_the_permissions_of_any_other(tmp_path: Path) -> None:
     assert stat.S_IMODE((tmp_path / "mine").stat().st_mode) == stat.S_IMODE((tmp_path / "other").stat().st_mode)
 
 
-def test_names_on_the_way_cannot_be_guessed(tmp_path: Path) -> None:
-    found = set()
-    for _ in range(20):
+def partial_of(file: BinaryIO) -> Path:
+    return Path(f"/proc/self/fd/{file.fileno()}").readlink()
+
+
+@pytest.mark.parametrize("what", ["link", "directory", "being written"])
+def test_what_another_user_created_under_the_name_on_the_way_is_left_alone(
+    tmp_path: Path, victim: Path, what: str
+) -> None:
+    usual = tmp_path / ".out.partial"
+    with contextlib.ExitStack() as stack:
+        if what == "link":
+            usual.symlink_to(victim)
+        elif what == "directory":
+            usual.mkdir()
+        else:
+            first = stack.enter_context(files.written_whole(tmp_path / "out"))
+            assert partial_of(first) == usual
         with files.written_whole(tmp_path / "out") as file:
-            found.add(Path(f"/proc/self/fd/{file.fileno()}").readlink().name)
-    assert len(found) == 20
-    assert all(re.fullmatch(r"\.out\.[0-9a-f]{16}\.partial", name) for name in found)
+            assert re.fullmatch(r"\.out\.[0-9a-f]{16}\.partial", partial_of(file).name)
+            file.write(MINE)
+        assert usual.exists()
+        assert (tmp_path / "out").read_bytes() == MINE
+        if what == "link":
+            assert usual.is_symlink()
+    assert victim.read_bytes() == THEIRS
+
+
+def test_what_a_killed_process_left_is_removed_when_the_file_is_written_again(tmp_path: Path) -> None:
+    program = """
+import os, signal, sys
+from pathlib import Path
+from impact_rig.system import files
+with files.written_whole(Path(sys.argv[1])) as file:
+    file.write(b"half")
+    file.flush()
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+    path = tmp_path / "out"
+    done = subprocess.run([sys.executable, "-c", program, path], check=False)
+    assert done.returncode == -signal.SIGKILL
+    assert [left.read_bytes() for left in tmp_path.iterdir()] == [b"half"]
+    files.write_text(path, MINE.decode())
+    assert list(tmp_path.iterdir()) == [path]
+    assert path.read_bytes() == MINE
 
 
 def test_a_link_in_the_place_is_replaced_and_not_followed(tmp_path: Path, victim: Path) -> None:

@@ -36,6 +36,13 @@ print(files.hold("places", "7.cell") is not None, flush=True)
 sys.stdin.readline()
 """
 
+STRANGER = """
+import fcntl, os, sys
+fcntl.flock(os.open(sys.argv[1], os.O_RDONLY), fcntl.LOCK_EX)
+print("held", flush=True)
+sys.stdin.readline()
+"""
+
 
 @pytest.fixture(autouse=True)
 def _own_directory(tmp_path, monkeypatch) -> None:
@@ -67,6 +74,23 @@ def test_a_lock_is_free_as_soon_as_its_holder_is_killed(tmp_path) -> None:
     again = files.hold("places", "7.cell")
     assert again is not None
     os.close(again)
+
+
+def test_a_lock_that_another_program_holds_means_nothing() -> None:
+    """`flock FILE` of any program kept rigs from beginning, with an untrue reason."""
+    os.close(files.hold("places", "7.cell") or 0)
+    path = files.lock_directory() / "places" / "7.cell.lock"
+    command = [sys.executable, "-c", STRANGER, str(path)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == "held\n"
+        assert files.hold("places", "7.cell") is None
+        assert files.is_held_by_others("places", "7.cell")
+        other.kill()
+    held = files.hold("places", "7.cell")
+    assert held is not None
+    assert not files.is_held_by_others("places", "7.cell")
+    os.close(held)
 
 
 def test_a_link_that_somebody_laid_out_is_not_followed(tmp_path) -> None:

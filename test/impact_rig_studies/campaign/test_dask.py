@@ -33,6 +33,7 @@ import impact_rig
 import impact_rig_studies
 from impact_rig_studies.campaign import run
 from impact_rig_studies.campaign.plan import load_campaign
+from impact_rig_studies.campaign.pool import cluster_threads
 from impact_rig_studies.campaign.store import Store
 from impact_rig_studies.maps.plan import load_map, measure_line
 from impact_rig_studies.maps.run import store
@@ -97,6 +98,16 @@ def test_a_worker_killed_half_way_costs_nothing(cluster, tmp_path, measured):
         assert found is not None, job.describe()
         if job.key in measured:
             assert_same(found, measured[job.key][1])
+
+
+def test_a_time_limit_counts_the_threads_of_the_cluster(cluster):
+    from distributed import Client
+
+    address, workers = cluster
+    present = sum(worker.poll() is None for worker in workers)
+    with Client(address, timeout=WAIT_S, set_as_default=False) as client:
+        client.wait_for_workers(present, timeout=WAIT_S)
+    assert cluster_threads(address) == present
 
 
 def test_a_map_has_the_same_bits_there(cluster, tmp_path):

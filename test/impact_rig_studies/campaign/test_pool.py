@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 
@@ -40,3 +41,24 @@ def test_a_pool_that_is_left_ends_before_the_interpreter_does(tmp_path):
     program.write_text(ABANDONED)
     done = subprocess.run([sys.executable, program], capture_output=True, text=True, timeout=60, check=True)
     assert (done.stdout, done.stderr) == ("", "")
+
+
+THREADS = """
+import os
+from impact_rig_studies.campaign.pool import in_parallel
+
+if __name__ == "__main__":
+    found = dict(in_parallel(os.getenv, ["OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"], 2))
+    print(*(found[name] for name in sorted(found)), os.environ.get("OPENBLAS_NUM_THREADS"))
+"""
+
+
+def test_workers_use_one_thread_for_linear_algebra_unless_the_user_chose_otherwise(tmp_path):
+    program = tmp_path / "threads.py"
+    program.write_text(THREADS)
+    environment = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    environment["OMP_NUM_THREADS"] = "3"
+    done = subprocess.run(
+        [sys.executable, program], env=environment, capture_output=True, text=True, timeout=60, check=True
+    )
+    assert done.stdout.split() == ["1", "3", "1", "None"]
