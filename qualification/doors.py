@@ -13,8 +13,7 @@
 # limitations under the License.
 """Time from a clone to the first result behind each door of the README: `python qualification/doors.py` (ten minutes).
 
-`--lab` only sees that `make lab` of this checkout serves its page, and ends it, for `tools/check_docs.py --run`.
-Without it this repository's last commit is cloned into a temporary directory, with nothing installed and nothing
+This repository's last commit is cloned into a temporary directory, with nothing installed and nothing
 compiled, and the README is followed there; what is printed are seconds. Downloads come through pip, so the network
 counts. `make bench ONLY=start` repeats what the demo from a clone took, and what is installed for it.
 """
@@ -27,7 +26,6 @@ import subprocess
 import sys
 import tempfile
 import time
-import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -67,23 +65,6 @@ def line_with(process: subprocess.Popen[str], word: str) -> str:
     if found is None:
         raise RuntimeError(f"{process.args} ended without saying {word!r}")
     return found.strip()
-
-
-def look(arguments: list[str]) -> None:
-    """Start the lab of this checkout, fetch its page, and end it.
-
-    Raises:
-        RuntimeError: what it serves is not its page.
-    """
-    options = " ".join(word.removeprefix("ARGS=") for word in arguments)
-    command = ["make", "lab", f"ARGS={options} --no-browser --port 0 --no-record"]
-    environment = {**os.environ, "ROS_DOMAIN_ID": DOMAIN, "PYTHONUNBUFFERED": "1"}
-    with (
-        started(command, ROOT, environment) as lab,
-        urllib.request.urlopen(line_with(lab, "http"), timeout=PATIENCE_S) as answer,  # noqa: S310  # our own server
-    ):
-        if b"impact_rig" not in answer.read():
-            raise RuntimeError("the lab's page is not there")
 
 
 def measure(say: Callable[[str, float], None], directory: Path) -> None:
@@ -133,9 +114,6 @@ def note(figure: str, value: float) -> None:
 
 def main() -> None:
     """Print the table."""
-    if sys.argv[1:2] == ["--lab"]:
-        look(sys.argv[2:])
-        return
     with tempfile.TemporaryDirectory(prefix="impact_rig_doors_") as directory:
         measure(lambda what, seconds: print(f"{what:60} {seconds:6.0f} s", flush=True), Path(directory))  # noqa: T201
 

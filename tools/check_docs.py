@@ -13,16 +13,12 @@
 # limitations under the License.
 """Hold README and docs against the repository: `python tools/check_docs.py` names every line that is wrong.
 
-With `--run` it also runs every block of commands that is its own, page by page, in `build/docs` (half an hour; names of
-pages choose): `python tools/check_docs.py --run README.md`.
-
 Every code block has an owner, known by its page and the words behind its fence:
 
 - a test that runs it (`RUN_BY`);
 - `test/test_docs.py`, which runs the Python and reads the YAML of all other pages;
 - this script, for `sh`: each command goes through the program's own parser, and none is there that it does not know;
-  `--run` runs them: `make lab` until its page answers, and of `make test`, `make campaign` and other targets that take
-  long only `make -n`, because what they start is on another page, or is the tests themselves;
+  `make journeys` runs them;
 - nobody, for a reason that stands behind its language: `sh not run: needs an apt-installed Jazzy`.
 
 Blocks of `text` are formulas, trees and output. Commands, paths and links are checked in running text, too.
@@ -38,14 +34,9 @@ says the same is for the reader to try, and that is what the name is for.
 
 from __future__ import annotations
 
-import argparse
 import itertools
-import os
 import re
-import shutil
-import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -59,7 +50,6 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # also for modules that the 
 from tools.doc_commands import PROGRAMS, command_faults, commands
 from tools.doc_paths import ROOT, exists, is_dangling, is_path
 
-SCRATCH = ROOT / "build" / "docs"
 RUN_BY = {
     ("docs/analysis.md", "python"): "test/impact_rig/analysis/test_guide.py",
     ("docs/drive.md", "python title"): "test/impact_rig/testing/test_examples.py",
@@ -233,55 +223,10 @@ def figure_faults(page: Page) -> Iterator[str]:
                 yield f"{where}: {path} has no {test}"
 
 
-def run(block: Block) -> str | None:
-    """Run a block of commands; return what its last words were if it fails."""
-    sys.stdout.write(f"{block.page}:{block.line} ...\n{block.content}")
-    sys.stdout.flush()
-    begin = time.monotonic()
-    script = (
-        "set -e\n"
-        f'really() {{ command make -C "{ROOT}" "$@"; }}\n'
-        "make() { case ${1:-help} in\n"
-        f'    lab) "{sys.executable}" "{ROOT}/tools/doors.py" --lab "${{@:2}}" ;;\n'
-        f'    demo) really "$@" ARGS="--output {SCRATCH}/demo_$RANDOM" ;;\n'
-        '    help | docs) really "$@" ;;\n'
-        '    test) if [ $# -gt 1 ]; then really "$@"; else really -n "$@" >/dev/null; fi ;;\n'
-        '    *) really -n "$@" >/dev/null ;;\n'
-        "    esac; }\n"
-        f'impact-rig() {{ "{sys.executable}" -c "from impact_rig.cli import main; exit(main())" "$@"; }}\n'
-    )
-    done = subprocess.run(  # noqa: S603  # our own pages
-        ["bash", "-c", script + block.content],  # noqa: S607  # the one that a reader has
-        cwd=SCRATCH,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        check=False,
-    )
-    word = "ok" if done.returncode == 0 else "failed"
-    sys.stdout.write(f"{word}, {time.monotonic() - begin:.0f} s\n")
-    return None if done.returncode == 0 else f"{block.page}:{block.line}: failed\n{done.stdout[-2000:]}"
-
-
-def run_all(blocks: list[Block]) -> list[str]:
-    """Run all blocks of commands that are ours, one after the other: a page may need what another has measured."""
-    shutil.rmtree(SCRATCH, ignore_errors=True)
-    shutil.copytree(ROOT / "config", SCRATCH / "config")
-    ours = [block for block in blocks if block.language == "sh" and block.owner == "tools/check_docs.py"]
-    return [fault for block in ours if (fault := run(block))]
-
-
 def main() -> int:
     """Print every fault and return the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--run", action="store_true", help="run the commands as well")
-    parser.add_argument("pages", nargs="*", metavar="PAGE", help="run only those of these pages, e.g. README.md")
-    arguments = parser.parse_args()
     found = [fault for page in pages().values() for fault in faults(page)]
     blocks = [block for page in pages().values() for block in page.blocks]
-    if arguments.run:
-        found += run_all([block for block in blocks if not arguments.pages or block.page in arguments.pages])
     sys.stdout.write("".join(f"{fault}\n" for fault in found))
     sys.stdout.write(f"{len(pages())} pages, {len(blocks)} code blocks, {len(found)} faults\n")
     return 1 if found else 0

@@ -47,7 +47,7 @@ CLONE, TEST, JAZZY = "clone", "test", "jazzy"
 ENVIRONMENTS = {
     CLONE: "a fresh clone, in which `make` sets up `.venv`",
     TEST: "the tests' part of `.venv`, which `make test` installs",
-    JAZZY: "Environment: a shell in which ROS 2 Jazzy is sourced.",
+    JAZZY: "a shell in which ROS 2 Jazzy is sourced",
     "wheel": "the installed package",
     "wheel[lab]": "Environment: the installed package with the extra `[lab]`",
     "wheel[import]": "Environment: the installed package with the extra `[import]`; ROS 2 is not needed.",
