@@ -20,9 +20,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import tempfile
 import time
-from pathlib import Path
 
 import numpy as np
 
@@ -49,23 +47,19 @@ def run() -> dict[str, float]:
 def minute(kind: str) -> None:
     """Run a rig for a minute of its time, with somebody who takes every block."""
     if kind == "virtual":
-        from impact_rig.testing.virtual_rig import VirtualRig  # noqa: PLC0415  # loads compiled code
+        from impact_rig.driver.local_rig import LocalRig  # noqa: PLC0415  # loads compiled code
 
         blocks = []
-        rig = VirtualRig(DRIVE)
+        rig = LocalRig(DRIVE)
         rig.connect(blocks.append)
         rig.run(RIG_S)
         assert sum(len(block.rows) for block in blocks) >= RIG_S * rig.config.daq.rate_hz
         return
-    from impact_rig.testing.ros_rig import RosRig  # noqa: PLC0415  # needs ROS
+    from impact_rig.driver.ros_rig import RosRig  # noqa: PLC0415  # needs ROS
 
-    with tempfile.TemporaryDirectory() as name:
-        ros_rig = RosRig(Path(name) / "rig", DRIVE, hosted=kind == "hosted")
-        try:
-            ros_rig.run(RIG_S)
-            assert sum(len(table.rows) for table in ros_rig.tables()) >= RIG_S * ros_rig.config.daq.rate_hz
-        finally:
-            ros_rig.close()
+    with RosRig(DRIVE, hosted=kind == "hosted", record=True) as ros_rig:
+        ros_rig.run(RIG_S)
+        assert sum(len(table.rows) for table in ros_rig.tables()) >= RIG_S * ros_rig.config.daq.rate_hz
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ import pytest
 from analyse_run import analyse
 
 from impact_rig.recording import open_run
-from impact_rig.testing import Golden, VirtualRig
+from impact_rig.testing import Golden, LocalRig
 
 RIG = {"sphere.present": False, "daq.rate_hz": 1000, "daq.block_scans": 50, "drive.amplitude": 0.3}
 DRIVE_HZ = 8.5
@@ -35,7 +35,7 @@ STEPS = 2.5
 
 
 def record(directory, **changes):
-    rig = VirtualRig({**RIG, "drive.frequency_hz": DRIVE_HZ, **changes})
+    rig = LocalRig({**RIG, "drive.frequency_hz": DRIVE_HZ, **changes})
     rig.run(seconds=5)
     return rig.save(directory)
 

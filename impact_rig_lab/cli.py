@@ -121,7 +121,7 @@ def _source(arguments: argparse.Namespace, stack: contextlib.ExitStack) -> Any:
         from impact_rig_lab.playback import PlaybackSource  # noqa: PLC0415
 
         if not arguments.runs:
-            from impact_rig.runs.in_process import make_sample  # noqa: PLC0415
+            from impact_rig.driver.sample_run import make_sample  # noqa: PLC0415
 
             arguments.runs = [make_sample(files.state_dir("") / SAMPLE)]
         return PlaybackSource(arguments.runs)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A sweep or a phase lock through the topics: the operator's loop, fed by a node's callbacks; it is the apparatus."""
+"""A sweep or a phase lock through the topics: the operator's loop, fed by a node's callbacks."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from impact_rig.nodes.acknowledgements import Acknowledgements
 from impact_rig.nodes.managed import Done, Level, ManagedNode, NodeState
 from impact_rig.nodes.messages import MONITORS
 from impact_rig.rig.journal import InputKind, JournalEntry
-from impact_rig_studies.operate.operator import Applied, News, Operator, Walk
+from impact_rig_studies.operate.operator import Applied, ControllerRun, Operator, Update
 from impact_rig_studies.operate.phase_lock import LockedSine, LockPlan, Reference
 from impact_rig_studies.operate.stepped_sine import (
     ControlledSine,
@@ -139,7 +139,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("stepped_sine", Tree(SteppedSineSettings), **kwargs)
-        self._operator: Operator[Walk] | None = None
+        self._operator: Operator[ControllerRun] | None = None
         self._acknowledgements = Acknowledgements(self)
         self._pending = False  # wanted, but the rig is not there yet
         self._now_ns: int | None = None
@@ -208,7 +208,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
             return NodeState(words.WAITING, self._missing() or "about to begin")
         if self._operator is None:
             return NodeState(words.IDLE)
-        sweep = self._operator.sweep
+        sweep = self._operator.run
         if sweep.state is SweepState.ABORTED:
             return NodeState(words.ABORTED, sweep.reason)
         return NodeState(words.RUNNING if self._operator.busy else words.DONE)
@@ -221,7 +221,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
             return Level.WARN, self._missing() or "about to begin"
         if self._operator is None:
             return Level.OK, "idle"
-        sweep = self._operator.sweep
+        sweep = self._operator.run
         if sweep.state is SweepState.ABORTED:
             return Level.ERROR, f"aborted: {sweep.reason}"
         return Level.OK, sweep.describe()
@@ -230,7 +230,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         """Return those of the last sweep."""
         if self.state != "active" or self._pending or self._operator is None:
             return {}
-        return self._operator.sweep.figures()
+        return self._operator.run.figures()
 
     # Start and stop
 
@@ -279,38 +279,37 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     def _begin(self) -> None:
         self._pending = False
         self._began_ns = self.now_ns()
-        self._operator = Operator(self._walk(), self, self._publish_curve)
-        self._operator.begin()
+        self._operator = Operator(self._new_run(), self._drive, self._publish_curve)
+        self._operator.begin(self.now_ns())
 
-    def _walk(self) -> Walk:
+    def _new_run(self) -> ControllerRun:
         settings = self.settings
         if settings.hold != PHASE:
             return settings.sweep()
         assert self._info is not None
         return LockedSine(settings.lock_plan(), self._info.rows, settings.accept_limit_s)
 
-    # What the operator's loop asks of an apparatus
+    # What the operator asks for
 
     def now_ns(self) -> int:
-        """Return the newest instant heard of."""
+        """Return the newest instant received."""
         return self._now_ns or 0
 
-    def set(self, setpoint: Setpoint) -> None:
-        """Send frequency and current; `shaker/applied` tells that they are in force."""
-        self.send(topics.FREQUENCY, Float64(data=setpoint.frequency_hz))
-        self.send(topics.CURRENT, Float64(data=setpoint.current_a))
-
-    def rest(self) -> None:
-        """Set the current to zero, and say why."""
+    def _drive(self, setpoint: Setpoint) -> None:
+        """Send frequency and current, which `shaker/applied` confirms; at the end no current, and log why."""
         assert self._operator is not None
+        if self._operator.busy:
+            self.send(topics.FREQUENCY, Float64(data=setpoint.frequency_hz))
+            self.send(topics.CURRENT, Float64(data=setpoint.current_a))
+            return
         self.send(topics.CURRENT, Float64(data=0.0))
-        sweep = self._operator.sweep
-        if sweep.state is SweepState.ABORTED:
-            self.get_logger().error(one_line(f"sweep aborted: {sweep.reason}"))
+        run = self._operator.run
+        if run.state is SweepState.ABORTED:
+            self.get_logger().error(one_line(f"sweep aborted: {run.reason}"))
         else:
-            self.get_logger().info(f"sweep finished: {sweep.measured} measurements")
+            self.get_logger().info(f"sweep finished: {run.measured} measurements")
 
-    def _publish_curve(self, sweep: Walk) -> None:
+    def _publish_curve(self, sweep: ControllerRun) -> None:
         if isinstance(sweep, LockedSine):
             if sweep.measured:
                 self.send_table(topics.LOCKED, Table(self._began_ns, sweep.newest))
@@ -322,7 +321,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
 
     # Messages
 
-    def _follow(self, topic: topics.Topic, callback: Callable[[Operator[Walk], Table], None]) -> Any:
+    def _follow(self, topic: topics.Topic, callback: Callable[[Operator[ControllerRun], Table], None]) -> Any:
         """Subscribe to a table topic; `callback` gets the operator, and tables newer than the sweep's begin."""
 
         def take(table: Table) -> None:
@@ -340,7 +339,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         self._scans_heard = True
         try:
             if self._operator is not None:
-                self._operator.hear(News(now_ns=self.now_ns(), scans=[table]))
+                self._operator.handle(Update(now_ns=self.now_ns(), scans=[table]))
         finally:  # a rig that waits for us must not be held up
             self._acknowledgements.processed(table.stamp_ns)
 
@@ -351,10 +350,10 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
             self.refuse(MONITORS["base"].name, str(error))
             return
         if self._operator is not None:
-            self._operator.hear(News(now_ns=self._now_ns))
+            self._operator.handle(Update(now_ns=self._now_ns))
 
-    def _on_applied(self, operator: Operator[Walk], table: Table) -> None:
-        operator.hear(News(now_ns=self.now_ns(), applied=Applied.of(table)))
+    def _on_applied(self, operator: Operator[ControllerRun], table: Table) -> None:
+        operator.handle(Update(now_ns=self.now_ns(), applied=Applied.of(table)))
 
     def _on_journal(self, message: String) -> None:
         operator = self._operator
@@ -367,8 +366,8 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         if operator is not None and begun and entry.kind in STOPPING:
             operator.abort(f"the rig {STOPPING[entry.kind]}" + f" ({entry.name})" * bool(entry.name))
 
-    def _on_measurement(self, operator: Operator[Walk], table: Table) -> None:
-        operator.hear(News(now_ns=table.stamp_ns, rows=table.rows))
+    def _on_measurement(self, operator: Operator[ControllerRun], table: Table) -> None:
+        operator.handle(Update(now_ns=table.stamp_ns, rows=table.rows))
 
 
 PROGRAM = SteppedSineNode

@@ -33,6 +33,7 @@ import attrs
 import numpy as np
 
 from impact_rig.drawing import SERIES, legend_below, new_axes, style
+from impact_rig.driver import LocalRig
 from impact_rig.physics.linear_response import transmissibility
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.gaps import NO_SPHERE
@@ -40,8 +41,8 @@ from impact_rig.simtime import NS_PER_S
 from impact_rig_studies import prediction
 from impact_rig_studies.campaign.job import execute
 from impact_rig_studies.campaign.pool import in_parallel
-from impact_rig_studies.closed_loop import ProcessLoop, hold
-from impact_rig_studies.operate.phase_lock import Ladder, LockPlan, PhaseLock, Rung, climb, follow, lock_on
+from impact_rig_studies.closed_loop import hold, with_short_blocks
+from impact_rig_studies.operate.phase_lock import Ladder, LockLoop, LockPlan, PhaseLock, Rung, climb, follow, lock_on
 from impact_rig_studies.operate.stepped_sine import Hold, HoldPlan, SweepState
 from impact_rig_studies.prediction import Manifold
 from qualification.prediction import job, tell
@@ -123,7 +124,9 @@ def locking(_draw: bool) -> list[Finding]:
     config = from_flat(RigConfig(), {"sphere.present": False})
     true_hz = 9.105 / math.sqrt(1.0 - 4.0 * config.structure.damping_ratio**2)
     for start in (true_hz - 1.0, true_hz + 1.0):
-        lock = lock_on(LockPlan(start_hz=start, current_a=0.3, dwell_s=30.0), ProcessLoop(config))
+        lock = lock_on(
+            LockPlan(start_hz=start, current_a=0.3, dwell_s=30.0), LockLoop(LocalRig(with_short_blocks(config)))
+        )
         late = lock.rows[-20:]
         f, phase = float(np.mean(late["frequency"])), math.degrees(float(np.mean(late["phase"])))
         first = (lock.locked_ns or 0) / NS_PER_S
@@ -135,15 +138,15 @@ def locking(_draw: bool) -> list[Finding]:
         )
         words = f"from {start:.2f} Hz: locked after {first:.1f} s, {f - true_hz:+.5f} Hz, phase {phase:.3f}°"
         found.append((words, kept))
-    rig = ProcessLoop(from_flat(RigConfig(), {"barriers.gap_m": 6e-3}))
+    rig = LockLoop(LocalRig(with_short_blocks(from_flat(RigConfig(), {"barriers.gap_m": 6e-3}))))
     lock = PhaseLock(LockPlan(start_hz=8.8, current_a=0.52, dwell_s=1e6))
     rig.set(lock.start(0))
-    follow(lock, rig, lambda _: rig.now_ns() >= 30 * NS_PER_S)
+    follow(lock, rig, lambda _: rig.now_ns >= 30 * NS_PER_S)
     before = lock.locked
-    rig.change({"barriers.gap_m": 10e-3})
-    lock.unlock(rig.now_ns())
-    changed = rig.now_ns()
-    follow(lock, rig, lambda _: rig.now_ns() >= changed + 60 * NS_PER_S)
+    rig.rig.configure({"barriers.gap_m": 10e-3})
+    lock.unlock(rig.now_ns)
+    changed = rig.now_ns
+    follow(lock, rig, lambda _: rig.now_ns >= changed + 60 * NS_PER_S)
     rows = lock.rows[lock.rows["time"] > changed / NS_PER_S]
     seconds = rows["time"] - changed / NS_PER_S
     mean = np.convolve(np.degrees(rows["phase"]), [0.5, 0.5], "valid") + 90.0
@@ -157,7 +160,7 @@ def locking(_draw: bool) -> list[Finding]:
 def _backbone(start: str) -> list[Rung]:
     config = from_flat(RigConfig(), {"barriers.gap_m": LADDER_GAP_M, "sphere.start": start})
     ladder = Ladder(currents_a=LADDER_A, lock=LockPlan(start_hz=9.0, current_a=LADDER_A[0]))
-    return climb(ladder, ProcessLoop(config))[0]
+    return climb(ladder, LockLoop(LocalRig(with_short_blocks(config))))[0]
 
 
 def _from_reset(place: tuple[str, float, float]) -> float:

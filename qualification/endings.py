@@ -50,7 +50,7 @@ from rich.table import Table as TextTable
 from impact_rig.client import Client, Processes, isolated_domain
 from impact_rig.errors import ImpactRigError
 from impact_rig.recording import open_run
-from impact_rig.testing import VirtualRig
+from impact_rig.testing import LocalRig
 
 WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 NODES = ("rig", "analysis", "recorder")
@@ -327,7 +327,7 @@ class Bench:
     def _run(self) -> Path:
         path = self.folder / "recorded"
         if not path.exists():
-            rig = VirtualRig()
+            rig = LocalRig()
             rig.command(9.1, 0.52)
             rig.run(8.0)
             rig.save(path)

@@ -36,7 +36,7 @@ from impact_rig.kernels.build import PARTS
 from impact_rig.physics.linear_response import transmissibility
 from impact_rig.rig.config import RigConfig, dump, load
 from impact_rig.simtime import NS_PER_S
-from impact_rig.testing import VirtualRig
+from impact_rig.testing import LocalRig
 from impact_rig_studies.campaign.paper import CURRENT_A, FREQUENCY_HZ, REDUCTION_PERCENT
 from impact_rig_studies.campaign.plan import load_campaign
 from impact_rig_studies.dynamics.plan import KINDS
@@ -284,7 +284,7 @@ def test_taking_the_sphere_away_takes_as_long_as_the_first_measurement_says():
     """About ten seconds of rig time: it said 40."""
     text = (ROOT / "docs" / "first_measurement.md").read_text(encoding="utf-8")
     assert "Click *none*: the sphere is taken away, and after about ten seconds DT is 110." in text
-    rig = VirtualRig()
+    rig = LocalRig()
     rig.command(frequency_hz=FREQUENCY_HZ, current_a=CURRENT_A)
     rig.run(seconds=12.0)
     rig.core.configure({"sphere.present": False})

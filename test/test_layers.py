@@ -34,7 +34,7 @@ from tools import release
 
 ROOT = Path(__file__).parent.parent
 WITH_ROS = {
-    "impact_rig.nodes", "impact_rig.testing", "impact_rig_studies.apparatus", "impact_rig_studies.stepped_sine_node",
+    "impact_rig.nodes", "impact_rig_studies.ros_campaign", "impact_rig_studies.stepped_sine_node",
 }  # fmt: skip
 WITHOUT_ROS = sorted(
     module.name

@@ -21,9 +21,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from impact_rig.client.hardware import Hardware, InProcess
-from impact_rig.rig import Rig
-from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.driver import Hardware, LocalRig
 from impact_rig_studies.excitation.files import load
 from impact_rig_studies.excitation.random import RandomPlan, control
 from impact_rig_studies.excitation.response import Excitation, measure
@@ -49,7 +47,7 @@ def results() -> Iterator[tuple[object, str]]:
 def hardware(rate_hz: int, **changes: object) -> Hardware:
     """Return a rig in this process, sampled and driven at a rate."""
     rates = {"drive.waveform": "stream", "drive.stream_rate_hz": rate_hz, "daq.rate_hz": rate_hz}
-    return Hardware(InProcess(Rig(from_flat(RigConfig(), {**rates, **changes}))))
+    return Hardware(LocalRig({**rates, **changes}))
 
 
 if __name__ == "__main__":

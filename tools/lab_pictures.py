@@ -32,7 +32,7 @@ sys.path.insert(0, str(ROOT / "test"))
 from kits.browser import Browser, Page  # noqa: E402
 
 from impact_rig.client import Client, Processes, isolated_domain  # noqa: E402
-from impact_rig.runs.in_process import make_sample  # noqa: E402
+from impact_rig.driver.sample_run import make_sample  # noqa: E402
 from impact_rig_lab.gateway import Own  # noqa: E402
 from impact_rig_lab.live import LiveSource  # noqa: E402
 from impact_rig_lab.playback import PlaybackSource  # noqa: E402

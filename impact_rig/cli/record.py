@@ -25,8 +25,9 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig import topics
 from impact_rig.cli.quantities import Quantity, positive
-from impact_rig.cli.rig_options import PROCESS, RUNNING, add_rig, add_way, rig_of, run_directory
+from impact_rig.cli.rig_options import RUNNING, add_rig, add_way, open_rig, rig_of, run_directory
 from impact_rig.cli.terminal import Console, Counted, TextTable, add_json, figure, subcommand, tell_results
 from impact_rig.config import Drive, FieldInfo
 from impact_rig.errors import CommandError, ConfigError, ImpactRigError
@@ -34,10 +35,10 @@ from impact_rig.recording import open_run
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.gaps import NO_SPHERE, case_of
-from impact_rig.simtime import NS_PER_S
 from impact_rig.system.endings import unhurried
 
 SECONDS = 60.0
+SCANS_TIMEOUT_S = 30.0  # wall time that a rig may take for a block of scans
 FREQUENCY_HZ, CURRENT_A = 9.1, 0.52  # of the paper
 CURRENT = Quantity(FieldInfo("Peak current.", "A", low=0.0))
 NEGLIGIBLE = 1e-6  # share of the variance below which a line of the budget is not printed
@@ -82,9 +83,8 @@ def _run(arguments: argparse.Namespace) -> int:
     what = f"the rig in {arguments.namespace}" if running else case_of(gap_m)
     with contextlib.ExitStack() as ending:  # what follows the run is not cut short by one more signal
         with Counted(Console(stderr=True), "seconds", math.ceil(arguments.seconds)) as shown:
-            steps = _in_process if arguments.through == PROCESS else _over_topics
             try:
-                with contextlib.closing(steps(arguments, config, gap_m, directory)) as passed:
+                with contextlib.closing(_drive(arguments, config, gap_m, directory)) as passed:
                     for done_s, state in passed:
                         shown.show(math.floor(min(done_s, arguments.seconds)), f"{what}, {state}" if state else what)
             except CommandError as error:
@@ -142,38 +142,26 @@ Passed = Generator[tuple[float, str], None, None]
 """Rig time recorded so far [s], and the newest DT or what is waited for, as text; empty if neither is known."""
 
 
-def _in_process(arguments: argparse.Namespace, config: RigConfig, gap_m: float, directory: Path) -> Passed:
-    from impact_rig.runs.in_process import MeasuredRig  # noqa: PLC0415  # heavy: after the signals are taken
-
-    dt = ""
-    with MeasuredRig(directory, config, gap_m) as run:
-        run.rig.accept(frequency_hz=arguments.frequency, amplitude=arguments.current)
-        while run.rig.frontier_ns < arguments.seconds * NS_PER_S:
-            for table in run.advance():
-                dt = figure(table.rows["transmissibility"][-1], ".2f", "")
-            if run.rig.latched is not None:
-                raise CommandError(f"the rig tripped: {run.rig.latched}")
-            yield run.rig.frontier_ns / NS_PER_S, run.waiting or (f"DT {dt}" if dt else "")
-
-
-def _over_topics(arguments: argparse.Namespace, config: RigConfig, gap_m: float, directory: Path) -> Passed:
-    from impact_rig.client.over_topics import MeasuredOverTopics, recording  # noqa: PLC0415  # needs rclpy
-
+def _drive(arguments: argparse.Namespace, config: RigConfig, gap_m: float, directory: Path) -> Passed:
     running = arguments.through == RUNNING
-    namespace = arguments.namespace if running else None
     driven = arguments.frequency is not None or arguments.current is not None
-    waveform = "sine" if driven else ""
-    analysis = None if running else {"gap_m": gap_m}
-    with recording(directory, config, namespace, waveform=waveform, analysis=analysis) as client:
-        rig = MeasuredOverTopics(client)
-        rig.command(arguments.frequency, arguments.current)
-        began_ns = rig.advance()
-        done_s = 0.0
+    required = {"drive.waveform": "sine"} if driven else {}
+    with open_rig(arguments, config, directory, required, {"gap_m": gap_m}) as rig:
+        if driven:
+            rig.command(arguments.frequency, arguments.current)
+        rig.clear()
+        began_s, done_s, dt = rig.time_s, 0.0, ""
         while done_s < arguments.seconds:
-            done_s = (rig.advance() - began_ns) / NS_PER_S
-            yield done_s, ""
+            rig.step(timeout_s=SCANS_TIMEOUT_S)
+            for table in [] if running else rig.tables(topics.TRANSMISSIBILITY_TABLE.name):
+                dt = figure(table.rows["transmissibility"][-1], ".2f", "")
+            rig.clear()
+            if rig.stopped:
+                raise CommandError(rig.stopped)
+            done_s = rig.time_s - began_s
+            yield done_s, rig.waiting or (f"DT {dt}" if dt else "")
         if running and arguments.current is not None:
-            rig.command(None, 0.0)
+            rig.command(current_a=0.0)
 
 
 @attrs.frozen(eq=False)

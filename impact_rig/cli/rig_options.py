@@ -17,12 +17,17 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from impact_rig.cli.quantities import GAP
 from impact_rig.errors import ImpactRigError
 from impact_rig.rig.config import RigConfig, from_flat, load
 from impact_rig.rig.gaps import NO_SPHERE, gap_values
+
+if TYPE_CHECKING:
+    from impact_rig.driver import RigDriver
 
 PROCESS, ROS, RUNNING = WAYS = ("process", "ros", "running")
 
@@ -58,6 +63,33 @@ def add_way(parser: argparse.ArgumentParser, needs: str = "") -> None:
         help=f"a rig in this process (default), behind topics, or one that runs already{needs}",
     )  # fmt: skip
     parser.add_argument("--namespace", default="/rig", help="namespace of the rig that runs already (default: /rig)")
+
+
+def open_rig(
+    arguments: argparse.Namespace,
+    config: RigConfig,
+    record: Path,
+    required: Mapping[str, Any],
+    analysis: Mapping[str, Any] | None = None,
+) -> RigDriver:
+    """Return the rig that `--through` asks for, recorded into a directory.
+
+    Args:
+        arguments: with those of `add_way`.
+        config: of a rig that is started; behind topics it runs as fast as recorder, analysis and this program follow.
+        record: directory of the run.
+        required: configuration values that a running rig must have.
+        analysis: parameters of an analysis that is started with a rig; None: there is none.
+    """
+    if arguments.through == PROCESS:
+        from impact_rig.driver.local_rig import LocalRig  # noqa: PLC0415  # heavy: after the signals are taken
+
+        return LocalRig(config, analysis=analysis, record=record)
+    from impact_rig.driver.ros_rig import RosRig  # noqa: PLC0415  # needs rclpy
+
+    if arguments.through == RUNNING:
+        return RosRig(required, record=record, namespace=arguments.namespace)
+    return RosRig(config, analysis=analysis, record=record, mode="freewheel")
 
 
 def run_directory(wanted: Path | None, what: str) -> Path:

@@ -36,7 +36,7 @@ from impact_rig.simtime import NS_PER_S
 from impact_rig.topics import SCAN
 
 if TYPE_CHECKING:
-    from impact_rig.testing.virtual_rig import SteppedRig
+    from impact_rig.driver import RigDriver
 
 UPDATE_OPTION = "--rig-update-golden"
 
@@ -54,7 +54,7 @@ class Golden:
         self._update = update
 
     def run(
-        self, rig: SteppedRig, topics: Sequence[str] = (SCAN.name,), tolerances: Mapping[str, float] | None = None
+        self, rig: RigDriver, topics: Sequence[str] = (SCAN.name,), tolerances: Mapping[str, float] | None = None
     ) -> None:
         """Compare what a rig has published with the golden run.
 

@@ -18,7 +18,7 @@ fixture does, when it is used.
 
 | fixture | gives |
 |---|---|
-| `virtual_rig` | a function that starts a rig in the test's process, without ROS: see `VirtualRig` |
+| `virtual_rig` | a function that starts a rig in the test's process, without ROS: see `LocalRig` |
 | `ros_rig` | a function that starts a rig on a ROS domain of its own: see `RosRig` |
 | `golden` | comparison with golden data beside the test file: see `Golden` |
 """
@@ -35,13 +35,13 @@ from typing import TYPE_CHECKING, Any, TypeVar  # Any: what a rig is started wit
 import pytest
 
 if TYPE_CHECKING:
+    from impact_rig.driver import LocalRig, RigDriver
+    from impact_rig.driver.ros_rig import RosRig
     from impact_rig.testing.golden import Golden
-    from impact_rig.testing.ros_rig import RosRig
-    from impact_rig.testing.virtual_rig import SteppedRig, VirtualRig
 
 DEFAULT_DIRECTORY = "failed_runs"
-_RIGS = pytest.StashKey[list["SteppedRig"]]()
-R = TypeVar("R", bound="SteppedRig")
+_RIGS = pytest.StashKey[list["RigDriver"]]()
+R = TypeVar("R", bound="RigDriver")
 _UNSAFE = re.compile(r"[^\w.-]+")
 
 
@@ -56,25 +56,25 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 @pytest.fixture
-def virtual_rig(request: pytest.FixtureRequest) -> Iterator[Callable[..., VirtualRig]]:
+def virtual_rig(request: pytest.FixtureRequest) -> Iterator[Callable[..., LocalRig]]:
     """Return a function that starts a rig in this process: `virtual_rig({"barriers.gap_m": 0.004}, faults=[...])`."""
 
-    def make(*args: Any, **kwargs: Any) -> VirtualRig:
-        from impact_rig.testing.virtual_rig import VirtualRig  # noqa: PLC0415  # loads compiled code
+    def make(*args: Any, **kwargs: Any) -> LocalRig:
+        from impact_rig.driver.local_rig import LocalRig  # noqa: PLC0415  # loads compiled code
 
-        return VirtualRig(*args, **kwargs)
+        return LocalRig(*args, **kwargs)
 
     yield from _starting(request, make)
 
 
 @pytest.fixture
-def ros_rig(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Callable[..., RosRig]]:
+def ros_rig(request: pytest.FixtureRequest) -> Iterator[Callable[..., RosRig]]:
     """Return a function that starts a rig on a ROS domain of its own: `ros_rig({"barriers.gap_m": 0.004})`."""
 
     def make(*args: Any, **kwargs: Any) -> RosRig:
-        from impact_rig.testing.ros_rig import RosRig  # noqa: PLC0415  # needs ROS
+        from impact_rig.driver.ros_rig import RosRig  # noqa: PLC0415  # needs ROS
 
-        return RosRig(tmp_path / "impact_rig" / kwargs["name"], *args, **kwargs)
+        return RosRig(*args, **{"record": True, **kwargs})
 
     yield from _starting(request, make)
 
@@ -102,7 +102,7 @@ def pytest_runtest_makereport(
     return report
 
 
-def _keep(rig: SteppedRig, directory: Path, item: pytest.Item) -> str:
+def _keep(rig: RigDriver, directory: Path, item: pytest.Item) -> str:
     """Save a rig's run and return what to tell about it; a test's own error is never hidden by one of ours.
 
     The same is told in properties of the test, which are in a JUnit file.

@@ -28,11 +28,11 @@ import attrs
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
+from impact_rig.driver import RigDriver
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.instruments.fault import Fault
 from impact_rig.instruments.instrument import BOARD_KINDS
 from impact_rig.instruments.registry import INSTRUMENTS
-from impact_rig.testing.virtual_rig import SteppedRig
 
 __all__ = ["Command", "Inject", "ParameterChange", "Pause", "Silence", "repeat", "scenarios", "search"]
 
@@ -43,7 +43,7 @@ MOST_BLOCKS = 20
 class Action(Protocol):
     """Something that happens to a rig."""
 
-    def do(self, rig: SteppedRig) -> None:
+    def do(self, rig: RigDriver) -> None:
         """Let it happen now.
 
         Raises:
@@ -58,7 +58,7 @@ class Command:
     frequency_hz: float | None = None
     current_a: float | None = None
 
-    def do(self, rig: SteppedRig) -> None:
+    def do(self, rig: RigDriver) -> None:
         """Command."""
         rig.command(self.frequency_hz, self.current_a)
 
@@ -70,7 +70,7 @@ class ParameterChange:
     key: str
     value: float | bool
 
-    def do(self, rig: SteppedRig) -> None:
+    def do(self, rig: RigDriver) -> None:
         """Change it."""
         rig.configure({self.key: self.value})
 
@@ -84,7 +84,7 @@ class Inject:
     blocks: int = 1
     value: float = 0.0
 
-    def do(self, rig: SteppedRig) -> None:
+    def do(self, rig: RigDriver) -> None:
         """Inject it."""
         begin, length = rig.frontier_sample, self.blocks * rig.block_scans
         rig.inject(Fault(kind=self.kind, channel=self.channel, start_sample=begin, samples=length, value=self.value))
@@ -96,7 +96,7 @@ class Pause:
 
     blocks: int = 1
 
-    def do(self, rig: SteppedRig) -> None:
+    def do(self, rig: RigDriver) -> None:
         """Let them pass."""
         rig.step(self.blocks)
 
@@ -107,7 +107,7 @@ class Silence:
 
     blocks: int = 2
 
-    def do(self, rig: SteppedRig) -> None:
+    def do(self, rig: RigDriver) -> None:
         """Be silent."""
         before = rig.config.output.command_timeout_s
         seconds = self.blocks * rig.block_scans / rig.rate_hz
@@ -144,11 +144,11 @@ def scenarios(
     return st.lists(action, max_size=most_actions)
 
 
-Check = Callable[[SteppedRig], Callable[[], object] | None]
+Check = Callable[[RigDriver], Callable[[], object] | None]
 """Joins a pipeline to a rig, and returns what is asserted in the end; it may raise AssertionError on the way, too."""
 
 
-def repeat(rig: SteppedRig, check: Check, actions: Sequence[Action]) -> None:
+def repeat(rig: RigDriver, check: Check, actions: Sequence[Action]) -> None:
     """Play a scenario, a block after each action, under a check."""
     finish = check(rig)
     for action in actions:
@@ -161,7 +161,7 @@ def repeat(rig: SteppedRig, check: Check, actions: Sequence[Action]) -> None:
 
 
 def search(
-    make_rig: Callable[..., SteppedRig],
+    make_rig: Callable[..., RigDriver],
     check: Check,
     parameters: Mapping[str, object] | None = None,
     among: st.SearchStrategy[list[Action]] | None = None,
@@ -179,7 +179,7 @@ def search(
         among: scenarios; None: `scenarios()`.
         examples: played at most, before something fails.
     """
-    last: list[SteppedRig] = []
+    last: list[RigDriver] = []
     played: list[list[Action]] = []
 
     @settings(

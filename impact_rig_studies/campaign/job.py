@@ -28,31 +28,31 @@ import hashlib
 import json
 import time
 from collections.abc import Callable, Mapping
-from typing import Protocol
 
 import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig import topics
 from impact_rig.analysis.settings import TrackerSettings
-from impact_rig.analysis.tracker import Tracker
-from impact_rig.blocks import TRANSMISSIBILITY, joined
+from impact_rig.blocks import TRANSMISSIBILITY
 from impact_rig.config.tree import Value
+from impact_rig.driver import LocalRig, RigDriver
 from impact_rig.errors import GoneError, ImpactRigError
 from impact_rig.instruments.section import channels_of
-from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.gaps import case_of
 from impact_rig.rig.journal import not_default
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
-from impact_rig_studies.operate.operator import Applied, News, Note, PatientApparatus, operate, silent
-from impact_rig_studies.operate.stepped_sine import Direction, Setpoint, SteppedSine, SweepPlan, SweepState
+from impact_rig_studies.operate.operator import OnUpdate, ignore, operate
+from impact_rig_studies.operate.stepped_sine import Direction, SteppedSine, SweepPlan, SweepState
 
 LOOKS_PER_S = 4
 """The operator looks at the measurements this often, in rig time, and commands then: part of a job's definition,
 because in a sweep it decides when the next frequency begins."""
 MAX_BLOCK_SCANS = 4000  # so that a block of truth fits a message
 DWELL_FACTOR = 2.5  # a point may take this many times the analysis's own bound before it is given up
+TRACED = (topics.TRUTH_SCAN.name,)
 TRACE_BLOCKS = 2  # blocks that are kept as a trace after the last measurement
 
 
@@ -87,6 +87,10 @@ class Job:
             ConfigError: a value is wrong.
         """
         return TrackerSettings(**dict(self.analysis))  # type: ignore[arg-type]  # its validators check
+
+    def labelled_settings(self) -> dict[str, Value]:
+        """Return the parameters of the analysis: all its settings, and the operator's label."""
+        return {**attrs.asdict(self.settings()), "gap_m": self.gap_m}
 
     def plan(self) -> SweepPlan:
         """Return what to command.
@@ -136,46 +140,31 @@ class Outcome:
     """Arrays of the end of the run by name, if asked for."""
 
 
-# --- How a job becomes an outcome. Whatever it is measured with, the rig in this process or one behind topics, answers
-# the same calls with the same values, so the numbers are the same bits.
-
 Trace = Mapping[str, NDArray[np.generic]]
 TRUE_COLUMNS = ("x_b", "x_1", "x_2", "v_1", "v_2")
 
 
-class JobApparatus(PatientApparatus, Protocol):
-    """An apparatus made ready for one job."""
-
-    def trace(self) -> Trace:
-        """Let a few blocks pass and return their scans and truth, see `columns`."""
-        ...
-
-    def lost_scans(self) -> int:
-        """Return how many scans the analysis has missed."""
-        ...
-
-
-def run_job(job: Job, prepare: Callable[[Job], JobApparatus], note: Note = silent) -> Outcome:
-    """Measure a job; whatever goes wrong in it is its outcome, not an exception.
+def run_job(job: Job, start: Callable[[Job], RigDriver], on_update: OnUpdate = ignore) -> Outcome:
+    """Measure a job; an error in it is its outcome, not an exception.
 
     Args:
         job: what is measured.
-        prepare: gives an apparatus for it.
-        note: told when the drive is set, and of every measurement.
+        start: gives a new rig with its analysis; in this process or behind topics, the numbers are the same bits.
+        on_update: gets the sweep when the drive is set, and after every measurement.
 
     Raises:
-        GoneError: a process of the apparatus died, which says nothing about the job.
+        GoneError: a process of the rig died, which says nothing about the job.
     """
     started = time.perf_counter()
-    apparatus: JobApparatus | None = None
+    rig: RigDriver | None = None
     sweep = SteppedSine(job.plan())
     failure, trace = "", {}
     try:
-        apparatus = prepare(job)
-        operate(sweep, apparatus, note)
+        rig = start(job)
+        operate(sweep, rig, on_update)
         failure = sweep.reason
         if job.traces and sweep.state is SweepState.FINISHED:
-            trace = dict(apparatus.trace())
+            trace = dict(_trace(rig))
     except GoneError:
         raise
     except ImpactRigError as error:
@@ -184,11 +173,21 @@ def run_job(job: Job, prepare: Callable[[Job], JobApparatus], note: Note = silen
         rows=sweep.rows,
         failure=failure,
         skipped_hz=tuple(sweep.skipped),
-        simulated_s=apparatus.now_ns() / NS_PER_S if apparatus else 0.0,
+        simulated_s=rig.now_ns / NS_PER_S if rig else 0.0,
         wall_s=time.perf_counter() - started,
-        lost_scans=apparatus.lost_scans() if apparatus else 0,
+        lost_scans=rig.lost_scans if rig else 0,
         trace=trace,
     )
+
+
+def _trace(rig: RigDriver) -> Trace:
+    """Let a few blocks pass and return their scans and truth."""
+    rig.configure({"output.truth_scan": True})  # changes what is handed out, not one sample
+    rig.step()  # half of its truth was not kept
+    rig.clear()
+    rig.step(TRACE_BLOCKS)
+    count = TRACE_BLOCKS * rig.block_scans
+    return columns(rig.newest(topics.SCAN.name, count), rig.newest(topics.TRUTH_SCAN.name, count), rig.rate_hz)
 
 
 def columns(scans: NDArray[np.void], truth: NDArray[np.void], rate_hz: int) -> Trace:
@@ -205,68 +204,15 @@ def columns(scans: NDArray[np.void], truth: NDArray[np.void], rate_hz: int) -> T
     return found
 
 
-# --- The rig and the analysis in this process: what the nodes run, without DDS between them. The analysis sees what the
-# rig publishes: calibration, accepted commands, scans, and the operator's label.
-
-
-class ProcessApparatus:
-    """A `JobApparatus` in this process.
+def start_local(job: Job) -> RigDriver:
+    """Return a rig in this process for a job.
 
     Raises:
         ConfigError: the job's values together cannot be simulated.
     """
-
-    def __init__(self, job: Job) -> None:
-        self._rig = Rig(job.config())
-        self._tracker = Tracker(job.settings())
-        self._applied: list[Applied] = []
-        info = self._rig.info()
-        self._tracker.configure(info)
-        self._tracker.label(job.gap_m, info.stamp_ns)
-
-    def now_ns(self) -> int:
-        """Return the rig time since the reset."""
-        return self._rig.next_block_ns - self._rig.start_ns
-
-    def set(self, setpoint: Setpoint) -> None:
-        """Command frequency, then current."""
-        rig = self._rig
-        rig.accept(frequency_hz=setpoint.frequency_hz)
-        rig.accept(amplitude=setpoint.current_a)
-        for table in rig.take_applied():
-            self._tracker.on_applied(table)
-            self._applied += Applied.of(table, self.now_ns())
-
-    def rest(self) -> None:
-        """Do nothing: this rig is given up."""
-
-    def wait(self) -> News:
-        """Let one block pass."""
-        rows: list[np.void] = []
-        for block in self._advance():
-            for table in self._tracker.feed(block.scan).measurements:
-                rows.extend(table.rows)
-        applied, self._applied = self._applied, []
-        stopped = None if self._rig.latched is None else f"the rig tripped: {self._rig.latched}"
-        return News(now_ns=self.now_ns(), applied=applied, rows=rows, stopped=stopped)
-
-    def trace(self) -> Trace:
-        """Let a few blocks pass and return their scans and truth."""
-        self._rig.configure({"output.truth_scan": True})  # changes what is handed out, not one sample
-        self._advance()  # half of its truth was not kept
-        blocks = [block for _ in range(TRACE_BLOCKS) for block in self._advance()]
-        scans = joined([block.scan.rows for block in blocks])
-        truth = joined([block.truth.rows for block in blocks if block.truth is not None])
-        return columns(scans, truth, self._rig.rate_hz)
-
-    def lost_scans(self) -> int:
-        """Return how many scans the analysis has missed."""
-        return self._tracker.counters.lost_scans
-
-    def _advance(self) -> list[Block]:
-        return self._rig.advance(self._rig.block_end_ns(1))
+    return LocalRig(job.config(), analysis=job.labelled_settings(), also=TRACED)
 
 
 def execute(job: Job) -> Outcome:
     """Measure a job in this process."""
-    return run_job(job, ProcessApparatus)
+    return run_job(job, start_local)

@@ -89,9 +89,9 @@ def _run(arguments: argparse.Namespace) -> int:
     started = time.monotonic()
     jobs = run.unique_jobs(campaign.planned())
     if way == "ros":
-        from impact_rig_studies.apparatus import stepped_runner  # noqa: PLC0415  # needs rclpy
+        from impact_rig_studies.ros_campaign import ros_runner  # noqa: PLC0415  # needs rclpy
 
-        runner = stepped_runner(directory, record=arguments.record)
+        runner = ros_runner(directory, directory / "runs" if arguments.record else None)
     else:
         runner = tasks.runner(execute, address, arguments.workers)
     with files.results_in(directory, lambda: run.prepare(campaign, directory, way)) as store:

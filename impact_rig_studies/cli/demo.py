@@ -78,15 +78,12 @@ def run(arguments: argparse.Namespace) -> int:
     config = from_flat(
         RigConfig(),
         {
-            "time.mode": "freewheel",
-            "time.peers": ["analysis", "recorder"],
             "daq.rate_hz": arguments.rate,
-            "daq.block_scans": max(1, arguments.rate // 100),
             "daq.seed": arguments.seed,
         },
     )
     console.print(
-        f"impact_rig demo: rig, analysis and recorder as three processes, {arguments.rate} scans/s, freewheel"
+        f"impact_rig demo: rig, analysis and recorder as three processes in lockstep, {arguments.rate} scans/s"
     )
     started = time.monotonic()
     rows = _measure(config, directory)
@@ -131,11 +128,11 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _measure(config: RigConfig, directory: Path) -> dict[float, NDArray[np.void]]:
     """Return the settled measurements by gap; every case is recorded in a directory of its name."""
-    from impact_rig_studies.apparatus import freewheel_runner  # noqa: PLC0415  # needs rclpy
+    from impact_rig_studies.ros_campaign import ros_runner  # noqa: PLC0415  # needs rclpy
 
     rows: dict[float, NDArray[np.void]] = {}
     with Screen() as screen:
-        runner = freewheel_runner(directory, config, lambda job: RUNS[job.gap_m], screen.show)
+        runner = ros_runner(directory, directory, lambda job: RUNS[job.gap_m], screen.show)
         with contextlib.closing(runner([_job(config, gap_m) for gap_m in RUNS])) as done:
             for job, outcome in done:
                 if outcome.failure:

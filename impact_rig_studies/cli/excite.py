@@ -28,12 +28,11 @@ from numpy.typing import NDArray
 
 from impact_rig.analysis.scans import CHANNELS
 from impact_rig.cli.quantities import positive
-from impact_rig.cli.rig_options import PROCESS, RUNNING, add_rig, add_way, rig_of, run_directory
+from impact_rig.cli.rig_options import RUNNING, add_rig, add_way, open_rig, rig_of, run_directory
 from impact_rig.cli.terminal import Console, add_json, subcommand, tell_results
-from impact_rig.client.hardware import Hardware
+from impact_rig.driver.hardware import Hardware
 from impact_rig.errors import CommandError, ConfigError, ImpactRigError
 from impact_rig.names import visible
-from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.gaps import NO_SPHERE, case_of
 from impact_rig.system import files
@@ -259,27 +258,11 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work) -> 
 @contextlib.contextmanager
 def _connected(arguments: argparse.Namespace, config: RigConfig, directory: Path) -> Iterator[Hardware]:
     """Give a rig's hardware, recorded into a directory."""
-    abort = dict(arguments.abort)
-    if arguments.through == PROCESS:
-        from impact_rig.client.recorded_wire import DRIVEN, RecordedInProcess  # noqa: PLC0415
-        from impact_rig.runs.in_process import RigRecorder  # noqa: PLC0415
-
-        rig = Rig(config)
-        with RigRecorder(directory, rig, DRIVEN) as recorder:
-            yield Hardware(RecordedInProcess(rig, recorder), abort)
-        return
-    from impact_rig.client.over_topics import recorded  # noqa: PLC0415  # needs rclpy
-
-    namespace = arguments.namespace if arguments.through == RUNNING else None
-    if namespace is not None:
-        Console(quiet=arguments.json).print(f"waiting for a rig in {namespace} ...")
-    with recorded(directory, config, namespace) as wire:
-        if wire.rate_hz != wire.scan_rate_hz or wire.rate_hz != arguments.rate:
-            raise ConfigError(
-                f"the rig has {wire.rate_hz} samples and {wire.scan_rate_hz} scans a second: both must be --rate "
-                f"{arguments.rate}"
-            )
-        yield Hardware(wire, abort)
+    if arguments.through == RUNNING:
+        Console(quiet=arguments.json).print(f"waiting for a rig in {arguments.namespace} ...")
+    required = {"drive.waveform": "stream", "drive.stream_rate_hz": arguments.rate, "daq.rate_hz": arguments.rate}
+    with open_rig(arguments, config, directory, required) as rig:
+        yield Hardware(rig, dict(arguments.abort))
 
 
 def _limit(text: str) -> tuple[str, float]:

@@ -16,14 +16,13 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import csv
 import io
 import math
 import os
-import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import attrs
 import numpy as np
@@ -32,6 +31,7 @@ from numpy.typing import NDArray
 from impact_rig.cli.quantities import positive
 from impact_rig.cli.rig_options import add_rig, rig_of
 from impact_rig.cli.terminal import Console, TextTable, add_json, figure, subcommand, tell_json
+from impact_rig.driver import LocalRig, RigDriver
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.names import csv_cell
 from impact_rig.rig.config import RigConfig, differences
@@ -41,12 +41,12 @@ from impact_rig.system import files
 from impact_rig_studies.campaign.job import Job
 from impact_rig_studies.campaign.paper import CURRENT_A, FREQUENCIES_HZ
 from impact_rig_studies.cli.excite import add_kinds
-from impact_rig_studies.closed_loop import HeldSweep, ProcessLoop, hold
+from impact_rig_studies.closed_loop import hold, with_short_blocks
 from impact_rig_studies.operate.phase_lock import (
     FEWEST,
     Ladder,
+    LockLoop,
     LockPlan,
-    LoopApparatus,
     Reference,
     Rung,
     climb,
@@ -127,7 +127,8 @@ def _hold(arguments: argparse.Namespace, config: RigConfig, gap: float, console:
         repetitions=arguments.measurements,
     )
     plan = HoldPlan(hold=arguments.what, target=arguments.target, tolerance=arguments.tolerance)
-    found = _held(arguments.through, job, plan)
+    with _open(arguments.through, job.config(), job.labelled_settings()) as rig:
+        found = hold(job, plan, rig)
     table = TextTable(
         f"{arguments.what} held at {arguments.target:g} {HELD_UNITS[Hold(arguments.what)]}",
         right=("f [Hz]", "DT", "± 2u", "base [µm]", "superior [mm]", "current [A]", "error [%]", "", "regime"),
@@ -153,21 +154,12 @@ def _hold(arguments: argparse.Namespace, config: RigConfig, gap: float, console:
     return 1 if found.failure or missing or not np.all(found.rows["held"] == 1.0) else 0
 
 
-def _held(way: str, job: Job, plan: HoldPlan) -> HeldSweep:
-    if way == "process":
-        return hold(job, plan)
-    from impact_rig_studies.apparatus import stepped_hold  # noqa: PLC0415  # needs rclpy
-
-    with tempfile.TemporaryDirectory(prefix="impact_rig_loop_") as logs:
-        return stepped_hold(Path(logs), job, plan)
-
-
 def _lock(arguments: argparse.Namespace, config: RigConfig, _gap: float, console: Console) -> int:
     plan = LockPlan(
         start_hz=arguments.start, current_a=arguments.current, reference=arguments.reference, dwell_s=arguments.dwell
     )
-    with _apparatus(arguments.through, config) as apparatus:
-        lock = lock_on(plan, apparatus)
+    with _open(arguments.through, with_short_blocks(config)) as rig:
+        lock = lock_on(plan, LockLoop(rig))
     table = TextTable(
         f"Superior base against {arguments.reference}, −90° sought",
         right=("t [s]", "f [Hz]", "phase [°]", "DT", "superior [mm]", "locked"),
@@ -208,8 +200,8 @@ def _backbone(arguments: argparse.Namespace, config: RigConfig, gap: float, cons
     if list(currents) != sorted(set(currents)) or currents[0] <= 0.0:
         raise ConfigError(f"--currents must be > 0 and ascending, got {' '.join(map(str, currents))}")
     plan = LockPlan(start_hz=arguments.start, current_a=currents[0], reference=arguments.reference)
-    with _apparatus(arguments.through, config) as apparatus:
-        rungs, why = climb(Ladder(currents_a=currents, lock=plan), apparatus)
+    with _open(arguments.through, with_short_blocks(config)) as rig:
+        rungs, why = climb(Ladder(currents_a=currents, lock=plan), LockLoop(rig))
     headings = ("", "I [A]", "f [Hz]", "± 2u", "DT", "± 2u", "superior [mm]", "g/X", "phase [°]", "")
     table = TextTable("Backbone", right=headings)
     for one in rungs:
@@ -229,15 +221,13 @@ def _backbone(arguments: argparse.Namespace, config: RigConfig, gap: float, cons
     return 1 if why else 0
 
 
-@contextlib.contextmanager
-def _apparatus(way: str, config: RigConfig) -> Iterator[LoopApparatus]:
+def _open(way: str, config: RigConfig, analysis: Mapping[str, Any] | None = None) -> RigDriver:
+    """Return a rig in this process or, in lockstep, behind topics."""
     if way == "process":
-        yield ProcessLoop(config)
-        return
-    from impact_rig_studies.apparatus import stepped_loop  # noqa: PLC0415  # needs rclpy
+        return LocalRig(config, analysis=analysis)
+    from impact_rig.driver.ros_rig import RosRig  # noqa: PLC0415  # needs rclpy
 
-    with tempfile.TemporaryDirectory(prefix="impact_rig_loop_") as logs, stepped_loop(Path(logs), config) as apparatus:
-        yield apparatus
+    return RosRig(config, analysis=analysis)
 
 
 def _write(path: Path | None, rows: NDArray[np.void] | Sequence[Rung]) -> None:

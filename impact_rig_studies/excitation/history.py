@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from impact_rig.analysis.calibration import Complex, Real
-from impact_rig.client.hardware import Exchange, Hardware
+from impact_rig.driver.hardware import Exchange, Hardware
 from impact_rig_studies.excitation.response import PSEUDO, Excitation, Response
 
 WORSE = 1.2  # a trial this much worse than the best ends the learning: lines on which H was estimated badly only grow
@@ -98,7 +98,7 @@ def replicate(hardware: Hardware, asked: Real, plan: ReplicatePlan) -> Iterator[
         CommandError: the shaker trips, or refuses the drive.
         TimeoutError: the rig did not go on.
     """
-    rate_hz = hardware.wire.rate_hz
+    rate_hz = hardware.rig.stream_rate_hz
     lead = round(plan.rest_s * rate_hz)
     played = len(asked) + 2 * lead
     length = played + round(plan.identify_s * rate_hz)
@@ -133,7 +133,7 @@ def replicate(hardware: Hardware, asked: Real, plan: ReplicatePlan) -> Iterator[
 
 def _identify(hardware: Hardware, plan: ReplicatePlan, length: int) -> tuple[Complex, Complex]:
     """Return H and, with soft edges of the band, 1 / H on the lines of a frame of so many samples."""
-    rate_hz = hardware.wire.rate_hz
+    rate_hz = hardware.rig.stream_rate_hz
     low_hz, high_hz = max(0.5 * plan.low_hz, 0.5 * rate_hz / length), min(1.25 * plan.high_hz, 0.49 * rate_hz)
     excitation = Excitation(
         kind=PSEUDO,
@@ -199,7 +199,7 @@ def play(hardware: Hardware, samples: Real, limit: float | None = None) -> Itera
         CommandError: the shaker trips, or refuses a sample.
         TimeoutError: the rig did not go on.
     """
-    rate_hz = hardware.wire.rate_hz
+    rate_hz = hardware.rig.stream_rate_hz
     asked = samples if limit is None else np.clip(samples, -limit, limit)
     clipped = int(np.count_nonzero(asked != samples))
     step = max(1, round(STEP_S * rate_hz))

@@ -27,7 +27,7 @@ import numpy as np
 from scipy import signal, stats
 
 from impact_rig.analysis.calibration import Real
-from impact_rig.client.hardware import Exchange, Hardware
+from impact_rig.driver.hardware import Exchange, Hardware
 from impact_rig.errors import CommandError
 from impact_rig_studies.excitation.response import Response
 
@@ -142,13 +142,13 @@ def control(hardware: Hardware, plan: RandomPlan) -> Iterator[Reached]:
         CommandError: the shaker trips or refuses, or a line is too strong.
         TimeoutError: the rig did not go on.
     """
-    rate_hz = hardware.wire.rate_hz
+    rate_hz = hardware.rig.stream_rate_hz
     length = 2 * round(plan.frame_s * rate_hz / 2)
     lines: Real = np.asarray(np.fft.rfftfreq(length, 1.0 / rate_hz), np.float64)
     asked = plan.spectrum.at(lines)
     band = asked > 0.0
     scale = np.where(band, plan.response.weight(np.maximum(lines, lines[1])), 0.0)
-    noise = plan.response.noise(hardware.wire.info(), lines[band])
+    noise = plan.response.noise(hardware.info(), lines[band])
     drive = _Drive(length, np.random.default_rng(plan.seed))
     density = band * plan.start_rms**2 / (np.count_nonzero(band) * rate_hz / length)
     exchange = Exchange(hardware, length // 2)

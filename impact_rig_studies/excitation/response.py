@@ -31,7 +31,7 @@ from scipy import signal
 from impact_rig.analysis.calibration import Calibration, Real
 from impact_rig.analysis.frf import Frf, frf
 from impact_rig.analysis.scans import CHANNELS
-from impact_rig.client.hardware import Exchange, Hardware
+from impact_rig.driver.hardware import Exchange, Hardware
 from impact_rig.errors import ConfigError
 from impact_rig.system import budget
 
@@ -132,9 +132,9 @@ def measure(hardware: Hardware, excitation: Excitation, channel: str, reference:
         CommandError: the shaker trips, or refuses the drive.
         TimeoutError: the rig did not go on.
     """
-    rate_hz = hardware.wire.scan_rate_hz
+    rate_hz = hardware.rig.rate_hz
     samples, length = excitation.samples(rate_hz), round(excitation.frame_s * rate_hz)
-    calibration = Calibration.from_info(hardware.wire.info())
+    calibration = Calibration.from_info(hardware.info())
     x, y = CHANNELS.index(reference), CHANNELS.index(channel)
     gain = np.hypot(calibration.gain_uncertainty[x], calibration.gain_uncertainty[y])
     exchange = Exchange(hardware, length)

@@ -32,7 +32,7 @@ import numpy as np
 from scipy import signal
 
 from impact_rig.analysis.calibration import Real
-from impact_rig.client.hardware import Hardware
+from impact_rig.driver.hardware import Hardware
 from impact_rig_studies.excitation.history import Replicated, ReplicatePlan, replicate
 
 
@@ -156,7 +156,7 @@ def shock(hardware: Hardware, pulse: Pulse) -> Iterator[Shocked]:
         CommandError: the shaker trips, or refuses the drive.
         TimeoutError: the rig did not go on.
     """
-    rate_hz, corner_hz = hardware.wire.rate_hz, CORNER / pulse.duration_s
+    rate_hz, corner_hz = hardware.rig.stream_rate_hz, CORNER / pulse.duration_s
     plan = ReplicatePlan(low_hz=0.0, high_hz=corner_hz, rest_s=1.0, identify_s=16.0, identify_rms=3.0, enough=1e-3)
     frequency = np.geomspace(5.0, corner_hz, 60)
     asked = pulse.acceleration(rate_hz)

@@ -11,8 +11,8 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The operator: sets the drive, waits until it is applied and settled, measures, notes. No rig of its own, no ROS.
+"""Operators: set the drive, wait until it is applied and settled, measure, and set again. No rig of their own, no ROS.
 
-`stepped_sine` is what is wanted and decides what comes next, `operator` is the loop that does it with whatever
-apparatus it is given: a rig in this process, one behind topics that is stepped or runs freely, or a node's callbacks.
+`stepped_sine` decides what comes next; `operator` is the loop that does it on a rig of `impact_rig.driver`, in this
+process or behind topics, or from a node's callbacks.
 """

@@ -11,27 +11,28 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The loop of every operator here: set, wait until applied, settle, measure, note, and set again.
+"""The loop of every operator here: set, wait until applied, settle, measure, report, and set again.
 
-`Operator` takes news and acts; whoever has callbacks (a node) hands it what comes in. `operate` waits for the news
-itself, the way of campaigns and of the demo. What differs between rigs is behind `Apparatus`: a reset rig with a new
-analysis.
+`Operator` takes updates and acts: a node with callbacks hands it what arrives. `operate` drives a rig and its analysis
+block by block, for campaigns and the demo.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
 import attrs
 import numpy as np
 
+from impact_rig import topics
 from impact_rig.blocks import Table
+from impact_rig.driver import RigDriver
 from impact_rig.simtime import NS_PER_S
 from impact_rig_studies.operate.phase_lock import LockedSine
 from impact_rig_studies.operate.stepped_sine import Setpoint, SteppedSine, SweepState
 
-Note = Callable[[SteppedSine], None]  # told of the sweep at its begin and whenever its curve has grown
+OnUpdate = Callable[[SteppedSine], None]  # gets the sweep at its begin and whenever its curve has grown
 
 
 @attrs.frozen
@@ -54,111 +55,96 @@ class Applied:
 
 
 @attrs.frozen(eq=False, kw_only=True)
-class News:
-    """What an operator hears at once; taken up in the order of the attributes."""
+class Update:
+    """What happened to a rig since the last update; handled in the order of the attributes."""
 
     now_ns: int  # rig time
     applied: Sequence[Applied] = ()  # accepted changes of the drive
     rows: Iterable[np.void] = ()  # measurements, rows of `transmissibility/table`
-    scans: Iterable[Table] = ()  # blocks of `daq/scan`, where somebody looks at them
-    stopped: str | None = None  # why the rig goes on no more, or None
+    scans: Iterable[Table] = ()  # blocks of `daq/scan`, for a run that needs them
+    stopped: str = ""  # why the shaker is stopped; empty while it is not
 
 
-Walk = SteppedSine | LockedSine
-"""What an operator walks through: a sweep, or the lock on a resonance; it answers news with the next setpoint."""
-W = TypeVar("W", bound=Walk)
+ControllerRun = SteppedSine | LockedSine
+"""A sweep, or the lock on a resonance: it answers updates with the next setpoint."""
+R = TypeVar("R", bound=ControllerRun)
 
 
-class Apparatus(Protocol):
-    """A reset rig with a new analysis, as an operator has them in hand."""
-
-    def now_ns(self) -> int:
-        """Return the rig time."""
-        ...
-
-    def set(self, setpoint: Setpoint) -> None:
-        """Command frequency, then current; that they are applied is news.
-
-        Raises:
-            ImpactRigError: the rig refused.
-        """
-        ...
-
-    def rest(self) -> None:
-        """End, in order or not: what drives a shaker sets its current to zero."""
-        ...
-
-
-class PatientApparatus(Apparatus, Protocol):
-    """An apparatus that can be waited for."""
-
-    def wait(self) -> News:
-        """Let rig time pass until there may be something to do, and return what happened."""
-        ...
-
-
-class Operator(Generic[W]):
-    """Walks an apparatus through a sweep, or a lock.
+class Operator(Generic[R]):
+    """Hands updates to a controller run, and its setpoints to a drive.
 
     Args:
-        sweep: decides what comes next, and keeps what was measured.
-        note: told when it begins and of every measurement.
+        run: decides what comes next, and keeps what was measured.
+        drive: sets frequency and current; the last setpoint, when the run is no longer busy, has no current.
+        on_update: gets the run at its begin and after every measurement.
     """
 
-    def __init__(self, sweep: W, apparatus: Apparatus, note: Callable[[W], None]) -> None:
-        self.sweep = sweep
-        self._apparatus = apparatus
-        self._note = note
+    def __init__(self, run: R, drive: Callable[[Setpoint], None], on_update: Callable[[R], None]) -> None:
+        self.run = run
+        self._drive = drive
+        self._on_update = on_update
 
     @property
     def busy(self) -> bool:
-        """Whether a sweep is under way."""
-        return self.sweep.state is SweepState.RUNNING
+        """Whether the run goes on."""
+        return self.run.state is SweepState.RUNNING
 
-    def begin(self) -> None:
+    def begin(self, now_ns: int) -> None:
         """Set the first point."""
-        self._follow(self.sweep.start(self._apparatus.now_ns()))
-        self._note(self.sweep)
+        self._follow(self.run.start(now_ns))
+        self._on_update(self.run)
 
-    def hear(self, news: News) -> None:
-        """Take up what happened, and do what it asks for."""
-        sweep, measured = self.sweep, self.sweep.measured
-        for applied in news.applied:
-            self._follow(sweep.on_applied(applied.setpoint.frequency_hz, applied.setpoint.current_a, applied.at_ns))
-        for row in news.rows:
-            self._follow(sweep.on_measurement(row, news.now_ns))
-        for table in news.scans:
-            self._follow(sweep.on_scans(table))
-        if sweep.measured > measured:
-            self._note(sweep)
-        if news.stopped is not None:
-            self.abort(news.stopped)
-        self._follow(sweep.on_time(news.now_ns))
+    def handle(self, update: Update) -> None:
+        """Hand over what happened, and set what the run asks for."""
+        run, measured = self.run, self.run.measured
+        for applied in update.applied:
+            self._follow(run.on_applied(applied.setpoint.frequency_hz, applied.setpoint.current_a, applied.at_ns))
+        for row in update.rows:
+            self._follow(run.on_measurement(row, update.now_ns))
+        for table in update.scans:
+            self._follow(run.on_scans(table))
+        if run.measured > measured:
+            self._on_update(run)
+        if update.stopped:
+            self.abort(update.stopped)
+        self._follow(run.on_time(update.now_ns))
 
     def abort(self, reason: str) -> None:
-        """End a sweep under way."""
-        self._follow(self.sweep.abort(reason))
+        """End a run that goes on."""
+        self._follow(self.run.abort(reason))
 
     def _follow(self, setpoint: Setpoint | None) -> None:
-        if setpoint is None:
-            return
-        if self.busy:
-            self._apparatus.set(setpoint)
-        else:
-            self._apparatus.rest()
+        if setpoint is not None:
+            self._drive(setpoint)
 
 
-def silent(_sweep: SteppedSine) -> None:
-    """Note nothing."""
+def ignore(_sweep: SteppedSine) -> None:
+    """Do nothing on an update."""
 
 
-def operate(sweep: SteppedSine, apparatus: PatientApparatus, note: Note = silent) -> None:
-    """Walk through a whole sweep, however it ends.
+def operate(sweep: SteppedSine, rig: RigDriver, on_update: OnUpdate = ignore) -> None:
+    """Take a rig through a whole sweep, however it ends, and leave the drive as it is then.
+
+    Args:
+        sweep: decides what comes next.
+        rig: new, with its analysis; a block is what passes from one update to the next.
+        on_update: gets the sweep at its begin and after every measurement.
 
     Raises:
-        ImpactRigError: the apparatus refused, or failed; the sweep has what was measured before.
+        ImpactRigError: the rig refused, or failed; the sweep has what was measured before.
     """
-    operator = Operator(sweep, apparatus, note)
-    operator.begin()
+    applied: list[Applied] = []
+
+    def drive(setpoint: Setpoint) -> None:
+        if operator.busy:
+            rig.command(setpoint.frequency_hz, setpoint.current_a)
+            applied.append(Applied(setpoint, rig.now_ns))
+
+    operator = Operator(sweep, drive, on_update)
+    operator.begin(rig.now_ns)
     while operator.busy:
-        operator.hear(apparatus.wait())
+        rig.clear()
+        rig.step()
+        done, applied = applied, []
+        rows = rig.rows(topics.TRANSMISSIBILITY_TABLE.name)
+        operator.handle(Update(now_ns=rig.now_ns, applied=done, rows=rows, stopped=rig.stopped))

@@ -25,8 +25,8 @@ where the detuning changes sign from look to look it was taken for too large, wh
 A look (`PhasorMeter`) is quicker than a settled measurement: of every stretch of constant frequency the scans of its
 last whole cycles are fitted by a sine of that frequency, and corrected for skew and lag by the certificate.
 
-`LockedSine` locks by the news that an operator hears. Who lets rig time pass by looking (`LoopApparatus`) goes on with
-`follow` and `lock_on`, and finds the backbone, a ladder of locks, with `climb`.
+`LockedSine` locks by the updates that an operator gets. A program that drives a rig (`LockLoop`) goes on with `follow`
+and `lock_on`, and finds the backbone, a ladder of locks, with `climb`.
 """
 
 from __future__ import annotations
@@ -35,16 +35,18 @@ import cmath
 import enum
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig import topics
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.scans import BASE, CHANNELS, CURRENT, LASER
 from impact_rig.analysis.spread import student_factor, variance_of_mean
 from impact_rig.blocks import PHASE_LOCK, Table
+from impact_rig.driver import RigDriver
 from impact_rig.errors import ConfigError
 from impact_rig.simtime import NS_PER_S
 from impact_rig_studies.operate.stepped_sine import SAME, Setpoint, SweepState, positive
@@ -458,32 +460,57 @@ FEWEST = 6  # looks from which their scatter says something
 NEVER_S = 1e9  # rig time that no test takes
 
 
-class LoopApparatus(Protocol):
-    """A rig that lets rig time pass only when it is looked at."""
+class LockLoop:
+    """A rig whose resonance is locked: rig time passes only while it is looked at.
 
+    Args:
+        rig: its blocks are short against a look.
+    """
+
+    def __init__(self, rig: RigDriver) -> None:
+        self.rig = rig
+        self._setpoint = Setpoint(rig.config.drive.frequency_hz, rig.config.drive.amplitude)
+
+    @property
     def now_ns(self) -> int:
-        """Return the rig time."""
+        """Rig time since the start."""
+        return self.rig.now_ns
 
     def set(self, setpoint: Setpoint) -> None:
-        """Command frequency, then current."""
+        """Command frequency, then current, where they are new."""
+        if self.rig.stopped:
+            return
+        if setpoint.frequency_hz != self._setpoint.frequency_hz:
+            self.rig.command(frequency_hz=setpoint.frequency_hz)
+        if setpoint.current_a != self._setpoint.current_a:
+            self.rig.command(current_a=setpoint.current_a)
+        self._setpoint = setpoint
 
     def look(self, seconds: float) -> Look | str:
         """Let so much rig time pass and return what the rig did in it, or why it goes on no more."""
+        rig = self.rig
+        rig.clear()
+        rig.step(max(1, round(seconds * rig.rate_hz / rig.block_scans)))
+        if rig.stopped:
+            return rig.stopped
+        rows, info = rig.rows(), rig.tables(topics.INFO.name)[-1].rows
+        look = PhasorMeter(info).look(rows, self._setpoint.frequency_hz, rig.now_ns)
+        return look or f"{len(rows)} scans are too few to look at"
 
 
-def follow(lock: PhaseLock, apparatus: LoopApparatus, until: Callable[[PhaseLock], bool]) -> None:
+def follow(lock: PhaseLock, loop: LockLoop, until: Callable[[PhaseLock], bool]) -> None:
     """Go on with a lock until it ends, or until a condition holds; it must have been started."""
     while lock.state is SweepState.RUNNING and not until(lock):
-        now = apparatus.look(lock.look_s)
+        now = loop.look(lock.look_s)
         setpoint = lock.abort(now) if isinstance(now, str) else lock.on_look(now)
-        apparatus.set(setpoint)
+        loop.set(setpoint)
 
 
-def lock_on(plan: LockPlan, apparatus: LoopApparatus) -> PhaseLock:
+def lock_on(plan: LockPlan, loop: LockLoop) -> PhaseLock:
     """Search, track and dwell; return the lock as it ended."""
     lock = PhaseLock(plan)
-    apparatus.set(lock.start(apparatus.now_ns()))
-    follow(lock, apparatus, lambda _: False)
+    loop.set(lock.start(loop.now_ns))
+    follow(lock, loop, lambda _: False)
     return lock
 
 
@@ -544,35 +571,35 @@ class Rung:
     jumped: bool  # the response is another one than on the rung before: DT jumped, or the lock came or went
 
 
-def climb(ladder: Ladder, apparatus: LoopApparatus) -> tuple[list[Rung], str]:
+def climb(ladder: Ladder, loop: LockLoop) -> tuple[list[Rung], str]:
     """Follow the backbone up and down; return its rungs, and why it ended early ("" if it did not)."""
     currents, bound = ladder.currents_a, ladder.lock
     lock = PhaseLock(attrs.evolve(bound, current_a=currents[0], dwell_s=NEVER_S, lose_limit_s=NEVER_S))
-    apparatus.set(lock.start(apparatus.now_ns()))
+    loop.set(lock.start(loop.now_ns))
     rungs: list[Rung] = []
     steps = [("up", current) for current in currents] + [("down", current) for current in currents[-2::-1]]
     for number, (direction, current) in enumerate(steps):
         if number:
-            apparatus.set(lock.set_current(current, apparatus.now_ns()))
+            loop.set(lock.set_current(current, loop.now_ns))
         limit_s = bound.lose_limit_s if number else bound.seek_limit_s
-        _pass(lock, apparatus, limit_s, lambda one: one.locked)
-        _pass(lock, apparatus, ladder.wait_s)
+        _pass(lock, loop, limit_s, lambda one: one.locked)
+        _pass(lock, loop, ladder.wait_s)
         first = len(lock.rows)
-        _pass(lock, apparatus, ladder.mean_s)
+        _pass(lock, loop, ladder.mean_s)
         if lock.state is not SweepState.RUNNING:
             return rungs, lock.reason
         rungs.append(_rung(direction, current, lock.rows[first:], lock.u_gain, rungs[-1:], ladder.jump))
     lock.abort("done")
-    apparatus.set(Setpoint(lock.frequency_hz, 0.0))
+    loop.set(Setpoint(lock.frequency_hz, 0.0))
     return rungs, ""
 
 
 def _pass(
-    lock: PhaseLock, apparatus: LoopApparatus, seconds: float, until: Callable[[PhaseLock], bool] = lambda _: False
+    lock: PhaseLock, loop: LockLoop, seconds: float, until: Callable[[PhaseLock], bool] = lambda _: False
 ) -> None:
     """Follow a lock for so much rig time, or until a condition holds."""
-    end_ns = apparatus.now_ns() + round(seconds * NS_PER_S)
-    follow(lock, apparatus, lambda one: until(one) or apparatus.now_ns() >= end_ns)
+    end_ns = loop.now_ns + round(seconds * NS_PER_S)
+    follow(lock, loop, lambda one: until(one) or loop.now_ns >= end_ns)
 
 
 def _rung(

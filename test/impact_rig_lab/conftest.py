@@ -45,6 +45,6 @@ def open_page(browser: Browser) -> Iterator[Callable[..., Page]]:
 
 @pytest.fixture(scope="session")
 def sample(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    from impact_rig.runs.in_process import make_sample
+    from impact_rig.driver.sample_run import make_sample
 
     return make_sample(tmp_path_factory.mktemp("lab") / "sample")

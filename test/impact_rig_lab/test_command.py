@@ -33,8 +33,8 @@ from kits.measured import measured
 
 from impact_rig import topics
 from impact_rig.cli import main
+from impact_rig.driver.sample_run import make_sample
 from impact_rig.recording import open_run
-from impact_rig.runs.in_process import make_sample
 
 PROGRAM = [sys.executable, "-c", "from impact_rig.cli import main; raise SystemExit(main())"]
 
@@ -82,10 +82,10 @@ def test_the_sample_says_what_the_analysis_was_set_to(sample: Path, capsys: pyte
 
 def test_a_sample_of_an_earlier_version_is_made_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as before:
-        before.setattr("impact_rig.runs.in_process.SAMPLE_S", 0)
-        before.setattr("impact_rig.runs.in_process.SAMPLE_TOPICS", (topics.INFO.name, topics.ANALYSIS_SETTINGS.name))
+        before.setattr("impact_rig.driver.sample_run.SAMPLE_S", 0)
+        before.setattr("impact_rig.driver.sample_run.SAMPLE_TOPICS", (topics.INFO.name, topics.ANALYSIS_SETTINGS.name))
         make_sample(tmp_path / "sample")
-    monkeypatch.setattr("impact_rig.runs.in_process.SAMPLE_S", 1)
+    monkeypatch.setattr("impact_rig.driver.sample_run.SAMPLE_S", 1)
     with open_run(make_sample(tmp_path / "sample")) as run:
         assert f"/rig/{topics.SCAN.name}" in run.topics
 

@@ -27,7 +27,7 @@ from impact_rig.cli.main import main
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.recording import open_run
 from impact_rig.rig.config import RigConfig, dump, from_flat
-from impact_rig.testing import VirtualRig
+from impact_rig.testing import LocalRig
 from impact_rig_studies.comparison import compare, undone
 from impact_rig_studies.importing.conversion import convert
 from impact_rig_studies.importing.mapping import Channel, Mapping
@@ -39,8 +39,8 @@ LARGEST_OFF = 3.0
 """Standard uncertainties, by chance once in 370."""
 
 
-def measured_rig(seconds: float, **values: object) -> VirtualRig:
-    rig = VirtualRig({"daq.rate_hz": RATE_HZ, "daq.block_scans": 200, **values})
+def measured_rig(seconds: float, **values: object) -> LocalRig:
+    rig = LocalRig({"daq.rate_hz": RATE_HZ, "daq.block_scans": 200, **values})
     rig.command(frequency_hz=9.1, current_a=0.52)
     rig.run(seconds)
     return rig
@@ -127,7 +127,7 @@ def test_a_run_in_which_nothing_settled_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("channel", [LASER, CURRENT])
 def test_lag_and_skew_of_a_sensor_are_undone(channel: int) -> None:
     """A sine as the sensor gives it becomes the true one, to its ends."""
-    calibration = Calibration.from_info(VirtualRig({"daq.rate_hz": RATE_HZ, "daq.block_scans": 200}).core.info().rows)
+    calibration = Calibration.from_info(LocalRig({"daq.rate_hz": RATE_HZ, "daq.block_scans": 200}).core.info().rows)
     time_s = np.arange(3 * RATE_HZ) / RATE_HZ
     true = np.exp(2j * np.pi * 9.1 * time_s)
     read = (true * calibration.response(channel, 9.1)).real

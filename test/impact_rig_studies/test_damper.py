@@ -25,15 +25,15 @@ from impact_rig import topics
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.rig.config import RigConfig
-from impact_rig.testing import VirtualRig
+from impact_rig.testing import LocalRig
 from impact_rig_studies.reduction import damper
 
 FREQUENCY_HZ, CURRENT_A, SECONDS = 9.1, 0.52, 20.0
 
 
-def measured(parameters: dict[str, object]) -> tuple[NDArray[np.void], VirtualRig]:
+def measured(parameters: dict[str, object]) -> tuple[NDArray[np.void], LocalRig]:
     """Return the last settled row of a rig, and the rig."""
-    rig = VirtualRig({"daq.rate_hz": 5000, "daq.block_scans": 500, **parameters})
+    rig = LocalRig({"daq.rate_hz": 5000, "daq.block_scans": 500, **parameters})
     rig.command(frequency_hz=FREQUENCY_HZ, current_a=CURRENT_A)
     rig.run(SECONDS)
     tracker = Tracker()

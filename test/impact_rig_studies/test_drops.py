@@ -25,7 +25,7 @@ from kits.recorded_rig import Messages, note, record
 from impact_rig.cli import main
 from impact_rig.physics.contact import from_config
 from impact_rig.rig.config import RigConfig
-from impact_rig.testing import VirtualRig
+from impact_rig.testing import LocalRig
 from impact_rig_studies.decay import Drop, parse_drop
 
 pytestmark = pytest.mark.ros  # runs carry the schemas of the messages
@@ -34,7 +34,7 @@ TOPICS = ("daq/info", "shaker/applied", "daq/scan")
 RIG = {"sphere.present": False, "daq.rate_hz": 1000, "daq.block_scans": 100}
 
 
-def recorded(rig: VirtualRig) -> Messages:
+def recorded(rig: LocalRig) -> Messages:
     found = [(topic, table) for topic in TOPICS for table in rig.tables(topic)]
     return sorted(found, key=lambda one: one[1].stamp_ns)
 
@@ -46,7 +46,7 @@ def test_drops_noted_with_a_run_give_the_restitution_of_the_law(
     e = from_config(RigConfig().contact).realised_restitution()
     rng = np.random.default_rng(1)
     noted = [Drop(0.2 + 0.01 * k, round(e**2 * (0.2 + 0.01 * k) + 2e-4 * rng.standard_normal(), 5)) for k in range(8)]
-    rig = VirtualRig(RIG)
+    rig = LocalRig(RIG)
     rig.run(seconds=1.0)
     remarks = ["the sphere is new", *(drop.text() for drop in noted)]
     path = record(tmp_path / "drops", [*recorded(rig), *(note(text, 10 * k) for k, text in enumerate(remarks))])
@@ -69,7 +69,7 @@ def test_drops_noted_with_a_run_give_the_restitution_of_the_law(
 def test_a_drop_test_that_is_none_says_so(
     tmp_path: Path, remarks: list[str], u: str, words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    rig = VirtualRig(RIG)
+    rig = LocalRig(RIG)
     rig.run(seconds=0.5)
     path = record(tmp_path / "none", [*recorded(rig), *(note(text, k) for k, text in enumerate(remarks))])
     assert main(["analyze", str(path), f"--drop={u}"]) == 1

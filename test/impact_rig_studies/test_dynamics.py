@@ -551,7 +551,7 @@ def test_basin_and_continue_find_both_motions(foretold):
 @pytest.mark.pipeline
 @pytest.mark.timeout(500)
 def test_a_rig_over_ros_ends_in_the_motion_foretold(foretold, tmp_path, request):
-    from impact_rig_studies.apparatus import stepped_runner
+    from impact_rig_studies.ros_campaign import ros_runner
 
     places = TWO_MOTIONS if request.config.getoption("--thorough") else TWO_MOTIONS[:1]
     jobs = [
@@ -559,7 +559,7 @@ def test_a_rig_over_ros_ends_in_the_motion_foretold(foretold, tmp_path, request)
         for frequency, gap in places
         for start in ("left", "centre")
     ]
-    for one, outcome in stepped_runner(tmp_path, record=False)(jobs):
+    for one, outcome in ros_runner(tmp_path)(jobs):
         wanted = foretold[one.frequencies_hz[0], one.gap_m][str(one.changes["sphere.start"])]
         measured, doubt = outcome.rows["transmissibility"][0], outcome.rows["transmissibility_uncertainty"][0]
         assert measured == pytest.approx(wanted, abs=max(4.0 * doubt, 5e-3 * wanted)), one

@@ -24,7 +24,8 @@ from kits.recorded_rig import record
 from scipy import signal
 
 from impact_rig.blocks import Table
-from impact_rig.client.hardware import Exchange, Hardware, InProcess
+from impact_rig.driver import Hardware, LocalRig
+from impact_rig.driver.hardware import Exchange
 from impact_rig.errors import CommandError, ConfigError, RecordingError
 from impact_rig.physics.linear import constants, input_vectors, state_matrix
 from impact_rig.rig import Rig
@@ -48,7 +49,7 @@ def hardware(**values: object) -> Hardware:
         "daq.rate_hz": RATE_HZ, "daq.block_scans": RATE_HZ // 2,  # long ones: a block costs as much as what is in it
     }  # fmt: skip
     given = {name.replace("__", "."): value for name, value in values.items()}
-    return Hardware(InProcess(Rig(from_flat(RigConfig(), settings | given))))
+    return Hardware(LocalRig(settings | given))
 
 
 def test_a_scan_belongs_to_the_sample_it_is_read_with():
@@ -108,7 +109,7 @@ def test_random_error_without_calibration_covers_what_ideal_instruments_with_noi
 
 def linear_response(rig: Hardware, frequency_hz: np.ndarray) -> np.ndarray:
     """Base over current in closed form."""
-    c = constants(rig.wire.rig.config)
+    c = constants(rig.rig.config)
     matrix, b = state_matrix(c, "current", c.m_1), input_vectors(c, "current", c.m_1)[0]
     return np.array([np.linalg.solve(2j * np.pi * f * np.eye(4) - matrix, b)[X_B] for f in frequency_hz])
 
@@ -131,7 +132,7 @@ def test_random_control_ends_when_the_shaker_trips_and_keeps_what_it_had():
 
 
 def test_a_reading_beyond_what_is_borne_ends_a_test():
-    rig = Hardware(hardware(sphere__present=False).wire, {"base": 1e-5})
+    rig = Hardware(hardware(sphere__present=False).rig, {"base": 1e-5})
     with pytest.raises(CommandError, match=r"aborted: base .* beyond 1e-05 at scan"):
         list(control(rig, RandomPlan(averages=4)))
 
@@ -181,13 +182,12 @@ def test_the_base_makes_a_half_sine_and_comes_back_to_rest():
     settings = {"drive.waveform": "stream", "sphere.present": False, "output.truth_scan": True}
     settings["daq.block_scans"] = 1_000
 
-    class Watched(InProcess):
-        def advance(self):
-            block = super().advance()
-            truth.append(block.truth.rows)
-            return block
+    class Watched(LocalRig):
+        def clear(self):
+            truth.append(self.rows("truth/scan"))
+            super().clear()
 
-    *_, found = shock(Hardware(Watched(Rig(from_flat(RigConfig(), settings)))), pulse)
+    *_, found = shock(Hardware(Watched(settings, also=["truth/scan"])), pulse)
     true = np.concatenate(truth)
     asked = pulse.acceleration(rate_hz)
     lead = found.followed.lead

@@ -33,7 +33,7 @@ from impact_rig.errors import ImpactRigError
 from impact_rig.recording import open_run
 from impact_rig.runs import export, reanalysis, verification
 from impact_rig.runs.wholes import calibration_rows
-from impact_rig.testing import VirtualRig
+from impact_rig.testing import LocalRig
 from impact_rig_studies.identification.measurements import recorded_decay
 from impact_rig_studies.importing import readers
 from impact_rig_studies.importing.assignment import guess
@@ -49,7 +49,7 @@ MILLIMETRE = 1e-3
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run with sphere, driven from its first instant: 12 s at 2 kS/s."""
-    rig = VirtualRig({"daq.rate_hz": RATE_HZ, "daq.block_scans": 200, "barriers.gap_m": GAP_M})
+    rig = LocalRig({"daq.rate_hz": RATE_HZ, "daq.block_scans": 200, "barriers.gap_m": GAP_M})
     rig.command(frequency_hz=9.1, current_a=0.52)
     rig.step(SECONDS * RATE_HZ // 200)
     return rig.save(tmp_path_factory.mktemp("recorded") / "run")
@@ -134,7 +134,7 @@ def test_what_is_exported_and_imported_is_measured_alike_bit_for_bit(recorded: P
 
 def test_a_free_decay_is_identified_alike(tmp_path: Path) -> None:
     """An imported one has no journal: it begins where the structure is farthest out, not where it was plucked."""
-    rig = VirtualRig({"daq.rate_hz": RATE_HZ, "daq.block_scans": 200, "sphere.present": False})
+    rig = LocalRig({"daq.rate_hz": RATE_HZ, "daq.block_scans": 200, "sphere.present": False})
     rig.run(seconds=0.2)
     rig.core.pluck(0.004)
     rig.run(seconds=10.0)

@@ -26,7 +26,7 @@ pytest.importorskip("aiohttp", reason="the extra [lab] is not installed")
 
 from kits.browser import serious_faults
 
-from impact_rig.runs.in_process import make_sample
+from impact_rig.driver.sample_run import make_sample
 from impact_rig_lab.playback import PlaybackSource
 from impact_rig_lab.server import Server
 

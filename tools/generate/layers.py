@@ -29,7 +29,7 @@ ROOT = Path(__file__).parents[2]
 PICTURE = ROOT / "docs" / "images" / "layers.svg"
 ON_TOP = [["impact_rig_lab"], ["impact_rig_studies"]]
 """Packages above the rooms of the rig."""
-WITH_ROS = ("impact_rig_lab", "impact_rig_studies", "testing", "client", "nodes")
+WITH_ROS = ("impact_rig_lab", "impact_rig_studies", "testing", "driver", "client", "nodes")
 """Packages that may import rclpy, as a contract of its own says."""
 
 _WIDTH, _MARGIN, _GAP, _PAD, _LINE = 980, 20, 12, 10, 15

@@ -173,12 +173,11 @@ def test_a_domain_of_the_environment_that_is_no_number_is_refused_in_words(
     value: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("rclpy", reason="no ROS 2 here")
-    from impact_rig.client.over_topics import recorded
-    from impact_rig.rig.config import RigConfig
+    from impact_rig.driver import RosRig
 
     monkeypatch.setenv("ROS_DOMAIN_ID", value)
     with (
         pytest.raises(ImpactRigError, match=f"ROS_DOMAIN_ID must be a number, got {value!r}"),
-        recorded(tmp_path / "run", RigConfig(), "/rig"),
+        RosRig(record=tmp_path / "run", namespace="/rig"),
     ):
         pass

@@ -29,7 +29,7 @@ from impact_rig.instruments.registry import INSTRUMENTS
 from impact_rig.instruments.section import CHANNELS, COLUMNS, SCAN, channels_of
 from impact_rig.recording import open_run
 from impact_rig.rig.config import RigConfig, fields, from_flat
-from impact_rig.testing import VirtualRig
+from impact_rig.testing import LocalRig
 
 OPTIONAL = tuple(name for name, kind in INSTRUMENTS.items() if "present" in attrs.fields_dict(kind))
 ALL = {f"instruments.{name}.present": True for name in OPTIONAL}
@@ -68,7 +68,7 @@ def test_its_channel_reads_a_known_sine(name):
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
     pytest.importorskip("sensor_msgs", reason="no ROS 2 here")
-    rig = VirtualRig({"drive.amplitude": 0.52, **ALL})
+    rig = LocalRig({"drive.amplitude": 0.52, **ALL})
     rig.run(seconds=1.5)
     with open_run(rig.save(tmp_path_factory.mktemp("runs") / "run")) as run:
         return np.concatenate([table.rows for table in run.tables(run.resolve("daq/scan"))])

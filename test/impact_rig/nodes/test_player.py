@@ -26,7 +26,7 @@ from impact_rig.client import Client, Collector
 from impact_rig.nodes import player
 from impact_rig.nodes.player import WINDOW, Player
 from impact_rig.recording import Run
-from impact_rig.testing import VirtualRig
+from impact_rig.testing import LocalRig
 
 pytestmark = pytest.mark.ros
 BLOCKS = 3 * WINDOW
@@ -34,7 +34,7 @@ BLOCKS = 3 * WINDOW
 
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
-    rig = VirtualRig({"sphere.present": False})
+    rig = LocalRig({"sphere.present": False})
     rig.step(BLOCKS)
     return rig.save(tmp_path / "run")
 

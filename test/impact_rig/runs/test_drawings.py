@@ -33,7 +33,7 @@ from impact_rig.instruments.section import SCAN
 from impact_rig.recording import open_run
 from impact_rig.runs import drawings, reanalysis
 from impact_rig.runs.wholes import Excerpt, last_excerpt
-from impact_rig.testing import VirtualRig
+from impact_rig.testing import LocalRig
 
 pytest.importorskip("matplotlib")
 pytestmark = pytest.mark.ros  # runs carry the schemas of the messages
@@ -47,7 +47,7 @@ CLI = [sys.executable, "-c", "import sys; from impact_rig.cli import main; sys.e
 @pytest.fixture(scope="module")
 def measured() -> Messages:
     """Two points of a sweep with the sphere, a settled measurement each."""
-    rig = VirtualRig({"barriers.gap_m": 0.006, "daq.rate_hz": 5000, "daq.block_scans": 50})
+    rig = LocalRig({"barriers.gap_m": 0.006, "daq.rate_hz": 5000, "daq.block_scans": 50})
     for frequency_hz in (9.0, 9.1):
         rig.command(frequency_hz=frequency_hz, current_a=0.52)
         rig.run(seconds=POINT_S)

@@ -27,13 +27,11 @@ from kits.recording import APPLIED_TOPIC, SCAN_TOPIC, START_NS, fill, scan_block
 
 from impact_rig import codec
 from impact_rig.blocks import Table
+from impact_rig.driver import LocalRig
 from impact_rig.errors import ImpactRigError, RecordingError
 from impact_rig.recording import open_run
-from impact_rig.rig import Rig
-from impact_rig.rig.config import RigConfig
 from impact_rig.runs import export
 from impact_rig.runs.exports import write_columns
-from impact_rig.runs.in_process import RigRecorder
 from impact_rig.runs.recorded_journal import TOPIC
 
 TEXTS_NAME = "/rig/texts"
@@ -129,9 +127,8 @@ def test_rows_published_before_the_recording_began_are_marked(run, tmp_path):
 
 def test_a_publish_time_that_only_repeats_the_log_time_says_nothing(tmp_path):
     """What a rig in one process has published was called earlier, all of it: its log times count from 1970."""
-    rig = Rig(RigConfig())
-    with RigRecorder(tmp_path / "run", rig) as recorder:
-        recorder.block(*rig.advance(rig.block_end_ns(1)))
+    with LocalRig(record=tmp_path / "run") as rig:
+        rig.step()
     with open_run(tmp_path / "run") as run, np.load(export(run, "daq/scan", tmp_path / "scan.npz")) as found:
         assert not found["earlier"].any()
 
@@ -269,9 +266,8 @@ def test_a_table_becomes_a_data_frame_with_the_columns_of_the_export(run, tmp_pa
 
 def test_a_table_becomes_a_dataset_over_time_with_units(tmp_path):
     pytest.importorskip("xarray")
-    rig = Rig(RigConfig())
-    with RigRecorder(tmp_path / "run", rig) as recorder:
-        recorder.block(*rig.advance(rig.block_end_ns(1)))
+    with LocalRig(record=tmp_path / "run") as rig:
+        rig.step()
     with open_run(tmp_path / "run") as run:
         scans, info = run.to_xarray("daq/scan"), run.to_xarray("daq/info")
     assert scans.sizes == {"time": 100}

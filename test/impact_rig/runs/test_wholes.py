@@ -30,7 +30,7 @@ from impact_rig.recording import open_run
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.runs import reanalysis, wholes
 from impact_rig.runs.wholes import last_excerpt
-from impact_rig.testing import VirtualRig
+from impact_rig.testing import LocalRig
 
 pytestmark = pytest.mark.ros  # runs carry the schemas of the messages
 
@@ -38,7 +38,7 @@ TOPICS = ("daq/info", "shaker/applied", "daq/scan")
 RIG = {"sphere.present": False, "daq.rate_hz": 1000, "daq.block_scans": 100}
 
 
-def recorded(rig: VirtualRig) -> Messages:
+def recorded(rig: LocalRig) -> Messages:
     found = [(topic, table) for topic in TOPICS for table in rig.tables(topic)]
     return sorted(found, key=lambda one: one[1].stamp_ns)
 
@@ -52,7 +52,7 @@ def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "drive.random_low_hz": 6.0,
         "drive.random_high_hz": 12.0,
     }
-    rig = VirtualRig({**RIG, **noise})
+    rig = LocalRig({**RIG, **noise})
     rig.run(seconds=100.0)
     return record(tmp_path_factory.mktemp("swept") / "swept", recorded(rig))
 
@@ -60,7 +60,7 @@ def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def steady(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A settled measurement at 9.3 Hz."""
-    rig = VirtualRig(RIG)
+    rig = LocalRig(RIG)
     rig.command(frequency_hz=9.3, current_a=0.3)
     rig.run(seconds=13.0)
     return record(tmp_path_factory.mktemp("steady") / "steady", recorded(rig))
@@ -130,7 +130,7 @@ def test_a_segment_that_cannot_be_is_refused(
 
 
 def test_a_rig_at_rest_has_no_frequency_response(tmp_path: Path) -> None:
-    rig = VirtualRig({**RIG, "daq.block_scans": 1000})
+    rig = LocalRig({**RIG, "daq.block_scans": 1000})
     rig.run(seconds=40.0)
     with (
         open_run(record(tmp_path / "rest", recorded(rig))) as run,
@@ -167,7 +167,7 @@ def test_the_command_prints_and_draws_sines(
 
 
 def test_a_run_without_a_drive_has_no_sines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    rig = VirtualRig(RIG)
+    rig = LocalRig(RIG)
     rig.run(seconds=2.0)
     messages = [one for one in recorded(rig) if one[0] != "shaker/applied"]
     assert main(["analyze", str(record(tmp_path / "still", messages)), "--sine"]) == 1

@@ -24,7 +24,7 @@ from typing import Any
 
 import pytest
 
-from impact_rig.testing import VirtualRig, plugin
+from impact_rig.testing import LocalRig, plugin
 
 ROOT = Path(__file__).parents[3]
 
@@ -58,7 +58,7 @@ def test_everything_the_package_offers_can_be_had() -> None:
 
 def test_no_two_rigs_of_a_test_have_one_name(request: pytest.FixtureRequest) -> None:
     """They have a folder each; after one was closed, the next was once called as one that was still there."""
-    started = plugin._starting(request, lambda name: VirtualRig(name=name))
+    started = plugin._starting(request, lambda name: LocalRig(name=name))
     start = next(started)
     first, second = start(), start()
     first.close()

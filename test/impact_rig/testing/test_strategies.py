@@ -20,7 +20,7 @@ import time
 
 import pytest
 
-from impact_rig.testing import VirtualRig
+from impact_rig.testing import LocalRig
 from impact_rig.testing.strategies import Command, Inject, Pause, Silence, repeat, search
 
 QUICK = {"daq.rate_hz": 1000, "daq.block_scans": 10}
@@ -78,7 +78,7 @@ def test_a_sound_consumer_is_left_in_peace(virtual_rig):
 
 
 def test_every_action_does_what_it_says():
-    rig = VirtualRig(QUICK)
+    rig = LocalRig(QUICK)
     repeat(
         rig, lambda _: None,
         [Command(9.1, 0.5), Pause(5), Silence(10), Inject("lost_block", "", 2), Inject("saturation", "laser", 1, 1e-3)],
@@ -86,7 +86,7 @@ def test_every_action_does_what_it_says():
     kinds = {entry.kind.value for entry in rig.journal()}
     assert {"command", "timeout", "parameter", "fault"} <= kinds
     assert sum(end - first for first, end in rig.lost_samples()) == 20
-    assert rig.config.output.command_timeout_s == VirtualRig(QUICK).config.output.command_timeout_s
+    assert rig.config.output.command_timeout_s == LocalRig(QUICK).config.output.command_timeout_s
 
 
 @pytest.mark.ros

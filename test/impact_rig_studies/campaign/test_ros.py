@@ -28,11 +28,11 @@ pytestmark = [pytest.mark.ros, pytest.mark.pipeline, pytest.mark.timeout(200)]
 
 
 def test_ros_and_process_give_the_same_bits(tmp_path, measured):
-    from impact_rig_studies.apparatus import stepped_runner
+    from impact_rig_studies.ros_campaign import ros_runner
 
     point, _, sweep, _, trip, refused = (job for job, _ in measured.values())
     jobs = [point, sweep, trip, refused]
-    found = {job.key: outcome for job, outcome in stepped_runner(tmp_path, record=True)(jobs)}
+    found = {job.key: outcome for job, outcome in ros_runner(tmp_path, tmp_path / "runs")(jobs)}
     assert set(found) == {job.key for job in jobs}
     for key, outcome in found.items():
         assert_same(outcome, measured[key][1])
@@ -49,11 +49,11 @@ def test_ros_and_process_give_the_same_bits(tmp_path, measured):
 
 
 def test_a_job_after_one_that_tripped_is_measured(tmp_path, measured):
-    """As fast as the peers follow, every job after a trip once failed: a latched rig is not reset."""
-    from impact_rig_studies.apparatus import freewheel_runner
+    """The latch outlives the transitions: every job after a trip once failed."""
+    from impact_rig_studies.ros_campaign import ros_runner
 
     point, _, _, _, trip, _ = (job for job, _ in measured.values())
-    runner = freewheel_runner(tmp_path, point.config(), lambda job: job.key, lambda _job, _sweep: None)
-    outcomes = [outcome for _, outcome in runner([trip, attrs.evolve(point, traces=False)])]
+    again = attrs.evolve(point, traces=False, changes={**point.changes, "daq.rate_hz": trip.config().daq.rate_hz})
+    outcomes = [outcome for _, outcome in ros_runner(tmp_path)([trip, again])]
     assert "over_travel" in outcomes[0].failure
     assert (outcomes[1].failure, len(outcomes[1].rows)) == ("", 1)

@@ -59,12 +59,12 @@ def test_where_it_shall_be_written_is_looked_at_first(rig, tmp_path, monkeypatch
     assert len(rows_of(out)) == 1
     (tmp_path / "file").write_text("")
     with monkeypatch.context() as patched:
-        patched.setattr("impact_rig_studies.cli.loop._held", lambda *_: pytest.fail("it was measured"))
+        patched.setattr("impact_rig_studies.cli.loop.hold", lambda *_: pytest.fail("it was measured"))
         assert main([*words, str(tmp_path / "file" / "held.csv")]) == 1
     assert "cannot write" in capsys.readouterr().err
 
-    found, late = loop._held, tmp_path / "late.csv"
-    monkeypatch.setattr("impact_rig_studies.cli.loop._held", lambda *held: late.write_text("mine") and found(*held))
+    found, late = loop.hold, tmp_path / "late.csv"
+    monkeypatch.setattr("impact_rig_studies.cli.loop.hold", lambda *held: late.write_text("mine") and found(*held))
     assert main([*words, str(late)]) == 1
     assert late.read_text() == "mine"
 

@@ -38,8 +38,7 @@ from impact_rig import codec, topics
 from impact_rig.blocks import WAVEFORM, Table
 from impact_rig.client import Client, Collector, ProcessDiedError, ServiceFailedError
 from impact_rig.client.client import ros_parameters
-from impact_rig.client.hardware import Hardware, InProcess
-from impact_rig.client.over_topics import OverTopics, over_topics
+from impact_rig.driver import Hardware, LocalRig, RosRig
 from impact_rig.errors import CommandError
 from impact_rig.nodes import session
 from impact_rig.nodes.recorder_node import RecorderNode
@@ -55,6 +54,7 @@ from impact_rig.states import RigWord
 pytestmark = pytest.mark.ros
 RATE_HZ = 10_000
 STREAM = {"drive__waveform": "stream", "barriers__gap_m": 0.002}
+FLAT = {name.replace("__", "."): value for name, value in STREAM.items()}
 WAVE = 0.6 * np.sin(2.0 * np.pi * 9.1 * np.arange(RATE_HZ) / RATE_HZ)
 
 
@@ -302,43 +302,35 @@ def test_of_two_controllers_the_last_counts_and_both_are_named(client):
     client.wait_until(lambda: "all send samples" in client.status("rig").message, "both named")
 
 
-def test_a_controllers_hardware_reads_over_topics_what_it_reads_in_process(client):
-    host_rig(client, "freewheel", time__peers=[client.name], **STREAM)
-    client.wait_active("rig")
-    over = over_topics(client).respond(WAVE[: RATE_HZ // 2], rest=RATE_HZ // 10)
-    alone = Hardware(InProcess(Rig(paper_rig(**STREAM)))).respond(WAVE[: RATE_HZ // 2], rest=RATE_HZ // 10)
-    assert len(over) == len(alone) > RATE_HZ // 2
-    assert np.array_equal(over["laser"], alone["laser"])
-    assert np.array_equal(over["current"], alone["current"])
+def test_a_controllers_hardware_reads_over_topics_what_it_reads_in_process():
+    with RosRig({**FLAT, "time.mode": "freewheel"}, hosted=True) as over, LocalRig(FLAT) as alone:
+        found = [Hardware(rig).respond(WAVE[: RATE_HZ // 2], rest=RATE_HZ // 10) for rig in (over, alone)]
+    assert len(found[0]) == len(found[1]) > RATE_HZ // 2
+    assert np.array_equal(found[0]["laser"], found[1]["laser"])
+    assert np.array_equal(found[0]["current"], found[1]["current"])
 
 
-def test_a_controller_whose_rig_has_died_is_told_so(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_controller_whose_rig_has_died_is_told_so(monkeypatch: pytest.MonkeyPatch) -> None:
     """It once waited on, as hard as it could, until its time was over, and was told that no scans came."""
-    host_rig(client, "freewheel", time__peers=[client.name], **STREAM)
-    client.wait_active("rig")
-    hardware = over_topics(client)
+    with RosRig({**FLAT, "time.mode": "freewheel"}, hosted=True) as rig:
 
-    class Died:
-        def check(self) -> None:
-            raise ProcessDiedError("the rig process was ended by SIGKILL")
+        class Died:
+            def check(self) -> None:
+                raise ProcessDiedError("the rig process was ended by SIGKILL")
 
-    monkeypatch.setattr(client, "_processes", Died())
-    with pytest.raises(ProcessDiedError, match="ended by SIGKILL"):
-        hardware.turn(time.monotonic() + 0.5, "scans")
+        monkeypatch.setattr(rig.client, "_processes", Died())
+        with pytest.raises(ProcessDiedError, match="ended by SIGKILL"):
+            Hardware(rig).turn(time.monotonic() + 0.5, "scans")
 
 
-def test_a_stop_while_a_controller_looks_for_readers_is_not_overlooked(
-    client: Client, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    host_rig(client, "realtime", **STREAM)
-    client.wait_active("rig")
-    stop = client.node.create_client(Trigger, "rig/stop")
+def test_a_stop_while_a_controller_looks_for_readers_is_not_overlooked(monkeypatch: pytest.MonkeyPatch) -> None:
+    def is_stopped(rig: RosRig) -> bool:
+        rig.client.prepare(Trigger, "rig/stop").call_async(Trigger.Request())
+        return any(entry.kind is InputKind.STOP for entry in rig.journal())
 
-    def is_stopped(wire: OverTopics) -> bool:
-        stop.call_async(Trigger.Request())
-        return any(entry.kind is InputKind.STOP for entry in wire._journal.entries())
-
-    monkeypatch.setattr(OverTopics, "_finds_readers", is_stopped)
-    wire = OverTopics(client)
-    with pytest.raises(CommandError, match=r"^the rig stopped: stop$"):
-        wire.feed(wire.wanted().sample, WAVE[:100])
+    monkeypatch.setattr(RosRig, "_finds_readers", is_stopped)
+    with (
+        RosRig({**FLAT, "time.mode": "realtime"}, hosted=True) as rig,
+        pytest.raises(CommandError, match=r"^the rig tripped: emergency stop$"),
+    ):
+        rig.feed(rig.stream_level().sample, WAVE[:100])

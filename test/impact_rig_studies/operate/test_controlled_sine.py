@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Controlled sine: what it commands on an apparatus of known gain, its limits, and its curve on the rig."""
+"""Controlled sine: what it commands on a rig of known gain, its limits, and its curve on the rig."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Status
 from impact_rig_studies.campaign.job import execute
 from impact_rig_studies.closed_loop import hold
-from impact_rig_studies.operate.operator import Applied, News, operate
-from impact_rig_studies.operate.stepped_sine import ControlledSine, Hold, HoldPlan, SweepPlan, SweepState
+from impact_rig_studies.operate.operator import operate
+from impact_rig_studies.operate.stepped_sine import ControlledSine, Hold, HoldPlan, Setpoint, SweepPlan, SweepState
 from qualification import prediction as by_test
 
 PLAN = SweepPlan(frequencies_hz=(8.0, 9.0), current_a=0.3, direction="up_down")
@@ -40,29 +40,32 @@ HELD = HoldPlan(hold=Hold.BASE, target=1e-4)
 class Bench:
     """Accepts everything, and every second measures a base amplitude of 2e-4 (current/1 A)^power."""
 
+    stopped = ""
+
     def __init__(self, power=1.0, floor_m=0.0):
         self.power, self.floor_m, self.seconds = power, floor_m, 0
-        self.set_, self.news, self.rests = [], [], 0
+        self.set_ = []
 
+    @property
     def now_ns(self):
         return self.seconds * NS_PER_S
 
-    def set(self, setpoint):
-        self.set_.append(setpoint)
-        self.news.append(Applied(setpoint, self.now_ns()))
+    def command(self, frequency_hz, current_a):
+        self.set_.append(Setpoint(frequency_hz, current_a))
 
-    def rest(self):
-        self.rests += 1
+    def clear(self):
+        pass
 
-    def wait(self):
+    def step(self):
         self.seconds += 1
-        applied, self.news = self.news, []
+
+    def rows(self, _topic):
         row = np.zeros(1, TRANSMISSIBILITY)
         now = self.set_[-1]
         row["frequency"], row["status"], row["settled"] = now.frequency_hz, "ok", 1.0
         row["base_amplitude"] = max(2e-4 * now.current_a**self.power, self.floor_m)
         row["laser_amplitude"] = 50.0 * row["base_amplitude"]
-        return News(now_ns=self.now_ns(), applied=applied, rows=[row[0]])
+        return row
 
 
 def walked(bench, plan=PLAN, hold_plan=HELD):
@@ -82,7 +85,6 @@ def test_every_point_is_held_up_and_down(power):
     assert sweep.held["corrections"][0] >= 1
     assert sweep.held["corrections"][1:].tolist() == [0.0] * 3
     assert sweep.held["target"].tolist() == [1e-4] * 4
-    assert bench.rests == 1
 
 
 def test_a_point_that_cannot_be_held_keeps_its_error():
@@ -97,12 +99,12 @@ def test_a_point_that_is_left_out_takes_no_corrections_from_the_next():
     """Its count was kept: the next point had none left, and was taken as it was."""
 
     class Loud(Bench):
-        def wait(self):
-            news = super().wait()
-            row = news.rows[0]
+        def rows(self, topic):
+            rows = super().rows(topic)
+            row = rows[0]
             if row["frequency"] == 8.0 and len(self.set_) > 1:  # after a correction a sensor is over range
                 row["status"], row["settled"] = Status.OVER_RANGE.value, 0.0
-            return news
+            return rows
 
     sweep = walked(Loud(), attrs.evolve(PLAN, direction="up", current_a=0.1), attrs.evolve(HELD, corrections=1))
     assert sweep.skipped == [8.0]
@@ -118,12 +120,11 @@ def test_a_point_that_is_left_out_takes_no_corrections_from_the_next():
         ({"superior_limit_m": 1e-3}, "swings 3 mm"),
     ],
 )
-def test_a_limit_ends_the_sweep_with_the_shaker_at_rest(limits, words):
+def test_a_limit_ends_the_sweep(limits, words):
     bench = Bench()
     sweep = walked(bench, hold_plan=attrs.evolve(HELD, **limits))
     assert sweep.state is SweepState.ABORTED
     assert words in sweep.reason
-    assert bench.rests == 1
 
 
 @pytest.mark.parametrize("values", [{"target": 0.0}, {"tolerance": -1.0}, {"current_limit_a": float("inf")}])

@@ -23,7 +23,7 @@ import pytest
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
-from impact_rig_studies.operate.operator import Applied, News, Operator
+from impact_rig_studies.operate.operator import Applied, Operator, Update
 from impact_rig_studies.operate.phase_lock import LockedSine, LockPlan
 from impact_rig_studies.operate.stepped_sine import Setpoint, SweepState
 
@@ -33,32 +33,34 @@ TRUE_HZ = 9.105 / math.sqrt(1.0 - 4.0 * LINEAR.structure.damping_ratio**2)
 
 
 class Running:
-    """A rig whose time passes by itself, as an operator's apparatus."""
+    """A rig whose time passes by itself, with an operator."""
 
     def __init__(self, plan: LockPlan = PLAN) -> None:
         self.rig = Rig(LINEAR)
         self.rested = False
         self.noted: list[int] = []
         self.lock = LockedSine(plan, self.rig.info().rows)
-        self.operator = Operator(self.lock, self, lambda lock: self.noted.append(lock.measured))
+        self.operator = Operator(self.lock, self.drive, lambda lock: self.noted.append(lock.measured))
 
     def now_ns(self) -> int:
         return self.rig.next_block_ns
 
-    def set(self, setpoint: Setpoint) -> None:
-        self.rig.accept(frequency_hz=setpoint.frequency_hz)
+    def drive(self, setpoint: Setpoint) -> None:
+        if self.operator.busy:
+            self.rig.accept(frequency_hz=setpoint.frequency_hz)
+        else:
+            self.rested = True
         self.rig.accept(amplitude=setpoint.current_a)
 
-    def rest(self) -> None:
-        self.rig.accept(amplitude=0.0)
-        self.rested = True
+    def begin(self) -> None:
+        self.operator.begin(self.now_ns())
 
     def block(self, lost: bool = False, accepted: bool = True) -> None:
         """Let a block pass, and tell the operator of it."""
         blocks = self.rig.advance(self.rig.block_end_ns(1))
         applied = [one for table in self.rig.take_applied() for one in Applied.of(table)] if accepted else []
         scans = [] if lost else [block.scan for block in blocks]
-        self.operator.hear(News(now_ns=self.now_ns(), applied=applied, scans=scans))
+        self.operator.handle(Update(now_ns=self.now_ns(), applied=applied, scans=scans))
 
     def run(self, seconds: float = 60.0) -> None:
         end_ns = self.now_ns() + round(seconds * NS_PER_S)
@@ -68,7 +70,7 @@ class Running:
 
 def test_it_finds_the_resonance_though_scans_are_lost_and_rests_after_the_dwell() -> None:
     running = Running()
-    running.operator.begin()
+    running.begin()
     assert running.lock.describe() == "seeking at 8.9 Hz"
     running.run(1.0)
     running.block(lost=True)
@@ -87,7 +89,7 @@ def test_it_finds_the_resonance_though_scans_are_lost_and_rests_after_the_dwell(
 
 def test_a_stretch_begins_where_the_setpoint_is_in_force() -> None:
     running = Running()
-    running.operator.begin()
+    running.begin()
     running.block(accepted=False)
     running.rig.take_applied()
     running.run(3.0)
@@ -100,13 +102,13 @@ def test_a_stretch_begins_where_the_setpoint_is_in_force() -> None:
 
 def test_somebody_elses_command_and_silence_end_it() -> None:
     running = Running()
-    running.operator.begin()
+    running.begin()
     running.run(2.0)
     running.rig.accept(frequency_hz=12.0)
     running.run(1.0)
     assert running.lock.reason == "somebody else set 12 Hz and 0.3 A"
     silent = Running()
-    silent.operator.begin()
+    silent.begin()
     silent.run(1.0)
     while silent.operator.busy:
         silent.block(lost=True)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The loop: what it sets, when it rests, what it notes, with an apparatus that follows a script."""
+"""The loop: what it sets, where it ends, what it reports, with a rig that follows a script."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ import pytest
 from impact_rig.blocks import APPLIED, TRANSMISSIBILITY, Table
 from impact_rig.errors import CommandError
 from impact_rig.simtime import NS_PER_S
-from impact_rig_studies.operate.operator import Applied, News, Operator, operate
+from impact_rig_studies.operate.operator import Applied, Operator, Update, operate
 from impact_rig_studies.operate.stepped_sine import Setpoint, SteppedSine, SweepPlan, SweepState
 
 PLAN = SweepPlan(frequencies_hz=(9.0, 8.0), current_a=0.5, measurements_per_point=2)
@@ -34,7 +34,7 @@ def measurement(frequency_hz, status="ok"):
 
 
 class Script:
-    """An apparatus that accepts everything at once and measures every second.
+    """A rig that accepts everything at once, and its analysis that measures every second.
 
     Args:
         stops_s: when it stops.
@@ -47,32 +47,35 @@ class Script:
         self.stops_s, self.refuses, self.repeats, self.status = stops_s, refuses, repeats, status
         self.seconds = 0
         self.done = []
-        self.accepted = []
 
+    @property
     def now_ns(self):
         return self.seconds * NS_PER_S
 
-    def set(self, setpoint):
-        if setpoint.frequency_hz == self.refuses:
+    @property
+    def stopped(self):
+        return "the fuse blew" if self.stops_s == self.seconds else ""
+
+    def command(self, frequency_hz, current_a):
+        if frequency_hz == self.refuses:
             raise CommandError("no")
-        self.done.append(setpoint)
-        self.accepted.append(Applied(setpoint, self.now_ns()))
+        self.done.append(Setpoint(frequency_hz, current_a))
 
-    def rest(self):
-        self.done.append("rest")
+    def clear(self):
+        pass
 
-    def wait(self):
+    def step(self):
         self.seconds += 1
-        applied, self.accepted = self.accepted, []
-        rows = [measurement(self.done[-1].frequency_hz, self.status)] * self.repeats
-        stopped = "the fuse blew" if self.stops_s == self.seconds else None
-        return News(now_ns=self.now_ns(), applied=applied, rows=rows, stopped=stopped)
+
+    def rows(self, topic):
+        assert topic == "transmissibility/table"
+        return [measurement(self.done[-1].frequency_hz, self.status)] * self.repeats
 
 
-def test_every_point_is_set_measured_and_noted_and_at_the_end_there_is_rest():
+def test_every_point_is_set_measured_and_reported():
     sweep, script, noted = SteppedSine(PLAN), Script(), []
     operate(sweep, script, lambda sweep: noted.append(sweep.measured))
-    assert script.done == [Setpoint(8.0, 0.5), Setpoint(9.0, 0.5), "rest"]
+    assert script.done == [Setpoint(8.0, 0.5), Setpoint(9.0, 0.5)], "a rig that is given up is not commanded"
     assert noted == [0, 1, 2, 3, 4], "at the begin, and after each measurement"
     assert sweep.rows["time"].tolist() == [1.0, 2.0, 3.0, 4.0]
     assert sweep.state is SweepState.FINISHED
@@ -84,11 +87,10 @@ def test_a_measurement_that_ends_a_point_takes_none_of_the_next_with_it():
     assert sweep.rows["frequency"].tolist() == [8.0, 8.0, 9.0, 9.0]
 
 
-def test_a_rig_that_stops_ends_the_sweep_at_rest_with_what_was_measured():
+def test_a_rig_that_stops_ends_the_sweep_with_what_was_measured():
     sweep, script = SteppedSine(PLAN), Script(stops_s=2)
     operate(sweep, script)
     assert (sweep.state, sweep.reason) == (SweepState.ABORTED, "the fuse blew")
-    assert script.done[-1] == "rest"
     assert sweep.measured == 2
 
 
@@ -113,17 +115,17 @@ def test_a_point_that_is_never_measured_is_given_up():
     assert script.seconds == PLAN.dwell_limit_s + 1
 
 
-def test_an_operator_who_is_told_to_stop_rests_once():
-    script = Script()
-    operator = Operator(SteppedSine(PLAN), script, lambda _sweep: None)
-    operator.begin()
+def test_an_operator_that_is_stopped_takes_the_current_away_once():
+    done = []
+    operator = Operator(SteppedSine(PLAN), done.append, lambda _sweep: None)
+    operator.begin(0)
     assert operator.busy
     operator.abort("enough")
     operator.abort("really")
-    operator.hear(News(now_ns=NS_PER_S, rows=[measurement(8.0)]))
+    operator.handle(Update(now_ns=NS_PER_S, rows=[measurement(8.0)]))
     assert not operator.busy
-    assert script.done == [Setpoint(8.0, 0.5), "rest"]
-    assert operator.sweep.reason == "enough"
+    assert done == [Setpoint(8.0, 0.5), Setpoint(8.0, 0.0)]
+    assert operator.run.reason == "enough"
 
 
 def test_an_accepted_change_is_read_off_shaker_applied():

@@ -17,19 +17,20 @@ from __future__ import annotations
 
 import cmath
 import math
-from pathlib import Path
 
 import attrs
 import numpy as np
 import pytest
 
+from impact_rig.driver import LocalRig
 from impact_rig.errors import ConfigError
 from impact_rig.physics.linear_response import transmissibility
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
-from impact_rig_studies.closed_loop import ProcessLoop
+from impact_rig_studies.closed_loop import with_short_blocks
 from impact_rig_studies.operate.phase_lock import (
     Ladder,
+    LockLoop,
     LockPlan,
     Look,
     PhaseLock,
@@ -48,12 +49,13 @@ TRUE_HZ = 9.105 / math.sqrt(1.0 - 4.0 * 0.0044974**2)
 
 
 class Resonance:
-    """A loop apparatus without delay: T = (1 + 2iζr)/(1 − r² + 2iζr), base of 1 µm per 0.1 A; `trips_s` ends it."""
+    """A loop without delay: T = (1 + 2iζr)/(1 − r² + 2iζr), base of 1 µm per 0.1 A; `trips_s` ends it."""
 
     def __init__(self, zeta=0.0045, trips_s=math.inf):
         self.zeta, self.trips_s, self.now, self.setpoint, self.hz = zeta, trips_s, 0, None, 9.105
         self.still = False
 
+    @property
     def now_ns(self):
         return self.now
 
@@ -179,13 +181,17 @@ def test_a_ladder_tells_jumps():
     assert rungs[0].dt == pytest.approx(1 / 0.009, rel=1e-3)
 
 
+def local(config: RigConfig) -> LockLoop:
+    return LockLoop(LocalRig(with_short_blocks(config)))
+
+
 def linear() -> RigConfig:
     return from_flat(RigConfig(), {"sphere.present": False, "daq.rate_hz": 2000})
 
 
 @pytest.fixture(scope="module")
 def locked() -> PhaseLock:
-    return lock_on(PLAN, ProcessLoop(linear()))
+    return lock_on(PLAN, local(linear()))
 
 
 def test_on_the_linear_rig_the_lock_is_at_the_true_quarter(locked):
@@ -210,19 +216,19 @@ def test_a_locked_stretch_states_how_well_it_is_known(locked):
 
 
 def test_it_gives_the_same_bits_twice(locked):
-    again = lock_on(PLAN, ProcessLoop(linear()))
+    again = lock_on(PLAN, local(linear()))
     assert again.rows.tobytes() == locked.rows.tobytes()
 
 
 def test_it_is_held_again_after_the_gap_is_changed_under_way():
-    rig = ProcessLoop(from_flat(RigConfig(), {"barriers.gap_m": 6e-3, "daq.rate_hz": 2000}))
+    rig = local(from_flat(RigConfig(), {"barriers.gap_m": 6e-3, "daq.rate_hz": 2000}))
     lock = PhaseLock(LockPlan(start_hz=9.0, current_a=0.52, dwell_s=1e6))
     rig.set(lock.start(0))
     follow(lock, rig, lambda one: one.locked)
-    rig.change({"barriers.gap_m": 10e-3})
-    lock.unlock(rig.now_ns())
-    changed = rig.now_ns()
-    follow(lock, rig, lambda _: rig.now_ns() >= changed + 12 * NS_PER_S)
+    rig.rig.configure({"barriers.gap_m": 10e-3})
+    lock.unlock(rig.now_ns)
+    changed = rig.now_ns
+    follow(lock, rig, lambda _: rig.now_ns >= changed + 12 * NS_PER_S)
     assert lock.state is SweepState.RUNNING, lock.reason
     assert lock.locked
     late = lock.rows[lock.rows["time"] >= changed / NS_PER_S + 10.0]
@@ -230,7 +236,7 @@ def test_it_is_held_again_after_the_gap_is_changed_under_way():
 
 
 def test_a_trip_ends_it():
-    rig = ProcessLoop(from_flat(linear(), {"shaker.travel_limit_m": 1e-5}))
+    rig = local(from_flat(linear(), {"shaker.travel_limit_m": 1e-5}))
     lock = lock_on(PLAN, rig)
     assert lock.reason.startswith("the rig tripped")
 
@@ -238,12 +244,12 @@ def test_a_trip_ends_it():
 @pytest.mark.ros
 @pytest.mark.pipeline
 @pytest.mark.timeout(200)
-def test_over_topics_it_has_the_same_bits(locked, tmp_path: Path):
+def test_over_topics_it_has_the_same_bits(locked):
     pytest.importorskip("rclpy", reason="no ROS 2 here")
-    from impact_rig_studies.apparatus import stepped_loop
+    from impact_rig.driver import RosRig
 
-    with stepped_loop(tmp_path, linear()) as rig:
-        lock = PhaseLock(PLAN)
-        rig.set(lock.start(rig.now_ns()))
+    with RosRig(with_short_blocks(linear())) as behind:
+        rig, lock = LockLoop(behind), PhaseLock(PLAN)
+        rig.set(lock.start(rig.now_ns))
         follow(lock, rig, lambda one: len(one.rows) >= 8)
     assert lock.rows.tobytes() == locked.rows[:8].tobytes()

@@ -14,7 +14,7 @@
 """A rig as a controller's hardware: an output that plays blocks of samples, and an acquisition that reads scans.
 
 The two halves that any vibration controller needs, blocking, with time-outs, for blocks of any size. They are the same
-whether the rig is in this process (`InProcess`) or behind topics (`impact_rig_studies.apparatus`), in real time or not.
+whether the rig is in this process (`LocalRig`) or behind topics (`RosRig`), in real time or not.
 """
 
 from __future__ import annotations
@@ -23,115 +23,57 @@ import contextlib
 import time
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from impact_rig.driver.driver import RigDriver
 from impact_rig.errors import CommandError
-from impact_rig.rig import Block, Rig
 from impact_rig.simtime import NS_PER_S, stamp_ns
+from impact_rig.topics import INFO
 
 TIMEOUT_S = 10.0
 
 
-class Wanted(NamedTuple):
-    """What `shaker/stream` says: the sample wanted next, how many are there from it on, how many may be."""
-
-    sample: int
-    buffered: int
-    capacity: int
-
-
-class Wire(Protocol):
-    """What joins both halves to a rig."""
-
-    rate_hz: int  # samples per second of the output
-    scan_rate_hz: int  # scans per second of the acquisition
-    lead_s: float
-    """How far ahead of what is wanted next a first sample must be to come in time: 0 where rig time waits for it."""
-
-    def info(self) -> NDArray[np.void]:
-        """Return the calibration: rows of daq/info."""
-
-    def feed(self, first: int, samples: NDArray[np.float64]) -> None:
-        """Send a block, from sample number `first` on; none at all: the stream ends there."""
-
-    def wanted(self) -> Wanted:
-        """Return how far the output is, as far as is known."""
-
-    def turn(self, timeout_s: float) -> tuple[int, NDArray[np.void]] | None:
-        """Let time pass until scans come, and return the number of the first and their rows; None: none came."""
-
-
-class InProcess:
-    """A wire to a rig in this process, whose time passes only while somebody waits.
-
-    Args:
-        rig: its drive is a stream.
-    """
-
-    lead_s = 0.0
-
-    def __init__(self, rig: Rig) -> None:
-        self.rig = rig
-        self.rate_hz, self.scan_rate_hz = rig.stream.rate_hz, rig.rate_hz
-
-    def info(self) -> NDArray[np.void]:
-        """Return the calibration in force."""
-        return self.rig.info().rows
-
-    def feed(self, first: int, samples: NDArray[np.float64]) -> None:
-        """Feed the rig."""
-        self.rig.feed(first, samples)
-
-    def wanted(self) -> Wanted:
-        """Return how far the rig is."""
-        stream = self.rig.stream
-        return Wanted(stream.played, stream.buffered(), stream.capacity)
-
-    def turn(self, timeout_s: float) -> tuple[int, NDArray[np.void]] | None:  # noqa: ARG002  # nothing to wait for
-        """Advance by one block, if there are samples for it."""
-        if self.rig.blocks_with_samples(1) == 0:
-            return None
-        block = self.advance()
-        return block.first_scan, block.scan.rows
-
-    def advance(self) -> Block:
-        """Advance the rig by one block."""
-        return self.rig.advance(self.rig.block_end_ns(1))[0]
-
-
 class Hardware:
-    """Output and acquisition on one wire.
+    """Output and acquisition of one rig.
 
     Args:
-        abort: by channel, the largest reading of either sign that is borne.
+        rig: its drive is a stream; what it has published so far is forgotten as it is read here.
+        abort: by channel, the largest reading of either sign that is tolerated.
 
     Attributes:
         output: plays.
         acquisition: reads.
     """
 
-    def __init__(self, wire: Wire, abort: Mapping[str, float] = MappingProxyType({})) -> None:
-        self.wire, self._abort = wire, abort
+    def __init__(self, rig: RigDriver, abort: Mapping[str, float] = MappingProxyType({})) -> None:
+        self.rig, self._abort = rig, abort
         self.output, self.acquisition = AnalogOutput(self), Acquisition(self)
 
+    def info(self) -> NDArray[np.void]:
+        """Return the calibration as last published: rows of `daq/info`."""
+        return self.rig.tables(INFO.name)[-1].rows
+
     def turn(self, deadline: float, what: str) -> None:
-        """Let time pass until scans come.
+        """Let rig time pass until scans arrive.
 
         Raises:
-            TimeoutError: none did; names what was waited for.
-            CommandError: a reading is beyond what is borne.
+            TimeoutError: none arrived; names what was waited for.
+            CommandError: a reading is beyond its limit, or the rig has stopped.
         """
-        while True:
-            found = self.wire.turn(max(0.0, deadline - time.monotonic()))
-            if found is not None:
-                self.acquisition.take(*found)
-                self._check(*found)
-                return
-            if isinstance(self.wire, InProcess) or time.monotonic() >= deadline:
-                raise TimeoutError(f"waited in vain for {what}: {self.wire.wanted()}")
+        rig = self.rig
+        try:
+            rig.step(1, max(0.0, deadline - time.monotonic()))
+        except TimeoutError as error:
+            if stopped := rig.stopped:
+                raise CommandError(stopped) from error
+            raise TimeoutError(f"waited in vain for {what}: {rig.stream_level()}") from error
+        found = [(rig.first_scan(table), table.rows) for table in rig.tables()]
+        rig.clear()
+        for first, rows in found:
+            self.acquisition.take(first, rows)
+            self._check(first, rows)
 
     def _check(self, first: int, rows: NDArray[np.void]) -> None:
         for channel, limit in self._abort.items():
@@ -150,8 +92,8 @@ class Hardware:
         """
         values = np.asarray(samples, np.float64)
         first = self.output.start()
-        self.acquisition.start(first * self.wire.scan_rate_hz // self.wire.rate_hz)
-        size = self.wire.wanted().capacity // 4
+        self.acquisition.start(first * self.rig.rate_hz // self.rig.stream_rate_hz)
+        size = self.rig.stream_level().capacity // 4
         for at in range(0, len(values), size):
             self.output.write(values[at : at + size])
         self.output.stop()
@@ -166,20 +108,20 @@ class AnalogOutput:
     """
 
     def __init__(self, hardware: Hardware) -> None:
-        self._hardware, self._wire = hardware, hardware.wire
+        self._hardware, self._rig = hardware, hardware.rig
         self.next_sample: int | None = None
 
     def start(self, lead_s: float | None = None) -> int:
         """Begin `lead_s` after the sample that is wanted next, or as early as it comes in time; return its number."""
-        wanted = self._wire.wanted()
-        at = max(wanted.sample + wanted.buffered, self.next_sample or 0)
-        self.next_sample = at + round((self._wire.lead_s if lead_s is None else lead_s) * self._wire.rate_hz)
+        level = self._rig.stream_level()
+        at = max(level.sample + level.buffered, self.next_sample or 0)
+        self.next_sample = at + round((self._rig.lead_s if lead_s is None else lead_s) * self._rig.stream_rate_hz)
         return self.next_sample
 
     def ready(self, count: int) -> bool:
         """Whether the buffer takes so many samples more now."""
-        wanted = self._wire.wanted()
-        return self._next() + count <= wanted.sample + wanted.capacity
+        level = self._rig.stream_level()
+        return self._next() + count <= level.sample + level.capacity
 
     def write(self, samples: ArrayLike, timeout_s: float = TIMEOUT_S) -> None:
         """Append a block, as soon as the buffer takes it.
@@ -196,7 +138,7 @@ class AnalogOutput:
         deadline = time.monotonic() + timeout_s
         while not self.ready(len(values)):
             self._hardware.turn(deadline, f"room for {len(values)} samples")
-        self._wire.feed(self._next(), values)
+        self._rig.feed(self._next(), values)
         self.next_sample = self._next() + len(values)
 
     def stop(self) -> None:
@@ -206,7 +148,7 @@ class AnalogOutput:
         """
         if self.next_sample is not None:
             with contextlib.suppress(CommandError):
-                self._wire.feed(self.next_sample, np.empty(0))
+                self._rig.feed(self.next_sample, np.empty(0))
 
     def _next(self) -> int:
         assert self.next_sample is not None, "start() comes first"
@@ -238,8 +180,8 @@ class Acquisition:
 
     def delay_s(self, sample: int, scan: int) -> float:
         """Return how much later a scan was taken than a sample was played [s]: both are on one clock, so exactly."""
-        wire = self._hardware.wire
-        return (stamp_ns(scan, wire.scan_rate_hz) - stamp_ns(sample, wire.rate_hz)) / NS_PER_S
+        rig = self._hardware.rig
+        return (stamp_ns(scan, rig.rate_hz) - stamp_ns(sample, rig.stream_rate_hz)) / NS_PER_S
 
     def read(self, count: int, timeout_s: float = TIMEOUT_S) -> NDArray[np.void]:
         """Return the next `count` scans, rows with a field a channel, as soon as they are there.
@@ -282,7 +224,7 @@ class Exchange:
 
     def __init__(self, hardware: Hardware, lag: int) -> None:
         self._hardware = hardware
-        self.lag = min(lag, hardware.wire.wanted().capacity // 4)
+        self.lag = min(lag, hardware.rig.stream_level().capacity // 4)
         self._ahead = np.zeros(self.lag)
         hardware.acquisition.start(hardware.output.start())
         hardware.output.write(self._ahead)

@@ -11,74 +11,114 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A rig under test: advances in steps, takes inputs at exact samples, tells what it did; here in the test's process."""
+"""`RigDriver`: a rig that a program drives, in this process or behind topics.
+
+Rig time passes in `step` alone (a rig that runs by itself is followed there), inputs act at exact samples, and what the
+rig published is read as tables.
+"""
 
 from __future__ import annotations
 
 import abc
 import math
-import time
-from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any  # what a parameter is
+from typing import Any, NamedTuple, Self  # Any: what a parameter is
 
 import numpy as np
 from numpy.typing import NDArray
 
-import impact_rig
-from impact_rig import codec, topics
+from impact_rig import topics
 from impact_rig.blocks import Table
-from impact_rig.errors import CommandError, ConfigError, ImpactRigError, RecordingError
+from impact_rig.errors import CommandError, ConfigError, ImpactRigError
 from impact_rig.instruments.fault import Fault
 from impact_rig.instruments.section import SCAN
-from impact_rig.recording import CONFIGURATION, Attachment, Provenance, RunWriter, TopicDescription
-from impact_rig.rig import Block, Rig, journal
-from impact_rig.rig.config import RigConfig, dump, from_flat, to_flat
+from impact_rig.rig.config import RigConfig, from_flat, to_flat
 from impact_rig.rig.journal import JournalEntry
-from impact_rig.simtime import NS_PER_S, TICKS_PER_S
+from impact_rig.simtime import NS_PER_S, TICKS_PER_S, stamp_ns
 
 SCANS = topics.SCAN.name
 ESSENTIAL = (topics.INFO.name, topics.APPLIED.name, topics.JOURNAL.name)
-"""Never forgotten: what they say holds until the next of them."""
+"""Topics whose tables are never forgotten: each holds until the next one."""
 TOPICS = (SCANS, *ESSENTIAL, topics.IMPACTS_TRUTH.name, topics.FAULTS.name)
-TYPES = {topic.name: topic.type_name for topic in topics.COMMON}
-"""Tables that every rig under test keeps, and that are in the run of a failed test."""
+"""Tables that every driver keeps."""
+STEP_TIMEOUT_S = 240.0  # without the library of kernels the first step compiles the physics
 _DEFAULTS = to_flat(RigConfig())
-_UNSAID = ("time.", "instruments.faults")  # the same in every test; told in words
-BATCH_BLOCKS = 50
-KEPT_BYTES = 256_000_000  # scans beyond this are forgotten, oldest first: 10 minutes at 10 kS/s
-
-Listener = Callable[[Table], object]
+_ROWS = {**{topic.name: topic.columns for topic in topics.COMMON if topic.columns is not None}, SCANS: SCAN}
+_HIDDEN = ("time.", "instruments.faults")  # the first are of no interest, the second are listed as text
 
 
 class NotReachedError(ImpactRigError, AssertionError):
     """What a test waited for did not happen in the simulated time it was given."""
 
 
-class SteppedRig(abc.ABC):
+class NoSamplesError(ImpactRigError, TimeoutError):
+    """The stream that drives a rig has no samples for its next block."""
+
+
+class StreamLevel(NamedTuple):
+    """State of the drive's buffer: the next sample to play, how many follow without a gap, how many it can hold."""
+
+    sample: int
+    buffered: int
+    capacity: int
+
+
+class RigDriver(abc.ABC):
     """A rig that only moves when told to.
 
     Args:
         name: what reports call it.
+        config: of the rig.
+
+    Attributes:
+        sample: first scan of the next block.
+        closed: whether `close` was called.
+        lead_s: rig time by which a stream must be ahead of `stream_level().sample` to arrive in time.
     """
+
+    lead_s = 0.0
 
     def __init__(self, name: str, config: RigConfig) -> None:
         self.name = name
         self.config = config
-        self.sample = 0  # first scan of the next block: where the rig stands
+        self.sample = 0
         self.closed = False
-        self._kept_from = 0
+        self._start_ns = 0  # stamp of scan 0
+        self._kept_from = 0  # first scan that is not forgotten
+        self._lost_before = 0  # scans lost among the forgotten ones
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     # What a subclass fills in
 
     @abc.abstractmethod
-    def step(self, blocks: int = 1) -> None:
-        """Advance by whole blocks; when it returns the pipeline under test has processed all of them."""
+    def step(self, blocks: int = 1, timeout_s: float = STEP_TIMEOUT_S) -> None:
+        """Advance by whole blocks; when it returns the pipeline under test has processed all of them.
+
+        Args:
+            blocks: to advance.
+            timeout_s: wall time that they may take.
+
+        Raises:
+            TimeoutError: they did not come, or the stream that drives the rig has no samples for them.
+        """
 
     @abc.abstractmethod
     def tables(self, topic: str = SCANS) -> list[Table]:
-        """Return what was published on a table topic, see `TOPICS`, oldest first."""
+        """Return what was published on a table topic and is not forgotten, oldest first."""
+
+    @abc.abstractmethod
+    def journal(self) -> list[JournalEntry]:
+        """Return the entries of the journal, oldest first."""
+
+    @abc.abstractmethod
+    def newest(self, topic: str, count: int) -> NDArray[np.void]:
+        """Return the newest `count` rows of a topic once the last of them have arrived, shape (count,)."""
 
     @abc.abstractmethod
     def save(self, directory: Path) -> Path:
@@ -104,13 +144,39 @@ class SteppedRig(abc.ABC):
             CommandError: unknown kind or channel, or too late.
         """
 
-    def close(self) -> None:
-        """End the rig."""
-        self.closed = True
+    @abc.abstractmethod
+    def feed(self, first: int, samples: NDArray[np.float64]) -> None:
+        """Send samples of the stream that drives the rig, from number `first` on; none at all: it ends there.
+
+        Raises:
+            CommandError: the rig refuses them, or has stopped.
+        """
+
+    @abc.abstractmethod
+    def stream_level(self) -> StreamLevel:
+        """Return how far the stream is, as far as is known."""
+
+    @property
+    @abc.abstractmethod
+    def stopped(self) -> str:
+        """Why the shaker is stopped until the latch is cleared; empty while it is not."""
 
     @abc.abstractmethod
     def _command(self, frequency_hz: float | None, current_a: float | None) -> int:
         """Command and return the first scan it acts on."""
+
+    @abc.abstractmethod
+    def _forget(self) -> None:
+        """Forget all tables but those of `ESSENTIAL`."""
+
+    @property
+    def waiting(self) -> str:
+        """What a measurement is held back for, for people: a sphere that may still strike; empty where unknown."""
+        return ""
+
+    def close(self) -> None:
+        """End the rig."""
+        self.closed = True
 
     # Time
 
@@ -123,6 +189,16 @@ class SteppedRig(abc.ABC):
     def block_scans(self) -> int:
         """Scans per block."""
         return self.config.daq.block_scans
+
+    @property
+    def stream_rate_hz(self) -> int:
+        """Samples per second of the stream that drives the rig."""
+        return self.config.drive.stream_rate_hz
+
+    @property
+    def now_ns(self) -> int:
+        """Rig time since the start or reset [ns]."""
+        return stamp_ns(self.sample, self.rate_hz)
 
     @property
     def frontier_sample(self) -> int:
@@ -211,7 +287,13 @@ class SteppedRig(abc.ABC):
     def rows(self, topic: str = SCANS) -> NDArray[np.void]:
         """Return the rows of all tables of a topic, one after the other; shape (n,)."""
         parts = [table.rows for table in self.tables(topic)]
-        return np.concatenate(parts) if parts else np.empty(0, SCAN)
+        return np.concatenate(parts) if parts else np.empty(0, _ROWS[topic])
+
+    def clear(self) -> None:
+        """Forget the tables published so far, except those of `ESSENTIAL`."""
+        self._lost_before = self.lost_scans
+        self._forget()
+        self._kept_from = self.sample
 
     def expected_transmissibility(self, frequency_hz: float) -> complex:
         """Return X_1 / X_b in closed form, which exists for a rig without its sphere.
@@ -225,11 +307,16 @@ class SteppedRig(abc.ABC):
             raise ConfigError("the closed form holds without the sphere: start the rig with sphere.present: false")
         return complex(transmissibility(self.config, frequency_hz))
 
+    @property
+    def lost_scans(self) -> int:
+        """How many scans were not published so far."""
+        return self._lost_before + sum(end - first for first, end in self.lost_samples())
+
     def lost_samples(self) -> list[tuple[int, int]]:
-        """Return the scans that were not published, as (first, one after the last)."""
-        lost, expected, start_ns = [], self._kept_from, self._start_ns()
+        """Return the scans that were not published, as (first, one after the last), of those not forgotten."""
+        lost, expected = [], self._kept_from
         for table in self.tables():
-            first = first_scan(table, start_ns, self.rate_hz)
+            first = self.first_scan(table)
             if first > expected:
                 lost.append((expected, first))
             expected = first + len(table.rows)
@@ -245,7 +332,7 @@ class SteppedRig(abc.ABC):
     def report(self) -> str:
         """Return for people what this rig is and what happened to it."""
         values = to_flat(self.config)
-        changed = [key for key, value in values.items() if value != _DEFAULTS[key] and not key.startswith(_UNSAID)]
+        changed = [key for key, value in values.items() if value != _DEFAULTS[key] and not key.startswith(_HIDDEN)]
         lines = [f"{self.name}: {self.time_s:g} s of rig time, {self.sample} scans at {self.rate_hz} Hz"]
         lines += [f"    {key} = {values[key]}" for key in changed]
         lines += [f"    fault: {fault}" for fault in self.faults]
@@ -255,150 +342,13 @@ class SteppedRig(abc.ABC):
             lines.append(f"    from scan {sample} on: {row['frequency']:g} Hz, {row['current']:g} A")
         return "\n".join(lines)
 
-    def _start_ns(self) -> int:
-        info = self.tables(topics.INFO.name)
-        return info[0].stamp_ns if info else 0
+    def first_scan(self, table: Table) -> int:
+        """Return the index of the first scan of a block, from its stamp."""
+        return -(-(table.stamp_ns - self._start_ns) * self.rate_hz // NS_PER_S)
 
     def _faults_so_far(self) -> str:
         begun = [str(fault) for fault in self.faults if fault.start_sample < self.sample]
         return f"faults: {'; '.join(begun)}" if begun else "no faults"
-
-
-class VirtualRig(SteppedRig):
-    """A rig in this process.
-
-    Args:
-        parameters: configuration values, `section.key` -> value, as in docs/interface.md.
-        name: what reports call it.
-
-    Raises:
-        ConfigError: unknown key, bad value or fault.
-    """
-
-    def __init__(
-        self, parameters: Mapping[str, object] | None = None, faults: Iterable[Fault] = (), name: str = "rig"
-    ) -> None:
-        super().__init__(name, configured(parameters or {}, faults))
-        self.core = Rig(self.config)  # the rig itself, for what is not offered here (pluck, stop, clear_trip, ...)
-        self._injected: list[Fault] = []
-        self._listeners: list[Listener] = []
-        self._kept: dict[str, deque[Any]] = {topic: deque() for topic in TOPICS}
-        self._order: deque[tuple[str, Table | JournalEntry]] = deque()
-        self._early: list[tuple[str, Table | JournalEntry]] = []
-        self._bytes = 0
-        self._keep(topics.INFO.name, self.core.info())
-        self._changes()
-
-    def connect(self, listener: Listener) -> None:
-        """Give every published block of scans to a function, in order; what it commands acts at the next instant."""
-        self._listeners.append(listener)
-
-    def step(self, blocks: int = 1) -> None:
-        """Advance by whole blocks, one at a time where a pipeline listens."""
-        while blocks > 0:
-            chunk = 1 if self._listeners else min(blocks, BATCH_BLOCKS)
-            blocks -= chunk
-            found = self.core.advance(self.core.block_end_ns(chunk))
-            self._changes()
-            for block in found:
-                self._deliver(block)
-
-    def tables(self, topic: str = SCANS) -> list[Table]:
-        """Return what was published on a table topic, see `TOPICS`, oldest first."""
-        return list(self._kept[topic])
-
-    def journal(self) -> list[JournalEntry]:
-        """Return the entries of the journal, oldest first."""
-        return list(self._kept[topics.JOURNAL.name])
-
-    def configure(self, changes: Mapping[str, Any]) -> RigConfig:
-        """Change configuration values; see `SteppedRig`."""
-        before = codec.encode(self.core.info())
-        self.config = self.core.configure(changes)
-        self._changes()
-        info = self.core.info()
-        if codec.encode(info) != before:
-            self._keep(topics.INFO.name, info)
-        return self.config
-
-    def inject(self, fault: Fault) -> int:
-        """Start a fault; see `SteppedRig`."""
-        number = self.core.inject(fault)
-        self._injected.append(fault)
-        self._changes()
-        return number
-
-    @property
-    def faults(self) -> list[Fault]:
-        """The faults that were planned or injected."""
-        return [*super().faults, *self._injected]
-
-    def save(self, directory: Path) -> Path:
-        """Write everything kept as an MCAP run.
-
-        Raises:
-            RecordingError: it cannot be written; the message interfaces (`sensor_msgs`) are needed for its schemas.
-        """
-        provenance = Provenance(
-            version=impact_rig.__version__,
-            seed=self.config.daq.seed,
-            wall_start_ns=time.time_ns(),
-            extra={"mode": "stepped", "namespace": "/"},
-        )
-        configuration = Attachment(CONFIGURATION, dump(self.config).encode(), "application/yaml")
-        if directory.exists():
-            raise RecordingError(f"{directory} exists: nothing is overwritten")
-        with RunWriter(directory, provenance=provenance, attachments=(configuration,), clock=time.monotonic) as writer:
-            for topic in TOPICS:
-                writer.add_topic(TopicDescription(name=f"/{topic}", type_name=TYPES[topic]))
-            for topic, one in (*self._early, *self._order):
-                data = journal.encode(one) if isinstance(one, JournalEntry) else codec.encode(one)
-                writer.write(f"/{topic}", data, provenance.wall_start_ns)
-        return directory
-
-    def close(self) -> None:
-        """Forget everything."""
-        super().close()
-        self._listeners.clear()
-
-    def _command(self, frequency_hz: float | None, current_a: float | None) -> int:
-        table = self.core.accept(frequency_hz, current_a)
-        self._changes()
-        return int(table.rows["sample"][-1])
-
-    def _deliver(self, block: Block) -> None:
-        self.sample = block.first_scan + len(block.scan.rows)
-        for topic, table in block.tables():
-            if topic.name in TOPICS:
-                table.rows.flags.writeable = False  # as a subscriber gets it
-                self._keep(topic.name, table)
-        if not block.lost:
-            for listener in self._listeners:
-                listener(block.scan)
-
-    def _changes(self) -> None:
-        for entry in self.core.take_journal():
-            self._keep(topics.JOURNAL.name, entry)
-        for table in self.core.take_applied():
-            self._keep(topics.APPLIED.name, table)
-
-    def _keep(self, topic: str, one: Table | JournalEntry) -> None:
-        self._kept[topic].append(one)
-        self._order.append((topic, one))
-        self._bytes += one.rows.nbytes if isinstance(one, Table) else 0  # entries are few
-        while self._bytes > KEPT_BYTES and len(self._order) > 1:
-            self._forget()
-
-    def _forget(self) -> None:
-        """Drop the oldest table, unless it is of those few that a run is worth nothing without."""
-        topic, one = self._order.popleft()
-        if isinstance(one, JournalEntry) or topic in ESSENTIAL:
-            self._early.append((topic, one))
-            return
-        self._kept[topic].popleft()
-        self._bytes -= one.rows.nbytes
-        if topic == SCANS:
-            self._kept_from = first_scan(self._kept[SCANS][0], self._start_ns(), self.rate_hz)
 
 
 def first_scan_on_grid(sample: int, rate_hz: int) -> int:
@@ -408,17 +358,13 @@ def first_scan_on_grid(sample: int, rate_hz: int) -> int:
     return first if first >= sample else -(-(tick + 1) * rate_hz // TICKS_PER_S)
 
 
-def first_scan(table: Table, start_ns: int, rate_hz: int) -> int:
-    """Return the index of the first scan of a block, from its stamp."""
-    return -(-(table.stamp_ns - start_ns) * rate_hz // NS_PER_S)
-
-
-def configured(parameters: Mapping[str, object], faults: Iterable[Fault]) -> RigConfig:
-    """Return the configuration of a rig under test: defaults, `parameters` on top, and the faults.
+def configured(config: RigConfig | Mapping[str, Any] | None, faults: Iterable[Fault]) -> RigConfig:
+    """Return the configuration of a rig: the given one, or the given values on top of the defaults, and the faults.
 
     Raises:
         ConfigError: unknown key, bad value or fault.
     """
-    config = from_flat(RigConfig(), {"time.mode": "stepped", **parameters})
+    if not isinstance(config, RigConfig):
+        config = from_flat(RigConfig(), config or {})
     lines = [fault.line(config.daq.rate_hz) for fault in faults]
     return from_flat(config, {"instruments.faults.planned": lines}) if lines else config

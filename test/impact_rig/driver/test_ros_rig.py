@@ -37,7 +37,7 @@ from impact_rig.errors import CommandError, ConfigError
 from impact_rig.nodes.rig_node import RigNode
 from impact_rig.recording import open_run
 from impact_rig.runs.verification import verify
-from impact_rig.testing import Fault, RosRig, VirtualRig
+from impact_rig.testing import Fault, LocalRig, RosRig
 
 pytestmark = pytest.mark.ros
 PLUGIN = "impact_rig.testing.plugin"
@@ -81,16 +81,15 @@ class Acknowledger(Node):
 
 
 @pytest.fixture
-def rig(tmp_path: Path) -> Iterator[RosRig]:
-    started = RosRig(tmp_path / "here", LINEAR, [LOST], hosted=True)
-    yield started
-    started.close()
+def rig() -> Iterator[RosRig]:
+    with RosRig(LINEAR, [LOST], hosted=True, record=True) as started:
+        yield started
 
 
 def test_it_gives_the_samples_of_the_rig_without_ros(rig: RosRig) -> None:
     """Both forms, one rig: a test may move from one to the other."""
     node = rig.host(Counter)
-    virtual = VirtualRig(LINEAR, [LOST])
+    virtual = LocalRig(LINEAR, [LOST])
     for each in (rig, virtual):
         assert each.command(frequency_hz=8.0, current_a=0.3, at_sample=1000) == 1000
         each.run_to_sample(5000)
@@ -165,7 +164,7 @@ def test_a_node_that_does_not_listen_cannot_be_in_lockstep(rig: RosRig) -> None:
 @pytest.mark.pipeline
 def test_processes_die_with_their_last_words_and_leave_a_whole_run(tmp_path: Path) -> None:
     """The run saved from real processes, after the rig was killed, is still proved bit for bit."""
-    rig = RosRig(tmp_path / "here", {"barriers.gap_m": 0.002})
+    rig = RosRig({"barriers.gap_m": 0.002}, record=True)
     try:
         rig.command(frequency_hz=9.1, current_a=0.52, at_sample=500)
         rig.run(0.5)
@@ -180,7 +179,7 @@ def test_processes_die_with_their_last_words_and_leave_a_whole_run(tmp_path: Pat
         assert str(verify(run)).startswith("identical")
         rows = np.concatenate([table.rows for table in run.tables("daq/scan")])
     assert len(rows) == rig.sample == 5500
-    assert not (tmp_path / "here").exists()
+    assert not rig.directory.exists()
 
 
 def test_a_rig_that_cannot_be_built_says_so_at_once(tmp_path: Path) -> None:

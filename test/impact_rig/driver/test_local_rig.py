@@ -26,14 +26,14 @@ from impact_rig.errors import CommandError, ConfigError, RecordingError
 from impact_rig.instruments.section import CHANNELS
 from impact_rig.recording import open_run
 from impact_rig.runs.verification import verify
-from impact_rig.testing import Fault, Golden, NotReachedError, VirtualRig, first_difference, virtual_rig
+from impact_rig.testing import Fault, Golden, LocalRig, NotReachedError, first_difference
 
 LINEAR = {"sphere.present": False}
 LASER = 1 << CHANNELS.index("laser")
 
 
 def test_a_command_acts_on_the_sample_it_was_asked_for() -> None:
-    rig = VirtualRig(LINEAR)
+    rig = LocalRig(LINEAR)
     assert rig.command(frequency_hz=9.1, current_a=0.52, at_sample=3000) == 3000
     rig.run(0.2)
     current = rig.rows()["current"]
@@ -45,11 +45,11 @@ def test_a_command_acts_on_the_sample_it_was_asked_for() -> None:
 @pytest.mark.parametrize("at_sample", [50, 3050])
 def test_a_command_between_the_instants_of_the_grid_is_refused(at_sample: int) -> None:
     with pytest.raises(CommandError, match=f"no command can act on sample {at_sample}: .* every 100 samples"):
-        VirtualRig(LINEAR).command(frequency_hz=9.1, at_sample=at_sample)
+        LocalRig(LINEAR).command(frequency_hz=9.1, at_sample=at_sample)
 
 
 def test_a_command_in_the_past_is_refused() -> None:
-    rig = VirtualRig(LINEAR)
+    rig = LocalRig(LINEAR)
     rig.run(1.0)
     with pytest.raises(ConfigError, match="cannot run to sample 100: rig is at 10000"):
         rig.command(current_a=0.1, at_sample=100)
@@ -58,7 +58,7 @@ def test_a_command_in_the_past_is_refused() -> None:
 def test_faults_begin_and_end_at_their_samples_planned_or_injected() -> None:
     """Odd numbers on purpose: a fault need not begin with a block."""
     planned = Fault(kind="saturation", channel="laser", start_sample=4003, samples=17, value=1e-6)
-    rig = VirtualRig({**LINEAR, "drive.amplitude": 0.2}, [planned])
+    rig = LocalRig({**LINEAR, "drive.amplitude": 0.2}, [planned])
     rig.run(0.1)
     rig.inject(Fault(kind="dropout", channel="current", start_sample=6011, samples=5))
     rig.run(0.9)
@@ -71,7 +71,7 @@ def test_faults_begin_and_end_at_their_samples_planned_or_injected() -> None:
 
 
 def test_the_pipeline_sees_every_published_block_before_the_next_and_may_command() -> None:
-    rig = VirtualRig(LINEAR, [Fault(kind="lost_block", start_sample=2000, samples=150)])
+    rig = LocalRig(LINEAR, [Fault(kind="lost_block", start_sample=2000, samples=150)])
     seen: list[int] = []
 
     def pipeline(block: Table) -> None:
@@ -87,7 +87,7 @@ def test_the_pipeline_sees_every_published_block_before_the_next_and_may_command
 
 
 def test_waiting_happens_in_rig_time_and_says_what_was_in_the_way() -> None:
-    rig = VirtualRig({**LINEAR, "drive.amplitude": 0.52}, [Fault(kind="dropout", channel="laser", samples=500)])
+    rig = LocalRig({**LINEAR, "drive.amplitude": 0.52}, [Fault(kind="dropout", channel="laser", samples=500)])
     moved = rig.wait_until(lambda: np.abs(rig.rows()["laser"][500:]).max(initial=0) > 2e-3, "the structure to move")
     assert 0.05 < moved < 2.0
     with pytest.raises(
@@ -98,19 +98,19 @@ def test_waiting_happens_in_rig_time_and_says_what_was_in_the_way() -> None:
 
 
 def test_the_closed_form_is_what_ideal_instruments_measure() -> None:
-    rig = VirtualRig({**LINEAR, "drive.amplitude": 0.3, "drive.frequency_hz": 8.0, "instruments.ideal": True})
+    rig = LocalRig({**LINEAR, "drive.amplitude": 0.3, "drive.frequency_hz": 8.0, "instruments.ideal": True})
     rig.run(8.0)
     rows = rig.rows()[-50_000:]
     laser, base = (fit_sine(rows[name].copy(), rig.rate_hz, 8.0) for name in ("laser", "base"))
     expected = rig.expected_transmissibility(8.0)
     assert laser.amplitude / base.amplitude == pytest.approx(abs(expected), rel=2e-3)
     with pytest.raises(ConfigError, match="without the sphere"):
-        VirtualRig().expected_transmissibility(8.0)
+        LocalRig().expected_transmissibility(8.0)
 
 
 @pytest.mark.ros
 def test_the_run_it_leaves_is_proved_bit_for_bit(tmp_path: Path) -> None:
-    rig = VirtualRig({"barriers.gap_m": 0.002, "daq.seed": 7}, [Fault(kind="stuck", channel="base", start_sample=900)])
+    rig = LocalRig({"barriers.gap_m": 0.002, "daq.seed": 7}, [Fault(kind="stuck", channel="base", start_sample=900)])
     rig.command(frequency_hz=9.1, current_a=0.52, at_sample=500)
     rig.run(0.5)
     rig.configure({"barriers.gap_m": 0.004})
@@ -124,9 +124,8 @@ def test_the_run_it_leaves_is_proved_bit_for_bit(tmp_path: Path) -> None:
 
 
 @pytest.mark.ros
-def test_what_is_forgotten_in_a_long_test_is_the_oldest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    rig = VirtualRig(LINEAR)
-    monkeypatch.setattr(virtual_rig, "KEPT_BYTES", 50 * rig.block_scans * 41)
+def test_what_is_forgotten_in_a_long_test_is_the_oldest(tmp_path: Path) -> None:
+    rig = LocalRig(LINEAR, kept_bytes=50 * 100 * 41)
     rig.command(current_a=0.1)
     rig.run(1.0)
     assert 40 <= len(rig.tables()) <= 50
@@ -139,8 +138,8 @@ def test_what_is_forgotten_in_a_long_test_is_the_oldest(tmp_path: Path, monkeypa
 
 @pytest.mark.ros
 def test_a_golden_run_names_the_first_difference(tmp_path: Path) -> None:
-    def measure(**changes: object) -> VirtualRig:
-        rig = VirtualRig({"drive.amplitude": 0.52, "barriers.gap_m": 0.002, **changes})
+    def measure(**changes: object) -> LocalRig:
+        rig = LocalRig({"drive.amplitude": 0.52, "barriers.gap_m": 0.002, **changes})
         rig.run(0.3)
         return rig
 
@@ -170,7 +169,7 @@ def test_golden_values_name_all_differences(tmp_path: Path) -> None:
 
 
 def test_a_report_tells_what_the_rig_was_and_what_happened() -> None:
-    rig = VirtualRig({"barriers.gap_m": 0.003}, [Fault(kind="lost_block", start_sample=500, samples=100)], name="mine")
+    rig = LocalRig({"barriers.gap_m": 0.003}, [Fault(kind="lost_block", start_sample=500, samples=100)], name="mine")
     rig.command(frequency_hz=8.5, current_a=0.1, at_sample=1000)
     report = rig.report()
     assert report.startswith("mine: 0.1 s of rig time, 1000 scans at 10000 Hz\n")
@@ -199,4 +198,4 @@ def test_a_report_tells_what_the_rig_was_and_what_happened() -> None:
 )
 def test_what_cannot_be_is_refused(parameters, fault, error: type[Exception], words: str) -> None:
     with pytest.raises(error, match=words):
-        VirtualRig(parameters, [Fault(**fault)] if fault else [])
+        LocalRig(parameters, [Fault(**fault)] if fault else [])

@@ -1,0 +1,42 @@
+# Copyright 2026 The impact_rig developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""A rig that a program drives: in this process (`LocalRig`) or behind topics (`RosRig`), by the same calls.
+
+    rig = LocalRig({"barriers.gap_m": 0.006}, analysis={"gap_m": 0.006})
+    rig.command(frequency_hz=9.1, current_a=0.52)
+    rig.run(seconds=20)
+    print(rig.rows("transmissibility/table")["transmissibility"])
+
+`Hardware` shows either as the output and the acquisition of a controller. Importing this imports neither rclpy nor
+compiled code: both are loaded when something that needs them is asked for.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from impact_rig.system import lazily
+
+if TYPE_CHECKING:
+    from impact_rig.driver.driver import NotReachedError, RigDriver
+    from impact_rig.driver.hardware import Hardware
+    from impact_rig.driver.local_rig import LocalRig
+    from impact_rig.driver.ros_rig import RosRig
+
+__all__ = ["Hardware", "LocalRig", "NotReachedError", "RigDriver", "RosRig"]
+
+__getattr__ = lazily(
+    __name__, Hardware="hardware", LocalRig="local_rig", NotReachedError="driver", RigDriver="driver",
+    RosRig="ros_rig",
+)  # fmt: skip

@@ -1,0 +1,307 @@
+# Copyright 2026 The impact_rig developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""`LocalRig`: a rig in this process, with its analysis and its recording where they are asked for."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Collection, Iterable, Mapping
+from pathlib import Path
+from typing import Any  # what a parameter is
+
+import numpy as np
+from numpy.typing import NDArray
+
+import impact_rig
+from impact_rig import codec, topics
+from impact_rig.analysis.settings import TrackerSettings, settings_table
+from impact_rig.analysis.tracker import Tracker
+from impact_rig.blocks import WAVEFORM, Table
+from impact_rig.driver.driver import (
+    ESSENTIAL,
+    SCANS,
+    STEP_TIMEOUT_S,
+    TOPICS,
+    NoSamplesError,
+    RigDriver,
+    StreamLevel,
+    configured,
+)
+from impact_rig.errors import RecordingError
+from impact_rig.instruments.fault import Fault
+from impact_rig.recording import CONFIGURATION, Attachment, Provenance, RunWriter, TopicDescription
+from impact_rig.rig import Block, Rig, journal
+from impact_rig.rig.config import RigConfig, dump
+from impact_rig.rig.description import joints
+from impact_rig.rig.journal import JournalEntry
+from impact_rig.simtime import stamp_ns
+
+BATCH_BLOCKS = 50
+TYPES = {topic.name: topic.type_name for topic in topics.COMMON}
+KEPT_BYTES = 256_000_000  # tables beyond this are forgotten, oldest first: 10 minutes at 10 kS/s
+ANALYSED = (topics.IMPACTS.name, topics.TRANSMISSIBILITY_TABLE.name, topics.ANALYSIS_SETTINGS.name)
+"""Tables of the analysis."""
+NAMESPACE = "/rig"  # of the topics in a recording that is written while the rig moves
+JOINT_STATES = f"{NAMESPACE}/{topics.JOINT_STATES.name}"
+
+
+class LocalRig(RigDriver):
+    """A rig in this process.
+
+    Args:
+        config: the configuration, or the values that differ from the defaults, `section.key` -> value, as in
+            docs/interface.md.
+        faults: planned.
+        name: what reports call it.
+        analysis: parameters of the rig's analysis, as of its node: `gap_m` is the operator's label; None: no analysis.
+        record: directory of a run that is written while the rig moves; None: nothing is written.
+        also: further topics whose tables are kept, such as `truth/scan`.
+        kept_bytes: bound of the tables that are kept; None: none.
+
+    Attributes:
+        core: the rig itself, for what is not offered here (pluck, stop, clear_trip, ...).
+        tracker: the analysis, or None.
+
+    Raises:
+        ConfigError: unknown key, bad value or fault.
+        RecordingError: the run cannot be written.
+    """
+
+    def __init__(
+        self,
+        config: RigConfig | Mapping[str, Any] | None = None,
+        faults: Iterable[Fault] = (),
+        name: str = "rig",
+        *,
+        analysis: Mapping[str, Any] | None = None,
+        record: Path | None = None,
+        also: Collection[str] = (),
+        kept_bytes: int | None = KEPT_BYTES,
+    ) -> None:
+        super().__init__(name, configured(config, faults))
+        settings, gap_m = _settings(analysis or {})
+        self.core = Rig(self.config)
+        self.tracker = None if analysis is None else Tracker(settings)
+        self._injected: list[Fault] = []
+        self._listeners: list[Callable[[Table], object]] = []
+        names = dict.fromkeys((*TOPICS, *also, *(ANALYSED if analysis is not None else ())))
+        self._kept: dict[str, deque[Any]] = {topic: deque() for topic in names}
+        self._order: deque[tuple[str, Table | JournalEntry]] = deque()
+        self._early: list[tuple[str, Table | JournalEntry]] = []
+        self._bytes, self._kept_bytes = 0, kept_bytes
+        stream = (topics.WAVEFORM.name, topics.STREAM.name) if self.core.takes_samples else ()
+        self._recording = None if record is None else self._new_recording(record, (*names, *stream), NAMESPACE)
+        if self._recording is not None:
+            self._recording.add_topic(TopicDescription(name=JOINT_STATES, type_name=topics.JOINT_STATES.type_name))
+        if self.tracker is not None:
+            self.tracker.configure(self.core.info())
+            if gap_m is not None:
+                self.tracker.label(gap_m, 0)
+            label_m = math.nan if gap_m is None else gap_m
+            self._publish(topics.ANALYSIS_SETTINGS.name, settings_table(settings, label_m, 0))
+        self._info = b""
+        self._publish_changes()
+
+    def connect(self, listener: Callable[[Table], object]) -> None:
+        """Give every published block of scans to a function, in order; what it commands acts at the next instant."""
+        self._listeners.append(listener)
+
+    def step(self, blocks: int = 1, timeout_s: float = STEP_TIMEOUT_S) -> None:  # noqa: ARG002  # nothing to wait for
+        """Advance by whole blocks, one at a time where a pipeline listens.
+
+        Raises:
+            NoSamplesError: the stream that drives the rig has no samples for them.
+        """
+        one_by_one = self._listeners or self._recording or self.core.takes_samples
+        while blocks > 0:
+            chunk = self.core.blocks_with_samples(1 if one_by_one else min(blocks, BATCH_BLOCKS))
+            if chunk == 0:
+                raise NoSamplesError(f"the stream has no samples for {blocks} blocks: {self.stream_level()}")
+            blocks -= chunk
+            found = self.core.advance(self.core.block_end_ns(chunk))
+            self._publish_changes()
+            for block in found:
+                self._deliver(block)
+
+    def tables(self, topic: str = SCANS) -> list[Table]:
+        """Return what was published on a table topic and is not forgotten, oldest first."""
+        return list(self._kept[topic])
+
+    def journal(self) -> list[JournalEntry]:
+        """Return the entries of the journal, oldest first."""
+        return list(self._kept[topics.JOURNAL.name])
+
+    def newest(self, topic: str, count: int) -> NDArray[np.void]:
+        """Return the newest `count` rows of a topic."""
+        return self.rows(topic)[-count:]
+
+    def configure(self, changes: Mapping[str, Any]) -> RigConfig:
+        """Change configuration values; see `RigDriver`."""
+        self.config = self.core.configure(changes)
+        self._publish_changes()
+        return self.config
+
+    def inject(self, fault: Fault) -> int:
+        """Start a fault; see `RigDriver`."""
+        number = self.core.inject(fault)
+        self._injected.append(fault)
+        self._publish_changes()
+        return number
+
+    def feed(self, first: int, samples: NDArray[np.float64]) -> None:
+        """Send samples of the stream; see `RigDriver`."""
+        if self._recording is not None:
+            rows = np.zeros(len(samples), WAVEFORM)
+            rows["value"] = samples
+            stamp = stamp_ns(first, self.stream_rate_hz, self.core.start_ns)
+            self._record(topics.WAVEFORM.name, Table(stamp, rows))
+        self.core.feed(first, samples)
+
+    def stream_level(self) -> StreamLevel:
+        """Return how far the stream is."""
+        stream = self.core.stream
+        return StreamLevel(stream.played, stream.buffered(), stream.capacity)
+
+    @property
+    def stopped(self) -> str:
+        """Why the shaker is stopped."""
+        return "" if self.core.latched is None else f"the rig tripped: {self.core.latched}"
+
+    @property
+    def waiting(self) -> str:
+        """What a measurement is held back for, for people."""
+        progress = None if self.tracker is None else self.tracker.progress
+        return "" if progress is None else progress.reason
+
+    @property
+    def faults(self) -> list[Fault]:
+        """The faults that were planned or injected."""
+        return [*super().faults, *self._injected]
+
+    def save(self, directory: Path) -> Path:
+        """Write everything kept as an MCAP run.
+
+        Raises:
+            RecordingError: it cannot be written.
+        """
+        if directory.exists():
+            raise RecordingError(f"{directory} exists: nothing is overwritten")
+        self._publish_changes()
+        with self._new_recording(directory, self._kept, "") as recording:
+            for topic, one in (*self._early, *self._order):
+                recording.write(f"/{topic}", _encoded(one), one.stamp_ns)
+        return directory
+
+    def close(self) -> None:
+        """End the recording."""
+        super().close()
+        self._listeners.clear()
+        self._publish_changes()
+        if self._recording is not None:
+            self._recording.finish()
+
+    def _new_recording(self, directory: Path, names: Iterable[str], namespace: str) -> RunWriter:
+        provenance = Provenance(
+            version=impact_rig.__version__,
+            seed=self.config.daq.seed,
+            wall_start_ns=time.time_ns(),
+            extra={"mode": "in process", "namespace": namespace or "/"},
+        )
+        configuration = Attachment(CONFIGURATION, dump(self.config).encode(), "application/yaml")
+        writer = RunWriter(directory, provenance=provenance, attachments=(configuration,), clock=time.monotonic)
+        for name in names:
+            writer.add_topic(TopicDescription(name=f"{namespace}/{name}", type_name=TYPES[name]))
+        return writer
+
+    def _command(self, frequency_hz: float | None, current_a: float | None) -> int:
+        table = self.core.accept(frequency_hz, current_a)
+        self._publish_changes()
+        return int(table.rows["sample"][-1])
+
+    def _deliver(self, block: Block) -> None:
+        self.sample = block.first_scan + len(block.scan.rows)
+        for topic, table in block.tables():
+            if topic.name in self._kept:
+                table.rows.flags.writeable = False  # as a subscriber gets it
+                self._publish(topic.name, table)
+        if self._recording is not None:
+            for scan, row in zip(block.monitor_scans, block.monitor_states, strict=True):
+                stamp = stamp_ns(block.first_scan + int(scan), self.rate_hz, self.core.start_ns)
+                self._recording.write(JOINT_STATES, codec.encode_joint_state(stamp, *joints(row)), stamp)
+            if self.core.takes_samples:
+                self._record(topics.STREAM.name, self.core.stream_state())
+        if block.lost:
+            return
+        if self.tracker is not None:
+            found = self.tracker.feed(block.scan)
+            for name, tables in zip(ANALYSED, (found.impacts, found.measurements), strict=False):
+                for table in tables:
+                    self._publish(name, table)
+        for listener in self._listeners:
+            listener(block.scan)
+
+    def _publish_changes(self) -> None:
+        """Publish what has changed since the last call: journal, what was applied, and the calibration."""
+        entries = self.core.take_journal()
+        if entries and (encoded := codec.encode(self.core.info())) != self._info:
+            self._info, info = encoded, self.core.info()
+            self._publish(topics.INFO.name, info)
+            if self.tracker is not None:
+                self.tracker.configure(info)
+        for entry in entries:
+            self._publish(topics.JOURNAL.name, entry)
+        for table in self.core.take_applied():
+            self._publish(topics.APPLIED.name, table)
+            if self.tracker is not None:
+                self.tracker.on_applied(table)
+
+    def _publish(self, topic: str, one: Table | JournalEntry) -> None:
+        self._record(topic, one)
+        self._kept[topic].append(one)
+        self._order.append((topic, one))
+        self._bytes += one.rows.nbytes if isinstance(one, Table) else 0  # entries are few
+        while self._kept_bytes is not None and self._bytes > self._kept_bytes and len(self._order) > 1:
+            self._forget_oldest()
+            if self._kept[SCANS]:
+                self._kept_from = self.first_scan(self._kept[SCANS][0])
+
+    def _record(self, topic: str, one: Table | JournalEntry) -> None:
+        if self._recording is not None:
+            self._recording.write(f"{NAMESPACE}/{topic}", _encoded(one), one.stamp_ns)
+
+    def _forget(self) -> None:
+        while self._order:
+            self._forget_oldest()
+
+    def _forget_oldest(self) -> None:
+        """Drop the oldest table, unless it is of those few that a run is worth nothing without."""
+        topic, one = self._order.popleft()
+        if isinstance(one, JournalEntry) or topic in ESSENTIAL:
+            self._early.append((topic, one))
+            return
+        self._kept[topic].popleft()
+        self._bytes -= one.rows.nbytes
+
+
+def _encoded(one: Table | JournalEntry) -> bytes:
+    return journal.encode(one) if isinstance(one, JournalEntry) else codec.encode(one)
+
+
+def _settings(analysis: Mapping[str, Any]) -> tuple[TrackerSettings, float | None]:
+    """Return the settings of the measurement, and the gap by the operator's label; None: he gave none."""
+    settings = {name: value for name, value in analysis.items() if name != "gap_m"}
+    gap_m = analysis.get("gap_m")
+    return TrackerSettings(**settings), math.nan if gap_m is not None and gap_m < 0.0 else gap_m

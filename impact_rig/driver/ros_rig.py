@@ -1,0 +1,487 @@
+# Copyright 2026 The impact_rig developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""`RosRig`: a rig behind topics, started on a ROS domain of its own or running already.
+
+A started rig is in lockstep unless its configuration says otherwise: it advances only when told to, and `step` returns
+when every peer has processed the last block: this program, the recorder, the analysis and each node under test. A node
+under test becomes a peer in one of three ways: hosted in the test's process (its callback's return is the
+acknowledgement), by an output of its own that answers each block, or by sending `daq/ack` itself. A rig in another time
+mode runs by itself, and `step` waits for its blocks.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import tempfile
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any  # rclpy nodes and messages
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+from std_srvs.srv import Trigger
+
+from impact_rig import codec, topics
+from impact_rig.analysis.settings import TrackerSettings
+from impact_rig.blocks import WAVEFORM, Table
+from impact_rig.client.client import (
+    Client,
+    Collector,
+    Received,
+    WaitTimeoutError,
+    ros_parameters,
+    subscribers,
+)
+from impact_rig.client.processes import ParameterValue, Processes, domain_of_environment, isolated_domain
+from impact_rig.driver.driver import ESSENTIAL, SCANS, STEP_TIMEOUT_S, TOPICS, RigDriver, StreamLevel, configured
+from impact_rig.errors import CommandError, ConfigError, ImpactRigError, RecordingError
+from impact_rig.instruments.fault import Fault
+from impact_rig.nodes.messages import header_stamp_ns
+from impact_rig.nodes.process import DISCOVERY_S
+from impact_rig.nodes.recorder_node import RecorderNode
+from impact_rig.nodes.rig_node import RigNode
+from impact_rig.rig.config import RigConfig, differences, from_flat, to_flat
+from impact_rig.rig.core import EMERGENCY
+from impact_rig.rig.interlock import OVER_TRAVEL, Trip
+from impact_rig.rig.journal import InputKind, JournalEntry
+from impact_rig.simtime import NS_PER_S, stamp_ns
+
+NODE_TIMEOUT_S = 30.0  # how long a node under test may take to subscribe
+ACK_WINDOW, WINDOW_S = 8, 0.1
+"""Bounds of the blocks out and not acknowledged: fewer than the 10 messages most nodes keep, so that a slow one loses
+none, and so little rig time that the messages of the monitors stay within what the middleware holds."""
+LOCKSTEP = "stepped"
+RUN = "run"
+CLIENT, CONTROLLER = "client", "controller"
+"""Node of this program for a rig that it starts, and for one that runs already, where it may be among `time.peers`."""
+REALTIME_LEAD_S = 0.2
+GRACE_S = 0.005  # wall time for measurements that were published before a step's answer and have not been taken
+FIXED = ("time.", "step.", "daq.rate_hz", "daq.block_scans", "output.autostart")
+"""Parameters that `restart` leaves: they are read-only, or say how the rig is driven here."""
+
+
+class RosRig(RigDriver):
+    """A rig behind topics, and a client that plays the operator.
+
+    Args:
+        config: the configuration, or the values that differ from the defaults of a rig in lockstep, `section.key` ->
+            value, as in docs/interface.md; of a rig that runs already the values that it must have.
+        faults: planned.
+        name: what reports call it.
+        directory: for logs, kept; None: a temporary one that `close` removes.
+        analysis: parameters of an analysis that is started, too; None: there is none.
+        record: directory of a run that a recorder writes; True: a temporary one, from where `save` copies it.
+        also: further topics whose tables are kept, such as `truth/scan`.
+        mode: `time.mode` of a rig that is started.
+        hosted: run rig and recorder in this process as well: starts in a tenth of the time, still real DDS.
+        namespace: of a rig that runs already, in this environment's domain: it is driven instead of a new one.
+
+    Attributes:
+        client: the operator: parameters, services, topics.
+        processes: the node processes, to stop, kill or suspend one.
+
+    Raises:
+        ConfigError: unknown key, bad value or fault.
+    """
+
+    def __init__(
+        self,
+        config: RigConfig | Mapping[str, Any] | None = None,
+        faults: Iterable[Fault] = (),
+        name: str = "rig",
+        *,
+        directory: Path | None = None,
+        analysis: Mapping[str, ParameterValue] | None = None,
+        record: Path | bool = False,
+        also: Collection[str] = (),
+        mode: str = LOCKSTEP,
+        hosted: bool = False,
+        namespace: str | None = None,
+    ) -> None:
+        running, required = namespace is not None, config
+        base = config if isinstance(config, RigConfig) and not running else RigConfig()
+        given = {} if running or isinstance(config, RigConfig) else dict(config or {})
+        if not running:
+            given = {"time.mode": mode, "time.peers": [CLIENT], **given}
+            daq = from_flat(base, given).daq
+            window = round(WINDOW_S * daq.rate_hz / daq.block_scans)
+            given = {"time.ack_window": max(1, min(ACK_WINDOW, window)), **given}
+        super().__init__(name, configured(from_flat(base, given), faults))
+        self._peers = [CLIENT]
+        self._injected: list[tuple[str, Fault]] = []
+        self._stack = contextlib.ExitStack()
+        self._hosted_recorder: RecorderNode | None = None
+        self._recorder = f"{name}_recorder" if running else "recorder"
+        self._stopped, self._journal_read = "", 0
+        with contextlib.ExitStack() as stack:
+            if directory is None:
+                temporary = tempfile.TemporaryDirectory(prefix="impact_rig_", ignore_cleanup_errors=True)
+                directory = Path(stack.enter_context(temporary))
+            self.directory = directory
+            self._run = directory / RUN if record is True else record or None
+            domain_id = domain_of_environment() if running else stack.enter_context(isolated_domain())
+            self.processes = stack.enter_context(Processes(domain_id, directory / "logs", namespace or ""))
+            self.client = stack.enter_context(
+                Client(domain_id, namespace or "", self.processes, CONTROLLER if running else CLIENT)
+            )
+            for service in ("rig/step", f"{self._recorder}/stop"):
+                self.client.prepare(Trigger, service)
+            if not running:
+                self._peers += [*(["recorder"] if self._run else []), *(["analysis"] if analysis is not None else [])]
+                self._start("rig", {**differences(self.config), "time.peers": self._peers}, hosted=hosted)
+            if analysis is not None:
+                self._start("analysis", analysis)
+            self.client.wait_active("rig")
+            if running:
+                self.config = self._running_config(required or {})
+            if self._run:
+                where = {"directory": str(self._run.parent), "name": self._run.name}
+                self._start("recorder", where, hosted=hosted)
+                self.client.wait_active(self._recorder)
+            if analysis is not None:
+                self.client.wait_active("analysis")
+            self._is_lockstep = self.config.time.mode == LOCKSTEP
+            self.lead_s = REALTIME_LEAD_S if self.config.time.mode == "realtime" else 0.0
+            self._step_blocks = self.config.step.blocks
+            self._measurements = topics.TRANSMISSIBILITY_TABLE.name if analysis is not None else ""
+            names = dict.fromkeys((*TOPICS, *also, *([self._measurements] if self._measurements else [])))
+            self._collectors = {topic: self.client.collect(topic, acknowledge=topic == SCANS) for topic in names}
+            if self.config.drive.waveform == "stream":
+                self._connect_stream()
+            if running:
+                self._join()
+            self._stack = stack.pop_all()
+
+    def _start(self, node: str, parameters: Mapping[str, ParameterValue], *, hosted: bool = False) -> None:
+        if not hosted:
+            self.processes.start(node, parameters, name=self._recorder if node == "recorder" else node)
+            return
+        make_node = {"rig": RigNode, "recorder": RecorderNode}[node]
+        hosted_node = self.client.host(make_node, parameter_overrides=ros_parameters(parameters))
+        if node == "recorder":
+            self._hosted_recorder = hosted_node
+
+    def _running_config(self, required: RigConfig | Mapping[str, Any]) -> RigConfig:
+        config = from_flat(self.config, self.client.get_parameters("rig", list(to_flat(self.config))))
+        values = to_flat(config)
+        for key, value in (differences(required) if isinstance(required, RigConfig) else required).items():
+            if values[key] != value:
+                raise ConfigError(f"the running rig must have {key}: {value}, it has {values[key]}")
+        return config
+
+    def _connect_stream(self) -> None:
+        """Find what feeds the stream, and all that read the rig: a recorder that is missing loses the first samples."""
+        self.client.publisher(topics.WAVEFORM)
+        self._stream = self.client.collect(topics.STREAM.name)
+        self.client.wait_until(self._stream.last, f"{topics.STREAM.name} (drive.waveform: stream)")
+        self._sent_to = 0
+        with contextlib.suppress(WaitTimeoutError):  # one that has died, or a peer that is not there
+            self.client.wait_until(self._finds_readers, "all nodes that read the rig", DISCOVERY_S)
+
+    def _finds_readers(self) -> bool:
+        """Whether all are found that the rig says it is read by."""
+        figures = self.client.figures("rig")
+        names = {key.removeprefix("behind.") for key in figures if key.startswith("behind.")}
+        return bool(figures) and names <= subscribers(self.client.node, topics.SCAN.name)
+
+    def _join(self) -> None:
+        """Find out where a running rig is; what stopped it before is history."""
+        info = self.client.wait_until(self._collectors[topics.INFO.name].last, topics.INFO.name)
+        self._start_ns = info.stamp_ns - round(float(info.rows["since_start"][0]) * NS_PER_S)
+        if not self._is_lockstep:
+            first = self.client.wait_until(self._collectors[SCANS].last, "a block of scans", STEP_TIMEOUT_S)
+            self.sample = self._kept_from = self.first_scan(first)
+        self._journal_read = len(self._collectors[topics.JOURNAL.name])
+
+    # The pipeline under test
+
+    def host(self, make_node: Callable[..., Any], **kwargs: Any) -> Any:
+        """Run a node under test in this process and return it: in lockstep without a word about it in its code.
+
+        Raises:
+            ConfigError: it does not subscribe to daq/scan.
+        """
+        node = self.client.host(make_node, **kwargs)
+        if not self.client.acknowledge_callbacks(node):
+            raise ConfigError(f"node {node.get_name()!r} does not subscribe to {SCANS}")
+        self._add_peer(node.get_name())
+        return node
+
+    def start_node(
+        self,
+        command: Sequence[str],
+        name: str,
+        parameters: Mapping[str, ParameterValue] | None = None,
+        output: str | None = None,
+        timeout_s: float = NODE_TIMEOUT_S,
+    ) -> Collector | None:
+        """Start a node under test as a process.
+
+        Args:
+            command: program and arguments; `--ros-args -r __node:=NAME …` is appended.
+            name: its node name.
+            parameters: its ROS parameters.
+            output: a topic on which it answers every block; a header's stamp says which, without one they are counted.
+                None: the node sends `daq/ack` itself, with its name as `frame_id`.
+            timeout_s: how long it may take to subscribe to daq/scan.
+
+        Returns:
+            What arrives on `output`.
+        """
+        self.processes.start(name, parameters, name=name, command=command)
+        return self.follow(name, output, timeout_s)
+
+    def follow(self, name: str, output: str | None = None, timeout_s: float = NODE_TIMEOUT_S) -> Collector | None:
+        """Keep step with a node that another program has started; see `start_node`."""
+        node = self.client.node
+        self.client.wait_until(lambda: name in subscribers(node, SCANS), f"node {name} to subscribe {SCANS}", timeout_s)
+        found = None if output is None else self._acknowledge_answers(name, output, timeout_s)
+        self._add_peer(name)
+        return found
+
+    def listen(self, topic: str) -> Collector:
+        """Keep everything that arrives on any topic; a publisher must be there."""
+        return self.client.listen(topic)
+
+    # RigDriver
+
+    def step(self, blocks: int = 1, timeout_s: float = STEP_TIMEOUT_S) -> None:
+        """Advance by whole blocks.
+
+        Raises:
+            WaitTimeoutError: the blocks did not come.
+            ServiceFailedError: a peer does not acknowledge; names it.
+            ProcessDiedError: a node process ended; its last words.
+            ImpactRigError: a measurement arrived late, so that a command that follows it could be late, too.
+        """
+        if blocks < 1:
+            return
+        if self._is_lockstep:
+            self._step(blocks, timeout_s)
+            return
+        end, what = self.sample + blocks * self.block_scans, "a block of scans"
+        try:
+            self.client.wait_until(lambda: self._received_to() >= end, what, timeout_s, self.client.given(what))
+        finally:
+            self.sample = self._received_to()
+
+    def _step(self, blocks: int, timeout_s: float) -> None:
+        if blocks != self._step_blocks:
+            self.client.set_parameters("rig", {"step.blocks": blocks})
+            self._step_blocks = blocks
+        scans, before_ns = self._collectors[SCANS], self.now_ns
+        before, measured = len(scans), len(self._collectors[self._measurements]) if self._measurements else 0
+        try:
+            # silent for seconds it may be where the machine is busy; whether it lives is known of its process
+            self.client.trigger("rig/step", timeout_s, may_be_silent=True)
+        except Exception:
+            self.sample += (len(scans) - before) * self.block_scans  # so far it came
+            raise
+        self.sample += blocks * self.block_scans
+        if self._measurements:
+            self.client.spin_for(GRACE_S)
+            held_ns = round(TrackerSettings().hold_s * NS_PER_S) + stamp_ns(self.block_scans, self.rate_hz)
+            found = self._collectors[self._measurements].tables(measured)
+            if any(table.stamp_ns - self._start_ns + held_ns < before_ns for table in found):
+                raise ImpactRigError("a measurement arrived a step late: this machine is too busy to step by")
+
+    def _received_to(self) -> int:
+        """Return the scan after the last one that arrived."""
+        table = self._collectors[SCANS].last()
+        return self.sample if table is None else max(self.sample, self.first_scan(table) + len(table.rows))
+
+    def tables(self, topic: str = SCANS) -> list[Table]:
+        """Return what arrived on a table topic and is not forgotten, oldest first.
+
+        Scans, commands and journal are complete when a step returns; `truth/...` of the last blocks may come later.
+        """
+        return self._collectors[topic].tables()
+
+    def journal(self) -> list[JournalEntry]:
+        """Return the entries of the journal that arrived, oldest first."""
+        return self._collectors[topics.JOURNAL.name].entries()
+
+    def newest(self, topic: str, count: int) -> NDArray[np.void]:
+        """Return the newest `count` rows of a topic once the last of them have arrived."""
+        self.client.wait_until(lambda: len(self.rows(topic)) >= count, f"{count} rows of {topic}")
+        return self.rows(topic)[-count:]
+
+    def _forget(self) -> None:
+        if not self._is_lockstep:
+            self.sample = self._received_to()
+        for topic, collector in self._collectors.items():
+            if topic not in ESSENTIAL:
+                collector.clear()
+
+    def configure(self, changes: Mapping[str, Any]) -> RigConfig:
+        """Change parameters of the rig's node; see `RigDriver`."""
+        self.client.set_parameters("rig", changes)
+        self.config = from_flat(self.config, changes)
+        self._step_blocks = changes.get("step.blocks", self._step_blocks)
+        return self.config
+
+    def inject(self, fault: Fault) -> int:
+        """Start a fault by a further line of `instruments.faults.planned`; see `RigDriver`."""
+        since = attrs.evolve(fault, start_sample=fault.start_sample - self.frontier_sample)
+        line = since.line(self.rate_hz)
+        planned = [*self.config.instruments.faults.planned, line]
+        self.configure({"instruments.faults.planned": planned})
+        self._injected.append((line, fault))
+        return len(planned)
+
+    @property
+    def faults(self) -> list[Fault]:
+        """The faults that were planned or injected; the lines of these count from when they were added."""
+        injected = {line for line, _ in self._injected}
+        planned = zip(self.config.instruments.faults.planned, super().faults, strict=True)
+        return [fault for line, fault in planned if line not in injected] + [fault for _, fault in self._injected]
+
+    def feed(self, first: int, samples: NDArray[np.float64]) -> None:
+        """Send samples of the stream; see `RigDriver`."""
+        if stopped := self.stopped:
+            raise CommandError(stopped)
+        rows = np.zeros(len(samples), WAVEFORM)
+        rows["value"] = samples
+        table = Table(stamp_ns(first, self.stream_rate_hz, self._start_ns), rows)
+        self.client.publish(topics.WAVEFORM, codec.encode(table), listener="rig")
+        self._sent_to = first + len(samples)
+
+    def stream_level(self) -> StreamLevel:
+        """Return what the rig published last; what was sent since counts as buffered."""
+        table = self._stream.last()
+        assert table is not None
+        del self._stream.received[:-1]
+        row = table.rows[0]
+        sample = int(row["wanted"])
+        return StreamLevel(sample, max(int(row["buffered"]), self._sent_to - sample), int(row["capacity"]))
+
+    @property
+    def stopped(self) -> str:
+        """Why the shaker is stopped."""
+        for entry in self._collectors[topics.JOURNAL.name].entries(self._journal_read):
+            self._journal_read += 1
+            if entry.kind is InputKind.TRIP:
+                shaker = self.config.shaker
+                limit = shaker.travel_limit_m if entry.name == OVER_TRAVEL else shaker.current_limit_a_rms
+                self._stopped = f"the rig tripped: {Trip(0, entry.name, entry.number, limit).message()}"
+            elif entry.kind is InputKind.STOP:
+                self._stopped = f"the rig tripped: {EMERGENCY}"
+            elif entry.kind is InputKind.CLEAR_TRIP:
+                self._stopped = ""
+        return self._stopped
+
+    def restart(self, config: RigConfig, analysis: Mapping[str, ParameterValue], record: Path | None = None) -> RosRig:
+        """Begin again with another configuration, as in new processes; rate and length of blocks must be the same.
+
+        Args:
+            config: of the rig.
+            analysis: parameters of the analysis, which the rig must have.
+            record: directory of the run that the recorder writes; None: none.
+
+        Raises:
+            ImpactRigError: a node refused.
+        """
+        client = self.client
+        self.stop_recording()
+        if record is not None and self._recorder not in self.processes.running:
+            self._start("recorder", {"record": False})
+            client.wait_active(self._recorder)
+            self._peers.append(self._recorder)
+        if self.stopped:  # the latch outlives the transitions
+            client.trigger("rig/clear_trip")
+        client.change_state("analysis", "deactivate")
+        client.change_state("rig", "deactivate")
+        client.change_state("rig", "cleanup")  # its history goes with its publishers
+        values = {name: value for name, value in to_flat(config).items() if not name.startswith(FIXED)}
+        client.set_parameters("rig", {**values, "time.peers": self._peers})
+        client.set_parameters("analysis", analysis)
+        for node, transition in (("rig", "configure"), ("rig", "activate"), ("analysis", "activate")):
+            if not client.change_state(node, transition):
+                raise ImpactRigError(f"{node} did not {transition}: {client.status(node).message}")
+        client.wait_active("rig", "analysis")
+        if record is not None:
+            client.set_parameters(self._recorder, {"directory": str(record.parent), "name": record.name})
+            client.trigger(f"{self._recorder}/start")
+            self._run = record
+        for collector in self._collectors.values():
+            collector.clear()
+        self.config, self.sample = config, 0
+        self._kept_from = self._lost_before = self._journal_read = 0
+        self._stopped = ""
+        return self
+
+    def stop_recording(self) -> None:
+        """End the run that the recorder writes, if there is one."""
+        if self._run is not None:
+            self._run = None
+            self.client.trigger(f"{self._recorder}/stop")
+
+    def save(self, directory: Path) -> Path:
+        """Finish the recording and copy it, the logs next to it; the rig cannot go on after that.
+
+        Raises:
+            RecordingError: there is no recording, or it cannot be copied.
+        """
+        run = self._run
+        if run is None:
+            raise RecordingError("nothing is recorded: start the rig with record=True")
+        try:
+            self.stop_recording()
+        except Exception:  # a process is gone or hangs, or a hosted node raises: a recorder that ends finishes its run
+            self.processes.stop(*({self._recorder} & set(self.processes.running)))
+            if self._hosted_recorder is not None and self._hosted_recorder.active:
+                self._hosted_recorder.trigger_deactivate()
+        try:
+            shutil.copytree(run, directory)
+            shutil.copytree(self.directory / "logs", directory / "logs")
+        except OSError as error:
+            raise RecordingError(f"the run cannot be copied to {directory}: {error}") from error
+        return directory
+
+    def close(self) -> None:
+        """End client and processes, the recorder's run with them, and remove a temporary directory."""
+        super().close()
+        self._stack.close()
+
+    def _command(self, frequency_hz: float | None, current_a: float | None) -> int:
+        return int(self.client.command(frequency_hz, current_a)["sample"])
+
+    def _add_peer(self, name: str) -> None:
+        self._peers.append(name)
+        self.client.set_parameters("rig", {"time.peers": self._peers})
+
+    def _acknowledge_answers(self, name: str, output: str, timeout_s: float) -> Collector:
+        """Acknowledge for a node whenever its output answers a block."""
+        scans = self._collectors[SCANS]
+        begin = answered = len(scans)
+
+        def on_output(message: Received) -> None:
+            nonlocal answered
+            stamp = header_stamp_ns(message.data)
+            if stamp is not None:
+                self.client.acknowledge_for(name, stamp)
+            else:
+                answered += 1
+                on_scan(message)
+
+        def on_scan(_message: Received) -> None:
+            """Outputs are counted, and may overtake the blocks they answer."""
+            known = min(answered, len(scans))
+            if known > begin:
+                self.client.acknowledge_for(name, codec.header_stamp_ns(scans.received[known - 1].data))
+
+        scans.then(on_scan)
+        return self.client.listen(output, on_output, timeout_s)
