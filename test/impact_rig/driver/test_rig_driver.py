@@ -98,7 +98,7 @@ def test_a_trip_is_reported_with_its_figures(start: Start) -> None:
     rig.command(frequency_hz=9.1, current_a=0.5)
     rig.run(seconds=0.2)
     assert rig.stopped.startswith("the rig tripped: over_travel: ")
-    assert rig.stopped.endswith(" m of travel, limit 1e-05")
+    assert rig.stopped.endswith("limit 0.01 mm")
 
 
 def test_a_stream_is_played_and_read_and_ends_where_its_samples_end(start: Start) -> None:

@@ -30,6 +30,8 @@ from impact_rig.blocks import Table
 from impact_rig.driver import LocalRig
 from impact_rig.errors import ImpactRigError, RecordingError
 from impact_rig.recording import open_run
+from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig
 from impact_rig.runs import export
 from impact_rig.runs.exports import write_columns
 from impact_rig.runs.recorded_journal import TOPIC
