@@ -41,6 +41,7 @@ from std_srvs.srv import SetBool, Trigger
 from impact_rig import states, topics
 from impact_rig.client.client import Client, ros_parameters
 from impact_rig.errors import ImpactRigError, in_words
+from impact_rig.instruments.fault import fault_line
 from impact_rig.instruments.instrument import FAULT_KINDS
 from impact_rig.nodes import messages
 from impact_rig.nodes.rclpy_internals import take_messages
@@ -399,11 +400,10 @@ class Gateway:
         """Add a line to the planned faults: a new one begins now."""
         if kind not in FAULT_KINDS:
             raise Refused(f"there is no fault {kind!r}")
-        words = [kind, f"channel={channel}"] if channel else [kind]
-        words += [f"duration_s={duration:g}", f"value={value!r}", f"rate_hz={rate:g}"]
+        added = fault_line(kind, channel, duration_s=duration, value=value, rate_hz=rate)
         lines = [line for line in self.record.knobs.get(PLANNED) or () if line][-(MOST_FAULTS - 1) :]
-        await self._set("rig", {PLANNED: [*lines, " ".join(words)]})
-        return f"fault: {' '.join(words)}"
+        await self._set("rig", {PLANNED: [*lines, added]})
+        return f"fault: {added}"
 
     async def do_clear_faults(self) -> str:
         """End every fault."""

@@ -79,9 +79,7 @@ class Fault:
     def line(self, scan_rate_hz: int) -> str:
         """Return the fault as `instruments.faults.planned` takes it."""
         numbers = (self.start_sample / scan_rate_hz, self.samples / scan_rate_hz, self.value, self.seed, self.rate_hz)
-        usual = dict.fromkeys(_NUMBERS, 0) | {"rate_hz": DEFAULT_SPIKE_RATE_HZ}
-        said = [f"{key}={number!r}" for key, number in zip(_NUMBERS, numbers, strict=True) if number != usual[key]]
-        return " ".join([self.kind, *([f"channel={self.channel}"] if self.channel else []), *said])
+        return fault_line(self.kind, self.channel, **dict(zip(_NUMBERS, numbers, strict=True)))
 
     @classmethod
     def from_line(cls, line: str, scan_rate_hz: int) -> Fault:
@@ -112,6 +110,13 @@ class Fault:
         until = f"sample {self.start_sample + self.samples}" if self.samples else "the end"
         size = f", value {self.value:g}" if self.value else ""
         return f"{self.kind}{where} from sample {self.start_sample} to {until}{size}"
+
+
+def fault_line(kind: str, channel: str, **numbers: float) -> str:
+    """Return a fault as one line of text: see `Fault.from_line`; numbers that are the default are left out."""
+    usual = dict.fromkeys(_NUMBERS, 0) | {"rate_hz": DEFAULT_SPIKE_RATE_HZ}
+    given = [f"{key}={number!r}" for key, number in numbers.items() if number != usual[key]]
+    return " ".join([kind, *([f"channel={channel}"] if channel else []), *given])
 
 
 @attrs.frozen(kw_only=True)

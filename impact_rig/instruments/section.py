@@ -19,6 +19,7 @@ The columns of daq/scan follow from the instruments that are fitted, in the orde
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, Protocol  # attrs attributes of any type
 
@@ -71,11 +72,12 @@ class Instruments:
 
     def all(self) -> tuple[Instrument, ...]:
         """Return every instrument, in scan order."""
-        return tuple(getattr(self, name) for name in INSTRUMENTS)
+        found: tuple[Instrument, ...] = operator.attrgetter(*INSTRUMENTS)(self)
+        return found
 
     def fitted(self) -> tuple[Instrument, ...]:
         """Return those that are scanned."""
-        return tuple(instrument for instrument in self.all() if instrument.fitted)
+        return tuple(filter(operator.attrgetter("fitted"), self.all()))
 
 
 def columns(fitted: Iterable[Instrument | type[Instrument]]) -> tuple[Column, ...]:

@@ -20,10 +20,12 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 
+import attrs
 from rclpy.duration import Duration
 from std_msgs.msg import String
 
 from impact_rig import codec, topics
+from impact_rig.instruments.fault import FaultPlan
 from impact_rig.instruments.instrument import Instrument
 from impact_rig.instruments.section import row_type_of
 from impact_rig.nodes import messages
@@ -145,6 +147,7 @@ class Publishers:
         self._info = b""
         self._description = ""
         self._monitors: Monitors | None = None
+        self._decides_monitors: object = None
 
     def names(self) -> list[str]:
         """Return the topics that are published now, and that nobody else may publish."""
@@ -214,7 +217,10 @@ class Publishers:
         """Publish the configuration, and the calibration if it is another; take both for the monitors."""
         info = rig.info()
         noise = dict(zip(info.rows["name"].astype(str).tolist(), info.rows["noise"].tolist(), strict=True))
-        self._monitors = Monitors(rig.config, noise, self._monitors)
+        decides = rig.config.daq, rig.config.output, attrs.evolve(rig.config.instruments, faults=FaultPlan()), noise
+        if decides != self._decides_monitors:
+            self._decides_monitors = decides
+            self._monitors = Monitors(rig.config, noise, self._monitors)
         encoded = codec.encode(info, self._node.frame_prefix)
         if encoded != self._info:
             self._info = encoded

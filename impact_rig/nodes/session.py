@@ -219,6 +219,7 @@ class Session:
         self.window = AckWindow((), 1, NS_PER_S, time.monotonic_ns)
         self.counts = Counts()
         self.absent = ""  # peers that did not come in time, with commas between
+        self._contact: object = None  # the settings of the law that the next is of
         self.realised_restitution = math.nan  # what the contact law really returns: with the paper's law 0.309 for 0.35
         self.paused = False  # whether rig time stands still, but for steps that are asked for meanwhile
         self.clock_offset_ns = 0
@@ -686,7 +687,8 @@ class Session:
         """Publish the configuration in force, and the calibration if it is another."""
         self.publishers.configuration(rig)
         self.publishers.stream(rig)
-        self.realised_restitution = rig.simulation.realised_restitution
+        if rig.config.contact != self._contact:
+            self._contact, self.realised_restitution = rig.config.contact, rig.simulation.realised_restitution
 
 
 def _answer(waiting: list[Done], success: bool, message: str) -> None:

@@ -258,7 +258,9 @@ class Rig:
 
     def info(self) -> Table:
         """Return `daq/info`; its stamp is the instant from which it holds."""
-        rows, stamp = self._chain.info(), self._stamp(self._info_sample)
+        if self._certificate is None:
+            self._certificate = self._chain.info()
+        rows, stamp = self._certificate.copy(), self._stamp(self._info_sample)
         rows["since_start"] = (stamp - self.start_ns) / NS_PER_S
         return Table(stamp, rows)
 
@@ -471,7 +473,7 @@ class Rig:
             self._add_entry(InputKind.PARAMETER, values=values)
         self._planned_faults.put_into_force(replan, self._clear_if_there, self.inject)
         if new_instruments:
-            self._info_sample = self.frontier_sample
+            self._info_sample, self._certificate = self.frontier_sample, None
 
     def reset(self) -> None:
         """Begin again at the frontier with the present configuration: scan 0, everything at rest and as new.
@@ -555,6 +557,7 @@ class Rig:
         self._timed_out = False
         self._late_samples = self._refused_blocks = 0
         self._info_sample = 0
+        self._certificate: NDArray[np.void] | None = None  # of the instruments as they are; made when it is asked for
         self._interlock = Interlock()
         self._planned_faults = PlanInForce(config.instruments.faults.planned, self.rate_hz)
         self._truth = Truth(self.rate_hz, config.output.monitor_rate_hz, config.output.truth_scan)

@@ -20,12 +20,15 @@ inertias are those of the bodies drawn; shapes and heights are chosen to be look
 
 from __future__ import annotations
 
+import functools
 import operator
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
 from impact_rig.blocks import TRUTH_SCAN
+from impact_rig.config.sections import Barriers, Shaker, Sphere, Structure
+from impact_rig.instruments.laser import Laser
 from impact_rig.physics.linear import sphere_mass_kg
 from impact_rig.rig.config import RigConfig
 
@@ -70,38 +73,42 @@ def joints(truth: np.void) -> tuple[list[float], list[float], list[float]]:
 
 def robot_description(config: RigConfig) -> str:
     """Return the URDF of a rig."""
+    return _urdf(config.structure, config.shaker, config.sphere, config.barriers, config.instruments.laser)
+
+
+@functools.lru_cache(maxsize=4)  # most changes of a configuration do not change how the rig looks
+def _urdf(structure: Structure, shaker: Shaker, sphere: Sphere, barriers: Barriers, laser: Laser) -> str:
     robot = ET.Element("robot", name="impact_rig")
     for name, colour in MATERIALS.items():
         ET.SubElement(ET.SubElement(robot, "material", name=name), "color", rgba=colour)
-    shaker = _link(robot, ROOT)
-    _box(shaker, SHAKER, (-0.5 * TABLE[0] - 0.5 * SHAKER[0] - 0.03, 0.0, Z_TABLE), "shaker")
-    _moving_base(robot, config)
-    _superior_base(robot, config)
-    if config.sphere.present:
-        _sphere(robot, config)
-    _instruments(robot, config)
+    _box(_link(robot, ROOT), SHAKER, (-0.5 * TABLE[0] - 0.5 * SHAKER[0] - 0.03, 0.0, Z_TABLE), "shaker")
+    _moving_base(robot, shaker)
+    _superior_base(robot, structure, sphere, barriers)
+    if sphere.present:
+        _sphere(robot, sphere)
+    _instruments(robot, laser)
     ET.indent(robot)
     return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
 
 
-def _moving_base(robot: ET.Element, config: RigConfig) -> None:
+def _moving_base(robot: ET.Element, shaker: Shaker) -> None:
     """The table with the armature; the columns are clamped to it."""
     link = _link(robot, BASE)
-    _inertial(link, config.shaker.armature_mass_kg + config.shaker.base_mass_kg, _of_box(TABLE))
+    _inertial(link, shaker.armature_mass_kg + shaker.base_mass_kg, _of_box(TABLE))
     _box(link, TABLE, (0.0, 0.0, 0.0), "steel")
     for side in (-X_COLUMN, X_COLUMN):
         _box(link, COLUMN, (side, 0.0, 0.5 * (TABLE[2] + COLUMN[2])), "steel")
-    _prismatic(robot, JOINTS[0], BASE, Z_TABLE, config.shaker.travel_limit_m)
+    _prismatic(robot, JOINTS[0], BASE, Z_TABLE, shaker.travel_limit_m)
 
 
-def _superior_base(robot: ET.Element, config: RigConfig) -> None:
+def _superior_base(robot: ET.Element, structure: Structure, sphere: Sphere, barriers: Barriers) -> None:
     """The plate with the two barriers: the sphere touches them where x_2 - x_1 = ± gap / 2."""
-    radius = 0.5 * config.sphere.diameter_m
-    face = 0.5 * config.barriers.gap_m + radius
+    radius = 0.5 * sphere.diameter_m
+    face = 0.5 * barriers.gap_m + radius
     plate = (max(TOP[0], 2.0 * (face + 2.0 * WALL[0])), TOP[1], TOP[2])
     height = max(WALL[2], 2.0 * radius)
     link = _link(robot, STRUCTURE)
-    _inertial(link, config.structure.mass_kg, _of_box(plate))
+    _inertial(link, structure.mass_kg, _of_box(plate))
     _box(link, plate, (0.0, 0.0, 0.0), "aluminium")
     for side in (-1.0, 1.0):
         place = (side * (face + 0.5 * WALL[0]), 0.0, 0.5 * (TOP[2] + height))
@@ -109,21 +116,21 @@ def _superior_base(robot: ET.Element, config: RigConfig) -> None:
     _prismatic(robot, JOINTS[1], STRUCTURE, Z_TOP, FREE_M)
 
 
-def _sphere(robot: ET.Element, config: RigConfig) -> None:
-    radius = 0.5 * config.sphere.diameter_m
-    mass = sphere_mass_kg(config.sphere)
+def _sphere(robot: ET.Element, sphere: Sphere) -> None:
+    radius = 0.5 * sphere.diameter_m
+    mass = sphere_mass_kg(sphere)
     link = _link(robot, SPHERE)
     _inertial(link, mass, (0.4 * radius * radius,) * 3)
     ET.SubElement(_visual(link, (0.0, 0.0, 0.0), "sphere"), "sphere", radius=_text(radius))
     _prismatic(robot, JOINTS[2], SPHERE, Z_TOP + 0.5 * TOP[2] + radius, FREE_M)
 
 
-def _instruments(robot: ET.Element, config: RigConfig) -> None:
+def _instruments(robot: ET.Element, setup: Laser) -> None:
     """The frames that readings are stamped with; the accelerometer's is the superior base."""
     _fixed(robot, "daq", (0.0, 0.0, 0.0), 0.0)
     side = 0.5 * TOP[0]
     # sensor_msgs/Range: x along the beam, from the right towards the superior base
-    laser = _fixed(robot, "laser", (side + config.instruments.laser.distance_m, 0.0, Z_TOP), 3.141592653589793)
+    laser = _fixed(robot, "laser", (side + setup.distance_m, 0.0, Z_TOP), 3.141592653589793)
     _box(laser, SENSOR, (-0.5 * SENSOR[0], 0.0, 0.0), "sensor")
     sensor = _fixed(robot, "base_sensor", (0.5 * TABLE[0] + 0.03, 0.0, Z_TABLE), 0.0)
     _box(sensor, SENSOR, (0.5 * SENSOR[0], 0.0, 0.0), "sensor")
