@@ -165,6 +165,7 @@ class Rig:
         self.config = config
         self.rate_hz = config.daq.rate_hz
         self._journal = Journal(self.rate_hz, start_ns)
+        self._certificate: NDArray[np.void] | None = None  # of the instruments as they are; made when it is asked for
         self.take_journal = self._journal.take  # returns the new entries of the journal and forgets them
         self._applied: list[Table] = []
         self._latched: str | None = None
@@ -557,7 +558,7 @@ class Rig:
         self._timed_out = False
         self._late_samples = self._refused_blocks = 0
         self._info_sample = 0
-        self._certificate: NDArray[np.void] | None = None  # of the instruments as they are; made when it is asked for
+        self._certificate = None
         self._interlock = Interlock()
         self._planned_faults = PlanInForce(config.instruments.faults.planned, self.rate_hz)
         self._truth = Truth(self.rate_hz, config.output.monitor_rate_hz, config.output.truth_scan)

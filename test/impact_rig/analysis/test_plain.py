@@ -40,7 +40,9 @@ np.savez(sys.argv[1], **{name: np.concatenate([table.rows for table in found]) f
 def test_plain_python_measures_the_same(tmp_path: Path) -> None:
     """To 1e-9, as on another machine: the analysis may use whatever its libraries offer."""
     output = tmp_path / "plain.npz"
-    environment = measured({**os.environ, "IMPACT_RIG_KERNELS": "plain", "PYTHONPATH": str(TESTS)})
+    environment = measured(
+        {**os.environ, "IMPACT_RIG_KERNELS": "plain", "PYTHONPATH": f"{TESTS.parent}{os.pathsep}{TESTS}"}
+    )
     done = subprocess.run(
         [sys.executable, "-c", SCRIPT, str(output)], env=environment, capture_output=True, text=True, check=False
     )

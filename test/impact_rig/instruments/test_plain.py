@@ -28,7 +28,13 @@ def test_plain_python_gives_the_bits_of_compiled_code():
     program = Path(__file__).parents[2] / "kits" / "plain_chain.py"
     plain = subprocess.run(
         [sys.executable, "-W", "error", str(program)],
-        env=measured({**os.environ, "IMPACT_RIG_KERNELS": "plain", "PYTHONPATH": str(program.parents[1])}),
+        env=measured(
+            {
+                **os.environ,
+                "IMPACT_RIG_KERNELS": "plain",
+                "PYTHONPATH": f"{program.parents[2]}{os.pathsep}{program.parents[1]}",
+            }
+        ),
         capture_output=True,
         text=True,
         check=False,
