@@ -27,11 +27,12 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig import topics
 from impact_rig.analysis.drawings import COVERAGE, time_traces
-from impact_rig.analysis.tracker import Tracker, TrackerState
-from impact_rig.blocks import IMPACTS, TRANSMISSIBILITY, Table, joined
+from impact_rig.analysis.tracker import TrackerState
+from impact_rig.blocks import TRANSMISSIBILITY
+from impact_rig.driver import LocalRig
 from impact_rig.errors import ConfigError
-from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
 
@@ -104,31 +105,22 @@ def simulate(seconds: float, parameters: Mapping[str, object] | None = None) -> 
     least_s = config.daq.block_scans / config.daq.rate_hz
     if seconds < least_s:
         raise ConfigError(f"seconds must be at least {least_s:g}, a block of the DAQ, got {seconds!r}")
-    rig, tracker = Rig(config), Tracker()
-    tracker.configure(rig.info())
-    blocks = rig.advance(round(seconds * NS_PER_S))
-    for table in rig.take_applied():  # the initial drive, a trip, a time-out: each acts from its stamp on
-        tracker.on_applied(table)
-    scans, rows, found, truth = [np.empty(0, blocks[0].scan.rows.dtype)], [], [], []
-    for block in blocks:
-        truth += [_since_start(block.impacts)] if block.impacts is not None else []
-        if block.lost:
-            continue
-        findings = tracker.feed(block.scan)
-        scans.append(_since_start(block.scan))
-        rows += [table.rows for table in findings.measurements]
-        found += [_since_start(table) for table in findings.impacts]
+    rig = LocalRig(config, analysis={}, kept_bytes=None)
+    rig.step(math.floor(seconds * rig.rate_hz / rig.block_scans + 1e-9))
+    assert rig.tracker is not None
     return Record(
         config=config,
-        scans=joined(scans),
-        state=tracker.state,
-        measurements=joined(rows) if rows else np.empty(0, TRANSMISSIBILITY),
-        impact_times=np.concatenate([part["time"] for part in found]) if found else np.empty(0),
-        truth=joined(truth) if truth else np.empty(0, IMPACTS),
+        scans=_since_start(rig, topics.SCAN),
+        state=rig.tracker.state,
+        measurements=rig.rows(topics.TRANSMISSIBILITY_TABLE.name),
+        impact_times=_since_start(rig, topics.IMPACTS)["time"],
+        truth=_since_start(rig, topics.IMPACTS_TRUTH),
     )
 
 
-def _since_start(table: Table) -> NDArray[np.void]:
-    rows = table.rows.copy()
-    rows["time"] += table.stamp_ns / NS_PER_S
+def _since_start(rig: LocalRig, topic: topics.Topic) -> NDArray[np.void]:
+    """Return the rows of a topic, `time` from the start of the rig."""
+    rows = rig.rows(topic.name)
+    tables = rig.tables(topic.name)
+    rows["time"] += np.repeat([table.stamp_ns / NS_PER_S for table in tables], [len(table.rows) for table in tables])
     return rows

@@ -46,8 +46,8 @@ axes:
 
 def marched(rig: MapRig, frequency_hz: float, amplitude: float) -> tuple[str, float, float]:
     """Return regime, period and DT of the last cycles of a long motion, from samples and impacts."""
-    rig.advance(frequency_hz, amplitude, CYCLES - JUDGED)
-    motion, angle = rig.advance(frequency_hz, amplitude, JUDGED), 2.0 * np.pi * np.arange(PER_CYCLE) / PER_CYCLE
+    rig.run_cycles(frequency_hz, amplitude, CYCLES - JUDGED)
+    motion, angle = rig.run_cycles(frequency_hz, amplitude, JUDGED), 2.0 * np.pi * np.arange(PER_CYCLE) / PER_CYCLE
     number = np.repeat(np.arange(motion.first_tick, motion.last_tick + 1), PER_CYCLE)
     samples = motion.quantities(("x_b", "x_1"), number, np.tile(angle / (2.0 * np.pi * frequency_hz), JUDGED))
     x_b, x_1 = samples.reshape(2, JUDGED, PER_CYCLE) @ np.exp(-1j * angle)

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
-from typing import Protocol
 
 import attrs
 from hypothesis import Phase, given, settings
@@ -38,17 +37,6 @@ __all__ = ["Command", "Inject", "ParameterChange", "Pause", "Silence", "repeat",
 
 AFTERWARDS = 3  # blocks after the last action, so that a pipeline sees its end
 MOST_BLOCKS = 20
-
-
-class Action(Protocol):
-    """Something that happens to a rig."""
-
-    def do(self, rig: RigDriver) -> None:
-        """Let it happen now.
-
-        Raises:
-            CommandError, ConfigError: the rig refuses, which is no failure of the pipeline.
-        """
 
 
 @attrs.frozen
@@ -114,6 +102,10 @@ class Silence:
         rig.configure({"output.command_timeout_s": 0.5 * seconds})
         rig.step(self.blocks)
         rig.configure({"output.command_timeout_s": before})
+
+
+Action = Command | ParameterChange | Inject | Pause | Silence
+"""What happens to a rig. One that the rig refuses is no failure of the pipeline."""
 
 
 def scenarios(

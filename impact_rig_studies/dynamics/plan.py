@@ -404,7 +404,7 @@ def _begun(place: Place, start: Start, settings: Settings) -> MapRig:
 def _points(rig: MapRig, place: Place, cycles: int, turn: float) -> list[list[float]]:
     """Return one point a cycle, see `POINT`; none of a motion that cannot be resolved."""
     try:
-        motion = rig.advance(place.frequency_hz, place.amplitude, cycles)
+        motion = rig.run_cycles(place.frequency_hz, place.amplitude, cycles)
     except SimulationError:
         return []
     number = np.arange(motion.first_tick, motion.last_tick + 1)
@@ -551,7 +551,7 @@ def _states(rig: MapRig, place: Place, cycles: int) -> list[np.ndarray]:
             return []
         states.append(state)
         try:
-            rig.advance(place.frequency_hz, place.amplitude, 1)
+            rig.run_cycles(place.frequency_hz, place.amplitude, 1)
         except SimulationError:
             return []
     return states
@@ -596,7 +596,7 @@ def _led_to(rig: MapRig, place: Place, attractors: Sequence[Sequence[str | float
     sizes = [size(place, np.array(one[3:10], float)) for one in attractors]
     near, cycles = math.inf, 0
     while cycles < _MOST_CYCLES:
-        motion = rig.advance(place.frequency_hz, place.amplitude, CHUNK)
+        motion = rig.run_cycles(place.frequency_hz, place.amplitude, CHUNK)
         cycles += CHUNK
         state = rig.simulation.state()
         if not len(motion.impacts):

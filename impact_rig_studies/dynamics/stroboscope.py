@@ -149,7 +149,7 @@ class Stroboscope:
             sphere = place.config.sphere
             left_out = SPHERE[:1] if sphere.present and sphere.guide_friction > 0.0 else SPHERE
             self._free = [i for i in self._free if i not in left_out]
-        motion = rig.advance(frequency, amplitude, self.cycles)
+        motion = rig.run_cycles(frequency, amplitude, self.cycles)
         self.turn = _longest_flight(motion, self.cycles)
         part = np.zeros(1, SEGMENT)
         part["duration"], part["omega"], part["amplitude"] = self.turn / frequency, _TURN * frequency, amplitude

@@ -30,10 +30,10 @@ from numpy.typing import NDArray
 from impact_rig import topics
 from impact_rig.analysis.calibration import U_CUBIC, Calibration, Real
 from impact_rig.analysis.scans import BASE, CURRENT, LASER, Recent, samples_of
-from impact_rig.blocks import joined
+from impact_rig.driver import LocalRig
 from impact_rig.errors import RecordingError
 from impact_rig.recording import Run, is_measured
-from impact_rig.rig import InputKind, Rig
+from impact_rig.rig import InputKind
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.gaps import NO_SPHERE
 from impact_rig.runs import recorded_journal
@@ -197,11 +197,10 @@ SETTLE_S = 0.05  # left out at the beginning: the laser's lag dies away
 def measured_decay(config: RigConfig, method: DecayMethod = fit_decay) -> Decay:
     """Pluck the rig without its sphere and measure f_n and ζ by a fit, or by `method`."""
     config = from_flat(config, {"sphere.present": False, "daq.block_scans": min(config.daq.rate_hz, 10_000)})
-    rig = Rig(config)
-    rig.pluck(DISPLACEMENT_M)
-    blocks = rig.advance(round(RECORD_S * NS_PER_S))
-    rows = joined([block.scan.rows for block in blocks])
-    return measure_decay(rows[round(SETTLE_S * config.daq.rate_hz) :], rig.info().rows, method)
+    rig = LocalRig(config)
+    rig.core.pluck(DISPLACEMENT_M)
+    rig.run(RECORD_S)
+    return measure_decay(rig.rows()[round(SETTLE_S * config.daq.rate_hz) :], rig.core.info().rows, method)
 
 
 def recorded_decay(run: Run, method: DecayMethod = fit_decay) -> Decay:

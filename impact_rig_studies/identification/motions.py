@@ -92,7 +92,7 @@ class SettledRig:
         if not (math.isfinite(found.period) and found.drift <= REPEATS):
             means = []
             for _ in range(BATCHES):
-                cycles = rig.advance(place.frequency_hz, place.amplitude, BATCH_CYCLES).cycles()
+                cycles = rig.run_cycles(place.frequency_hz, place.amplitude, BATCH_CYCLES).cycles()
                 means.append((cycles["x_1"].mean(), cycles["x_b"].mean()))
             superior, base = np.array(means).T
             dt = float(abs(superior.mean() / base.mean()))

@@ -206,7 +206,7 @@ class MapRig:
         reach = self._config.barriers.gap_m / 2.0 - float(np.abs(record.cycles["x_1"][-CHUNK:]).max())
         return bool(abs(place + velocity * NEAR_S) > reach > 0.0) and abs(velocity) > 0.0
 
-    def advance(self, frequency_hz: float, amplitude: float, cycles: int) -> Motion:
+    def run_cycles(self, frequency_hz: float, amplitude: float, cycles: int) -> Motion:
         """Return the motion of the next whole cycles, one drive segment each; the first ramps to a new amplitude."""
         period = 1.0 / frequency_hz
         segments = np.zeros(cycles, SEGMENT)
@@ -219,7 +219,7 @@ class MapRig:
 
     def _run(self, frequency_hz: float, amplitude: float, cycles: int) -> _Record:
         """Advance by whole cycles."""
-        motion, period = self.advance(frequency_hz, amplitude, cycles), 1.0 / frequency_hz
+        motion, period = self.run_cycles(frequency_hz, amplitude, cycles), 1.0 / frequency_hz
         hits = motion.impacts
         cycle = np.maximum(hits["tick"] - motion.first_tick, 0)  # one that began before is told of now
         return _Record(motion.cycles(), cycle, hits["offset"] / period, hits["approach_speed"])

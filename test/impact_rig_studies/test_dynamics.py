@@ -507,7 +507,7 @@ def test_marching_doubles_its_period_at_the_flip(gap, stable, period, tmp_path):
     gaps, squares = flip * (1.0 - np.array([0.001, 0.0015, 0.002])), []
     for value in [stable, *gaps.tolist()]:
         rig.carry(from_flat(RigConfig(), {"barriers.gap_m": value}))
-        motion = rig.advance(PLACE.frequency_hz, PLACE.amplitude, 2400 + 2 * period)
+        motion = rig.run_cycles(PLACE.frequency_hz, PLACE.amplitude, 2400 + 2 * period)
         number = np.arange(motion.last_tick - 2 * period + 1, motion.last_tick + 1)
         x_1 = motion.quantities(("x_1",), number, np.zeros(2 * period))[0]
         squares.append(float(((x_1[:period] - x_1[period:]) ** 2).sum()))

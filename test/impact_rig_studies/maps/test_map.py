@@ -111,7 +111,7 @@ def test_what_has_settled_is_what_a_long_motion_does(gap_m, frequency_hz, period
     rig = MapRig(from_flat(RigConfig(), {"barriers.gap_m": gap_m}), Settings())
     found = rig.measure(frequency_hz, CURRENT_A)
     rig.reset()
-    motion = rig.advance(frequency_hz, CURRENT_A, 3000)
+    motion = rig.run_cycles(frequency_hz, CURRENT_A, 3000)
     cycles, turn = 24, np.arange(64) / 64
     tick = np.repeat(np.arange(motion.last_tick + 1 - cycles, motion.last_tick + 1), len(turn))
     samples = motion.quantities(("x_b", "x_1"), tick, np.tile(turn / frequency_hz, cycles)).reshape(2, cycles, -1)
@@ -158,7 +158,7 @@ def test_a_sphere_on_its_way_to_a_wall_is_not_at_rest():
     assert (found.impacts_per_cycle, found.regime) == (0.0, "intermittent")
     assert math.isnan(found.period)
     assert abs(found.reduction_percent) < 0.01
-    assert len(rig.advance(10.5, CURRENT_A, 1200).impacts) > 0
+    assert len(rig.run_cycles(10.5, CURRENT_A, 1200).impacts) > 0
 
 
 def test_starts_are_measured_one_beside_the_other(tmp_path):
