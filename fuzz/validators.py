@@ -33,7 +33,7 @@ from impact_rig.instruments.fault import Fault
 from impact_rig.instruments.instrument import FAULT_KINDS
 from impact_rig.recording.description import schema_text
 from impact_rig.rig import Rig
-from impact_rig.rig.config import RigConfig, dump, fields, from_flat, load, to_flat
+from impact_rig.rig.config import RigConfig, dump, fields, from_flat, load_config, to_flat
 from impact_rig.rig.journal import JournalEntry, last_journal
 from impact_rig.system.files import config_dir
 
@@ -67,11 +67,11 @@ def configuration_file(text: str | bytes) -> None:
     with tempfile.TemporaryDirectory(prefix="impact_rig_fuzz_") as folder:
         path = Path(folder, "rig.yaml")
         path.write_bytes(text if isinstance(text, bytes) else text.encode("utf-8", "surrogatepass"))
-        config = load(path)
+        config = load_config(path)
         _check_config(config)
         if config != RigConfig():
             path.write_text(dump(config), encoding="utf-8")
-            assert load(path) == config
+            assert load_config(path) == config
 
 
 def parameters(changes: dict[str, Any]) -> None:

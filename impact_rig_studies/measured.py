@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from impact_rig.blocks import DAQ_INFO
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.recording import open_run
-from impact_rig.rig.config import RigConfig, load
+from impact_rig.rig.config import RigConfig, load_config
 from impact_rig.runs import reanalysis
 from impact_rig.runs.wholes import calibration_rows
 from impact_rig.system import files
@@ -81,7 +81,7 @@ def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = N
             currents.append(float(row["current_amplitude"] if row["current_amplitude"] > 0.0 else 1.0))
     if info is None or not found:
         raise ConfigError("no run holds a measurement: `impact-rig analyze RUN --all` says why")
-    base = load(config) if config else RigConfig()
+    base = load_config(config) if config else RigConfig()
     text = json.dumps({
         "title": directory.name,
         "studies": {STUDY: {

@@ -59,7 +59,7 @@ def test_a_campaign_file_loads(path):
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
 def test_a_file_loads_and_is_a_ros_parameter_file(path):
-    assert isinstance(config.load(path), RigConfig)
+    assert isinstance(config.load_config(path), RigConfig)
     assert set(yaml.safe_load(path.read_text(encoding="utf-8"))["/**"]) == {"ros__parameters"}
 
 
@@ -75,7 +75,7 @@ def test_every_value_of_a_file_has_unit_and_origin(path):
 
 def test_nominal_is_the_default_configuration_complete():
     path = config_dir() / "nominal.yaml"
-    assert config.load(path) == RigConfig()
+    assert config.load_config(path) == RigConfig()
     assert [name for name, _, _ in value_lines(path)] == list(FIELDS)
 
 
@@ -94,7 +94,7 @@ def test_ros_reads_the_same_values_with_the_same_types(path):
         node.destroy_node()
     finally:
         rclpy.shutdown(context=context)
-    expected = config.to_flat(config.load(path))
+    expected = config.to_flat(config.load_config(path))
     for name, value in read.items():
         wanted = list(expected[name] or ("",)) if isinstance(expected[name], tuple) else expected[name]
         assert (value, type(value)) == (wanted, type(wanted)), name

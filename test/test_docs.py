@@ -34,7 +34,7 @@ from impact_rig import kernels
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.kernels.build import PARTS
 from impact_rig.physics.linear_response import transmissibility
-from impact_rig.rig.config import RigConfig, dump, load
+from impact_rig.rig.config import RigConfig, dump, load_config
 from impact_rig.simtime import NS_PER_S
 from impact_rig.testing import LocalRig
 from impact_rig_studies.campaign.paper import CURRENT_A, FREQUENCY_HZ, REDUCTION_PERCENT
@@ -254,7 +254,7 @@ def test_yaml_is_accepted(block, tmp_path):
     elif block.page == "docs/dynamics.md":
         assert [bool(load_dynamics(file, kind).tasks) for kind in KINDS] == [True] * len(KINDS)
     else:
-        assert len(load(file).instruments.faults.planned) == 2
+        assert len(load_config(file).instruments.faults.planned) == 2
 
 
 def test_the_table_of_the_first_measurement_is_right_in_itself():

@@ -36,7 +36,7 @@ from impact_rig.errors import ConfigError, RecordingError  # noqa: E402
 from impact_rig.instruments.fault import Fault  # noqa: E402
 from impact_rig.recording import TopicDescription, open_run  # noqa: E402
 from impact_rig.rig import resimulate  # noqa: E402
-from impact_rig.rig.config import load  # noqa: E402
+from impact_rig.rig.config import load_config  # noqa: E402
 from impact_rig.rig.journal import JournalEntry  # noqa: E402
 
 TARGETS = (*decoders.TARGETS, *validators.TARGETS, *importers.TARGETS, *sockets.TARGETS)
@@ -174,7 +174,7 @@ def test_a_yaml_bomb_is_refused_at_once(tmp_path: Path, text: str) -> None:
     """The first ended in RecursionError; the others double with each line, in whatever prints or copies them."""
     (tmp_path / "rig.yaml").write_text(text)
     with pytest.raises(ConfigError, match=r"an alias .* is not accepted"):
-        load(tmp_path / "rig.yaml")
+        load_config(tmp_path / "rig.yaml")
 
 
 @pytest.mark.parametrize("open_bracket", ["[", "{a: ", "- "])
@@ -183,7 +183,7 @@ def test_a_yaml_text_nested_without_end_is_refused_and_not_the_end_of_the_proces
 ) -> None:
     (tmp_path / "rig.yaml").write_text(open_bracket * 200_000)
     with pytest.raises(ConfigError, match="nested deeper than"):
-        load(tmp_path / "rig.yaml")
+        load_config(tmp_path / "rig.yaml")
 
 
 @pytest.mark.parametrize("digits", ["9" * 400, "0x" + "f" * 5000])
@@ -191,7 +191,7 @@ def test_an_integer_beyond_all_floats_is_refused_by_name(tmp_path: Path, digits:
     """The first ended in OverflowError, the second in ValueError: Python does not write it out."""
     (tmp_path / "rig.yaml").write_text(f"daq:\n  seed: {digits}\n")
     with pytest.raises(ConfigError, match=r"seed must be .*, got a number too large to represent"):
-        load(tmp_path / "rig.yaml")
+        load_config(tmp_path / "rig.yaml")
 
 
 @pytest.mark.parametrize("text", ["a: 2024-13-45", "&a [*a]", "[" * 1500, "a: &a {b: *a}"])

@@ -29,7 +29,7 @@ from impact_rig.instruments import check_known_input
 from impact_rig.instruments.checks import ChannelCheck
 from impact_rig.physics.contact import from_config
 from impact_rig.rig import Rig
-from impact_rig.rig.config import load
+from impact_rig.rig.config import load_config
 
 _POLARITY = {1: "right", 0: "no signal", -1: "reversed"}
 
@@ -51,7 +51,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    config = load(arguments.path)
+    config = load_config(arguments.path)
     try:
         Rig(config)  # values that are legal one by one may be none together
     except ConfigError as error:

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 from impact_rig.cli.quantities import GAP
 from impact_rig.errors import ImpactRigError
-from impact_rig.rig.config import RigConfig, from_flat, load
+from impact_rig.rig.config import RigConfig, from_flat, load_config
 from impact_rig.rig.gaps import NO_SPHERE, gap_values
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def rig_of(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
     Raises:
         ConfigError: the file or a word is wrong.
     """
-    config = load(arguments.config) if arguments.config else RigConfig()
+    config = load_config(arguments.config) if arguments.config else RigConfig()
     changes: dict[str, object] = {} if arguments.gap is None else dict(gap_values(arguments.gap))
     if arguments.sphere_start:
         changes["sphere.start"] = arguments.sphere_start

@@ -18,6 +18,9 @@ Laws and instruments bring their own sections; here the tree is put together. No
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
+
 import attrs
 
 from impact_rig.blocks import TRUTH_SCAN
@@ -79,8 +82,23 @@ class RigConfig:
 
 
 TREE = Tree(RigConfig)
-load, parse, dump = TREE.load, TREE.parse, TREE.dump
+parse, dump = TREE.parse, TREE.dump
+
+
+def load_config(path: Path | str, overrides: Mapping[str, object] | None = None) -> RigConfig:
+    """Read a rig configuration from a YAML file.
+
+    Args:
+        path: a file with the sections of `RigConfig`, or a ROS 2 parameter file; values that it leaves out are default.
+        overrides: values by full name, such as `barriers.gap_m`, that replace those of the file.
+
+    Raises:
+        ConfigError: the file cannot be read, or a value is unknown or out of range; the message names key and file.
+    """
+    return TREE.load(path, overrides)
+
+
 from_flat, to_flat, differences = TREE.from_flat, TREE.to_flat, TREE.differences
 fields = TREE.fields
 
-__all__ = ["TREE", "RigConfig", "differences", "dump", "fields", "from_flat", "load", "parameters_in", "to_flat"]
+__all__ = ["TREE", "RigConfig", "differences", "dump", "fields", "from_flat", "load_config", "parameters_in", "to_flat"]

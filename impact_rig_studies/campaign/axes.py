@@ -25,7 +25,7 @@ import attrs
 from impact_rig.config.tree import Value, flatten
 from impact_rig.errors import ConfigError
 from impact_rig.names import quoted
-from impact_rig.rig.config import RigConfig, from_flat, load
+from impact_rig.rig.config import RigConfig, from_flat, load_config
 from impact_rig.rig.gaps import NO_SPHERE
 
 S = TypeVar("S", bound=attrs.AttrsInstance)
@@ -171,7 +171,7 @@ def rig(top: Mapping[str, object], folder: Path, refuse: Callable[[str, str], No
     changes = flatten(mapping("set", top.get("set")))
     for name in changes:
         refuse(f"set.{name}", name)
-    return from_flat(load(folder / file) if file else RigConfig(), changes)
+    return from_flat(load_config(folder / file) if file else RigConfig(), changes)
 
 
 def settings(key: str, given: object, kind: type[S]) -> S:

@@ -43,7 +43,7 @@ from impact_rig.arithmetic import ARITHMETIC
 from impact_rig.blocks import DAQ_INFO
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.instruments.chain import Chain
-from impact_rig.rig.config import dump, load
+from impact_rig.rig.config import dump, load_config
 from impact_rig.rig.gaps import NO_SPHERE
 from impact_rig.system import files, machine
 from impact_rig_studies.campaign import statements
@@ -170,7 +170,7 @@ def open_finished(directory: Path) -> Finished:
         raise ConfigError(
             f"{directory} is no campaign's directory: `impact-rig campaign config/paper.yaml --output NEW` makes one"
         )
-    base = load(directory / CONFIGURATION_FILE)
+    base = load_config(directory / CONFIGURATION_FILE)
     return finished(load_campaign(directory / CAMPAIGN_FILE, resolved=base), directory)
 
 

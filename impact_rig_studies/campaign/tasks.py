@@ -34,7 +34,7 @@ import attrs
 
 from impact_rig.config.tree import MAX_FILE_BYTES
 from impact_rig.errors import ConfigError, RecordingError
-from impact_rig.rig.config import RigConfig, dump, load
+from impact_rig.rig.config import RigConfig, dump, load_config
 from impact_rig.system import budget, files
 from impact_rig.system.budget import BudgetError
 from impact_rig_studies.campaign.store import DECIDING, fingerprint
@@ -121,7 +121,7 @@ class TaskStore(Generic[T]):
             raise ConfigError(
                 f"{self.directory} is no {self.what}'s directory: `impact-rig {self.what} FILE --output NEW` makes one"
             )
-        return load(self.directory / CONFIGURATION_FILE)
+        return load_config(self.directory / CONFIGURATION_FILE)
 
     def code(self) -> str:
         """Return what decides the numbers: results of other code are measured anew."""

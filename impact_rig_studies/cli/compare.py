@@ -53,13 +53,13 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from impact_rig.rig.config import load  # noqa: PLC0415  # heavy: after the signals are taken
+    from impact_rig.rig.config import load_config  # noqa: PLC0415  # heavy: after the signals are taken
     from impact_rig_studies.comparison import compare, drawn  # noqa: PLC0415  # as above
 
     console = Console(quiet=arguments.json)
     if arguments.figures:
         files.make_folder(arguments.figures)
-    known = load(arguments.config) if arguments.config else None
+    known = load_config(arguments.config) if arguments.config else None
     with open_run(arguments.path, arguments.rig) as run:
         found = compare(
             run, known, arguments.drive, fits=not arguments.no_fit, on_step=lambda what: console.print(f"{what} ...")

@@ -25,7 +25,7 @@ import numpy as np
 from impact_rig.cli.terminal import Console, TextTable, add_json, figure, subcommand, tell_json, tell_program
 from impact_rig.errors import ConfigError, ImpactRigError
 from impact_rig.recording import open_run
-from impact_rig.rig.config import RigConfig, dump, load
+from impact_rig.rig.config import RigConfig, dump, load_config
 from impact_rig.rig.gaps import NO_SPHERE
 from impact_rig.states import Status
 from impact_rig.system import files
@@ -90,7 +90,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 def _run(arguments: argparse.Namespace) -> int:
     console = Console(quiet=arguments.json)
     if arguments.paper:
-        base = load(arguments.config) if arguments.config else RigConfig()
+        base = load_config(arguments.config) if arguments.config else RigConfig()
         fits = []
         for free in (("f_n", "ζ"), ("f_n", "ζ", "I")):
             fits.append(paper_fit.fit_paper(base, free, lambda what: console.print(f"{what} ...")))

@@ -70,19 +70,19 @@ def test_what_is_dumped_loads_as_the_same(gap, law, peers, tmp_path_factory):
     changed = config.from_flat(RigConfig(), {"barriers.gap_m": gap, "contact.law": law, "time.peers": peers})
     path = tmp_path_factory.mktemp("dump") / "mine.yaml"
     path.write_text(config.dump(changed), encoding="utf-8")
-    assert config.load(path) == changed
+    assert config.load_config(path) == changed
 
 
 def test_a_file_may_leave_out_the_outer_keys_and_most_values(tmp_path):
-    bare = config.load(write(tmp_path, "barriers: {gap_m: 0.004}\n"))
-    wrapped = config.load(write(tmp_path, "/**:\n  ros__parameters:\n    barriers:\n      gap_m: 0.004\n"))
+    bare = config.load_config(write(tmp_path, "barriers: {gap_m: 0.004}\n"))
+    wrapped = config.load_config(write(tmp_path, "/**:\n  ros__parameters:\n    barriers:\n      gap_m: 0.004\n"))
     assert bare == wrapped == config.from_flat(RigConfig(), {"barriers.gap_m": 0.004})
-    assert config.load(write(tmp_path, "")) == RigConfig()
+    assert config.load_config(write(tmp_path, "")) == RigConfig()
 
 
 def test_overrides_go_on_top_of_the_file(tmp_path):
     path = write(tmp_path, "barriers: {gap_m: 0.004}\n")
-    assert config.load(path, {"barriers.gap_m": 0.008}).barriers.gap_m == 0.008
+    assert config.load_config(path, {"barriers.gap_m": 0.008}).barriers.gap_m == 0.008
 
 
 def test_an_integer_is_taken_where_a_number_is_meant():
@@ -200,16 +200,16 @@ def test_sections_are_frozen():
 def test_a_malformed_file_is_refused_with_its_name(tmp_path, text, message):
     path = write(tmp_path, text)
     with pytest.raises(ConfigError) as refused:
-        config.load(path)
+        config.load_config(path)
     assert message.replace("PATH", str(path)) in str(refused.value)
     assert str(path) in str(refused.value)
 
 
 def test_a_file_that_is_not_there_is_refused_with_its_name(tmp_path):
     with pytest.raises(ConfigError, match=r"cannot read configuration: No such file.*nowhere\.yaml"):
-        config.load(tmp_path / "nowhere.yaml")
+        config.load_config(tmp_path / "nowhere.yaml")
     with pytest.raises(ConfigError, match="cannot read configuration: Is a directory"):
-        config.load(tmp_path)
+        config.load_config(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -271,6 +271,6 @@ def test_no_file_crashes_the_loader(content, tmp_path_factory):
     path = tmp_path_factory.getbasetemp() / "fuzz.yaml"
     path.write_bytes(content)
     try:
-        config.load(path)
+        config.load_config(path)
     except ConfigError as error:
         assert str(path) in str(error)  # noqa: PT017  # either outcome is right

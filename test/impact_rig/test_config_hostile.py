@@ -123,7 +123,7 @@ def test_a_file_with_mistakes_is_refused_by_name_or_runs(tmp_path_factory, mista
 
 def _runs(path: Path) -> None:
     """A configuration that `check` calls valid makes a rig, and the rig finite signals."""
-    rig = Rig(config.load(path))
+    rig = Rig(config.load_config(path))
     for block in rig.advance(20_000_000):
         for name in CHANNELS:
             assert np.isfinite(block.scan.rows[name]).all()

@@ -37,7 +37,7 @@ from impact_rig.blocks import Table
 from impact_rig.client import Client, Collector, Processes, WaitTimeoutError, isolated_domain
 from impact_rig.nodes import messages
 from impact_rig.nodes.messages import by_name
-from impact_rig.rig.config import load
+from impact_rig.rig.config import load_config
 from impact_rig_lab.gateway import Own
 from impact_rig_lab.live import LiveSource
 from impact_rig_lab.server import MOST_UNDRAWN, Server
@@ -358,7 +358,7 @@ def test_settings_are_saved_and_put_in_force_again(lab: Lab, page: Page, tmp_pat
     page.js("document.getElementById('settings-save').click()")
     saved = tmp_path / "rig.yaml"
     wait_until(lambda: saved.exists() and saved.stat().st_size, "the file")
-    assert load(saved).barriers.gap_m == 0.008
+    assert load_config(saved).barriers.gap_m == 0.008
     lab.client.set_parameters("rig", USUAL)
     page.wait("lab.now.knobs['barriers.gap_m'] === 0.006", "another gap")
     asked = "lab.link.ask('load', {{value: {}}}).answer"

@@ -29,7 +29,7 @@ from impact_rig.errors import SimulationError
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.rig import Block, Rig
-from impact_rig.rig.config import RigConfig, from_flat, load
+from impact_rig.rig.config import RigConfig, from_flat, load_config
 from impact_rig.rig.journal import InputKind
 from impact_rig.topics import Topic
 
@@ -113,7 +113,7 @@ def test_the_published_configuration_is_a_file_that_loads_again(client: Client, 
     path = tmp_path / "rig.yaml"
     path.write_text(configuration.messages[0].data)
     expected = from_flat(RigConfig(), {"barriers.gap_m": 0.004, "time.mode": "stepped"})
-    assert load(path) == expected
+    assert load_config(path) == expected
 
 
 def test_qos_of_publishers_and_subscriptions_can_be_overridden(client: Client) -> None:

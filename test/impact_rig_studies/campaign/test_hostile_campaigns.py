@@ -29,7 +29,7 @@ import pytest
 from impact_rig.blocks import TRANSMISSIBILITY
 from impact_rig.cli import main
 from impact_rig.errors import ConfigError
-from impact_rig.rig.config import load
+from impact_rig.rig.config import load_config
 from impact_rig.system import budget
 from impact_rig.system.budget import BudgetError
 from impact_rig_studies.campaign import run
@@ -59,7 +59,7 @@ def test_the_budget_counts_what_is_measured(tmp_path: Path, monkeypatch: pytest.
 def test_what_is_no_regular_file_is_neither_read_nor_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "fifo.yaml")
     for path in (Path("/dev/zero"), tmp_path / "fifo.yaml"):
-        for read in (load, load_campaign):
+        for read in (load_config, load_campaign):
             with pytest.raises(ConfigError, match="not a regular file"):
                 read(path)
 
