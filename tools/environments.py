@@ -35,13 +35,18 @@ def pinned(part: str) -> list[str]:
     return PIN.findall((ROOT / "requirements" / f"{part}.txt").read_text(encoding="utf-8"))
 
 
+def canonical(name: str) -> str:
+    """Return the name of a distribution as package indexes compare it."""
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
 def closure(requirements: Iterable[str]) -> set[str]:
-    """Return the normalised names of distributions with what they require, of those that are installed here."""
+    """Return the canonical names of distributions with what they require, of those that are installed here."""
     found: dict[str, set[str]] = {}
     waiting = [Requirement(one) for one in requirements]
     while waiting:
         one = waiting.pop()
-        name = re.sub(r"[-_.]+", "-", one.name).lower()
+        name = canonical(one.name)
         extras = {"", *one.extras}
         if extras <= found.get(name, set()):
             continue

@@ -15,13 +15,21 @@
 
 from __future__ import annotations
 
-from importlib.metadata import PackageNotFoundError, distribution
+import ast
+import json
+import re
+import shlex
+import sys
+from importlib.metadata import PackageNotFoundError, distribution, packages_distributions
+from pathlib import Path
 
 import pytest
 
 pytest.importorskip("markdown_it", reason="comes with rich, except with Ubuntu's")
 
 from tools import journeys as table
+from tools.check_docs import pages
+from tools.environments import canonical, closure, pinned
 from tools.journeys import ENVIRONMENTS, JAZZY, ROOT, Journey, Places
 
 CHEAP = [one for one in table.journeys() if one.cheap]
@@ -54,6 +62,50 @@ def test_what_is_run_instead_of_a_command_exists() -> None:
 
     said = {text for one in table.journeys() for text in (one.instead, *one.before)}
     assert [fault for text in said for words in commands(text) for fault in command_faults(words, whole=True)] == []
+
+
+def imported(code: str) -> set[str]:
+    """Return the packages that a piece of Python imports, without those of Python itself."""
+    tree = ast.parse(re.sub(r"^%.*", "", code, flags=re.MULTILINE))
+    names = [one.name for node in ast.walk(tree) if isinstance(node, ast.Import) for one in node.names]
+    names += [node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    return {name.partition(".")[0] for name in names} - sys.stdlib_module_names
+
+
+def shown_code() -> dict[str, list[str]]:
+    """Return the Python that a page shows or leads to, by page."""
+    shown = {
+        name: [
+            one.content
+            for one in page.blocks
+            if one.language == "python" and ">>>" not in one.content and not one.info.startswith("not run")
+        ]
+        for name, page in pages().items()
+    }
+    cells = json.loads((ROOT / "examples" / "recorded_run.ipynb").read_text(encoding="utf-8"))["cells"]
+    shown["docs/notebook.md"] += ["".join(one["source"]) for one in cells if one["cell_type"] == "code"]
+    return shown
+
+
+def test_python_needs_no_more_than_its_page_installs() -> None:
+    """The notebook once asked for rosbags, which only the tests' part has."""
+    owners = packages_distributions()
+    missing = {}
+    for page, codes in shown_code().items():
+        text = (ROOT / page).read_text(encoding="utf-8")
+        installed = [one for line in re.findall(r"pip install ([^`\n]*)", text) for one in shlex.split(line)]
+        extras = [f"impact_rig[{one}]" for one in re.findall(r"\[([a-z,]+)\]`", text)]
+        has = closure(
+            [*pinned("run"), *pinned("wheels"), "impact_rig", *extras, "pytest"]
+            + [one.rpartition("/")[2] for one in installed]
+        )
+        own = {Path(one.info.removeprefix("title=")).stem for one in pages()[page].blocks}
+        own |= {path.name for path in (*ROOT.glob("impact_rig*"), ROOT / "test" / "kits")}
+        own |= {path.stem for path in (ROOT / "examples").glob("*.py")}
+        for one in set().union(*map(imported, codes)) - own:
+            if has.isdisjoint({f"ros-{canonical(one)}", *map(canonical, owners.get(one, ()))}):
+                missing[one] = page
+    assert missing == {}
 
 
 @pytest.fixture(scope="module")
