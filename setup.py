@@ -107,7 +107,8 @@ setup(
         "completion": ["argcomplete>=3.1"],  # `register-python-argcomplete`; 3.1 is that of Ubuntu 24.04
         "cluster": ["distributed>=2024.1"],  # `impact-rig campaign --through dask`
         "exchange": ["pyarrow>=14", "pyuff>=2.4"],  # `impact-rig export` to Parquet and universal files
-        "import": ["h5py>=3.10", "npTDMS>=1.7", "pint>=0.23", "pyarrow>=14", "pyuff>=2.4"],  # `impact-rig import`
+        # `impact-rig import`
+        "import": ["h5py>=3.10", "npTDMS>=1.7", "pint>=0.23", "pyarrow>=14", "pyuff>=2.4", "rosbags>=0.10"],
         "tables": ["pandas>=2.1", "xarray>=2024.1"],  # `to_dataframe()` and `to_xarray()`; 2.1 is that of Ubuntu 24.04
         "strategies": ["hypothesis>=6.98"],  # `impact_rig.testing.strategies`; 6.98 is that of Ubuntu 24.04
         "test": ["hypothesis", "pytest", "pytest-timeout"],  # also how `colcon test` knows to run pytest

@@ -61,6 +61,7 @@ STREAM_HZ = 10_000
 BAND_HZ, BAND_SHARE = 300.0, 0.4
 """Upper edge of what is taken of a measured drive: so much, or this share of its rate. Beyond it is noise."""
 FADE = 0.8  # of the band, where its edge begins to fall
+LOWEST_SHARE = 0.3  # of the drive frequency: lower edge of the motion that velocities and accelerations give
 MIRRORED_S = 0.5  # of a record, at both ends, so that undoing a lag has no edge to stumble on
 FORGOTTEN = 7.0  # time constants of the structure that pass before the first scan: e⁻⁷ is 0.1 %
 LONGEST_LEAD_S, RISE_S = 120.0, 1.0
@@ -219,7 +220,7 @@ class _ModelledScans:
         for stretch in self.stretches:
             for channel in (LASER, BASE, CURRENT):
                 part = self.true[CHANNELS[channel]][stretch.first : stretch.last]
-                part[:] = undone(part, calibration, channel)
+                part[:] = undone(part, calibration, channel, LOWEST_SHARE * stretch.drive_hz)
         self.model = np.zeros(len(measured), SCAN)
         self.begin = 0  # of the scans that the analysis sees next
 
@@ -239,6 +240,7 @@ class _ModelledScans:
         """Return the model's scans in the place of measured ones, in order, and a calibration without any error."""
         if topic is topics.INFO:
             rows = table.rows.copy()
+            rows["unit"][np.isin(rows["name"], [b"laser", b"base"])] = b"m"  # whatever the sensors measure
             for name in set(rows.dtype.names or ()) - {"name", "unit", "rate", "since_start"}:
                 rows[name] = {"range_low": -math.inf, "range_high": math.inf, "sensitivity": 1.0}.get(name, 0.0)
             return Table(table.stamp_ns, rows)
@@ -260,20 +262,32 @@ class _ModelledScans:
         return slice(first, first + len(excerpt.rows))
 
 
-def undone(values: Real, calibration: Calibration, channel: int) -> Real:
+def undone(values: Real, calibration: Calibration, channel: int, lowest_hz: float) -> Real:
     """Return what a channel measured with its sensor's lag and its skew undone, its noise beyond the band left out.
+
+    Velocities and accelerations are integrated to displacements.
 
     Args:
         values: contiguous readings, shape (n,).
         calibration: of the instruments.
         channel: one of `scans.CHANNELS`.
+        lowest_hz: lower edge of what is integrated; below it is the drift of a sensor.
     """
     rate = calibration.rate_hz
     around = min(round(MIRRORED_S * rate), len(values) - 1)
-    mirrored = np.pad(values, around, mode="reflect", reflect_type="odd")
+    is_integrated = bool(calibration.derivative[channel])
+    if is_integrated:  # beyond its ends the record fades out, or their difference would be integrated too
+        fade = np.sin(0.5 * np.pi * np.arange(around) / max(around, 1)) ** 2
+        mirrored = np.pad(values - values.mean(), around, mode="reflect")
+        mirrored[:around] *= fade
+        mirrored[len(mirrored) - around :] *= fade[::-1]
+    else:
+        mirrored = np.pad(values, around, mode="reflect", reflect_type="odd")
     frequency = np.fft.rfftfreq(len(mirrored), 1.0 / rate)
     top = min(BAND_HZ, BAND_SHARE * rate)
     edge = np.sin(0.5 * np.pi * np.clip((top - frequency) / ((1.0 - FADE) * top), 0.0, 1.0)) ** 2
+    if is_integrated:
+        edge[frequency < max(lowest_hz, 1.0 / (len(values) / rate))] = 0.0
     inside = edge > 0.0
     spectrum = np.fft.rfft(mirrored) * edge
     spectrum[inside] /= calibration.response(channel, frequency[inside])

@@ -41,6 +41,10 @@ Noise, ch. 4). With a = 2π (k/q + l/r) and what the first rounding leaves of it
 Where the sine lies between the steps is not known, so u²(A) = Σ 2 c² J_1², with J_1² the largest within A ± 2u. Such an
 error is bounded by 2u and the same in all cycles: no averaging lessens it. It is
 in phase with the sine, so the phase has none of it, unless overtones carry the sine across steps of their own.
+
+Readings of other programs come in steps, too, but nothing says that these round to the nearest one. A program that
+drops the rest, towards zero, subtracts half a step times sign(sine), whose first harmonic is 2q/π. So where a
+certificate gives one `resolution` for all steps of a channel, u²(A) has (2q/π)²/3 in addition: evenly between ± 2q/π.
 """
 
 from __future__ import annotations
@@ -89,6 +93,7 @@ U_CUBIC = 1.0 / math.sqrt(6.0)  # standard uncertainty of the share c that the c
 TWO_POLE_NOISE = 1.11  # noise bandwidth of a Butterworth two-pole filter over its corner
 
 STEPS = ("output_step", "output_noise", "converter_step", "converter_noise")
+U_TRUNCATED = 2.0 / math.pi / math.sqrt(3.0)  # standard uncertainty in steps where the rule of rounding is unknown
 TERMS = 12  # of the sum over the harmonics of a step: they fall with their cube where no noise blurs it
 
 COLUMNS = (
@@ -117,6 +122,8 @@ class Calibration:
     output_noise: Real
     converter_step: Real  # of the converter [unit]; converter_noise: rms ahead of it
     converter_noise: Real
+    truncates: NDArray[np.bool_] = attrs.field(factory=lambda: np.zeros(len(CHANNELS), np.bool_), kw_only=True)
+    """Whether what makes the steps of a channel may truncate instead of round."""
     present: NDArray[np.bool_] = attrs.field(factory=lambda: np.ones(len(CHANNELS), np.bool_), kw_only=True)  # measured
     derivative: NDArray[np.int64] = attrs.field(factory=lambda: np.zeros(len(CHANNELS), np.int64), kw_only=True)
     """Of the motion that a channel measures: 0 displacement, 1 velocity, 2 acceleration; 0 of accelerometer and
@@ -151,10 +158,15 @@ class Calibration:
         if not set(ordered["lag_order"].tolist()) <= set(LAG_MODELS):
             raise ConfigError(f"daq/info: lag_order must be one of 0, 1, 2, got {ordered['lag_order'].tolist()}")
         known = {name: ordered[name] for name in COLUMNS if name in (ordered.dtype.names or ())}
-        if set(STEPS) - set(known) or not any(np.any(known[name]) for name in STEPS):
-            # a certificate that does not tell the steps apart: one, ahead of which all noise is
-            none = np.zeros(len(CHANNELS))
-            known |= dict(zip(STEPS, (none, known["noise"], known["resolution"], none), strict=True))
+        is_own = bool(set(STEPS) - set(known))  # of this package before it had these columns: its steps round
+        none = np.zeros(len(CHANNELS))
+        steps = np.array([known.get(name, none) for name in STEPS])
+        untold = ~steps.any(
+            axis=0
+        )  # a certificate that does not tell the steps apart: one, ahead of which all noise is
+        known |= dict(
+            zip(STEPS, np.where(untold, [none, known["noise"], known["resolution"], none], steps), strict=True)
+        )
         for name, values in known.items():
             sizes = np.abs(values)
             if np.any((sizes > LARGEST) & np.isfinite(sizes)):
@@ -163,7 +175,13 @@ class Calibration:
         derivative = np.array([DERIVATIVES.get(bytes(unit), 0) for unit in ordered["unit"]])
         derivative[[ACCELEROMETER, CURRENT]] = 0
         whole = round(rate)
-        return cls(whole if whole == rate else rate, *figures, present=present, derivative=derivative)
+        return cls(
+            whole if whole == rate else rate,
+            *figures,
+            truncates=np.asarray(untold & (not is_own)),
+            present=present,
+            derivative=derivative,
+        )
 
     @functools.cached_property
     def absent(self) -> tuple[str, ...]:
@@ -214,7 +232,8 @@ class Calibration:
         known = x[:, -1] <= J_1_NODES / 2.0
         if known.any():
             power[known] = np.minimum(power[known], (bessel_j_1(x[known]) ** 2).max(axis=1))
-        return math.sqrt(2.0 * float(weight**2 @ power))
+        truncated = U_TRUNCATED * float(self.converter_step[channel]) if self.truncates[channel] else 0.0
+        return math.hypot(math.sqrt(2.0 * float(weight**2 @ power)), truncated)
 
     def steps_variance(self, channel: int) -> float:
         """Return the variance that rounding adds to a value, noise averaged out [unit²]: at most r²/12 + q²/12."""

@@ -60,7 +60,7 @@ def _info(arguments: argparse.Namespace) -> int:
         console.print(f"rigs: {', '.join(found.rigs)}")
     if found.recovered is not None:
         console.print(f"recovered from {found.recovered.source}")
-    for key, value in found.provenance.items():
+    for key, value in {**found.provenance, **found.origin}.items():
         console.print(f"{key}: {value}")
     table = TextTable(left=("topic", "type"), right=("messages", "per s", "kB"))
     for topic in found.topics:
@@ -86,6 +86,7 @@ def _info_content(found: RunInfo) -> dict[str, object]:
         "checksums": attrs.asdict(found.checksums),
         "files": dict(found.files),
         "provenance": dict(found.provenance),
+        "origin": dict(found.origin),
         "recovered_from": None if found.recovered is None else found.recovered.source,
         "lost_messages": dict(found.lost),
         "lost_blocks": None if found.scans is None else found.scans.lost_blocks,

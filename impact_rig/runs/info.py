@@ -37,6 +37,7 @@ from impact_rig.recording.rigs import prefix_of
 from impact_rig.recording.writer import CONTINUES_RECORD_NAME
 from impact_rig.rig.journal import InputKind
 from impact_rig.runs import recorded_journal, recovery, structure
+from impact_rig.runs.origin import origin
 from impact_rig.runs.recovery import Recovered
 from impact_rig.simtime import NS_PER_S
 
@@ -84,6 +85,7 @@ class RunInfo:
     verdict: str
     checksums: structure.Checksums
     rigs: tuple[str, ...]  # namespaces
+    origin: Mapping[str, str]  # of an imported run: what was read, assumed and left out; empty of others
 
     @property
     def log_s(self) -> float:
@@ -165,6 +167,7 @@ def info(path: Path | str) -> RunInfo:
             or _verdict(tally, scans, missing, checked, accounted=bool(account), recovered=recovered is not None),
             checksums=checked,
             rigs=run.rigs,
+            origin=origin(attachments),
         )
 
 

@@ -609,8 +609,9 @@ def _linear(measured: Measured, known: RigConfig, theta: Real, nuisance: Real) -
             rows.append(np.eye(len(NAMES))[place : place + 1] * value / u_value)
             bends.append(np.zeros((1, len(NUISANCES))))
     if sine is not None:
-        laser, base = gains.relative(LASER, sine.laser_m), gains.relative(BASE, sine.base_m)
-        current = gains.relative(CURRENT, sine.base_m)
+        laser = gains.relative(LASER, sine.laser_m, sine.frequency_hz)
+        base = gains.relative(BASE, sine.base_m, sine.frequency_hz)
+        current = gains.relative(CURRENT, sine.base_m, sine.frequency_hz)
         model = _model(known, theta, sine.frequency_hz)
         derivative = np.stack(
             [_apart(_model(known, theta + STEP * e, sine.frequency_hz), model) / STEP for e in np.eye(len(NAMES))],

@@ -102,12 +102,14 @@ class Gains:
             gains[place] = math.sqrt(max(gains[place] ** 2 - (1.5 * one) ** 2, 0.0))
         return cls(np.array([*gains, *curve]), calibration)
 
-    def relative(self, channel: int, amplitude: Real) -> Real:
-        """Return d ln(amplitude) / d nuisance for a channel, shape (n, 6)."""
+    def relative(self, channel: int, amplitude: Real, frequency_hz: Real | float) -> Real:
+        """Return d ln(amplitude) / d nuisance for sines of displacement of a channel, shape (n, 6)."""
         effect = np.zeros((len(amplitude), len(NUISANCES)))
         effect[:, (LASER, BASE, CURRENT).index(channel)] = 1.0
         if channel != CURRENT:
-            share = amplitude / _half_range(self.calibration, channel)
+            order = int(self.calibration.derivative[channel])
+            reading = amplitude * (2.0 * np.pi * np.asarray(frequency_hz)) ** order
+            share = reading / _half_range(self.calibration, channel)
             effect[:, 3 + (LASER, BASE).index(channel)] = np.where(np.isfinite(share), 1.875 * share**2 - 1.5, 0.0)
         return effect
 
@@ -144,8 +146,8 @@ def reduced_of(curves: Curves, frequency_hz: float, gaps_m: Sequence[float], gai
         return None
     effects = np.zeros((len(points), len(NUISANCES)))
     for sign, channel, column in ((1.0, LASER, "laser_m"), (-1.0, BASE, "base_m")):
-        with_sphere = gains.relative(channel, np.array([getattr(point, column) for point in points]))
-        effects += sign * (with_sphere - gains.relative(channel, np.array([getattr(without, column)])))
+        with_sphere = gains.relative(channel, np.array([getattr(point, column) for point in points]), frequency_hz)
+        effects += sign * (with_sphere - gains.relative(channel, np.array([getattr(without, column)]), frequency_hz))
     effects[:, NUISANCES.index("DT without sphere")] = -1.0
     return Reduced(
         frequency_hz=frequency_hz,

@@ -31,8 +31,9 @@ from impact_rig.errors import ConfigError, RecordingError, did_you_mean
 from impact_rig.simtime import NS_PER_S, stamp_ns
 from impact_rig_studies.importing import units
 from impact_rig_studies.importing.mapping import CALIBRATION, Channel, Mapping
-from impact_rig_studies.importing.signals import Abscissa, ImportedSignals, Real
-from impact_rig_studies.importing.uniform import Rate, uniform
+from impact_rig_studies.importing.signals import Abscissa, ImportedSignals, Real, Signal
+from impact_rig_studies.importing.steps import step_of
+from impact_rig_studies.importing.uniform import Rate, aligned, uniform
 
 POWERS = {"m": 0, "m/s": 1, "m/s^2": 2, "A": 0}  # of frequency, by which a spectrum is that of a displacement
 REFERENCES = ("base", "current", "laser", "accelerometer")  # whose frequency is that of the drive: the first measured
@@ -79,6 +80,7 @@ def convert(
     found: dict[str, Real] = {}
     used: dict[str, Channel] = {}
     si_units: dict[str, str] = {}
+    steps: dict[str, float] = {}
     doubts = list(source.remarks)
     for name in CHANNELS:
         if name not in mapping.channels:
@@ -92,11 +94,17 @@ def convert(
         one = used[name] = attrs.evolve(one, unit=one.unit or signal.unit)
         factor, si_units[name] = one.to_si(name)
         found[name] = one.sign * one.scale * factor * signal.values
+        steps[name] = abs(one.scale * factor) * step_of(signal.values)
         if one.offset:
             found[name] += one.offset
         doubts += _unit_doubts(name, one, si_units[name])
     mapping = attrs.evolve(mapping, channels=used)
-    abscissa, count = _common(source, used)
+    signals = {name: source.signals[one.column] for name, one in used.items()}
+    if mapping.resample_hz is not None and _differ(signals):
+        abscissa, found = aligned(source.path, {name: one.abscissa for name, one in signals.items()}, found)
+        count, skews = len(next(iter(found.values()))), dict.fromkeys(found, 0.0)
+    else:
+        abscissa, count, skews = _common(source, signals)
     followed: dict[str, Real] = {}
     for key, column in (("frequency", mapping.frequency), ("gap", mapping.gap)):
         if isinstance(column, str):
@@ -105,7 +113,7 @@ def convert(
             followed[key] = source.signals[column].values
     grid = uniform(source.path, abscissa, mapping, found, followed)
     rate, index, found, followed = grid.rate_hz, grid.index, grid.signals, grid.followed
-    info = _calibration(mapping, si_units, rate, sheet)
+    info = _calibration(mapping, si_units, rate, sheet, steps, skews)
     start_ns = source.start_ns or 0
     if (
         sheet is not None
@@ -146,8 +154,10 @@ def convert(
 def _unassigned(source: ImportedSignals) -> str:
     known = ", ".join(f"{name} [{one.unit}]" if one.unit else name for name, one in source.signals.items())
     example = next(iter(source.signals), "NAME")
+    left_out = "; ".join(f"{name}: {why}" for name, why in source.left_out.items())
+    rest = f"; left out: {left_out[:300]}" if left_out else ""
     return (
-        f"{source.path}: which signal is which channel is not known; it has: {known[:500]}. Say it: "
+        f"{source.path}: which signal is which channel is not known; it has: {known[:500]}{rest}. Say it: "
         f'--channel laser="{example}" for the structure, --channel base=… for its base'
     )
 
@@ -165,27 +175,40 @@ def _unit_doubts(name: str, one: Channel, si_unit: str) -> list[str]:
     )
 
 
-def _common(source: ImportedSignals, used: AnyMapping[str, Channel]) -> tuple[Abscissa, int]:
-    """Return the abscissa and the length that the signals of all channels have."""
-    signals = {name: source.signals[one.column] for name, one in used.items()}
-    lengths = {name: len(one.values) for name, one in signals.items()}
-    if len(set(lengths.values())) != 1:
-        raise RecordingError(
-            f"{source.path}: signals differ in length: " + ", ".join(f"{name} {n}" for name, n in lengths.items())
-        )
-    first, count = next(iter(signals.values())).abscissa, next(iter(lengths.values()))
-    for name, one in signals.items():
-        other = one.abscissa
-        if other is first:
-            continue
-        period = first.step or (float(first.values[1]) if first.values is not None and count > 1 else 0.0)
-        same_start = abs(other.start - first.start) <= 0.5 * period
-        if other.kind is not first.kind or not same_start or not _same_steps(first, other, period, count):
+def _differ(signals: AnyMapping[str, Signal]) -> bool:
+    """Return whether signals are given over different times."""
+    one, *others = signals.values()
+    return any(other.abscissa is not one.abscissa and not _fits(one, other) for other in others)
+
+
+def _fits(one: Signal, other: Signal) -> bool:
+    """Return whether two signals have the same steps and begin within half a period of each other."""
+    a, b, count = one.abscissa, other.abscissa, len(one.values)
+    period = a.step or (float(a.values[1]) if a.values is not None and count > 1 else 0.0)
+    return (
+        a.kind is b.kind
+        and count == len(other.values)
+        and abs(b.start - a.start) <= 0.5 * period
+        and _same_steps(a, b, period, count)
+    )
+
+
+def _common(source: ImportedSignals, signals: AnyMapping[str, Signal]) -> tuple[Abscissa, int, dict[str, float]]:
+    """Return the abscissa and the length that the signals of all channels have, and how much later each begins [s]."""
+    (first_name, first), *others = signals.items()
+    for name, one in others:
+        if one.abscissa is not first.abscissa and not _fits(first, one):
             raise RecordingError(
-                f"{source.path}: {name} ({other}) has other times than {next(iter(signals))} ({first}); "
-                "import signals of one time base"
+                f"{source.path}: {name} ({len(one.values)} values, {one.abscissa}) has other times than {first_name} "
+                f"({len(first.values)} values, {first.abscissa}); import signals of one time base, or resample them to "
+                "one (--resample HZ)"
             )
-    return first, count
+        if len(one.values) != len(first.values):
+            raise RecordingError(
+                f"{source.path}: {name} has {len(one.values)} values, {first_name} {len(first.values)}"
+            )
+    skews = {name: one.abscissa.start - first.abscissa.start for name, one in signals.items()}
+    return first.abscissa, len(first.values), skews
 
 
 def _same_steps(first: Abscissa, other: Abscissa, period: float, count: int) -> bool:
@@ -230,15 +253,24 @@ class _Instants:
 
 
 def _calibration(
-    mapping: Mapping, si_units: AnyMapping[str, str], rate: Rate, sheet: ImportedSignals | None
+    mapping: Mapping,
+    si_units: AnyMapping[str, str],
+    rate: Rate,
+    sheet: ImportedSignals | None,
+    steps: AnyMapping[str, float],
+    skews: AnyMapping[str, float],
 ) -> NDArray[np.void]:
-    """Return rows of `daq/info`: what the sheet and the mapping say; beyond that, without limit and without error."""
+    """Return rows of `daq/info`: what the sheet and the mapping say; beyond that, without limit and without error.
+
+    The steps are those of the readings themselves, the skews those of their times.
+    """
     names = [name for name in CHANNELS if name in mapping.channels]
     rows = np.zeros(len(names), DAQ_INFO)
     rows["name"], rows["unit"] = names, [si_units[name] for name in names]
     rows["range_low"], rows["range_high"], rows["sensitivity"] = -math.inf, math.inf, 1.0
     listed = (sheet.texts.get("name") or []) if sheet is not None else []
     for place, name in enumerate(names):
+        rows["resolution"][place], rows["skew"][place] = steps[name], skews[name]
         if sheet is not None and name in listed:
             for key in CALIBRATION:
                 if key in sheet.signals and len(sheet.signals[key].values) == len(listed):

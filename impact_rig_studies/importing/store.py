@@ -31,12 +31,12 @@ from impact_rig.blocks import APPLIED, Table
 from impact_rig.errors import RecordingError
 from impact_rig.recording import Attachment, Provenance, RunWriter, TopicDescription
 from impact_rig.recording.description import MEASURED, MODE_KEY
+from impact_rig.runs.origin import SOURCE
 from impact_rig.simtime import NS_PER_S, stamp_ns
 from impact_rig_studies.importing.conversion import ImportedRun
 from impact_rig_studies.importing.mapping import as_yaml
 
 MAPPING_FILE = "mapping.yaml"  # attachment with the mapping in use
-SOURCE_FILE = "source.json"  # attachment with what was read, assumed and left out
 BLOCK_S, BLOCK_SCANS = 0.1, 4000
 WRITTEN = (topics.INFO, topics.APPLIED, topics.NOTES, topics.SCAN, topics.TRANSMISSIBILITY_TABLE, topics.IMPACTS)
 
@@ -52,7 +52,7 @@ def write(found: ImportedRun, directory: Path, clock_ns: int | None = None) -> P
     provenance = Provenance(version=impact_rig.__version__, seed=0, wall_start_ns=now, extra=about)
     kept = (
         Attachment(MAPPING_FILE, as_yaml(found.mapping).encode(), "application/yaml"),
-        Attachment(SOURCE_FILE, json.dumps(describe(found), ensure_ascii=False, indent=1).encode(), "application/json"),
+        Attachment(SOURCE, json.dumps(describe(found), ensure_ascii=False, indent=1).encode(), "application/json"),
     )
     if directory.is_dir() and any(directory.iterdir()):
         raise RecordingError(f"{directory} is not empty: nothing is overwritten")

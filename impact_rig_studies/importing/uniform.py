@@ -20,6 +20,7 @@ taken, else the rate of a usual clock divided by a whole number, else what was m
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping as AnyMapping
 from pathlib import Path
 
 import attrs
@@ -43,6 +44,7 @@ LARGEST_DIVISOR = 4096
 EXACT = 1e-9  # relative uncertainty of a rate that is written with all its digits
 DECIMALS = 9
 MOSTLY = 0.9
+FEWEST = 2  # scans that several time bases must have in common
 Rate = int | float  # scans per second: int where it is whole
 
 
@@ -54,6 +56,36 @@ class Grid:
     index: NDArray[np.int64]  # number of each scan, counted from the first, shape (n,)
     signals: dict[str, Real]  # values by channel, shape (n,) each
     followed: dict[str, Real]  # frequency and gap where signals give them, shape (n,) each
+
+
+def aligned(
+    path: Path, abscissas: AnyMapping[str, Abscissa], found: AnyMapping[str, Real]
+) -> tuple[Abscissa, dict[str, Real]]:
+    """Return signals of several time bases at the times of the densest, where all of them are there.
+
+    Raises:
+        ConfigError: a signal has no times, misses scans, or is never there together with another.
+    """
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415  # heavy: only where it is asked for
+
+    times: dict[str, Real] = {}
+    for name, one in abscissas.items():
+        if one.kind is not AbscissaKind.TIME:
+            raise ConfigError(f"{path}: {name} is given over {one}, so it cannot be brought to the times of others")
+        listed = one.values if one.values is not None else np.arange(len(found[name])) * (one.step or 0.0)
+        times[name] = np.asarray(one.start + listed)
+        steps = np.diff(times[name])
+        if not len(steps) or not float(steps.min()) > 0.0 or float(steps.max()) > HOLE * float(np.median(steps)):
+            raise ConfigError(f"{path}: {name} cannot be brought to other times: its times have holes, or go back")
+        if not np.all(np.isfinite(found[name])):
+            raise ConfigError(f"{path}: {name} cannot be brought to other times: a value is no finite number")
+    densest = min(times.values(), key=lambda one: float(np.median(np.diff(one))))
+    begin, end = max(one[0] for one in times.values()), min(one[-1] for one in times.values())
+    common = densest[(densest >= begin) & (densest <= end)]
+    if len(common) < FEWEST:
+        raise ConfigError(f"{path}: the signals of {', '.join(times)} are hardly ever there at the same time")
+    there = {name: CubicSpline(times[name], values)(common) for name, values in found.items()}
+    return Abscissa(AbscissaKind.TIME, "s", float(common[0]), values=common - common[0]), there
 
 
 def likely_rate(measured_hz: float, uncertainty_hz: float) -> Rate:

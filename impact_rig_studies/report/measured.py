@@ -42,6 +42,7 @@ from impact_rig.recording.description import MEASURED, MODE_KEY
 from impact_rig.rig.gaps import NO_SPHERE, case_of
 from impact_rig.runs import reanalysis
 from impact_rig.runs.drawings import TRACED_CYCLES, channel_units, main_motion
+from impact_rig.runs.origin import origin
 from impact_rig.runs.wholes import calibration_rows, last_excerpt
 from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Method
@@ -82,11 +83,25 @@ def of_campaign(done: Finished) -> MeasuredData:
     return MeasuredData(
         title=done.campaign.title,
         kind="Report of an imported measurement: instruments, rates and labels are those that were given with it.",
-        about=[("Files", ", ".join(files)), ("Imported", cover.written(done)), *_about(rows, done.info)],
+        about=[
+            ("Files", ", ".join(files)), ("Imported", cover.written(done)), *_about(rows, done.info),
+            *_origins(done.directory / "runs"),
+        ],
         rows=rows,
         info=done.info,
         failed=[(f"{point.label} at {point.frequency_hz:g} Hz", point.status) for point in done.failed()],
-    )
+    )  # fmt: skip
+
+
+def _origins(directory: Path) -> Iterator[tuple[str, str]]:
+    """Yield what was assumed about the files of a campaign, and what was left out of them."""
+    found: dict[str, list[str]] = {"assumed": [], "left out": []}
+    for path in sorted(path.parent for path in directory.rglob("metadata.yaml")):
+        with open_run(path) as run:
+            facts = origin(run.attachments())
+        for what in found.keys() & facts.keys():
+            found[what].append(f"{path.name}: {facts[what]}")
+    yield from ((what.capitalize(), "; ".join(texts)) for what, texts in found.items() if texts)
 
 
 def of_run(path: Path) -> MeasuredData:
@@ -111,6 +126,7 @@ def of_run(path: Path) -> MeasuredData:
             ("Recorded by version", known.get("version", "")),
             *_about(rows, info),
             ("Remarks", "; ".join(reanalysis.remarks(run))),
+            *((what.capitalize(), text) for what, text in origin(run.attachments()).items()),
         ]
         last = everything["status"][-1].decode() if len(everything) else "no measurement was begun"
         return MeasuredData(

@@ -63,6 +63,18 @@ LIMIT = 3.0
 GAPS = (0.004, 0.010)
 
 
+def test_the_curve_of_a_sensor_is_taken_where_its_readings_are():
+    """An accelerometer reads ω² times the displacement; a displacement was once compared with its range in m/s²."""
+    info = Rig(RigConfig()).info().rows.copy()
+    displacement = Gains.of(info).relative(1, np.array([0.004]), 9.1)
+    row = info["name"] == b"laser"
+    info["unit"][row] = b"m/s^2"
+    for column in ("range_low", "range_high", "linearity"):
+        info[column][row] *= (2 * np.pi * 9.1) ** 2
+    assert Gains.of(info).relative(1, np.array([0.004]), 9.1) == pytest.approx(displacement)
+    assert displacement[0, 3] != 0.0
+
+
 def synthetic(rng, truth=TRUTH, gaps=(), errors=None):
     """Return measurements of a rig in closed form, and reductions by simulation, with errors as the certificate says.
 
@@ -74,7 +86,8 @@ def synthetic(rng, truth=TRUTH, gaps=(), errors=None):
     base = 0.52 * per_ampere
     laser = base * np.abs(ratio)
     errors = np.append(rng.normal(0.0, gains.u), 0.0) if errors is None else errors
-    on_laser, on_base, on_current = gains.relative(1, laser) @ errors, gains.relative(2, base) @ errors, errors[2]
+    on_laser = gains.relative(1, laser, frequency) @ errors
+    on_base, on_current = gains.relative(2, base, frequency) @ errors, errors[2]
     n, u = len(frequency), np.full(len(frequency), NOISE)
     sine = SineData(
         frequency, np.abs(ratio) * np.exp(on_laser - on_base + rng.normal(0, NOISE, n)),

@@ -31,6 +31,7 @@ from impact_rig.system import budget, files
 from impact_rig_studies.importing import isolation
 from impact_rig_studies.importing.limits import FILE_BYTES
 from impact_rig_studies.importing.readers import (
+    bag,
     delimited,
     hdf5,
     labview,
@@ -72,6 +73,7 @@ TEXT = Format("a text table", delimited.read)
 MATLAB_5 = Format("a MATLAB 5 file", matlab.read_5, "scipy.io", "scipy")
 MATLAB_7_3 = Format("a MATLAB 7.3 file", matlab.read_7_3, "h5py", "h5py")
 NETCDF = Format("a Rattlesnake netCDF4 file", rattlesnake.read, "h5py", "h5py")
+BAG = Format("a ROS bag", bag.read, "rosbags.highlevel", "rosbags")
 UNIVERSAL = Format("a universal file", universal.read, "pyuff", "pyuff")
 FORMATS: Mapping[str, Format] = {
     ".csv": TEXT, ".txt": TEXT, ".tsv": TEXT, ".dat": TEXT, ".asc": TEXT,
@@ -83,8 +85,9 @@ FORMATS: Mapping[str, Format] = {
     ".uff": UNIVERSAL, ".unv": UNIVERSAL, ".uf": UNIVERSAL,
     ".nc": NETCDF, ".nc4": NETCDF,
     ".mat": MATLAB_5,
+    **dict.fromkeys(bag.SUFFIXES, BAG),
 }  # fmt: skip
-"""Formats by suffix."""
+"""Formats by suffix; a bag may be a directory, too."""
 
 
 def format_of(path: Path, content: bytes) -> Format:
@@ -109,9 +112,11 @@ def read(path: Path) -> ImportedSignals:
         RecordingError: unknown suffix, a library is missing, or the file is damaged, empty or of another format.
         BudgetError: it is larger than the budget.
     """
-    if path.suffix.lower() not in FORMATS:
-        format_of(path, b"")
     try:
+        if bag.is_bag(path):
+            return _read_bag(path)
+        if path.suffix.lower() not in FORMATS:
+            format_of(path, b"")
         if not stat.S_ISREG(path.stat().st_mode):
             what = "a directory" if path.is_dir() else "no regular file"
             raise RecordingError(f"{path} is {what}: a file of measurements is needed")
@@ -128,7 +133,20 @@ def read(path: Path) -> ImportedSignals:
     return found
 
 
-def _read(chosen: Format, path: Path, content: bytes) -> ImportedSignals:
+def _read_bag(path: Path) -> ImportedSignals:
+    """Return the signals in a bag, which its library reads piece by piece."""
+    members = sorted(path.iterdir()) if path.is_dir() else [path]
+    wrong = next((one for one in members if not one.is_file()), None)
+    if wrong is not None:
+        raise RecordingError(f"{wrong} is no regular file: a bag is one file, or a directory of files")
+    size = sum(one.stat().st_size for one in members)
+    if not size:
+        raise RecordingError(f"{path} is empty")
+    budget.allow("bytes of a bag", size, FILE_BYTES)
+    return isolation.run(path, BAG.name, size, lambda: _read(BAG, path, size), BAG.load)
+
+
+def _read(chosen: Format, path: Path, content: bytes | int) -> ImportedSignals:
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")  # of libraries, about files they then refuse or read
         return chosen.read(path, content, *chosen.load())

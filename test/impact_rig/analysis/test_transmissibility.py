@@ -374,3 +374,18 @@ def test_a_certificate_without_steps_has_one_ahead_of_which_all_noise_is():
     assert calibration.converter_step[LASER] == 8e-6
     assert calibration.output_noise[LASER] == info["noise"][LASER]
     assert 0.0 < calibration.steps_uncertainty(LASER, 20e-6) < 1e-6
+
+
+def test_steps_of_another_rig_may_truncate():
+    """Nothing says how they came about: towards zero, an amplitude loses 2/π of a step."""
+    info = info_rows()
+    for name in ("output_step", "output_noise", "converter_step", "converter_noise", "noise"):
+        info[name][LASER] = 0.0
+    info["resolution"][LASER] = step = 8e-6
+    calibration = Calibration.from_info(info)
+    phase = np.linspace(0.0, 200.0 * np.pi, 100_000, endpoint=False)
+    for amplitude in (400e-6, 1e-3):
+        read = step * np.trunc(amplitude * np.sin(phase + 0.1) / step)
+        lost = amplitude - abs(np.mean(2.0 * read * np.exp(-1j * phase)))
+        assert lost == pytest.approx(2.0 / np.pi * step, rel=0.1)
+        assert lost < 2.0 * calibration.steps_uncertainty(LASER, amplitude) < 1.5 * lost

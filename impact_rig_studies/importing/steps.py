@@ -1,0 +1,70 @@
+# Copyright 2026 The impact_rig developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Step of imported readings: the spacing of the values that a converter, an integer or few digits leave.
+
+No format states it reliably: values are scaled, printed and truncated before they are read. It is found in the values
+themselves, as the largest number of which all their differences are whole multiples (Euclid's algorithm).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from impact_rig_studies.importing.signals import Real
+
+SAMPLES = 20_000  # of a signal that are used: its last
+REPEATED, ALIKE = 12, 1e-9
+"""Samples after which a sine at 1/2, 1/3, 1/4 or 1/6 of the rate repeats: its values are commensurable without a step.
+Relative departure within which it does."""
+FEW = 20  # levels, of which small ones count, too
+CHANCE = 1e-9  # with which differences are multiples of a number within their rounding although there is no step
+
+
+def step_of(values: Real) -> float:
+    """Return the step of a signal's values [their unit]; 0 where they have none.
+
+    Where there are enough, only values of the upper half of the amplitude count: numbers printed with so many
+    significant digits have finer steps where they are small, which say nothing about the amplitude.
+    """
+    values = values[-SAMPLES:]
+    values = values[np.isfinite(values)]
+    size = float(np.abs(values).max(initial=0.0))
+    if len(values) <= 2 * REPEATED or np.all(np.abs(values[REPEATED:] - values[:-REPEATED]) <= ALIKE * size):
+        return 0.0
+    large = np.unique(values[np.abs(values) >= 0.5 * size])
+    apart = np.diff(large if len(large) > FEW else np.unique(values))
+    step = _common_divisor(apart, 2.0 * float(np.spacing(size)))
+    for rounding in (2.0 * float(np.spacing(np.float32(size))), step):
+        # of numbers in single precision, or printed with more digits than the step needs
+        if rounding > 0.0:
+            step = max(step, _common_divisor(apart, rounding))
+    return step
+
+
+def _common_divisor(apart: Real, rounding: float) -> float:
+    """Return the largest number of which all differences are multiples but for their rounding; 0: there is none."""
+    apart = np.sort(apart[apart > rounding])
+    step = float(apart[0]) if len(apart) else 0.0
+    while step > rounding:
+        multiples = apart / step
+        within = rounding * (1.0 + multiples)  # the step is as uncertain as the difference that it was found by
+        rest = np.abs(apart - step * np.round(multiples))
+        uneven = rest[rest > within]
+        if not len(uneven):
+            chance = float(np.sum(np.log(np.minimum(2.0 * within[1:] / step, 1.0))))
+            return step if chance < math.log(CHANCE) else 0.0
+        step = float(uneven.min())
+    return 0.0
