@@ -63,6 +63,13 @@ def number(cell: str, decimal: str = ".") -> float | None:
     return math.nan if lower in _NOT_A_NUMBER else _INFINITE.get(lower)
 
 
+def half_digit(cell: str) -> float:
+    """Return half of the last digit in which a number is written: how far it may be from what was meant."""
+    mantissa, _, exponent = cell.strip().lower().replace("d", "e").partition("e")
+    decimals = len(mantissa) - 1 - max(mantissa.rfind("."), mantissa.rfind(",")) if re.search("[.,]", mantissa) else 0
+    return float(0.5 * 10.0 ** (int(exponent or 0) - decimals))
+
+
 def decimal_sign(cells: Sequence[str], delimiter: str | None) -> str:
     """Return the decimal sign of some cells: a comma where one could be and none of them contradicts it."""
     if delimiter == "," and not any("," in cell for cell in cells):

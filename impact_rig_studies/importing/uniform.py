@@ -89,16 +89,21 @@ def aligned(
 
 
 def likely_rate(measured_hz: float, uncertainty_hz: float) -> Rate:
-    """Return the rate that a measured one most likely is: a whole number, a clock over a whole number, or itself."""
+    """Return the rate that a measured one most likely is: a whole number, a clock over a whole number, or itself.
+
+    Where several whole numbers are as likely, a clock is likelier than the nearest of them.
+    """
     low, high = measured_hz - uncertainty_hz, measured_hz + uncertainty_hz
     whole = round(measured_hz)
-    if whole >= 1 and low <= whole <= high:
+    is_whole = whole >= 1 and low <= whole <= high
+    if is_whole and (abs(whole - measured_hz) <= EXACT * measured_hz or not (low <= whole - 1 or whole + 1 <= high)):
         return whole
     for clock in CLOCKS_HZ:
         divisor = round(clock / measured_hz)
         if 1 <= divisor <= LARGEST_DIVISOR and low <= clock / divisor <= high:
-            return clock / divisor
-    return measured_hz
+            rate = clock / divisor
+            return round(rate) if rate == round(rate) else rate
+    return whole if is_whole else measured_hz
 
 
 def uniform(

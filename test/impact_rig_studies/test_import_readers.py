@@ -32,6 +32,7 @@ import pytest
 
 from impact_rig.errors import ImpactRigError
 from impact_rig_studies.importing import headings, readers
+from impact_rig_studies.importing.cells import half_digit
 from impact_rig_studies.importing.readers import delimited, labview, universal, wav
 from impact_rig_studies.importing.signals import AbscissaKind, ImportedSignals, SignalKind
 from impact_rig_studies.importing.uniform import likely_rate
@@ -360,6 +361,17 @@ def test_rates_of_divided_clocks_are_exact(divisor: int) -> None:
     step = float(f"{divisor / 51200:.5e}")
     uncertainty = 0.51e-5 * 10.0 ** np.floor(np.log10(step)) / step**2
     assert likely_rate(1.0 / step, uncertainty) in (51200 / divisor, round(51200 / divisor))
+
+
+@pytest.mark.parametrize(
+    ("step", "rate_hz"),
+    [("0.000977", 1024), ("0.000488", 2048), ("0.001", 1000), ("0.008", 125), ("1.953125E-5", 51200),
+     ("0,000122", 8192), ("1", 1)],
+)  # fmt: skip
+def test_a_step_of_few_digits_is_a_likely_rate(step: str, rate_hz: float) -> None:
+    """LabVIEW prints six decimals of Delta_X: 1024 Hz were once 1023.54."""
+    value = float(step.replace(",", "."))
+    assert likely_rate(1.0 / value, half_digit(step) / value**2) == rate_hz
 
 
 # --- WAV

@@ -186,4 +186,4 @@ def _abscissa(head: _Segment, channel: int, x: Real, decimal: str) -> Abscissa:
     begin = float(x[0]) if listed is not None else start if start is not None and np.isfinite(start) else 0.0
     if step is None or not step > 0.0:
         return Abscissa(kind, unit, begin, None, listed) if listed is not None else Abscissa(AbscissaKind.NONE)
-    return Abscissa(kind, unit, begin, step, listed)
+    return Abscissa(kind, unit, begin, step, listed, cells.half_digit(head.text("Delta_X", channel)))
