@@ -28,6 +28,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
 from hypothesis import strategies as st
+from rosbags import rosbag1, rosbag2
+from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
 from fuzz.mutation import mutated, mutated_lines
@@ -137,6 +139,27 @@ def _decimal_comma() -> bytes:
     return "\n".join(lines).encode("cp1252")
 
 
+def _bag(suffix: str) -> bytes:
+    """Write two topics of `Float64` with one message at each instant."""
+    store = get_typestore(Stores.ROS1_NOETIC if suffix == ".bag" else Stores.ROS2_JAZZY)
+    kind = "std_msgs/msg/Float64"
+    encode = store.serialize_ros1 if suffix == ".bag" else store.serialize_cdr
+    storage = rosbag2.StoragePlugin.SQLITE3 if suffix == ".db3" else rosbag2.StoragePlugin.MCAP
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"own{suffix}"
+        writer = rosbag1.Writer(path) if suffix == ".bag" else rosbag2.Writer(path, version=9, storage_plugin=storage)
+        with writer:
+            topics = {
+                name: writer.add_connection(f"/{name}", kind, typestore=store)  # type: ignore[arg-type]  # of its own
+                for name in ("laser", "base")
+            }
+            for scan in range(SCANS):
+                for name, topic in topics.items():
+                    data = encode(store.types[kind](COLUMNS[name][scan]), kind)
+                    writer.write(topic, 10**9 + round(1e9 * COLUMNS["time"][scan]), data)  # type: ignore[arg-type]
+        return path.read_bytes() if path.is_file() else next(path.glob(f"*{suffix}")).read_bytes()
+
+
 def _reads(suffix: str) -> Callable[[bytes], None]:
     """Return what reads a file; signals of a WAV file have no names that say what they are."""
     said = "channels: {laser: {column: channel_0, unit: mm}, base: {column: channel_1, unit: mm}}"
@@ -188,6 +211,7 @@ WORDS = st.lists(
 _SEEDS = {
     ".csv": _csv(), ".npz": _npz(), ".parquet": _parquet(), ".wav": _wav(), ".mat": _matlab(), ".nc": _netcdf(),
     ".uff": _uff(), ".tdms": _tdms(), ".lvm": _lvm(), ".txt": _decimal_comma(),
+    **{suffix: _bag(suffix) for suffix in (".mcap", ".db3", ".bag")},
 }  # fmt: skip
 TARGETS = (
     *(
