@@ -220,7 +220,7 @@ class _ModelledScans:
         for stretch in self.stretches:
             for channel in (LASER, BASE, CURRENT):
                 part = self.true[CHANNELS[channel]][stretch.first : stretch.last]
-                part[:] = undone(part, calibration, channel, LOWEST_SHARE * stretch.drive_hz)
+                part[:] = undone(part, calibration, channel, stretch.drive_hz)
         self.model = np.zeros(len(measured), SCAN)
         self.begin = 0  # of the scans that the analysis sees next
 
@@ -262,7 +262,7 @@ class _ModelledScans:
         return slice(first, first + len(excerpt.rows))
 
 
-def undone(values: Real, calibration: Calibration, channel: int, lowest_hz: float) -> Real:
+def undone(values: Real, calibration: Calibration, channel: int, drive_hz: float) -> Real:
     """Return what a channel measured with its sensor's lag and its skew undone, its noise beyond the band left out.
 
     Velocities and accelerations are integrated to displacements.
@@ -271,28 +271,38 @@ def undone(values: Real, calibration: Calibration, channel: int, lowest_hz: floa
         values: contiguous readings, shape (n,).
         calibration: of the instruments.
         channel: one of `scans.CHANNELS`.
-        lowest_hz: lower edge of what is integrated; below it is the drift of a sensor.
+        drive_hz: frequency of the drive, above a share of which readings are integrated; below is a sensor's drift.
     """
     rate = calibration.rate_hz
     around = min(round(MIRRORED_S * rate), len(values) - 1)
     is_integrated = bool(calibration.derivative[channel])
-    if is_integrated:  # beyond its ends the record fades out, or their difference would be integrated too
+    if is_integrated:
         fade = np.sin(0.5 * np.pi * np.arange(around) / max(around, 1)) ** 2
-        mirrored = np.pad(values - values.mean(), around, mode="reflect")
-        mirrored[:around] *= fade
-        mirrored[len(mirrored) - around :] *= fade[::-1]
+        values = values - values.mean()
+        before = _continued(values[::-1], drive_hz / rate, around)[::-1]
+        mirrored = np.concatenate([fade * before, values, fade[::-1] * _continued(values, drive_hz / rate, around)])
     else:
         mirrored = np.pad(values, around, mode="reflect", reflect_type="odd")
     frequency = np.fft.rfftfreq(len(mirrored), 1.0 / rate)
     top = min(BAND_HZ, BAND_SHARE * rate)
     edge = np.sin(0.5 * np.pi * np.clip((top - frequency) / ((1.0 - FADE) * top), 0.0, 1.0)) ** 2
     if is_integrated:
-        edge[frequency < max(lowest_hz, 1.0 / (len(values) / rate))] = 0.0
+        edge[frequency < max(LOWEST_SHARE * drive_hz, rate / len(values))] = 0.0
     inside = edge > 0.0
     spectrum = np.fft.rfft(mirrored) * edge
     spectrum[inside] /= calibration.response(channel, frequency[inside])
     found: Real = np.fft.irfft(spectrum, len(mirrored))[around : around + len(values)]
     return found
+
+
+def _continued(values: Real, turns: float, count: int) -> Real:
+    """Return so many values after the last, by the sine of the last cycles; `turns` are cycles per value."""
+    if not turns > 0.0:
+        return np.zeros(count)
+    newest = values[-min(len(values), round(FIRST_CYCLES / turns)) :]
+    angle = 2.0 * np.pi * turns * np.arange(len(newest) + count)
+    sines = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return np.asarray(sines[len(newest) :] @ np.linalg.lstsq(sines[: len(newest)], newest, rcond=None)[0])
 
 
 def _drive(scans: _ModelledScans, stretch: _Stretch, config: RigConfig, kind: str, channel: int, gain: float) -> None:

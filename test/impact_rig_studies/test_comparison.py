@@ -149,8 +149,8 @@ def test_lag_and_skew_of_a_sensor_are_undone(channel: int) -> None:
     true = np.exp(2j * np.pi * 9.1 * time_s)
     read = (true * calibration.response(channel, 9.1)).real
     assert np.abs(read - true.real).max() > 1e-4, CHANNELS[channel]
-    assert np.abs(undone(read, calibration, channel, 3.0) - true.real)[RATE_HZ:-RATE_HZ].max() < 1e-4
-    assert np.abs(undone(read, calibration, channel, 3.0) - true.real).max() < 0.05
+    assert np.abs(undone(read, calibration, channel, 9.1) - true.real)[RATE_HZ:-RATE_HZ].max() < 1e-4
+    assert np.abs(undone(read, calibration, channel, 9.1) - true.real).max() < 0.05
 
 
 def test_the_command_tells_and_draws(
