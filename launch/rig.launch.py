@@ -41,7 +41,7 @@ from launch_ros.substitutions import FindPackageShare
 from impact_rig import graph
 from impact_rig.config.tree import flatten
 from impact_rig.errors import ConfigError
-from impact_rig.rig.config import RigConfig, from_flat, load
+from impact_rig.rig.config import RigConfig, from_flat, load_config
 from impact_rig.rig.description import ROOT, robot_description
 from impact_rig.system import budget
 from impact_rig.system.endings import PARENT_VARIABLE
@@ -118,7 +118,7 @@ def configuration_file(context: LaunchContext) -> tuple[str, RigConfig]:
     """Return the path of the configuration file and what it holds."""
     path = text(context, "config")
     try:
-        return path, load(path)
+        return path, load_config(path)
     except ConfigError as error:
         raise ConfigError(f"launch argument config: {error}") from None
 
