@@ -134,6 +134,8 @@ class Ending:
         os._exit(self.code(self.told))
 
     def _say(self) -> None:
+        if not self.reason and self.code(self.told) == 0:  # a signal is how this program ends well
+            return
         with contextlib.suppress(OSError):  # who listened may be gone
             os.write(2, f"{self.name}: {_WORDS[signal.Signals(self.told)]}{self.reason}\n".encode())
 

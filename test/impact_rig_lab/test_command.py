@@ -157,6 +157,7 @@ def test_a_second_lab_is_refused_the_recording_is_named_and_an_end_of_the_pipe_e
             words, errors = first.communicate(timeout=PATIENCE_S)
             assert words.decode().splitlines()[-1] == f"recorded: {directory}"
             assert b"Traceback" not in errors
+            assert b"interrupted" not in errors, "it was what ends a lab well, and the last line on a terminal"
             assert next(Path(directory).glob("*.mcap")).stat().st_size > 0
             assert {path.name for path in tmp_path.iterdir()} == {"runs", "state"}, "nothing else is left behind"
         finally:
