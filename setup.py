@@ -64,7 +64,7 @@ setup(
     url=URL,
     packages=find_packages(include=[f"{NAME}*"]),
     package_data={
-        NAME: ["py.typed", "interface.json", "kernels/library.c", "recording/definitions.json"],
+        NAME: ["py.typed", "interface.json", "kernels/*.c", "recording/definitions.json"],
         f"{NAME}_studies": ["py.typed", "report/parts.html", "report/style.css"],
         f"{NAME}_lab": ["py.typed", "static/*", "words.json"],
     },

@@ -8,7 +8,7 @@ set -eu
 python=$1/bin/python
 here=$(dirname "$0")
 
-"$python" -c 'import sys; from impact_rig.kernels import library; sys.exit(library() is None)' && exit
+"$python" -c 'import sys; from impact_rig.kernels.build import is_built; sys.exit(not is_built())' && exit
 pip() { "$python" -W ignore -m pip install --quiet --no-compile --no-deps --no-input --disable-pip-version-check "$@"; }
 
 if ! command -v "${CC:-cc}" >/dev/null; then
@@ -22,4 +22,4 @@ if ! "$python" -c 'import numba' 2>/dev/null; then
     pip --target "$fetched" --requirement "$here/kernels.txt"
     export PYTHONPATH="$fetched"
 fi
-"$python" -m impact_rig.kernels.build
+"$python" -m impact_rig.kernels.build --keep "$here/../build/kernels"

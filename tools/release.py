@@ -35,7 +35,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from impact_rig.kernels.build import HEADER, OUTPUT
+from impact_rig.kernels.build import ASSEMBLY, HEADER, OBJECT, OUTPUT, write_assembly
 
 ROOT = Path(__file__).parents[1]
 NOT_RELEASED = (".github", ".ci", ".gitignore")
@@ -70,7 +70,8 @@ def build(directory: Path, kernels: Path | None = None) -> tuple[Path, Path]:
 
     Args:
         directory: where they are put.
-        kernels: folder of a library of these sources, which the wheel then holds; None: it is built for it.
+        kernels: folder of a library of these sources, which the wheel then holds; None: the source distribution
+            carries their assembly, from which the wheel is built as anybody without Numba does.
     """
     directory.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as name:
@@ -78,10 +79,13 @@ def build(directory: Path, kernels: Path | None = None) -> tuple[Path, Path]:
         for file in tracked():
             (source / file).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / file, source / file)
+        if kernels is None:
+            write_assembly(ROOT / "build" / "kernels")
+            shutil.copytree(ASSEMBLY, source / ASSEMBLY.relative_to(ROOT))
         sdist = directory / _backend("build_sdist", source, directory)
         unpacked = unpack(sdist, Path(name))
         if kernels is not None:
-            for made in (OUTPUT, HEADER):
+            for made in (OUTPUT, HEADER, OBJECT):
                 shutil.copy2(kernels / made, unpacked / "impact_rig" / "kernels")
         return sdist, directory / _backend("build_wheel", unpacked, directory)
 
@@ -107,7 +111,8 @@ def differences(sdist: Path, wheel: Path) -> list[str]:
     files = set(tracked())
     with tarfile.open(sdist) as archive:
         found = {member.name.partition("/")[2] for member in archive if member.isfile()}
-    made = {name for name in found if name.startswith("impact_rig.egg-info/")} | {"PKG-INFO", "setup.cfg"}
+    not_ours = ("impact_rig.egg-info/", f"{ASSEMBLY.relative_to(ROOT)}/")
+    made = {name for name in found if name.startswith(not_ours)} | {"PKG-INFO", "setup.cfg"}
     said = [f"{sdist.name} lacks {name}" for name in sorted(files - found)]
     said += [f"{sdist.name} holds {name}" for name in sorted(found - files - made)]
     with zipfile.ZipFile(wheel) as archive:
@@ -116,7 +121,7 @@ def differences(sdist: Path, wheel: Path) -> list[str]:
     share = f"{stem}.data/data/share/impact_rig/"
     marker = f"{stem}.data/data/share/ament_index/resource_index/packages/impact_rig"
     wanted = {name for name in files if name.startswith(PACKAGES)} | {marker}
-    wanted |= {f"impact_rig/kernels/{made}" for made in (OUTPUT, HEADER)}
+    wanted |= {f"impact_rig/kernels/{made}" for made in (OUTPUT, HEADER, OBJECT)}
     wanted |= {
         share + name for name in files if name.startswith((*IN_WHEEL, "examples/")) and name != "resource/impact_rig"
     }

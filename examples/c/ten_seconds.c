@@ -12,7 +12,7 @@
 // See the License for the specific language governing permissions and
 // limitations under the License.
 
-/* Ten seconds of the rig without Python: cc ten_seconds.c, linked as impact_rig.h says; the file is written by write_model.py.
+/* Ten seconds of the rig without Python: cc ten_seconds.c impact_rig.o -lm; the file is written by write_model.py.
  */
 #include "impact_rig.h"
 #include <stdio.h>

@@ -98,11 +98,13 @@ class Pointer(NamedTuple):
 
     Attributes:
         address: where it is.
-        function: the same for Python; kept, so that what lies at the address stays.
+        function: the same for Python.
+        kept: what must stay as long as the address is used.
     """
 
     address: int
     function: Callable[..., Any]
+    kept: Any = None
 
     def __call__(self, *arguments: Any) -> Any:
         """Call it as Python."""
@@ -129,13 +131,13 @@ class Exported(NamedTuple):
 
     Attributes:
         function: as it is written.
-        type: its type, or that of what `around` makes of it.
-        around: returns a function that calls the one it is given; None: the function itself is meant.
+        type: of what `around` makes of it.
+        around: returns the function of that type, which calls the one it is given.
     """
 
     function: Callable[..., Any]
     type: Function
-    around: Callable[[Callable[..., Any]], Callable[..., Any]] | None = None
+    around: Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
 REALS, REALS_2D, REALS_3D = (Array(np.dtype("f8"), dimensions) for dimensions in (1, 2, 3))

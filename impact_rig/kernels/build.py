@@ -11,24 +11,31 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Build the shared library of all kernels, next to them or in a folder: `python -m impact_rig.kernels.build [FOLDER]`.
+"""Build the kernels, next to their sources or in a folder: `python -m impact_rig.kernels.build [FOLDER]`.
 
-Where there is one of these sources already, it is left, or copied.
+    _library.abi3.so   the shared library that Python loads
+    impact_rig.o       the same kernels for programs in C, without Python
+    impact_rig.h       their declarations
+
+Where they are already there, of these sources, they are left, or copied. `--machine aarch64` builds for another
+machine, with the compiler that CC names. `--keep DIR` keeps what was translated, which serves every machine.
 
 Numba translates each entry, and whatever it calls, to LLVM's code once, for a plain CPU of this machine's kind (the
-arithmetic is portable, so nothing is lost and the bits are the same). All of it becomes one module, in which LLVM sees
-and optimises everything together, once; the system's C compiler links it with library.c. Two processes share the
-translation.
+arithmetic is portable, so nothing is lost and the bits are the same). Each of two processes makes one module of its
+part, in which LLVM sees and optimises everything together, once (`emit`). The system's C compiler links the parts with
+kernels.c, and for Python with library.c.
 
 This uses parts of Numba that are not its public interface: the build pins its version.
 """
 
 from __future__ import annotations
 
+import argparse
 import importlib.metadata
 import json
 import math
 import os
+import platform
 import re
 import shlex
 import shutil
@@ -37,14 +44,19 @@ import sys
 import sysconfig
 import tempfile
 import time
-from collections.abc import Iterable
 from pathlib import Path
 
+from impact_rig import __version__
 from impact_rig.kernels import PACKAGE, VARIABLE, digest, library
 from impact_rig.kernels.header import whole
 
 FOLDER = Path(__file__).parent
-OUTPUT, HEADER = "_library.abi3.so", "impact_rig.h"
+ASSEMBLY = FOLDER / "assembly"
+"""In a released source distribution: the kernels as assembly for each machine of RELEASED."""
+RELEASED = ("x86_64", "aarch64")
+STAMP = "sources.json"
+OUTPUT, HEADER, OBJECT = "_library.abi3.so", "impact_rig.h", "impact_rig.o"
+OTHER_SOURCES = ("emit.py", "kernels.c", "library.c")
 PARTS = {
     "mechanics": ("physics.simulation", "physics.function_generator", "rig.interlock", "rig.monitors", "rig.truth"),
     "instruments": ("instruments.chain", "analysis.tracker", "codec"),
@@ -70,7 +82,7 @@ def cpu(machine: str) -> str:
 
 
 def sources() -> list[Path]:
-    """Return the files that decide the library: kernels, contact laws, what these import from, the C code."""
+    """Return the files that decide the library: kernels, what these import from, the rest of the build."""
     texts = {path: path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py")}
     declares = re.compile(r"^from impact_rig\.(kernels|physics\.contact\.law) import", re.MULTILINE)
     holders = {path for path, text in texts.items() if declares.search(text)}
@@ -79,32 +91,136 @@ def sources() -> list[Path]:
         for module in re.findall(r"^from impact_rig\.([\w.]+) import", texts[holder], re.MULTILINE):
             stem = PACKAGE.joinpath(*module.split("."))
             found |= {stem.with_suffix(".py"), stem / "__init__.py"} & texts.keys()
-    return sorted(found | {FOLDER / "library.c"})
+    return sorted(found | {FOLDER / name for name in OTHER_SOURCES})
 
 
-def build(folder: Path = FOLDER) -> None:
-    """Build the library into a folder, by default next to the sources; say how far it is.
+def stamps() -> dict[str, str]:
+    """Return the digest of each source, by its path in the package."""
+    return {str(path.relative_to(PACKAGE)): digest(path) for path in sources()}
+
+
+def symbol(name: str) -> str:
+    """Return what a kernel is called in C: `physics.event_loop.run` is `ir_physics_event_loop_run_slots`.
+
+    An exported function has its name alone, without `_slots`: it takes its arguments as they are.
+    """
+    plain = f"ir_{name.replace('.', '_')}"
+    return plain if name.startswith("force.") else f"{plain}_slots"
+
+
+def is_built() -> bool:
+    """Return whether everything is there, made of these sources."""
+    return all((FOLDER / name).exists() for name in (HEADER, OBJECT)) and library() is not None
+
+
+def build(folder: Path = FOLDER, machine: str = "", keep: Path | None = None) -> None:
+    """Build everything into a folder, by default next to the sources, and print the progress.
+
+    Args:
+        folder: where the files go.
+        machine: what it is built for, as `platform.machine` names it; default: this machine.
+        keep: folder that keeps the translated kernels.
 
     Raises:
         SystemExit: no Numba or another one than the build is made for, no C compiler, or one of them failed.
     """
-    began = time.monotonic()
-    _check_numba()
+    began, here = time.monotonic(), platform.machine()
+    machine = machine or here
+    cpu(machine)
     with tempfile.TemporaryDirectory(prefix="impact_rig_kernels_") as name:
         work = Path(name)
-        _translate_all(work)
-        exports = [line for part in PARTS for line in (work / f"{part}.names").read_text().splitlines()]
-        (work / "exports.c").write_text(_exports(exports), encoding="utf-8")
-        built = work / OUTPUT
+        found = ASSEMBLY if _is_of_these_sources(ASSEMBLY) else translated(keep or work)
         objects = [str(work / f"{part}.o") for part in PARTS]
-        _compile([str(FOLDER / "library.c"), str(work / "exports.c"), *objects, "-o", str(built)])
-        _check_loads(built)
+        for part, path in zip(PARTS, objects, strict=True):
+            if found is ASSEMBLY:
+                _compile(["-c", str(ASSEMBLY / f"{machine}-{part}.s"), "-o", path])
+            else:
+                Path(path).write_bytes(_emit(found / f"{part}.bc", machine)[0])
+        write_tables(found, work)
+        together = str(work / OBJECT)
+        _compile(["-r", "-nostdlib", str(FOLDER / "kernels.c"), str(work / "tables.c"), *objects, "-o", together])
+        _compile(["-shared", str(FOLDER / "library.c"), together, "-o", str(work / OUTPUT), "-lm"])
+        if machine == here:
+            _check_loads(work / OUTPUT)
+        write_header(found, work / HEADER)
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / HEADER).write_text(whole((work / f"{part}.h").read_text(encoding="utf-8") for part in PARTS), "utf-8")
-        new = folder / f".{OUTPUT}.new"
-        new.write_bytes(built.read_bytes())
-        new.replace(folder / OUTPUT)  # at once: a process that runs the old one keeps it
-    print(f"{len(exports)} compiled functions in {folder / OUTPUT}, {time.monotonic() - began:.0f} s")  # noqa: T201
+        for file in (HEADER, OBJECT, OUTPUT):  # the library last: it says that the others are there
+            new = folder / f".{file}.new"
+            new.write_bytes((work / file).read_bytes())
+            new.replace(folder / file)  # at once: a process that runs the old one keeps it
+    print(f"kernels for {machine} in {folder}, {time.monotonic() - began:.0f} s")  # noqa: T201
+
+
+def translated(folder: Path) -> Path:
+    """Return the folder, filled with the translated kernels of these sources unless it holds them already."""
+    if not _is_of_these_sources(folder):
+        _check_numba()
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / STAMP).unlink(missing_ok=True)
+        _translate_all(folder)
+        (folder / STAMP).write_text(json.dumps(stamps()), encoding="utf-8")
+    return folder
+
+
+def _is_of_these_sources(folder: Path) -> bool:
+    stamp = folder / STAMP
+    return stamp.exists() and stamp.read_text(encoding="utf-8") == json.dumps(stamps())
+
+
+def _emit(bitcode: Path, machine: str) -> tuple[bytes, str]:
+    from impact_rig.kernels.emit import emit  # noqa: PLC0415  # LLVM is there with Numba
+
+    return emit(bitcode, machine)
+
+
+def write_assembly(keep: Path) -> None:
+    """Write the kernels as assembly, from which any system's compiler builds them, into the package."""
+    found = translated(keep)
+    shutil.rmtree(ASSEMBLY, ignore_errors=True)
+    ASSEMBLY.mkdir()
+    for part in PARTS:
+        for machine in RELEASED:
+            text = _emit(found / f"{part}.bc", machine)[1]
+            (ASSEMBLY / f"{machine}-{part}.s").write_text(text, encoding="utf-8")
+        for name in (f"{part}.names", f"{part}.h", STAMP):
+            shutil.copy(found / name, ASSEMBLY)
+
+
+def _prototype(name: str) -> str:
+    """Return the declaration of a kernel in C; WebAssembly calls nothing by another one."""
+    if name.endswith(".at_point"):
+        return f"void *{symbol(name)}(void *, double, double, double, double, void *)"
+    if name.endswith(".at_stages"):
+        return f"void *{symbol(name)}(void *, double, void *)"
+    return f"int {symbol(name)}(void *, void *)"
+
+
+def write_header(found: Path, path: Path) -> None:
+    """Write the header of translated kernels."""
+    path.write_text(whole((found / f"{part}.h").read_text(encoding="utf-8") for part in PARTS), "utf-8")
+
+
+def write_tables(found: Path, work: Path) -> list[str]:
+    """Write `tables.c`, what kernels.c and library.c know of translated kernels; return their names."""
+    names = [line for part in PARTS for line in (found / f"{part}.names").read_text().splitlines()]
+    declared = "\n".join(f"extern {_prototype(name)};" for name in names)
+    rows = "\n".join(f'    {{"{name}", (void *){symbol(name)}}},' for name in names)
+    (work / "tables.c").write_text(
+        f"""{declared}
+typedef struct {{
+    const char *name;
+    void *address;
+}} export;
+const export kernel_exports[] = {{
+{rows}
+    {{0, 0}},
+}};
+const char kernel_sources[] = {json.dumps(json.dumps(stamps()))};
+const char kernel_version[] = {json.dumps(__version__)};
+""",
+        encoding="utf-8",
+    )
+    return names
 
 
 def _check_loads(path: Path) -> None:
@@ -158,25 +274,6 @@ def _read(path: Path) -> str:
     return path.read_text() if path.exists() else ""
 
 
-def _exports(names: Iterable[str]) -> str:
-    """Return the table of what the library holds, and of the sources it is made of."""
-    names = list(names)
-    stamps = {str(path.relative_to(PACKAGE)): digest(path) for path in sources()}
-    declared = "\n".join(f'extern char f{i}[] __asm__("{name}");' for i, name in enumerate(names))
-    rows = "\n".join(f'    {{"{name}", f{i}}},' for i, name in enumerate(names))
-    return f"""{declared}
-typedef struct {{
-    const char *name;
-    void *address;
-}} export;
-const export kernel_exports[] = {{
-{rows}
-    {{0, 0}},
-}};
-const char kernel_sources[] = {json.dumps(json.dumps(stamps))};
-"""
-
-
 def _compile(arguments: list[str]) -> None:
     """Call the C compiler.
 
@@ -184,22 +281,33 @@ def _compile(arguments: list[str]) -> None:
         SystemExit: there is none, or it fails.
     """
     compiler = shlex.split(os.environ.get("CC", "cc"))
-    options = ["-shared", "-fPIC", "-O2", "-Wall", "-Wextra", "-Werror", f"-I{sysconfig.get_paths()['include']}"]
+    options = ["-fPIC", "-O2", "-Wall", "-Wextra", "-Werror", f"-I{sysconfig.get_paths()['include']}"]
     try:
-        subprocess.run([*compiler, *options, *arguments, "-lm"], check=True)  # noqa: S603  # the user's own compiler
+        subprocess.run([*compiler, *options, *arguments], check=True)  # noqa: S603  # the user's own compiler
     except (OSError, subprocess.CalledProcessError) as error:
         raise SystemExit(f"the kernels were not linked: {error}") from None
 
 
-def main(folder: Path = FOLDER) -> None:
-    """Put the library of these sources into a folder: build it, or copy what is there."""
-    if library() is None:
-        build(folder)
-    elif folder != FOLDER:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name in (OUTPUT, HEADER):
-            shutil.copy(FOLDER / name, folder)
+def main() -> None:
+    """Put the kernels of these sources into a folder: build them, or copy what is there."""
+    parser = argparse.ArgumentParser(description="Build the kernels.")
+    parser.add_argument("folder", nargs="?", type=Path, default=FOLDER, help="where they go (default: the package)")
+    parser.add_argument("--machine", default=platform.machine(), help="machine to build for (default: this one)")
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="folder that keeps the translated kernels")
+    parser.add_argument(
+        "--assembly", action="store_true", help="write the assembly of a release instead (needs --keep)"
+    )
+    arguments = parser.parse_args()
+    if arguments.assembly:
+        write_assembly(arguments.keep)
+        return
+    if arguments.machine != platform.machine() or not is_built():
+        build(arguments.folder, arguments.machine, arguments.keep)
+    elif arguments.folder != FOLDER:
+        arguments.folder.mkdir(parents=True, exist_ok=True)
+        for name in (OUTPUT, HEADER, OBJECT):
+            shutil.copy(FOLDER / name, arguments.folder)
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:]))
+    main()

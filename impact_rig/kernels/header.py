@@ -31,6 +31,12 @@ from impact_rig import kernels
 from impact_rig.kernels import Array, Fields, Function
 
 NAME = "impact_rig.h"
+CONSTANTS = {
+    "result[0] of ir_physics_event_loop_run": ("DONE", "NEED_ROOM", "STUCK", "UNSOLVED"),
+    "phase of ir_state": ("FREE", "CONTACT", "ATTACHED"),
+    "drive_kind of ir_parameters": ("PRESCRIBED", "CURRENT", "VOLTAGE"),
+}
+"""Words of `event_loop` and `state`, by what they are values of; a test compares them."""
 _FIELD = re.compile(r'^\s*\("(\w+)", [^#\n]*?\),?\s*#\s*(.*)$', re.MULTILINE)
 _TAKEN = re.compile("static|register|default")
 _C = {
@@ -61,17 +67,28 @@ def whole(parts: Iterable[str]) -> str:
  * An array is an address and its rows (columns, layers), in C order. A function returns 0, or the status of a kernel
  * that failed; what the kernel returns is in `result`. What it does stands in its Python: ir_physics_event_loop_run
  * (advance) is `run` of physics.event_loop, ir_physics_sampling_sample and ir_instruments_... likewise.
- * Link with _library.abi3.so and -Wl,--allow-shlib-undefined: Python is not needed.
+ * Link with impact_rig.o and -lm.
  */
 #ifndef IMPACT_RIG_H
 #define IMPACT_RIG_H
 #include <stdint.h>
 
-void *impact_rig_address(const char *name); /* as in examples/c/ten_seconds.c */
+const char *impact_rig_version(void); /* of the package that the kernels are of */
+void *impact_rig_address(const char *name); /* of a kernel, 0 where there is none: the two functions of a contact law */
+
+{constants()}
 
 {declarations}
 #endif
 """
+
+
+def constants() -> str:
+    """Return the words that kernels use for phases and endings, as enumerations."""
+    return "\n".join(
+        f"enum {{ {', '.join(f'IR_{word} = {value}' for value, word in enumerate(words))} }}; /* {what} */"
+        for what, words in CONSTANTS.items()
+    )
 
 
 def _names() -> Iterator[tuple[np.dtype[Any], str, dict[str, str]]]:
@@ -105,7 +122,7 @@ _Static_assert(sizeof(ir_{name}) == {dtype.itemsize}, "layout");
 
 
 def _function(name: str, one: kernels.Entry, structs: dict[np.dtype[Any], str]) -> str:
-    symbol = f"ir_{name.replace('.', '_')}"
+    symbol = f"ir_{name.replace('.', '_')}"  # see `build.symbol`
     parameters: list[str] = []
     slots: list[str] = []
     names = one.function.__code__.co_varnames[: one.function.__code__.co_argcount]
@@ -118,7 +135,7 @@ def _function(name: str, one: kernels.Entry, structs: dict[np.dtype[Any], str]) 
     out = "(uint64_t *)result" if results else "nothing"
     scratch = "" if results else " nothing[1],"
     return f"""\
-extern int32_t {symbol}_slots(uint64_t *in, uint64_t *out) __asm__("{name}");
+extern int32_t {symbol}_slots(uint64_t *in, uint64_t *out);
 static inline int32_t {symbol}({", ".join(parameters)})
 {{
     union {{ double real; uint64_t word; }} number;

@@ -28,20 +28,15 @@
 #define Py_LIMITED_API 0x030B0000
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
-#include <math.h>
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
 
 typedef int32_t (*kernel)(uint64_t *in, uint64_t *out);
-typedef struct {
-    const char *name;
-    void *address;
-} export;
 
 /* made by build.py */
-extern const export kernel_exports[];
 extern const char kernel_sources[];
+void *impact_rig_address(const char *name); /* of kernels.c */
 
 enum { MOST_SLOTS = 320, MOST_ARRAYS = 48, MOST_RESULTS = 4 };
 
@@ -64,31 +59,8 @@ typedef struct {
     const char *plan;
 } call;
 
-/* What Numba's code calls for: frexp, which is exact; and what no kernel reaches, calls of functions without an address. */
-double numba_frexp(double x, int *exponent) { return frexp(x, exponent); }
-void numba_gil_ensure(void *state) { (void)state, abort(); }
-void numba_gil_release(void *state) { (void)state, abort(); }
-void NRT_MemInfo_call_dtor(void *owner) { (void)owner, abort(); } /* our arrays have no owner there */
-void *numba_unpickle(const void *data, int size, const void *hash) { (void)data, (void)size, (void)hash, abort(); }
-
 static PyObject *of_dtype; /* "dtype" */
 static PyObject *of_address;
-
-/* For C programs that use the kernels without Python: what of Python is looked for at loading may be missing. */
-#pragma weak PyExc_LookupError
-#pragma weak PyExc_RuntimeError
-#pragma weak PyExc_TypeError
-#pragma weak PyExc_ValueError
-#pragma weak PyTuple_Type
-#pragma weak PyCapsule_Type
-#pragma weak _Py_NoneStruct
-
-void *impact_rig_address(const char *name)
-{
-    for (const export *one = kernel_exports; one->name; one++)
-        if (!strcmp(one->name, name)) return one->address;
-    return NULL;
-}
 
 static int put(call *c, uint64_t value)
 {

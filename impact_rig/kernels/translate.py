@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Translate one part of the kernels into an object file; a process of its own, started by `build`.
+"""Translate one part of the kernels into linked code of LLVM; a process of its own, started by `build`.
 
 Here is all that knows Numba's insides. Three things differ from what Numba does for itself: code is made for a plain
 CPU and another address; nothing is optimised before everything is together; each entry gets a second function
@@ -36,7 +36,7 @@ from numba.core.registry import cpu_target
 
 import impact_rig.kernels as declared
 from impact_rig.kernels import OPTIONS, Entry, Exported
-from impact_rig.kernels.build import PARTS
+from impact_rig.kernels.build import PARTS, symbol
 from impact_rig.kernels.build import cpu as plain_cpu
 from impact_rig.kernels.header import header
 from impact_rig.kernels.jit import numba_type
@@ -86,8 +86,7 @@ def main() -> None:
             (work / f"{part}.progress").write_text(f"{done} of {len(wanted)}")
             _collect(_translated(context, name, one), libraries)
         names = [name for name, _ in wanted]
-        (work / f"{part}.progress").write_text("optimising")
-        (work / f"{part}.o").write_bytes(_object(context, libraries.values(), set(names)))
+        (work / f"{part}.bc").write_bytes(_linked(libraries.values(), {symbol(name) for name in names}).as_bitcode())
     (work / f"{part}.h").write_text(header(entries), encoding="utf-8")
     (work / f"{part}.names").write_text("\n".join(names))
 
@@ -115,9 +114,7 @@ def _translated(context: Any, name: str, one: Entry | Exported) -> Any:
     if isinstance(one, Entry):
         function, arguments, returns = one
     else:
-        function, (arguments, returns) = one.function, one.type
-        if one.around is not None:
-            function = one.around(njit(**INSIDE)(function))
+        function, (arguments, returns) = one.around(njit(**INSIDE)(one.function)), one.type
     types = tuple(map(numba_type, arguments))
     found = compiler.compile_extra(cpu_target.typing_context, context, function, types, numba_type(returns), flags, {})
     if found.signature.return_type != numba_type(returns):
@@ -125,9 +122,9 @@ def _translated(context: Any, name: str, one: Entry | Exported) -> Any:
     library = context.codegen().create_library(name)
     module = library.create_ir_module(name)
     if isinstance(one, Entry):
-        _from_slots(context, module, name, found.fndesc)
+        _from_slots(context, module, symbol(name), found.fndesc)
     else:
-        _renamed(context, module, name, found.fndesc)
+        _renamed(context, module, symbol(name), found.fndesc)
     library.add_linking_library(found.library)
     library.add_ir_module(module)
     return library
@@ -182,8 +179,8 @@ def _collect(library: Any, found: dict[int, Any]) -> None:
             _collect(one, found)
 
 
-def _object(context: Any, libraries: Any, exported: set[str]) -> bytes:
-    """Link, optimise once, and return the object file."""
+def _linked(libraries: Any, exported: set[str]) -> Any:
+    """Return all code in one module, in which only the exported names are seen from outside."""
     together = llvm.parse_assembly("")
     for library in libraries:
         for function in library._final_module.functions:
@@ -195,13 +192,7 @@ def _object(context: Any, libraries: Any, exported: set[str]) -> bytes:
             function.linkage = "external" if function.name in exported else "internal"
     for variable in together.global_variables:
         if variable.linkage == llvm.Linkage.common:
-            variable.linkage = (
-                "internal"  # environments of Numba's call-backs: their long names are most of the library
-            )
+            # environments of Numba's call-backs: their long names are most of the library
+            variable.linkage = "internal"
     together.verify()
-    for manager, passes in (
-        context.codegen()._module_pass_manager(loop_vectorize=True, slp_vectorize=False, cost="cheap"),
-        context.codegen()._module_pass_manager(),
-    ):
-        manager.run(together, passes)
-    return bytes(context.codegen()._tm.emit_object(together))
+    return together

@@ -48,6 +48,7 @@ from impact_rig.physics.contact_step import (
     dense_slope,
     estimate_error,
     expand,
+    force_at,
     keep_dense_output,
     next_length,
     pair_at,
@@ -76,7 +77,7 @@ _PART_OF_FALL, _RADIANS = 0.4, 8.0  # see `_limit_length`
 def _force_and_slope(p, law, s, step, point):  # type: ignore[no-untyped-def]
     """Return the force at a point (w, δ', dδ'/dχ) of the step, and its derivative along the motion, dF/dχ."""
     w, speed, slope = point
-    elastic, lossy, _, by_w, by_speed = law.at_point(p.stiffness, p.factor, s.per_v0, step.turned_at, w, speed)
+    elastic, lossy, _, by_w, by_speed = force_at(p, law, s.per_v0, step.turned_at, w, speed, step)
     return elastic + lossy, 0.5 * by_w * speed + by_speed * slope
 
 
@@ -95,7 +96,7 @@ def _excess(p, law, s, step, event, at):  # type: ignore[no-untyped-def]  # comp
     if event == RELEASED:
         if not p.lets_go:
             return -1.0
-        elastic, lossy, _, _, _ = law.at_point(p.stiffness, p.factor, s.per_v0, step.turned_at, w, speed)
+        elastic, lossy, _, _, _ = force_at(p, law, s.per_v0, step.turned_at, w, speed, step)
         return -(elastic + lossy) / max(step.start_force, s.peak_force, _SMALLEST)
     if event == TURNED:
         return -speed / s.speed if p.remembers and step.turned_at == 0.0 and s.speed > 0.0 else -1.0
@@ -356,7 +357,7 @@ def settles(p, law, s, step):  # type: ignore[no-untyped-def]
     three times the acceleration that presses, a hop is as short as a period of the ringing: it counts as ringing, not
     as flight.
     """
-    elastic, lossy, _, by_w, _ = law.at_point(p.stiffness, p.factor, s.per_v0, turned_at(s), s.w, s.speed)
+    elastic, lossy, _, by_w, _ = force_at(p, law, s.per_v0, turned_at(s), s.w, s.speed, step)
     pressing = step.acceleration[0]  # a_r where the step began: it hardly changes in one
     ringing_acceleration = abs(pressing - (elastic + lossy) * p.per_m_eff)  # |δ''| [m/s²]
     return ringing_acceleration <= _HOP * pressing and ringing_acceleration <= p.speed_floor * math.sqrt(

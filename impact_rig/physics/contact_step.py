@@ -260,6 +260,14 @@ def turned_at(s):  # type: ignore[no-untyped-def]  # compiled: types are inferre
 
 
 @kernel
+def force_at(p, law, per_v0, turned_at, w, speed, step):  # type: ignore[no-untyped-def]
+    """Return (elastic, lossy, stored, ∂F/∂w, ∂F/∂δ') of the law at one point; `step.point` is the room for them."""
+    law.at_point(p, per_v0, turned_at, w, speed, step)
+    point = step.point
+    return point[0], point[1], point[2], point[3], point[4]
+
+
+@kernel
 def begin_step(p, law, s, step):  # type: ignore[no-untyped-def]
     """Evaluate force and slope where a step starts, where it turned, its time scale, and how exact its speeds must be.
 
@@ -269,7 +277,7 @@ def begin_step(p, law, s, step):  # type: ignore[no-untyped-def]
     again, from another prediction, and must find the same.
     """
     step.turned_at = turned_at(s)
-    elastic, lossy, _, by_w, _ = law.at_point(p.stiffness, p.factor, s.per_v0, step.turned_at, s.w, s.speed)
+    elastic, lossy, _, by_w, _ = force_at(p, law, s.per_v0, step.turned_at, s.w, s.speed, step)
     depth = s.w * s.w
     step.start_force = elastic + lossy
     from_columns = p.slowing_by_depth * depth + p.slowing_by_speed * s.speed  # taken off δ'' [m/s²]

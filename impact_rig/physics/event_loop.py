@@ -43,7 +43,7 @@ from numpy.typing import NDArray
 
 from impact_rig.kernels import INTEGERS, Fields, entry, kernel, records, room
 from impact_rig.physics.contact_phase import account_step, conclude, dissipated, find_peaks, settles, take_next_step
-from impact_rig.physics.contact_step import drop_dense_output, expand, turned_at
+from impact_rig.physics.contact_step import drop_dense_output, expand, force_at, turned_at
 from impact_rig.physics.energy import account_flight
 from impact_rig.physics.flight import (
     SEGMENT,
@@ -218,7 +218,7 @@ def _leave(model, s, work, settled):  # type: ignore[no-untyped-def]
     """
     p, depth, side = model.parameters[0], s.w * s.w, s.side
     if depth > 0.0:
-        _, _, stored, _, _ = model.law.at_point(p.stiffness, p.factor, s.per_v0, turned_at(s), s.w, s.speed)
+        _, _, stored, _, _ = force_at(p, model.law, s.per_v0, turned_at(s), s.w, s.speed, work.step[0])
         s.lost += stored
         work.ledger[0].contact += stored
     _keep_impact(work, s, -s.speed, s.deepest_w * s.deepest_w)

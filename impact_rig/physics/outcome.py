@@ -41,7 +41,7 @@ from numpy.typing import NDArray
 from impact_rig.arithmetic.elementary import PI, sincos
 from impact_rig.kernels import REALS, entry, kernel
 from impact_rig.physics.collocation import LAST, MATRIX, STAGES
-from impact_rig.physics.contact.law import FORCE, CompiledForce
+from impact_rig.physics.contact.law import FORCE, CompiledForce, raise_failure
 from impact_rig.physics.contact_phase import conclude, find_peaks, t_0_of, take_step
 from impact_rig.physics.contact_step import drop_dense_output, pair_at
 from impact_rig.physics.state import CONTACT_STEP, NOTHING, PARAMETERS, SEPARATED, STATE, TURNED, V1, VB, X1, XB, record
@@ -145,6 +145,7 @@ class Contacts:
         """Return whether the sphere left under η_0 and (η_1, η_2, α, γ), and the outcome, shape (OUTCOMES,)."""
         out = np.empty(OUTCOMES)
         left = perturbed_contact(self._parameters, self._law, eta_0, perturbations, self._states, self._steps, out)
+        raise_failure()
         return left, out
 
     def derivatives(self, eta_0: float, which: int) -> tuple[bool, NDArray[np.float64], NDArray[np.float64]]:

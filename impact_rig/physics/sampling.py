@@ -50,6 +50,7 @@ from impact_rig.physics.contact_step import (
     dense_output,
     drop_dense_output,
     expand,
+    force_at,
     keep_dense_output,
     pair_at,
     polynomial,
@@ -418,7 +419,7 @@ def _quantities_in_contact(model, f, s, step, point, solved_there, out):  # type
     if solved_there and since > 0.0:
         add_correction(p, side, step, LAST, step.y)
     depth = w * w
-    elastic, lossy, _, _, _ = model.law.at_point(p.stiffness, p.factor, s.per_v0, step.turned_at, w, speed)
+    elastic, lossy, _, _, _ = force_at(p, model.law, s.per_v0, step.turned_at, w, speed, step)
     force = max(0.0, elastic + lossy) if p.lets_go else elastic + lossy
     u, _ = drive(f, t)
     d = s.d + side * depth
@@ -618,7 +619,8 @@ def _fit_contact(model, f, history, row, spans, i, workspace):  # type: ignore[n
 def _depth_acceleration(model, step, per_v0, since, depth, speed):  # type: ignore[no-untyped-def]
     """Return δ'' in a tabulated contact, whose `step` is expanded about the touch."""
     p = model.parameters[0]
-    elastic, lossy, _, _, _ = model.law.at_point(p.stiffness, p.factor, per_v0, 0.0, math.sqrt(max(0.0, depth)), speed)
+    w = math.sqrt(max(0.0, depth))
+    elastic, lossy, _, _, _ = force_at(p, model.law, per_v0, 0.0, w, speed, step)
     force = max(0.0, elastic + lossy) if p.lets_go else elastic + lossy
     relative_acceleration = step.acceleration[0] + since * (step.acceleration[1] + since * step.acceleration[2])
     return relative_acceleration - (p.slowing_by_depth * depth + p.slowing_by_speed * speed) - force * p.per_m_eff

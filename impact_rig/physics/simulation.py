@@ -28,7 +28,8 @@ from impact_rig.blocks import joined
 from impact_rig.errors import SimulationError
 from impact_rig.kernels import for_kernels, records, room, with_fields
 from impact_rig.physics import contact as contact_laws
-from impact_rig.physics.contact_step import turned_at
+from impact_rig.physics.contact.law import raise_failure
+from impact_rig.physics.contact_step import force_at, turned_at
 from impact_rig.physics.event_loop import NEED_ROOM, STUCK, UNSOLVED, Workspace, new_workspace, run
 from impact_rig.physics.flight import SEGMENT
 from impact_rig.physics.fundamental import CYCLE, follow_cycles
@@ -137,7 +138,9 @@ class Motion:
             raise ValueError(f"tick and offset must have one shape, got {tick.shape} and {offset_s.shape}")
         out = np.empty((len(names), tick.size))
         query = Query(places(names), tick.reshape(-1), offset_s.reshape(-1), out)
-        if not sample(*self.sampled, query):
+        found = sample(*self.sampled, query)
+        raise_failure()
+        if not found:
             raise self._elsewhere(tick)
         return out.reshape(len(names), *tick.shape)
 
@@ -161,7 +164,9 @@ class Motion:
             ValueError: a piece is in none of the ticks.
         """
         out = np.empty((len(names), len(tick), NODES))
-        if not fit(self._model, self._trajectory, Spans(places(names), tick, start_s, end_s, out), self._sampling):
+        found = fit(self._model, self._trajectory, Spans(places(names), tick, start_s, end_s, out), self._sampling)
+        raise_failure()
+        if not found:
             raise self._elsewhere(tick)
         return out
 
@@ -365,6 +370,7 @@ class Simulation:
         index = 0
         while True:
             ended, index = run(self._model, segments, self.tick, index, work, self._account)
+            raise_failure()
             ((states, impacts, _, ticks),) = work.counts.tolist()
             if ended in (STUCK, UNSOLVED):
                 what = "no progress" if ended == STUCK else "a step of a contact cannot be solved"
@@ -416,7 +422,8 @@ class Simulation:
             speed = y[V1] + (s.side * s.speed if pressed else s.d_rate)
             total += 0.5 * p.m * speed * speed
             if pressed:
-                total += self._model.law.at_point(p.stiffness, p.factor, s.per_v0, turned_at(s), s.w, s.speed)[2]
+                step = with_fields(self._work.step)[0]
+                total += force_at(p, self._model.law, s.per_v0, turned_at(s), s.w, s.speed, step)[2]
         return float(total)
 
     @property

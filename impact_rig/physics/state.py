@@ -144,6 +144,7 @@ FLIGHT = np.dtype(
 )
 """What is known of the flight under way."""
 
+POINT = 5  # values that a contact law returns for one point
 CONTACT_STEP = np.dtype(
     [
         ("path", "f8", (STRUCTURE, STEP_TERMS)),  # Taylor coefficients of the pair's y about the step's start [y/s^n]
@@ -177,6 +178,7 @@ CONTACT_STEP = np.dtype(
         ("valid_for", "f8"),  # time from the step's start for which they hold [s]
         ("time_left", "f8"),  # time from the step's start to the end of the drive segment [s]
         ("y", "f8", (STRUCTURE,)),  # scratch: a state of the pair, or of the structure [as y]
+        ("point", "f8", (POINT,)),  # what a law returned last, in the order of `contact.law` [N, N, J, N/m^0.5, N s/m]
     ],
     align=True,
 )

@@ -49,9 +49,10 @@ import numpy as np
 
 from impact_rig import kernels
 from impact_rig.config.fields import Origin, quantity
+from impact_rig.errors import SimulationError
 from impact_rig.kernels import Exported, Fields, Function, Pointer, RecordType
 from impact_rig.physics.collocation import STAGES
-from impact_rig.physics.state import CONTACT_STEP, PARAMETERS
+from impact_rig.physics.state import CONTACT_STEP, PARAMETERS, POINT
 
 ForceFunction = Callable[[float, float, float, float, float, float], tuple[float, float, float, float, float]]
 
@@ -130,7 +131,7 @@ class ContactLaw:
         raise NotImplementedError
 
 
-AT_POINT = Function(6 * (float,), 5 * (float,))
+AT_POINT = Function((RecordType(PARAMETERS), *4 * (float,), RecordType(CONTACT_STEP)), None)
 AT_STAGES = Function((RecordType(PARAMETERS), float, RecordType(CONTACT_STEP)), None)
 
 
@@ -138,7 +139,8 @@ class CompiledForce(NamedTuple):
     """A law's force as function pointers.
 
     Attributes:
-        at_point: the law's function itself.
+        at_point: called with (parameters, per_v0, turned_at, w, speed, step), fills the step's `point` with what the
+            law's function returns.
         at_stages: called with (parameters, per_v0, step), fills the step's force, lossy, force_by_w, force_by_speed.
     """
 
@@ -149,12 +151,23 @@ class CompiledForce(NamedTuple):
 FORCE = Fields(CompiledForce, (AT_POINT, AT_STAGES))
 
 
-def at_stages_of(at_point: Any) -> Any:
-    """Return the function that asks a force at the stages of a step."""
+def at_point_of(force: Any) -> Any:
+    """Return the function that evaluates a force at one point."""
+
+    def at_point(p, per_v0, turned_at, w, speed, step):  # type: ignore[no-untyped-def]  # compiled: types are declared
+        elastic, lossy, stored, by_w, by_speed = force(p.stiffness, p.factor, per_v0, turned_at, w, speed)
+        point = step.point
+        point[0], point[1], point[2], point[3], point[4] = elastic, lossy, stored, by_w, by_speed
+
+    return at_point
+
+
+def at_stages_of(force: Any) -> Any:
+    """Return the function that evaluates a force at the stages of a step."""
 
     def at_stages(p, per_v0, step):  # type: ignore[no-untyped-def]  # compiled: types are declared
         for i in range(STAGES):
-            elastic, lossy, _, by_w, by_speed = at_point(
+            elastic, lossy, _, by_w, by_speed = force(
                 p.stiffness, p.factor, per_v0, step.turned_at, step.w[i], step.speed[i]
             )
             step.force[i], step.lossy[i] = elastic + lossy, lossy
@@ -165,7 +178,7 @@ def at_stages_of(at_point: Any) -> Any:
 
 def declare(function: ForceFunction) -> None:
     """Let the library hold a law's force."""
-    kernels.exported[f"{name_of(function)}.at_point"] = Exported(function, AT_POINT)
+    kernels.exported[f"{name_of(function)}.at_point"] = Exported(function, AT_POINT, at_point_of)
     kernels.exported[f"{name_of(function)}.at_stages"] = Exported(function, AT_STAGES, at_stages_of)
 
 
@@ -177,51 +190,79 @@ def name_of(function: ForceFunction) -> str:
 @functools.cache
 def compiled_force(function: ForceFunction) -> CompiledForce:
     """Return a law's force as the kernels of this process take it."""
+    name, parts = name_of(function), ((at_point_of, AT_POINT), (at_stages_of, AT_STAGES))
     if kernels.MODE == "plain":
-        return CompiledForce(function, at_stages_of(function))
-    name = name_of(function)
+        return CompiledForce(*(around(_reported(function, name)) for around, _ in parts))
     if kernels.address(f"{name}.at_point"):
         return CompiledForce(
-            Pointer(kernels.address(f"{name}.at_point"), function),
-            Pointer(kernels.address(f"{name}.at_stages"), at_stages_of(function)),
+            *(Pointer(kernels.address(f"{name}.{around.__name__[:-3]}"), around(function)) for around, _ in parts)
         )
     if importlib.util.find_spec("numba"):
         from impact_rig.kernels import jit  # noqa: PLC0415  # Numba is imported where it compiles
 
-        inner = at_stages_of(jit.compiled(function))
-        found = jit.pointer(function, AT_POINT), jit.pointer(inner, AT_STAGES)
+        inner = jit.compiled(_finite(jit.compiled(function)))
+        found = [jit.pointer(around(inner), kind) for around, kind in parts]
         return CompiledForce(*(one if kernels.MODE == "jit" else Pointer(one.address, one) for one in found))
     logging.getLogger(__name__).warning(
         "the contact force %s runs as plain Python, some hundred times slower: pip install impact-rig[jit]", name
     )
-    return CompiledForce(_callback_at_point(function), _callback_at_stages(function))
+    return CompiledForce(*(_callback(around(_reported(function, name)), kind) for around, kind in parts))
 
 
-def _callback_at_point(function: ForceFunction) -> Pointer:
-    """Return a callback with the convention of compiled code: what does not fit registers is written where told."""
-    results = 5 * ctypes.c_double
+def _reported(force: ForceFunction, name: str) -> ForceFunction:
+    """Return a force whose exceptions say that they are its own."""
 
-    def at_point(out: Any, *numbers: float) -> int:
-        out.contents[:] = 5 * [math.nan]  # where the function raises: the contact then fails instead of going on
-        out.contents[:] = function(*numbers)
-        return ctypes.addressof(out.contents)
+    def reported(*numbers: float) -> tuple[float, float, float, float, float]:
+        try:
+            return force(*numbers)
+        except Exception as error:
+            raise SimulationError(f"the contact force {name} raised {type(error).__name__}: {error}") from error
 
-    return _pointer(ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.POINTER(results), *6 * (ctypes.c_double,))(at_point))
+    return reported
 
 
-def _callback_at_stages(function: ForceFunction) -> Pointer:
-    inner = at_stages_of(function)
+def _finite(force: Any) -> Any:
+    """Return a compiled force that returns NaN where it raises, which ends the contact and the run."""
 
-    def at_stages(parameters: Any, per_v0: float, step: Any) -> None:
-        step.contents.force[:] = STAGES * [math.nan]
-        inner(parameters.contents, per_v0, step.contents)
+    def finite(stiffness, factor, per_v0, turned_at, w, speed):  # type: ignore[no-untyped-def]
+        elastic = lossy = stored = by_w = by_speed = math.nan
+        try:
+            elastic, lossy, stored, by_w, by_speed = force(stiffness, factor, per_v0, turned_at, w, speed)
+        except Exception:  # Numba knows no other
+            elastic = math.nan
+        return elastic, lossy, stored, by_w, by_speed
 
+    return finite
+
+
+_raised: list[BaseException] = []
+"""What a callback raised: it cannot pass through compiled code, so `raise_failure` raises it afterwards."""
+
+
+def raise_failure() -> None:
+    """Raise what a contact force in plain Python has raised while compiled code called it."""
+    if _raised:
+        raise _raised.pop()
+
+
+def _callback(function: Callable[..., None], kind: Function) -> Pointer:
+    """Return a pointer to a Python function, its records handed over by address; the last of them is the step."""
     layout: Any = np.ctypeslib.as_ctypes_type
-    parameters, step = ctypes.POINTER(layout(PARAMETERS)), ctypes.POINTER(layout(CONTACT_STEP))
-    return _pointer(ctypes.CFUNCTYPE(None, parameters, ctypes.c_double, step)(at_stages))
+    types: list[Any] = [
+        ctypes.POINTER(layout(one.dtype)) if isinstance(one, RecordType) else ctypes.c_double for one in kind.arguments
+    ]
 
+    def called(*arguments: Any) -> None:
+        given = [getattr(one, "contents", one) for one in arguments]
+        if not _raised:
+            try:
+                return function(*given)
+            except BaseException as error:  # ctypes would print it and go on
+                _raised.append(error)
+        given[-1].point[:], given[-1].force[:] = POINT * [math.nan], STAGES * [math.nan]  # ends the contact
+        return None
 
-def _pointer(callback: Any) -> Pointer:
+    callback = ctypes.CFUNCTYPE(None, *types)(called)
     address = ctypes.cast(callback, ctypes.c_void_p).value
     assert address is not None
-    return Pointer(address, callback)
+    return Pointer(address, function, callback)

@@ -32,8 +32,8 @@ import pytest
 from impact_rig import kernels
 from impact_rig.arithmetic.random import Random, fill_normal
 from impact_rig.instruments import pieces
-from impact_rig.kernels import build
-from impact_rig.physics import SEGMENT, FunctionGenerator, Simulation, event_loop
+from impact_rig.kernels import build, header
+from impact_rig.physics import SEGMENT, FunctionGenerator, Simulation, event_loop, state
 from impact_rig.physics.function_generator import fill_lines
 from impact_rig.physics.state import STATE, X1
 from impact_rig.rig.config import RigConfig
@@ -119,6 +119,21 @@ def test_a_law_from_elsewhere_runs_compiled_by_numba_or_as_plain_python() -> Non
 
 
 @needs_library
+@pytest.mark.parametrize("found", ["", f"{NO_NUMBA_FOUND}{WITHOUT_NUMBA}"], ids=["numba", "plain"])
+def test_a_law_that_raises_ends_the_run(found: str) -> None:
+    """Each call printed a traceback, up to 31,000 lines, and on ARM the run never ended."""
+    raising = OWN_LAW.replace("    hertz = ", "    if w > 1e-4:\\n        raise ValueError('too deep')\\n    hertz = ")
+    program = RIG.format(before=found, law=raising.replace("\\n", "\n"), ms=500)
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    said = done.stderr.splitlines()
+    assert re.match(r"impact_rig\.errors\.(Simulation|Config)Error: ", said[-1])
+    assert sum(line.startswith("Traceback") for line in said) <= 3  # that error, and those it came from
+    if found:
+        assert said[-1].endswith("the contact force force.somewhere.own raised ValueError: too deep")
+
+
+@needs_library
 def test_a_library_of_other_sources_is_not_loaded_and_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -198,9 +213,8 @@ def test_a_c_program_simulates_the_same_bits(tmp_path: Path) -> None:
     if not shutil.which("cc"):
         pytest.skip("no C compiler here")
     example, folder = ROOT / "examples" / "c", Path(kernels.__file__).parent
-    built = [str(tmp_path / "ten_seconds"), str(example / "ten_seconds.c"), f"-I{folder}", str(folder / build.OUTPUT)]
-    options = ["-Wall", "-Wextra", "-Werror", "-O1", "-Wl,--allow-shlib-undefined", f"-Wl,-rpath,{folder}", "-o"]
-    subprocess.run(["cc", *options, *built], check=True)
+    built = [str(tmp_path / "ten_seconds"), str(example / "ten_seconds.c"), f"-I{folder}", str(folder / build.OBJECT)]
+    subprocess.run(["cc", "-Wall", "-Wextra", "-Werror", "-O1", "-o", *built, "-lm"], check=True)
     subprocess.run([sys.executable, str(example / "write_model.py"), str(tmp_path / "model")], check=True, cwd=ROOT)
     done = subprocess.run([built[0], str(tmp_path / "model")], capture_output=True, text=True, check=True)
     (status, ended, count, x_1), *impacts = (line.split() for line in done.stdout.splitlines())
@@ -217,6 +231,12 @@ def test_a_c_program_simulates_the_same_bits(tmp_path: Path) -> None:
         (int(segment), float.fromhex(offset), float.fromhex(impulse)) for segment, offset, impulse in impacts
     ] == motion.impacts[["tick", "offset", "impulse"]].tolist()
     assert float.fromhex(x_1) == simulation._state.y[X1]
+
+
+def test_the_words_of_the_header_are_those_of_the_kernels() -> None:
+    for words in header.CONSTANTS.values():
+        module = event_loop if hasattr(event_loop, words[-1]) else state
+        assert [getattr(module, word) for word in words] == list(range(len(words)))
 
 
 @needs_library

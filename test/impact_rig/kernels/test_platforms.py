@@ -1,0 +1,50 @@
+# Copyright 2026 The impact_rig developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The kernels on other machines: what the compiler emits for them."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from impact_rig.kernels import build
+
+ROOT = Path(__file__).parents[3]
+pytest.importorskip("numba")
+pytestmark = pytest.mark.timeout(900)  # translates where `make` has left nothing
+EXACT = {"ceil", "floor", "memcpy", "memmove", "memset", "numba_frexp"}
+UNREACHED = {"NRT_MemInfo_call_dtor", "numba_gil_ensure", "numba_gil_release", "numba_unpickle"}
+"""What kernels.c defines for paths that no kernel takes."""
+
+
+@pytest.fixture(scope="session")
+def translated() -> Path:
+    """What `make kernels` keeps."""
+    return build.translated(ROOT / "build" / "kernels")
+
+
+@pytest.mark.parametrize("part", build.PARTS)
+def test_aarch64_neither_contracts_nor_calls_soft_floats(translated: Path, part: str) -> None:
+    """LLVM took the name of an x86-64 CPU, ignored it there and emitted calls of `__muldf3`."""
+    from impact_rig.kernels.emit import emit  # needs LLVM
+
+    text = emit(translated / f"{part}.bc", "aarch64")[1]
+    assert len(re.findall(r"\tfmul\t", text)) > 500
+    assert not re.findall(r"\t(fn?m(?:add|sub)|fml[as])\b", text)
+    called = set(re.findall(r"\tbl?\t(\w+)$", text, re.MULTILINE))
+    defined = set(re.findall(r"^(\w+):", text, re.MULTILINE))
+    unknown = {name for name in called - defined - EXACT - UNREACHED if not name.startswith("Py")}
+    assert not unknown
