@@ -64,7 +64,7 @@ setup(
     url=URL,
     packages=find_packages(include=[f"{NAME}*"]),
     package_data={
-        NAME: ["py.typed", "interface.json", "kernels/*.c", "recording/definitions.json"],
+        NAME: ["py.typed", "interface.json", "embedded/*.[ch]", "kernels/*.c", "recording/definitions.json"],
         f"{NAME}_studies": ["py.typed", "report/parts.html", "report/style.css"],
         f"{NAME}_lab": ["py.typed", "static/*", "words.json"],
     },
@@ -121,6 +121,7 @@ setup(
             "analyze = impact_rig.cli.analyze:add_command",
             "check = impact_rig.cli.check:add_command",
             "export = impact_rig.cli.export:add_command",
+            "fmu = impact_rig.cli.fmu:add_command",
             "info = impact_rig.cli.recorded:add_info",
             "interface = impact_rig.cli.interface:add_command",
             "record = impact_rig.cli.record:add_command",

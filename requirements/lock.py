@@ -44,8 +44,8 @@ KILTED = "kilted"
 SOURCE_ONLY = "empy"  # pure Python
 OF_ROS = {"empy", "lark", "lark-parser", "numpy"}
 """An apt-installed Jazzy brings its own of these: its message classes are compiled against numpy 1.26."""
-UNUSED_REQUIREMENTS_OF = ("uplot-python",)
-"""They are left out: uplot-python asks for IPython (40 MB), and only its JavaScript is used here."""
+UNUSED_REQUIREMENTS_OF = ("uplot-python", "fmpy")
+"""They are left out: uplot-python asks for IPython (40 MB), and only its JavaScript is used; fmpy for CMake."""
 HEADER = f"""\
 # Written by lock.py from direct.txt: exact versions, dependencies of dependencies too, and the Pythons they ask for.
 --only-binary :all:

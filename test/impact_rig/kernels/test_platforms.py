@@ -15,7 +15,10 @@
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -23,6 +26,11 @@ import pytest
 from impact_rig.kernels import build
 
 ROOT = Path(__file__).parents[3]
+sys.path.insert(0, str(ROOT))  # the tool is no part of the package
+
+from qualification.portability import digests  # noqa: E402
+from qualification.portability.runs import SHORT, known  # noqa: E402
+
 pytest.importorskip("numba")
 pytestmark = pytest.mark.timeout(900)  # translates where `make` has left nothing
 EXACT = {"ceil", "floor", "memcpy", "memmove", "memset", "numba_frexp"}
@@ -48,3 +56,18 @@ def test_aarch64_neither_contracts_nor_calls_soft_floats(translated: Path, part:
     defined = set(re.findall(r"^(\w+):", text, re.MULTILINE))
     unknown = {name for name in called - defined - EXACT - UNREACHED if not name.startswith("Py")}
     assert not unknown
+
+
+def test_webassembly_gives_the_committed_bits(translated: Path, tmp_path: Path) -> None:
+    """The short runs, their kernels in wasmtime; `make portability` compares all runs."""
+    pytest.importorskip("wasmtime", reason="pip install wasmtime")
+    pytest.importorskip("ziglang", reason="pip install ziglang")
+    from impact_rig.embedded.wasm import build_wasm  # needs LLVM
+
+    build_wasm(tmp_path / "rig.wasm", translated)
+    found = tmp_path / "digests.txt"
+    command = [sys.executable, "-m", "qualification.portability.wasm"]
+    command += [str(tmp_path / "rig.wasm"), str(translated / build.STAMP), str(found), "short"]
+    subprocess.run(command, cwd=ROOT, env={**os.environ, "IMPACT_RIG_KERNELS": "library"}, check=True)
+    assert {run for run, _ in digests.read(found)} == {run.name for run in known(SHORT)}
+    assert digests.different(digests.read(), digests.read(found)) == {}

@@ -1,0 +1,160 @@
+# Copyright 2026 The impact_rig developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""A rig as a co-simulation unit (FMU) of FMI 2.0 or 3.0: fmu.c compiled with rig.c and the kernels, without Python."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shlex
+import subprocess
+import tempfile
+import uuid
+import zipfile
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from impact_rig import __version__
+from impact_rig.embedded.snapshot import SETUP, snapshot
+from impact_rig.errors import ImpactRigError
+from impact_rig.kernels.build import FOLDER as KERNELS
+from impact_rig.kernels.build import OBJECT
+from impact_rig.physics.sampling import QUANTITIES
+from impact_rig.rig.config import RigConfig
+from impact_rig.system.files import written_whole
+
+HERE = Path(__file__).parent
+VERSIONS = ("3.0", "2.0")
+PLATFORMS = {
+    "3.0": {"x86_64": "x86_64-linux", "aarch64": "aarch64-linux"},
+    "2.0": {"x86_64": "linux64", "aarch64": "linuxaarch64"},
+}
+"""Folder of the binaries, by version and machine."""
+MODEL = "impact_rig"
+NAMES = {"current": "coil_current"}
+"""Names of outputs that differ from those of the quantities."""
+MOTION, IMPACTS, READINGS = 10, 30, 40
+"""First value references, see fmu.c."""
+UNITS = dict(zip(QUANTITIES, ("m", "m", "m", "m/s", "m/s", "m/s", "m/s2", "m/s2", "m/s2", "A", "N", "N"), strict=True))
+
+
+def write_fmu(config: RigConfig, path: Path, version: str = VERSIONS[0], kernels: Path = KERNELS) -> None:
+    """Write a co-simulation unit of a rig.
+
+    Args:
+        config: the rig; all but the gap is fixed in the unit.
+        path: of the unit.
+        version: of FMI.
+        kernels: folder of the compiled kernels; those of another machine need a cross compiler in CC.
+
+    Raises:
+        ConfigError: rig.c does not simulate such a rig.
+        ImpactRigError: there is no compiler, or it fails; no kernels are there.
+        OSError: the file cannot be written.
+    """
+    data = snapshot(config)
+    token = f"{{{uuid.uuid5(uuid.NAMESPACE_URL, f'{version} {data.hex()}')}}}"
+    if not (kernels / OBJECT).exists():
+        raise ImpactRigError(f"{kernels / OBJECT} is not there: `python -m impact_rig.kernels.build` builds it")
+    with tempfile.TemporaryDirectory(prefix="impact_rig_fmu_") as name:
+        work = Path(name)
+        numbers = ",".join(map(str, data))
+        (work / "snapshot.h").write_text(
+            f'#define SNAPSHOT_TOKEN "{token}"\n#define SNAPSHOT_FREQUENCY {config.drive.frequency_hz!r}\n'
+            f"static const unsigned char snapshot[] = {{{numbers}}};\n"
+        )
+        machine = _compile(work, kernels)
+        with written_whole(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as unit:
+            unit.writestr("modelDescription.xml", _description(config, data, version, token))
+            unit.write(work / f"{MODEL}.so", f"binaries/{PLATFORMS[version][machine]}/{MODEL}.so")
+
+
+def _compile(work: Path, kernels: Path) -> str:
+    """Compile the unit's library into a folder; return the machine that the compiler makes code for."""
+    compiler = shlex.split(os.environ.get("CC", "cc"))
+    sources = [str(HERE / "fmu.c"), str(HERE / "rig.c"), str(kernels / OBJECT)]
+    options = ["-shared", "-fPIC", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", f"-I{work}", f"-I{kernels}"]
+    command = [*compiler, *options, *sources, "-o", str(work / f"{MODEL}.so"), "-lm"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603  # the user's compiler
+        made = subprocess.run([*compiler, "-dumpmachine"], capture_output=True, text=True, check=False)  # noqa: S603
+    except OSError as error:
+        raise ImpactRigError(f"an FMU needs a C compiler, CC or cc: {error}") from None
+    if done.returncode:
+        raise ImpactRigError(f"the FMU was not compiled: {done.stderr.strip().splitlines()[-1]}")
+    machine = made.stdout.partition("-")[0]
+    return machine if machine in PLATFORMS["3.0"] else platform.machine()
+
+
+def _description(config: RigConfig, data: bytes, version: str, token: str) -> str:
+    """Return modelDescription.xml."""
+    row = np.frombuffer(data[: SETUP.itemsize], SETUP)[0]
+    names = [name.decode() for name in row["name"][: row["channels"]]]
+    inputs = [
+        (1, "frequency", "input", "discrete", "Frequency of the drive [Hz]", config.drive.frequency_hz),
+        (2, "current", "input", "discrete", f"Amplitude of the {config.drive.kind} drive, peak [SI]", 0.0),
+        (
+            3,
+            "gap",
+            "parameter",
+            "tunable",
+            "Total gap; a new one puts the sphere at its start [m]",
+            config.barriers.gap_m,
+        ),
+    ]
+    outputs = [
+        *((MOTION + i, NAMES.get(name, name), f"Motion [{unit}]") for i, (name, unit) in enumerate(UNITS.items())),
+        (IMPACTS, "impacts", "Contacts that have ended"),
+        *((READINGS + i, f"reading_{name}", "Newest reading [SI]") for i, name in enumerate(names)),
+    ]
+    variables = [_variable(version, *one) for one in inputs]
+    for reference, name, about in outputs:
+        variability = "discrete" if reference == IMPACTS else "continuous"
+        variables.append(_variable(version, reference, name, "output", variability, about))
+    if version == "3.0":
+        variables.insert(0, _variable(version, 0, "time", "independent", "continuous", "Time of the scan clock [s]"))
+        structure = "".join(
+            f'<{element} valueReference="{one[0]}"/>' for element in ("Output", "InitialUnknown") for one in outputs
+        )
+        head = f'fmiVersion="3.0" instantiationToken="{token}"'
+        state = "FMUState"
+    else:
+        unknowns = "".join(f'<Unknown index="{len(inputs) + 1 + i}"/>' for i in range(len(outputs)))
+        structure = f"<Outputs>{unknowns}</Outputs><InitialUnknowns>{unknowns}</InitialUnknowns>"
+        head = f'fmiVersion="2.0" guid="{token}" numberOfEventIndicators="0"'
+        state = "FMUstate"
+    return f"""<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription modelName="{MODEL}" version="{__version__}" generationTool="impact-rig" {head}>
+<CoSimulation modelIdentifier="{MODEL}" canHandleVariableCommunicationStepSize="true"
+ canGetAndSet{state}="true" canSerialize{state}="true"/>
+<DefaultExperiment startTime="0" stopTime="10" stepSize="0.01"/>
+<ModelVariables>
+{chr(10).join(variables)}
+</ModelVariables>
+<ModelStructure>{structure}</ModelStructure>
+</fmiModelDescription>
+"""
+
+
+def _variable(
+    version: str, reference: int, name: str, causality: str, variability: str, about: str, start: float | None = None
+) -> str:
+    head = f'name="{name}" valueReference="{reference}" causality="{causality}" variability="{variability}"'
+    head += f" description={quoteattr(about)}"
+    value = "" if start is None else f' start="{start!r}"'
+    return (
+        f"<Float64 {head}{value}/>" if version == "3.0" else f"<ScalarVariable {head}><Real{value}/></ScalarVariable>"
+    )

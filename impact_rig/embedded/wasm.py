@@ -1,0 +1,74 @@
+# Copyright 2026 The impact_rig developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The kernels and rig.c as WebAssembly: `python -m impact_rig.embedded.wasm FILE` (pip install ziglang).
+
+The module imports one function, which libc fills its stack guard with. It exports the functions of rig.h, every kernel
+by the name that impact_rig.h gives it, `impact_rig_address` and `malloc`. The address of a kernel is its place in the
+table of functions.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from impact_rig.embedded.fmu import HERE
+from impact_rig.kernels.build import FOLDER, HEADER, PARTS, symbol, translated, write_header, write_tables
+from impact_rig.kernels.emit import WASM, emit
+
+ZIG = [sys.executable, "-m", "ziglang", "cc", "-target", "wasm32-wasi", "-mexec-model=reactor"]
+RIG = ("new", "free", "reset", "command", "set_gap", "advance", "scans", "channels", "channel_name", "sample", "tick")
+RIG += ("tick_s", "gap", "impacts", "state_size", "save", "restore")
+
+
+def build_wasm(path: Path, keep: Path) -> None:
+    """Build the module.
+
+    Args:
+        path: of the module.
+        keep: folder that keeps the translated kernels.
+
+    Raises:
+        SystemExit: the kernels cannot be translated.
+        CalledProcessError: there is no ziglang, or it fails.
+    """
+    found = translated(keep)
+    with tempfile.TemporaryDirectory(prefix="impact_rig_wasm_") as name:
+        work = Path(name)
+        names = write_tables(found, work)
+        write_header(found, work / HEADER)
+        objects = []
+        for part in PARTS:
+            objects.append(work / f"{part}.o")
+            objects[-1].write_bytes(emit(found / f"{part}.bc", WASM)[0])
+        exports = [symbol(one) for one in names if not one.startswith("force.")]
+        exports += [f"ir_rig_{one}" for one in RIG] + ["impact_rig_address", "malloc"]
+        sources = [FOLDER / "kernels.c", work / "tables.c", HERE / "rig.c"]
+        options = ["-O2", "-ffp-contract=off", "-fno-stack-protector", f"-I{work}", "-Wl,--strip-all"]
+        command = [
+            *ZIG,
+            *options,
+            *(f"-Wl,--export={one}" for one in exports),
+            *map(str, [*sources, *objects]),
+            "-lm",
+            "-o",
+            str(path),
+        ]
+        subprocess.run(command, check=True)  # noqa: S603  # our own
+
+
+if __name__ == "__main__":
+    build_wasm(Path(sys.argv[1]), Path("build", "kernels"))

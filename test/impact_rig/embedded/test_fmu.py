@@ -1,0 +1,227 @@
+# Copyright 2026 The impact_rig developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""A rig without Python gives the bits of the rig in Python: as a co-simulation unit, driven by FMPy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from impact_rig import kernels
+from impact_rig.embedded.fmu import MOTION, NAMES, READINGS, VERSIONS, write_fmu
+from impact_rig.embedded.snapshot import snapshot
+from impact_rig.errors import ConfigError
+from impact_rig.physics.sampling import QUANTITIES
+from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig, from_flat
+
+fmpy = pytest.importorskip("fmpy", reason="pip install fmpy")
+pytestmark = pytest.mark.skipif(kernels.MODE != "library", reason="kernels run otherwise here")
+MOTIONS = [MOTION + i for i in range(len(QUANTITIES))]
+TICK_NS = 10_000_000
+CHANGES: list[dict[str, Any]] = [
+    {},
+    {"barriers.gap_m": 0.002, "contact.law": "flores"},
+    {"contact.law": "restitution", "daq.rate_hz": 50_000},
+    {"sphere.guide_friction": 0.1, "daq.clock_error_ppm": 40.0},
+]
+
+
+class Native:
+    """The rig in Python, read as a unit is: the motion at the end of a step, and the newest readings."""
+
+    def __init__(self, config: RigConfig) -> None:
+        self.rig = Rig(config)
+        self.motion: Any = None
+        self.readings: list[float] = []
+        self.impacts = 0
+        advance = self.rig._simulation.advance
+
+        def kept(segments: Any) -> Any:
+            self.motion = advance(segments)
+            self.impacts += len(self.motion.impacts)
+            return self.motion
+
+        self.rig._simulation.advance = kept  # type: ignore[method-assign]
+
+    def step(self, ticks: int) -> None:
+        self.rig._simulate(ticks)
+        chain = self.rig._chain
+        last = chain.read(chain.ready)[-1:]
+        self.readings = [float(last[name][0]) for name in chain._names]
+
+    def values(self) -> list[float]:
+        tick_s = self.rig._generator._tick_s
+        last = np.array([self.motion.last_tick])
+        return [*self.motion.quantities(QUANTITIES, last, np.array([tick_s]))[:, 0].tolist(), *self.readings]
+
+
+class Unit:
+    """An instance of a co-simulation unit of either version."""
+
+    def __init__(self, path: Path, folder: Path) -> None:
+        description = fmpy.read_model_description(str(path))
+        self.two = description.fmiVersion == "2.0"
+        self.channels = sum(one.name.startswith("reading_") for one in description.modelVariables)
+        self.fmu = fmpy.instantiate_fmu(fmpy.extract(str(path), str(folder)), description, "CoSimulation")
+        if self.two:
+            self.fmu.setupExperiment(startTime=0.0)
+        self.fmu.enterInitializationMode()
+        self.ready = False
+
+    def set(self, reference: int, value: float) -> None:
+        (self.fmu.setReal if self.two else self.fmu.setFloat64)([reference], [value])
+
+    def get(self, references: list[int]) -> list[float]:
+        return list((self.fmu.getReal if self.two else self.fmu.getFloat64)(references))
+
+    def step(self, now: float, length: float) -> None:
+        if not self.ready:
+            self.fmu.exitInitializationMode()
+            self.ready = True
+        self.fmu.doStep(now, length)
+
+    def values(self) -> list[float]:
+        return self.get([*MOTIONS, *(READINGS + i for i in range(self.channels))])
+
+
+@pytest.fixture(scope="module", params=VERSIONS)
+def path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    found = tmp_path_factory.mktemp("fmu") / "rig.fmu"
+    write_fmu(RigConfig(), found, request.param)
+    return found
+
+
+@pytest.fixture
+def unit(path: Path, tmp_path: Path) -> Iterator[Unit]:
+    found = Unit(path, tmp_path)
+    yield found
+    found.fmu.freeInstance()
+
+
+def test_the_unit_is_valid(path: Path) -> None:
+    validate = pytest.importorskip("fmpy.validation").validate_fmu
+    assert validate(str(path)) == []
+
+
+def test_the_names_of_the_outputs(path: Path) -> None:
+    names = [one.name for one in fmpy.read_model_description(str(path)).modelVariables]
+    assert [NAMES.get(one, one) for one in QUANTITIES] == names[-len(QUANTITIES) - 5 : -5]
+    assert names[-4:] == [f"reading_{one}" for one in ("accelerometer", "laser", "base", "current")]
+
+
+@pytest.mark.parametrize("ticks", [1, 5, 50])
+def test_it_gives_the_bits_of_the_rig(unit: Unit, ticks: int) -> None:
+    """With a change of the current on the way."""
+    native = Native(RigConfig())
+    unit.set(1, 9.1)
+    for current, steps in ((0.52, 100 // ticks), (0.3, 50 // ticks)):
+        unit.set(2, current)
+        native.rig.accept(9.1 if current == 0.52 else None, current)
+        for _ in range(steps):
+            unit.step(native.rig._ticks * 0.01, ticks * 0.01)
+            native.step(ticks)
+            assert unit.values() == native.values()
+    assert unit.get([30]) == [native.impacts]
+    assert native.impacts > 20
+
+
+@pytest.mark.parametrize("changes", CHANGES, ids=str)
+def test_another_rig_gives_its_own_bits(changes: dict[str, Any], tmp_path: Path) -> None:
+    config = from_flat(RigConfig(), changes)
+    write_fmu(config, tmp_path / "rig.fmu")
+    unit, native = Unit(tmp_path / "rig.fmu", tmp_path / "unpacked"), Native(config)
+    unit.set(1, 8.9)
+    unit.set(2, 0.5)
+    native.rig.accept(8.9, 0.5)
+    for _ in range(20):
+        unit.step(native.rig._ticks * 0.01, 0.05)
+        native.step(5)
+        assert unit.values() == native.values()
+    unit.fmu.freeInstance()
+
+
+def test_another_gap_is_that_of_the_rig_reconfigured(unit: Unit) -> None:
+    native = Native(RigConfig())
+    unit.set(2, 0.5)
+    native.rig.accept(None, 0.5)
+    for gap in (0.006, 0.003):
+        unit.set(3, gap)
+        native.rig._simulation.configure(from_flat(RigConfig(), {"barriers.gap_m": gap}))
+        for _ in range(20):
+            unit.step(native.rig._ticks * 0.01, 0.02)
+            native.step(2)
+            assert unit.values() == native.values()
+
+
+def test_a_state_gives_the_same_future(unit: Unit) -> None:
+    unit.set(1, 9.1)
+    unit.set(2, 0.52)
+    for i in range(20):
+        unit.step(0.05 * i, 0.05)
+    get, put, pack, unpack, free = (
+        getattr(unit.fmu, name, None) or getattr(unit.fmu, name.replace("FMUState", "FMUstate").replace("deS", "deS"))
+        for name in ("getFMUState", "setFMUState", "serializeFMUState", "deserializeFMUState", "freeFMUState")
+    )
+    state = get()
+    data = pack(state)
+
+    def future() -> list[list[float]]:
+        found = []
+        for i in range(20, 40):
+            unit.step(0.05 * i, 0.05)
+            found.append(unit.values())
+        return found
+
+    first = future()
+    put(state)
+    assert future() == first
+    free(state)
+    put(unpack(data))
+    assert future() == first
+
+
+def test_a_step_off_the_grid_is_discarded(unit: Unit) -> None:
+    unit.step(0.0, 0.01)
+    before = unit.values()
+    for length in (0.004, 0.015, 0.0):
+        with pytest.raises(Exception, match=r"discard|2"):
+            unit.step(0.01, length)
+    assert unit.values() == before
+    unit.step(0.01, 0.01)
+
+
+@pytest.mark.parametrize(
+    ("reference", "value"), [(1, 1e6), (1, -1.0), (2, 1e3), (2, float("nan")), (3, 0.0), (30, 1.0)]
+)
+def test_values_out_of_range_are_refused(unit: Unit, reference: int, value: float) -> None:
+    with pytest.raises(Exception, match=r"fmi[23]|3"):  # noqa: PT012  # inputs are judged together, by the step
+        unit.set(reference, value)
+        unit.step(0.0, 0.01)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"drive.waveform": "random"}, "drive.waveform must be 'sine'"),
+        ({"instruments.ideal": True}, "instruments.ideal must be False"),
+    ],
+)
+def test_what_a_unit_cannot_be_is_refused(changes: dict[str, Any], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        snapshot(from_flat(RigConfig(), changes))
