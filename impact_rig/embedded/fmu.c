@@ -80,7 +80,7 @@ static int reset(unit *u)
 {
     ir_rig_reset(u->rig);
     u->now = u->fresh;
-    return OK;
+    return ir_rig_set_gap(u->rig, u->now.gap) ? ERROR : OK;
 }
 
 static int get(const unit *u, const unsigned *reference, size_t count, double *to)

@@ -121,7 +121,7 @@ ir_rig *ir_rig_new(const void *snapshot, size_t bytes)
     if (!r->at_point || !r->at_stages) goto refused;
     r->layout[0] = 8 * (n + 1);
     for (int64_t j = 0; j < n; j++) r->layout[2 + j] = 8 * (j + 1);
-    r->fresh.frequency_hz = r->is.frequency_hz, r->fresh.ramp_ticks = r->is.ramp_ticks, r->fresh.half_gap = r->parameters.half_gap;
+    r->fresh.frequency_hz = r->is.frequency_hz, r->fresh.ramp_ticks = r->is.ramp_ticks;
     ir_rig_reset(r);
     return r;
 refused:
@@ -139,7 +139,7 @@ void ir_rig_free(ir_rig *r)
 void ir_rig_reset(ir_rig *r)
 {
     r->now = r->fresh;
-    r->parameters.half_gap = r->now.half_gap;
+    r->now.half_gap = r->parameters.half_gap;
     memcpy(r->channels, r->fresh_channels, sizeof r->channels);
     memcpy(r->modes, r->fresh_modes, (size_t)r->is.modes * sizeof *r->modes);
     r->ticks = r->count = 0;
@@ -252,6 +252,15 @@ int ir_rig_sample(ir_rig *r, int64_t tick, double offset_s, double *out)
     if (ir_physics_sampling_sample(MODEL(r), MOVED(r), SAMPLING(r), (int64_t *)all, IR_RIG_QUANTITIES, &at, 1, &offset_s, 1, out,
             IR_RIG_QUANTITIES, 1, result) || !result[0]) return IR_RIG_UNSOLVED;
     return IR_RIG_OK;
+}
+
+int ir_rig_contact(const ir_rig *r, int64_t number, double *out)
+{
+    if (r->ticks == 0 || number < 0 || number >= r->counts.impacts) return 0;
+    const ir_impact *one = r->impacts + number;
+    out[0] = (double)one->tick, out[1] = one->offset, out[2] = one->wall;
+    out[3] = one->approach_speed, out[4] = one->separation_speed, out[5] = one->peak_force;
+    return 1;
 }
 
 size_t ir_rig_state_size(const ir_rig *r) { return sizeof r->now + sizeof r->channels + (size_t)r->is.modes * sizeof *r->modes; }

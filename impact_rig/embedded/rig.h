@@ -25,7 +25,7 @@ typedef struct ir_rig ir_rig;
 
 ir_rig *ir_rig_new(const void *snapshot, size_t bytes); /* 0: not a snapshot of this version, or no memory */
 void ir_rig_free(ir_rig *rig);
-void ir_rig_reset(ir_rig *rig);
+void ir_rig_reset(ir_rig *rig); /* at rest, as when it was new; the gap stays */
 
 /* Commands act from the next tick of 10 ms on; REFUSED outside of the rig's limits. What does not change
  * is no command. A new gap puts the sphere at its start. */
@@ -40,6 +40,9 @@ int64_t ir_rig_channels(const ir_rig *rig);
 const char *ir_rig_channel_name(const ir_rig *rig, int64_t channel);
 /* The motion of the last call, `tick` from 0 on, or what stands before the first: x_b x_1 x_2 v_b v_1 v_2 a_b a_1 a_2 current force_left force_right [SI]. */
 int ir_rig_sample(ir_rig *rig, int64_t tick, double offset_s, double out[IR_RIG_QUANTITIES]);
+
+/* Contact `number` that ended in the last call: tick, offset [s], wall, approach and separation [m/s], peak force [N]; 0: no such. */
+int ir_rig_contact(const ir_rig *rig, int64_t number, double out[6]);
 
 int64_t ir_rig_tick(const ir_rig *rig);
 double ir_rig_tick_s(const ir_rig *rig);

@@ -30,8 +30,21 @@ from impact_rig.kernels.build import FOLDER, HEADER, PARTS, symbol, translated, 
 from impact_rig.kernels.emit import WASM, emit
 
 ZIG = [sys.executable, "-m", "ziglang", "cc", "-target", "wasm32-wasi", "-mexec-model=reactor"]
-RIG = ("new", "free", "reset", "command", "set_gap", "advance", "scans", "channels", "channel_name", "sample", "tick")
-RIG += ("tick_s", "gap", "impacts", "state_size", "save", "restore")
+RIG = (
+    "new",
+    "free",
+    "reset",
+    "command",
+    "set_gap",
+    "advance",
+    "scans",
+    "channels",
+    "channel_name",
+    "sample",
+    "contact",
+    "tick",
+)
+RIG += ("tick", "tick_s", "gap", "impacts", "state_size", "save", "restore")
 
 
 def build_wasm(path: Path, keep: Path) -> None:
