@@ -156,6 +156,7 @@ setup(
             "rig_node = impact_rig.nodes.__main__:rig",
             "analysis_node = impact_rig.nodes.__main__:analysis",
             "recorder_node = impact_rig.nodes.__main__:recorder",
+            "plot_node = impact_rig.nodes.__main__:plot",
             "lab_node = impact_rig_lab.node:main",
             "stepped_sine_node = impact_rig_studies.__main__:stepped_sine",
         ],

@@ -234,6 +234,11 @@ NODES = (
         publishes=(topics.ACK.name,),
         subscribes=(topics.INFO.name, topics.SCAN.name, topics.NOTES.name, topics.APPLIED.name),
     ),
+    Node(
+        "plot",
+        "plot_node",
+        subscribes=(topics.INFO.name, topics.SCAN.name, topics.APPLIED.name, topics.TRANSMISSIBILITY_TABLE.name),
+    ),
     Node("recorder", "recorder_node", publishes=(topics.ACK.name,), subscribes_recorded=True),
     Node(
         "stepped_sine",

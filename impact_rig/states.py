@@ -87,6 +87,14 @@ class RecorderWord(Word):
     IDLE = "idle", "no recording"
 
 
+class PlotWord(Word):
+    """What the plot node does."""
+
+    INACTIVE = "inactive", "unconfigured, inactive or finalised: the reason begins with the lifecycle state"
+    PLOTTING = "plotting", "a plotter subscribes to what is made of scans"
+    IDLE = "idle", "no plotter subscribes, so no scans are followed"
+
+
 class SteppedSineWord(Word):
     """What the stepped-sine node does; the gravest first."""
 
@@ -98,10 +106,12 @@ class SteppedSineWord(Word):
     IDLE = "idle", "no sweep was asked for"
 
 
-BY_NODE: dict[str, type[RigWord | AnalysisWord | RecorderWord | SteppedSineWord]] = {
+NodeWord = RigWord | AnalysisWord | RecorderWord | PlotWord | SteppedSineWord
+BY_NODE: dict[str, type[NodeWord]] = {
     "rig": RigWord,
     "analysis": AnalysisWord,
     "recorder": RecorderWord,
+    "plot": PlotWord,
     "stepped_sine": SteppedSineWord,
 }
 """The words of each node, by its name."""

@@ -194,7 +194,7 @@ ACK = Topic(
 
 def _plotted(name: str, qos: Qos, doc: str, *fields: Column) -> Topic:
     return Topic(
-        f"plot/{name}", "geometry_msgs/msg/Vector3Stamped", qos, "analysis", f"For plotters: {doc}", fields,
+        f"plot/{name}", "geometry_msgs/msg/Vector3Stamped", qos, "plot", f"For plotters: {doc}", fields,
         frame_id=blocks.FRAME_DAQ, recorded=False,
     )  # fmt: skip
 
@@ -227,7 +227,7 @@ def envelope(channel: str, unit: str) -> Topic:
 def spectrum(channel: str, unit: str) -> Topic:
     """Return the topic of a channel's amplitude spectrum."""
     return Topic(
-        f"plot/spectrum/{channel}", "geometry_msgs/msg/PolygonStamped", Qos.DATA, "analysis",
+        f"plot/spectrum/{channel}", "geometry_msgs/msg/PolygonStamped", Qos.DATA, "plot",
         "For plotters: amplitudes of the last 4 s, flat-top window, bins of 0.25 Hz, once a second; stamp = last scan.",
         (Column("polygon.points", f"Hz, {unit}", "x: frequency, up to 250 Hz; y: amplitude of the line there, peak."),),
         frame_id=blocks.FRAME_DAQ, recorded=False,

@@ -178,5 +178,6 @@ def node_parameters(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
             "daq.block_scans": max(1, arguments.rate // 100),
         },
         "analysis": {"gap_m": 0.006},
+        "plot": {},
         "recorder": {"directory": str(arguments.record_directory.resolve()), "record": not arguments.no_record},
     }

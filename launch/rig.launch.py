@@ -170,7 +170,7 @@ def start_nodes(context: LaunchContext) -> list[Node]:
     follow_rig_time = {"use_sim_time": config.time.is_simulated}
     autostart = {"autostart": config.output.autostart}
     required = required_nodes(context)
-    seen = {name: text(context, name) == "true" for name in ("lab", "rviz", "state_publisher")}
+    seen = {name: text(context, name) == "true" for name in ("plot", "lab", "rviz", "state_publisher")}
     clock = graph.clock_remapping(text(context, "clock"))
     prefix = graph.frame_prefix(namespace_of(context), config.output.frame_prefix)
     enclave = text(context, "enclave")
@@ -202,6 +202,8 @@ def start_nodes(context: LaunchContext) -> list[Node]:
         ours("analysis", parameters=[follow_rig_time, autostart]),
         ours("recorder", parameters=[follow_rig_time, autostart, recording]),
     ]
+    if seen["plot"]:
+        nodes.append(ours("plot", parameters=[follow_rig_time, autostart]))
     if seen["lab"]:
         nodes.append(ours("lab"))
     if seen["rviz"] or seen["state_publisher"]:
@@ -284,6 +286,12 @@ def generate_launch_description() -> LaunchDescription:
             ),
             DeclareLaunchArgument(
                 "record_directory", default_value="runs", description="Where run directories are made."
+            ),
+            DeclareLaunchArgument(
+                "plot",
+                default_value="true",
+                choices=["true", "false"],
+                description="Publish the topics for plotters, plot/...",
             ),
             DeclareLaunchArgument(
                 "lab",

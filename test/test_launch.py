@@ -76,9 +76,10 @@ def test_the_modes_are_those_of_the_configuration() -> None:
     assert tuple(declared(description(RIG))["mode"].words["choices"]) == ("", *modes)
 
 
-def test_by_default_three_nodes_start_and_scan_0_waits_for_two_of_them() -> None:
+def test_by_default_four_nodes_start_and_scan_0_waits_for_two_of_them() -> None:
     started = nodes(RIG)
-    assert list(started) == ["rig", "analysis", "recorder"]
+    assert list(started) == ["rig", "analysis", "recorder", "plot"]
+    assert list(nodes(RIG, plot="false")) == ["rig", "analysis", "recorder"]
     assert {node["namespace"] for node in started.values()} == {"rig"}
     rig = parameters(started["rig"])
     assert rig.pop("config_file").endswith("config/nominal.yaml")
@@ -174,7 +175,7 @@ def test_the_end_of_a_required_node_ends_all_once_and_all_end_with_the_launcher(
     """After Ctrl-C, or after another required node, a node that ends does not report that it was required."""
     running, ending = Context({}), Context({})
     ending.is_shutdown = True
-    for name, node in nodes(RIG).items():
+    for name, node in nodes(RIG, plot="false").items():
         (shutdown,) = (node["on_exit"](None, context) for context in (running,))
         assert isinstance(shutdown, Shutdown)
         assert name in shutdown.words["reason"]

@@ -66,6 +66,11 @@ NODES: dict[str, Use] = {
         "name:=first_light",
         "Topics, services and parameters: docs/interface.md.",
     ),
+    "plot": (
+        "Topics for plotters: envelopes, spectra, drive and transmissibility as small messages of standard types.",
+        "autostart:=true",
+        "Topics: docs/interface.md.",
+    ),
 }
 
 
@@ -94,7 +99,7 @@ def _run(node: str) -> None:
     run(node, NODES[node], f"impact_rig.nodes.{node}_node")
 
 
-rig, analysis, recorder = (functools.partial(_run, node) for node in NODES)
+rig, analysis, recorder, plot = (functools.partial(_run, node) for node in NODES)
 
 
 def begin(node: str, use: Use, main: Callable[[Ending], None]) -> None:

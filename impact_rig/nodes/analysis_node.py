@@ -34,7 +34,6 @@ from impact_rig.errors import CodecError, ConfigError, ImpactRigError
 from impact_rig.nodes.acknowledgements import Acknowledgements
 from impact_rig.nodes.managed import Level, ManagedNode, NodeState
 from impact_rig.nodes.messages import TOPICS
-from impact_rig.nodes.plots import Plots
 from impact_rig.simtime import NS_PER_S
 
 PUBLISHED = [topic for topic in TOPICS if topic.publisher == "analysis"]
@@ -75,7 +74,6 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         super().__init__("analysis", Tree(AnalysisSettings), **kwargs)
         self._tracker: Tracker | None = None
         self._blockwise: list[Blockwise] = []
-        self._plots = Plots({})
         self._acknowledgements = Acknowledgements(self)
         self._newest: Table | None = None
         self._heard_at = self._started_s = 0.0
@@ -90,7 +88,6 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         names = [name for name, _, _ in Tree(TrackerSettings).fields()]
         self._tracker = Tracker(TrackerSettings(**{name: getattr(self.settings, name) for name in names}))
         self._blockwise = [analysis() for analysis in ANALYSES]
-        self._plots = Plots(self.outputs, self.frame_prefix)
         self._newest = None
         self._started_s = time.time()
         self._label(_gap(self.settings), 0)
@@ -188,12 +185,10 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         if self._tracker is not None:
             self._tracker.configure(info)
             self.adopt_frame(info)
-            self._plots.configure(info, self.frame_prefix)
 
     def _on_applied(self, applied: Table) -> None:
         if self._tracker is not None:
             self._tracker.on_applied(applied)
-            self._plots.on_applied(applied)
 
     def _on_note(self, message: String) -> None:
         label = parse_label(message.data)
@@ -217,7 +212,6 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
                 self.report_change()
             if self._blockwise:
                 self._analyse(scan)
-            self._plots.feed(scan)
         except ImpactRigError as error:
             self.refuse(topics.SCAN.name, str(error))
         finally:
@@ -233,7 +227,6 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
                 if row["settled"] == 1:
                     self._latest = float(row["transmissibility"])
                     self.send(topics.TRANSMISSIBILITY, Float64(data=self._latest))
-                    self._plots.measured(table.stamp_ns, row)
 
     def _analyse(self, scan: Table) -> None:
         """Feed the analyses of blocks whose channels the scan has."""

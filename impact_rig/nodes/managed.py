@@ -191,7 +191,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
     """
 
     COMPONENT: ClassVar[str] = "state"  # what of the node its diagnostics are about
-    STATES: ClassVar[type[states.RigWord | states.AnalysisWord | states.RecorderWord | states.SteppedSineWord]]
+    STATES: ClassVar[type[states.NodeWord]]
     """The words for what the node does."""
     MAKES_TIME: ClassVar[bool] = False  # whether its clock is what others follow, so that it can follow nobody's
 

@@ -59,12 +59,13 @@ _NOT_COMPARED = {
     topics.CLOCK.name: "rig time, which the stamps hold",
     topics.STREAM.name: "how far ahead a controller was, which no sample depends on",
     "analysis": "made by the analysis: `impact-rig analyze` compares it",
+    "plot": "made for plotters from tables that are compared",
     "stepped_sine": "made by an operator from the measurements",
     "client": "an input: the journal has what became of it",
     "every node": "what nodes say about themselves",
 }
 """Why a topic is not compared, by its name or publisher."""
-_FAMILIES = {topics.envelope("", "").name.rstrip("/"): "analysis", topics.spectrum("", "").name.rstrip("/"): "analysis"}
+_FAMILIES = {topics.envelope("", "").name.rstrip("/"): "plot", topics.spectrum("", "").name.rstrip("/"): "plot"}
 """Publisher of the topics that exist for each channel, by what their names begin with."""
 _FOREIGN = "not of this rig"
 _UNKNOWN = "no topic of a rig"

@@ -33,6 +33,7 @@ from impact_rig.instruments import section
 from impact_rig.instruments.instrument import FAULT_KINDS
 from impact_rig.nodes.analysis_node import AnalysisSettings
 from impact_rig.nodes.messages import ENVELOPES, SPECTRA, TOPICS
+from impact_rig.nodes.plot_node import PlotSettings
 from impact_rig.nodes.recorder_node import RecorderSettings
 from impact_rig.recording import description
 from impact_rig.rig import takes_effect
@@ -47,6 +48,7 @@ SCHEMAS: dict[str, Tree[Any]] = {
     "rig": TREE,
     "analysis": Tree(AnalysisSettings),
     "recorder": Tree(RecorderSettings),
+    "plot": Tree(PlotSettings),
     "stepped_sine": Tree(SteppedSineSettings),
 }
 
@@ -241,6 +243,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "rig parameters": _parameters("rig"),
     "analysis parameters": _parameters("analysis"),
     "recorder parameters": _parameters("recorder"),
+    "plot parameters": _parameters("plot"),
     "stepped_sine parameters": _parameters("stepped_sine"),
     "figures": _figures,
     "words": lambda: table(

@@ -28,10 +28,11 @@ from impact_rig.client import Client, Collector, isolated_domain
 from impact_rig.client.client import ros_parameters
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.messages import TOPICS
+from impact_rig.nodes.plot_node import PlotNode
 from impact_rig.nodes.rig_node import RigNode
 
 pytestmark = pytest.mark.ros
-FRAMED = [topic.name for topic in TOPICS if topic.frame_id and topic.publisher in ("rig", "analysis")]
+FRAMED = [topic.name for topic in TOPICS if topic.frame_id and topic.publisher in ("rig", "analysis", "plot")]
 OWN_CLOCK = ["--ros-args", "-r", "/clock:=clock"]
 
 
@@ -53,8 +54,10 @@ def frames_of_a_rig(client: Client, prefix: str = "") -> dict[str, set[str]]:
         cli_args=OWN_CLOCK,
     )
     client.host(AnalysisNode, parameter_overrides=ros_parameters({"use_sim_time": True}), cli_args=OWN_CLOCK)
+    plot = client.host(PlotNode, parameter_overrides=ros_parameters({"use_sim_time": True}), cli_args=OWN_CLOCK)
     collectors = [client.collect(name) for name in FRAMED]
-    client.wait_active("rig", "analysis")
+    client.wait_active("rig", "analysis", "plot")
+    client.wait_until(lambda: plot.doing().word == "plotting", "the scans")
     client.step(60)
     wanted = {"daq/scan", "laser", "truth/impacts", "impacts", "analysis/settings", "plot/envelope/laser", "plot/drive"}
     client.wait_until(lambda: wanted <= frames(collectors).keys(), "their messages")
@@ -74,7 +77,10 @@ def test_two_rigs_share_neither_frames_nor_clocks() -> None:
             publishers = client.node.get_publishers_info_by_topic(f"{namespace}/clock")
             followers = client.node.get_subscriptions_info_by_topic(f"{namespace}/clock")
             assert [info.node_namespace for info in publishers] == [namespace]
-            assert {(info.node_namespace, info.node_name) for info in followers} == {(namespace, "analysis")}
+            assert {(info.node_namespace, info.node_name) for info in followers} == {
+                (namespace, "analysis"),
+                (namespace, "plot"),
+            }
         assert left.node.count_publishers("/clock") == 0
     for namespace, by_topic in found.items():
         expected = {topic.name: {namespace[1:] + "/" + topic.frame_id} for topic in TOPICS}

@@ -29,6 +29,7 @@ from impact_rig.analysis.sine import fit_sine
 from impact_rig.client import Client, Collector, isolated_domain
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.messages import ENVELOPES, SPECTRA, TOPICS, nanoseconds
+from impact_rig.nodes.plot_node import PlotNode
 from impact_rig.simtime import NS_PER_S
 
 pytestmark = pytest.mark.ros
@@ -40,7 +41,8 @@ RATE = 2000
 def plotted() -> Iterator[tuple[Client, dict[str, Collector], Collector]]:
     """A stepped rig at resonance without the sphere, 6 s of it seen by a plotter."""
     with isolated_domain() as domain_id, Client(domain_id) as client:
-        analysis = client.host(AnalysisNode)
+        client.host(AnalysisNode)
+        plot = client.host(PlotNode)
         host_rig(
             client,
             time__peers=["analysis"],
@@ -49,10 +51,11 @@ def plotted() -> Iterator[tuple[Client, dict[str, Collector], Collector]]:
             drive__amplitude=0.1,
             sphere__present=False,
         )
-        client.wait_active("rig", "analysis")
+        client.wait_active("rig", "analysis", "plot")
         client.step(5)
-        assert analysis._plots._recent is None, "nobody listens: nothing is kept"
+        assert plot.doing().word == "idle", "without a subscriber no scans are followed"
         heard = {topic.name: client.collect(topic.name) for topic in PLOTS}
+        client.wait_until(lambda: plot.doing().word == "plotting", "the scans")
         scans = client.collect("daq/scan")
         client.step(295)
         client.wait_until(lambda: len(heard["plot/spectrum/laser"]) >= 2, "the spectra")

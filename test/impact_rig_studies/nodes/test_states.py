@@ -35,6 +35,7 @@ from impact_rig.errors import RecordingError
 from impact_rig.nodes import messages
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.managed import ManagedNode
+from impact_rig.nodes.plot_node import PlotNode
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
 from impact_rig.recording import RunWriter
@@ -42,7 +43,8 @@ from impact_rig_studies.stepped_sine_node import SteppedSineNode
 
 pytestmark = pytest.mark.ros
 NODES: dict[str, type[ManagedNode[Any]]] = {
-    "rig": RigNode, "analysis": AnalysisNode, "recorder": RecorderNode, "stepped_sine": SteppedSineNode,
+    "rig": RigNode, "analysis": AnalysisNode, "recorder": RecorderNode, "plot": PlotNode,
+    "stepped_sine": SteppedSineNode,
 }  # fmt: skip
 
 

@@ -11,38 +11,108 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What any plotter draws without knowing our tables: small stamped messages, made only where somebody listens."""
+"""Node that makes topics for plotters: envelopes, spectra and the drive as small stamped messages of standard types.
+
+Plotters do not read tables. The node follows scans only while a plotter subscribes to what is made of them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any  # rclpy publishers, message classes
+from collections.abc import Callable, Mapping
+from typing import Any  # rclpy handles
 
+import attrs
 import numpy as np
 
-from impact_rig import codec, topics
+from impact_rig import codec, states, topics
 from impact_rig.analysis.blockwise import EVERY_S, PULSES, WINDOW_S, HighPass, Intervals, amplitude_spectrum
 from impact_rig.analysis.scans import Recent
-from impact_rig.blocks import MOST_HZ, Table
+from impact_rig.blocks import Table
+from impact_rig.config.fields import switch
+from impact_rig.config.tree import Tree
 from impact_rig.nodes import messages
-from impact_rig.nodes.messages import ENVELOPES, SPECTRA, Template
+from impact_rig.nodes.managed import ManagedNode, NodeState
+from impact_rig.nodes.messages import ENVELOPES, SPECTRA, TOPICS, Template
 from impact_rig.topics import Topic
 
 VECTOR = ("vector.x", "vector.y", "vector.z")
-LOOK_S = 0.1  # time of the rig between two looks who listens to what
+POLL_S = 0.1  # wall time between two looks at who subscribes
+PUBLISHED = [topic for topic in TOPICS if topic.publisher == "plot"]
+
+
+@attrs.frozen(kw_only=True)
+class PlotSettings:
+    """Parameters of the plot node."""
+
+    autostart: bool = switch(True, "Configure and activate by itself at start.", read_only=True)
+
+
+class PlotNode(ManagedNode[PlotSettings]):
+    """Publisher of the topics for plotters."""
+
+    COMPONENT = "plots"
+    STATES = states.PlotWord
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("plot", Tree(PlotSettings), **kwargs)
+        self._plots: Plots | None = None
+        self._stop_following: Callable[[], None] | None = None
+
+    def configure(self) -> None:
+        """Create the publishers."""
+        self.offer(*PUBLISHED)
+
+    def activate(self) -> None:
+        """Follow calibration, drive and measurements; scans only while they are wanted."""
+        self._plots = Plots(self.outputs)
+        self.until_deactivated(
+            self.subscribe_table(topics.INFO, self._on_info),
+            self.subscribe_table(topics.APPLIED, self._plots.on_applied),
+            self.subscribe_table(topics.TRANSMISSIBILITY_TABLE, self._plots.measured),
+        )
+        self.every(POLL_S, self._poll)
+
+    def deactivate(self) -> None:
+        """Follow nothing."""
+        self._unfollow()
+        self._plots = None
+
+    def doing(self) -> NodeState:
+        """Return whether a plotter subscribes."""
+        words = states.PlotWord
+        return NodeState(words.PLOTTING if self._stop_following is not None else words.IDLE)
+
+    def _on_info(self, info: Table) -> None:
+        self.adopt_frame(info)
+        if self._plots is not None:
+            self._plots.configure(info, self.frame_prefix)
+
+    def _poll(self) -> None:
+        if self._plots is None:
+            return
+        wanted = self._plots.poll()
+        if wanted and self._stop_following is None:
+            scans = self.subscribe_table(topics.SCAN, self._plots.feed)
+            self._stop_following = lambda: self.destroy_subscription(scans) and None
+        elif not wanted:
+            self._unfollow()
+
+    def _unfollow(self) -> None:
+        stop, self._stop_following = self._stop_following, None
+        if stop is not None:
+            stop()
 
 
 class Plots:
-    """Makes the plot topics of the analysis node.
+    """Messages for plotters, made from tables.
 
     Args:
-        publishers: publisher by topic name; topics without one are left out.
-        frame_prefix: text in front of the frames.
+        publishers: publisher by topic name.
     """
 
-    def __init__(self, publishers: Mapping[str, Any], frame_prefix: str = "") -> None:
+    def __init__(self, publishers: Mapping[str, Any]) -> None:
         self._publishers = publishers
-        self._set_prefix(frame_prefix)
+        self._set_prefix("")
         self._rate_hz = 0.0
         self._intervals: Intervals | None = None
         self._pulses: tuple[HighPass, Intervals] | None = None
@@ -50,47 +120,44 @@ class Plots:
         self._since_spectrum = 0
         self._since_drive = 0
         self._drive: tuple[float, float] | None = None
-        self._followed = [topic.name for topic in _FOLLOWED if topic.name in publishers]
         self._listened_to: set[str] = set()
-        self._until_look = 0
 
     def _set_prefix(self, frame_prefix: str) -> None:
         self._prefix = frame_prefix
         self._vectors = {topic.name: _vector(topic, frame_prefix) for topic in (*ENVELOPES.values(), *_VECTORS)}
 
-    def configure(self, info: Table, frame_prefix: str = "") -> None:
-        """Take the rate of the scans from daq/info, and the prefix of their frame."""
+    def configure(self, info: Table, frame_prefix: str) -> None:
+        """Take the rate of the scans from `daq/info`, and the prefix of their frame."""
         if frame_prefix != self._prefix:
             self._set_prefix(frame_prefix)
-        rates = info.rows["rate"]
-        rate = float(rates[0]) if len(rates) else 0.0
-        if rate != self._rate_hz and 0.0 < rate <= MOST_HZ:
+        rate = float(info.rows["rate"][0]) if len(info.rows) else 0.0
+        if rate != self._rate_hz:
             self._rate_hz = rate
             self._intervals = self._pulses = self._recent = None
 
     def on_applied(self, applied: Table) -> None:
-        """Publish what the shaker does now."""
+        """Publish the drive."""
         for row in applied.rows:
             self._drive = float(row["frequency"]), float(row["current"])
             self._send(topics.PLOT_DRIVE, applied.stamp_ns, *self._drive, 0.0)
         self._since_drive = 0
 
-    def measured(self, stamp_ns: int, row: np.void) -> None:
-        """Publish a settled measurement, a row of transmissibility/table."""
-        values = (row["transmissibility"], row["transmissibility_uncertainty"], row["phase"])
-        self._send(topics.PLOT_TRANSMISSIBILITY, stamp_ns, *map(float, values))
+    def measured(self, table: Table) -> None:
+        """Publish the settled measurements of a `transmissibility/table`."""
+        for row in table.rows[table.rows["settled"] == 1]:
+            values = (row["transmissibility"], row["transmissibility_uncertainty"], row["phase"])
+            self._send(topics.PLOT_TRANSMISSIBILITY, table.stamp_ns, *map(float, values))
+
+    def poll(self) -> bool:
+        """Find out which topics have subscribers, and return whether scans are needed for any of them."""
+        self._listened_to = {topic.name for topic in _FOLLOWED if self._publishers[topic.name].get_subscription_count()}
+        return bool(self._listened_to)
 
     def feed(self, scan: Table) -> None:
-        """Publish what a block of daq/scan completes, as far as anybody listens."""
+        """Publish what a block of `daq/scan` completes."""
         if not self._rate_hz or not len(scan.rows):
             return
-        self._until_look -= len(scan.rows)
-        if self._until_look < 0:
-            self._look()
         self._since_drive += len(scan.rows)
-        if not self._listened_to:
-            self._intervals = self._pulses = self._recent = None
-            return
         if self._drive is not None and self._since_drive >= self._rate_hz * EVERY_S and self._heard(topics.PLOT_DRIVE):
             self._send(topics.PLOT_DRIVE, scan.stamp_ns, *self._drive, 0.0)
             self._since_drive = 0
@@ -144,11 +211,6 @@ class Plots:
         names = scan.rows.dtype.names or ()
         return {channel: topic for channel, topic in by_channel.items() if channel in names and self._heard(topic)}
 
-    def _look(self) -> None:
-        """Look who listens, ten times a second: to ask for each block costs as much as to measure it."""
-        self._listened_to = {name for name in self._followed if self._publishers[name].get_subscription_count()}
-        self._until_look = round(LOOK_S * self._rate_hz)
-
     def _heard(self, topic: Topic) -> bool:
         return topic.name in self._listened_to
 
@@ -159,10 +221,14 @@ class Plots:
 ACCELEROMETER = "accelerometer"
 _VECTORS = (topics.PLOT_TRANSMISSIBILITY, topics.PLOT_DRIVE, topics.PLOT_PULSES)
 _FOLLOWED = (topics.PLOT_DRIVE, topics.PLOT_PULSES, *ENVELOPES.values(), *SPECTRA.values())
-"""Made only where somebody listens; the others are rare."""
+"""Topics that need scans; the others are rare."""
 
 
 def _vector(topic: Topic, frame_prefix: str) -> Template:
     message = messages.class_of(topic)()
     message.header.frame_id = frame_prefix + topic.frame_id
     return Template(message, *VECTOR)
+
+
+PROGRAM = PlotNode
+"""What makes the node of the program `plot_node`."""
