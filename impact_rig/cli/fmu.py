@@ -20,7 +20,7 @@ from pathlib import Path
 
 from impact_rig.cli.terminal import Console, subcommand
 from impact_rig.embedded.fmu import KERNELS, VERSIONS, write_fmu
-from impact_rig.rig.config import RigConfig, load
+from impact_rig.rig.config import RigConfig, load_config
 
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -42,7 +42,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    config = load(arguments.config) if arguments.config else RigConfig()
+    config = load_config(arguments.config) if arguments.config else RigConfig()
     write_fmu(config, arguments.path, arguments.fmi, arguments.kernels)
     Console().print(f"FMI {arguments.fmi} co-simulation unit: {arguments.path}")
     return 0
