@@ -179,7 +179,7 @@ DAQ_INFO_COLUMNS = (
     Column(
         "lag_order",
         "-",
-        "1: the sensor is a first-order lag 1 / (1 + jω lag); 0: a pure delay in the rig's band.",
+        "Of the sensor in the rig's band: 1 first-order lag 1 / (1 + jω lag), 2 two-pole Butterworth, 0 pure delay.",
         default=0.0,
     ),
     Column("bandwidth", "Hz", "-3 dB corner of the sensor and of its noise; 0 where unknown.", default=0.0),

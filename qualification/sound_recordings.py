@@ -72,6 +72,7 @@ from impact_rig.simtime import NS_PER_S
 
 BY_NAME = {topic.name: topic for topic in TOPICS}
 SCAN = topics.SCAN.name
+MOST_BLOCKS = 2_000  # of a recording
 START_NS = 1_780_000_000 * NS_PER_S  # system time of scan 0, as in real time
 
 
@@ -540,8 +541,7 @@ def kinds() -> list[Kind]:
     for number, (rate, block, recorder, deeds) in enumerate(ROWS):
         streams = "starve" in deeds
         seconds = max(2.0 if rate > 20_000 else 5.0, 3.2 * block / rate)
-        if rate / block > 2_000:
-            seconds = 1.0
+        seconds = min(seconds, MOST_BLOCKS * block / rate)
         found.append(
             Kind(
                 name=f"{number:02d} {rate} Hz, blocks of {block}, {recorder}: {deeds}",

@@ -21,7 +21,7 @@ X is the phasor of a displacement, also of a channel that measures velocity (n =
 
 `lag` is the sensor's group delay at low frequency; `lag_order` names its model:
 
-    0    pure delay                                              L = e^{−iω·lag}
+    0    pure delay, where the poles are not known               L = e^{−iω·lag}
     1    first order with the time constant lag                  L = 1 / (1 + iω·lag)
     2    two-pole Butterworth of that group delay                L = 1 / (1 + i√2 Ω − Ω²),  Ω = ω·lag/√2
 
@@ -268,6 +268,18 @@ class Calibration:
         """Return how much denser the noise is at the drive than if it filled the band up to rate / 2, shape (4,)."""
         noise_band = TWO_POLE_NOISE * np.where(self.bandwidth > 0.0, self.bandwidth, np.inf)
         return np.asarray(np.maximum(1.0, self.rate_hz / (2.0 * noise_band)), dtype=np.float64)
+
+    def lag_uncertainties(self, channel: int, frequency_hz: float, lag_uncertainty: float) -> tuple[float, float]:
+        """Return the standard uncertainties of amplitude (relative) and phase that a sensor's dynamics leave.
+
+        `lag_uncertainty` is that of the lag, relative. A pure delay leaves out what a low-pass of two or more poles
+        with the corner `bandwidth` takes from the amplitude: 1 − 1/√(1 + (f/bandwidth)⁴) at most, evenly distributed.
+        """
+        slope = self.lag_sensitivity(channel, frequency_hz) * lag_uncertainty
+        left_out = 0.0
+        if self.lag_order[channel] == 0 and self.bandwidth[channel] > 0.0:
+            left_out = (1.0 - 1.0 / math.hypot(1.0, (frequency_hz / self.bandwidth[channel]) ** 2)) / math.sqrt(3.0)
+        return math.hypot(slope.real, left_out), abs(slope.imag)
 
     def lag_sensitivity(self, channel: int, frequency_hz: float) -> complex:
         """Return d ln L / d ln lag: real part for the amplitude, imaginary part for the phase, per relative change."""

@@ -295,11 +295,11 @@ def _parts(
         _Part(MEASUREMENT, "transient", float(left[0]), float(left[1])),
     ]
     for channel, level in ((LASER, laser_m), (BASE, base_m)):
-        slope = calibration.lag_sensitivity(channel, frequency_hz) * lag_uncertainty
+        amplitude_u, phase_u = calibration.lag_uncertainties(channel, frequency_hz, lag_uncertainty)
         name, reading = CHANNELS[channel], level * calibration.scale(channel, frequency_hz)
         parts += [
             _Part(name, "sensitivity", calibration.gain_uncertainty_at(channel, reading) ** 2, 0.0),
-            _Part(name, "lag", slope.real**2, slope.imag**2),
+            _Part(name, "lag", amplitude_u**2, phase_u**2),
         ]
     return parts
 

@@ -82,7 +82,7 @@ def budget(rows: NDArray[np.void], calibration: Calibration, lag_uncertainty: fl
         curve = _curve(calibration, channel, amplitude)
         reading = amplitude * calibration.scale(channel, frequency_hz)
         gain = math.sqrt(max(calibration.gain_uncertainty_at(channel, reading) ** 2 - curve**2, 0.0))
-        lag = abs(calibration.lag_sensitivity(channel, frequency_hz).real) * lag_uncertainty
+        lag, _ = calibration.lag_uncertainties(channel, frequency_hz, lag_uncertainty)
         parts += [
             Contribution(CHANNELS[channel], "sensitivity", "B", gain),
             Contribution(CHANNELS[channel], "linearity at this amplitude", "B", curve),

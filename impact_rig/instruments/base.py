@@ -64,7 +64,7 @@ class Base(Instrument):
             quantity=self.senses,
             unit=self.unit,
             low_pass=butterworth(2, self.bandwidth_hz),
-            lag_order=0,
+            lag_order=2,
             bandwidth_hz=self.bandwidth_hz,
             volt_per_unit=self.output_v / self.half_range_m,
             low=-self.half_range_m,

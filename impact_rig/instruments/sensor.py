@@ -182,7 +182,7 @@ class Sensor:
     unit: str  # its unit
     low_pass: Transfer  # everything that limits its band from above, unit gain at zero frequency
     high_pass: Transfer | None = None  # what limits it from below, or None
-    lag_order: int  # 1 when it is a first-order lag in the rig's band, 0 when it is a delay
+    lag_order: int  # in the rig's band: 1 first-order lag, 2 two-pole Butterworth, 0 pure delay
     bandwidth_hz: float  # −3 dB corner of the sensor, and of its noise
     volt_per_unit: float  # nominal sensitivity, with its sign [V/unit]
     offset_v: float = 0.0  # nominal output at zero [V]
@@ -231,12 +231,12 @@ class Sensor:
         if adc.anti_alias == "none":
             return self
         filtered = self.low_pass * butterworth(adc.anti_alias_order, adc.anti_alias_hz)
-        # a delay comes on top of whatever the sensor is: only a lag that clearly dominates is still one
-        dominant = self.lag_order == 1 and self.low_pass.delay_s() > 0.7 * filtered.delay_s()
+        # a delay comes on top of whatever the sensor is: only poles that clearly dominate still describe it
+        dominates = self.low_pass.delay_s() > 0.7 * filtered.delay_s()
         return attrs.evolve(
             self,
             low_pass=filtered,
-            lag_order=1 if dominant else 0,
+            lag_order=self.lag_order if dominates else 0,
             bandwidth_hz=min(self.bandwidth_hz, adc.anti_alias_hz),
             noise=self.noise * math.sqrt(min(1.0, adc.anti_alias_hz / self.bandwidth_hz)),
         )
