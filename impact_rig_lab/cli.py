@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import errno
 import os
 import re
 import select
@@ -139,10 +140,20 @@ def _source(arguments: argparse.Namespace, stack: contextlib.ExitStack) -> Any:
         raise ImpactRigError(f"a namespace is letters, digits and _ between slashes, got {arguments.namespace!r}")
     parameters = node_parameters(arguments)
     from_flat(RigConfig(), parameters["rig"])  # what a rig refuses is refused here, where somebody reads it
+    if not arguments.no_record:
+        _check_writable(arguments.record_directory)
     _take_place(domain, namespace, stack)
     logs = files.state_dir("lab_logs") / files.place(domain, namespace)
     processes = stack.enter_context(Processes(domain, logs, namespace=namespace))
     return LiveSource(domain, namespace, Own(processes, parameters))
+
+
+def _check_writable(directory: Path) -> None:
+    """Refuse a directory into which the recorder, later and in its log, could not record."""
+    with files.errors_as(f"nothing can be recorded into {directory}; choose --record-directory DIR or --no-record"):
+        files.make_folder(directory)
+        if not os.access(directory, os.W_OK | os.X_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 
 
 def _take_place(domain: int, namespace: str, stack: contextlib.ExitStack) -> None:

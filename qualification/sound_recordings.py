@@ -278,7 +278,7 @@ class Stage:
     def lost_block(self) -> None:
         """Withhold blocks by a fault."""
         start, length = self.rig.frontier_sample + self._kind.block_scans, self._kind.block_scans
-        self.rig.inject(Fault(kind="lost_block", start_sample=start, duration_samples=length))
+        self.rig.inject(Fault(kind="lost_block", start_sample=start, samples=length))
 
     def pause(self) -> None:
         """Hold rig time for a while."""

@@ -188,6 +188,11 @@ def test_what_makes_no_sense_is_refused(sample: Path, capsys: pytest.CaptureFixt
     for namespace in ("/a b", "/1", "//"):
         assert main(["lab", "--namespace", namespace, "--no-browser", "--port", "0"]) == 1
         assert "letters, digits" in capsys.readouterr().err
+    (tmp_path / "file").touch()
+    assert main(["lab", "--record-directory", str(tmp_path / "file" / "runs"), "--no-browser", "--port", "0"]) == 1
+    error = capsys.readouterr().err
+    assert str(tmp_path / "file" / "runs") in error.replace("\n", "")
+    assert "--no-record" in error
     assert main(["lab", str(sample), "--port", "99999", "--no-browser"]) == 1
     assert capsys.readouterr().err.strip().endswith("a port is 0 (any) to 65535, got 99999")
     assert main(["lab", str(sample), "--attach", "/rig"]) == 1
