@@ -86,6 +86,7 @@ STYLE: dict[str, object] = {
     "font.size": 9.0,
     "axes.titlesize": 9.5,
     "legend.fontsize": 8.0,
+    "svg.fonttype": "none",  # text stays text: it can be searched, and is drawn as sharp as the page
     "axes.edgecolor": MUTED,
     "axes.labelcolor": INK,
     "text.color": INK,
@@ -235,8 +236,8 @@ def rendered(figure: Figure, kind: str, name: str) -> bytes:
         "pdf": {"facecolor": "white", "metadata": {"CreationDate": None}},
     }
     content = io.BytesIO()
-    # text stays text: it can be searched, and is drawn as sharp as the page
-    with any_glyph(), rc_context({"svg.hashsalt": name, "svg.fonttype": "none", "pdf.fonttype": 42}):
+    texts: dict[Any, Any] = {"svg.fonttype": STYLE["svg.fonttype"], "pdf.fonttype": 42}  # also where `style` has ended
+    with any_glyph(), rc_context({**texts, "svg.hashsalt": name}):
         figure.savefig(content, format=kind, **options[kind])
     return content.getvalue()
 

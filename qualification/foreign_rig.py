@@ -205,7 +205,7 @@ def draw(place: Path) -> None:
         "import", place / "no_sphere.csv", "--output", place / "mine", "--mapping", place / "mapping.yaml",
         "--calibration", place / "certificate.csv", "--json",
     )  # fmt: skip
-    impact_rig(["compare", str(place / "mine"), "--config", str(place / "model.yaml"), "--figure", str(place)])
+    impact_rig(["compare", str(place / "mine"), "--config", str(place / "model.yaml"), "--figures", str(place)])
     shutil.copy(place / "comparison.png", Path(__file__).parents[1] / "docs" / "images" / "comparison.png")
 
 

@@ -24,7 +24,7 @@ from PIL import Image
 
 pytest.importorskip("rclpy", reason="pictures of the nodes are made from the nodes")
 
-from tools.figures import COMMAND, DRAWN, IMAGES, there
+from tools.figures import COMMAND, DRAWN, IMAGES, digests, there
 from tools.figures.same import difference
 from tools.figures.style import DARK
 from tools.generate import generated
@@ -71,6 +71,38 @@ def test_a_drawing_has_only_colours_of_the_palette(name):
     drawn = (IMAGES / name).read_text(encoding="utf-8").partition("</style>")[2]
     assert set(re.findall(r"(?<!&)#[0-9a-f]{3,8}\b", drawn)) == set()
     assert set(re.findall(r"var\(--([\w-]+)\)", drawn)) <= {*DARK, "sheet", "card"}
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("name", TAKEN)
+def test_a_picture_shows_what_is_there_now(name):
+    """Pictures of the page showed one of long ago, and nothing failed."""
+    known = digests.written()
+    assert name in known, f"run `{COMMAND}`"
+    assert digests.of_file(IMAGES / name) == known[name]["file"], f"not made by `{COMMAND}`"
+    assert digests.shown(name) == known[name]["shows"], f"what it shows has changed: run `{COMMAND}`, and look at it"
+
+
+def test_the_digest_of_the_page_follows_its_elements_texts_and_styles(tmp_path, monkeypatch):
+    for file in digests.STATIC.iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    (tmp_path.parent / "words.json").write_bytes((digests.STATIC.parent / "words.json").read_bytes())
+    monkeypatch.setattr(digests, "STATIC", tmp_path)
+    before = digests.page.__wrapped__()
+    for name, old, new in (
+        ("index.html", "<h2", "<!-- a remark --><h2"), ("style.css", "{", "{ /* a remark */"),
+        ("main.js", "export", "// a remark of some words\nexport"),
+    ):  # fmt: skip
+        path = tmp_path / name
+        path.write_text(path.read_text().replace(old, new, 1))
+    assert digests.page.__wrapped__() == before
+    for name, old, new in (("index.html", "<h2", "<h3"), ("style.css", "color", "colour")):
+        path = tmp_path / name
+        text = path.read_text()
+        assert old in text
+        path.write_text(text.replace(old, new, 1))
+        assert digests.page.__wrapped__() != before
+        path.write_text(text)
 
 
 @pytest.mark.parametrize("name", TAKEN)

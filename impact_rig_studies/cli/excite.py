@@ -159,7 +159,10 @@ def _frf(arguments: argparse.Namespace) -> int:
     excitation = read({name: getattr(arguments, name) for name in names}, Excitation)
     title = f"Frequency response: {arguments.channel} over {arguments.reference}, {arguments.kind.replace('_', ' ')}"
     unit = f"{SI[arguments.channel]}/{SI[arguments.reference]}"
-    return _drive(arguments, title, unit, lambda rig: measure(rig, excitation, arguments.channel, arguments.reference))
+    return _drive(
+        arguments, title, unit, lambda rig: measure(rig, excitation, arguments.channel, arguments.reference),
+        of=f" of {excitation.frames}",
+    )  # fmt: skip
 
 
 SI = {"accelerometer": "(m/s²)", "laser": "m", "base": "m", "current": "A"}
@@ -207,8 +210,8 @@ def _history(arguments: argparse.Namespace, unit: str, name: str | None = None) 
     )  # fmt: skip
 
 
-def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work) -> int:
-    """Let a rig be driven, and write its run with what was reached, however it ends."""
+def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work, of: str = "") -> int:
+    """Drive a rig and write its run with what was reached, however it ends; `of` is the end of what there is to do."""
     from impact_rig_studies.report.excitation import document, tell  # noqa: PLC0415  # matplotlib
 
     rate = {"drive.stream_rate_hz": arguments.rate, "daq.rate_hz": arguments.rate}
@@ -225,7 +228,8 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work) -> 
         with _connected(arguments, config, directory) as hardware:
             try:
                 for found in work(hardware):
-                    progress.print(tell(found, unit).progress)
+                    reached = tell(found, unit)
+                    progress.print(reached.progress if reached.missing else f"{reached.progress}{of}")
             except (CommandError, TimeoutError) as error:
                 early = str(error)
             except KeyboardInterrupt as error:

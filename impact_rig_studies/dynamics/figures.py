@@ -36,6 +36,7 @@ LABELS = {
     FREQUENCY: ("frequency (Hz)", 1.0), CURRENT: ("current (A)", 1.0), GAP: ("gap (mm)", 1e3),
     POSITION: ("sphere at the beginning, from the middle (mm)", 1e3), SPEED: ("its speed (m/s)", 1.0),
 }  # fmt: skip
+DOTS_IN_LEGEND = 3.0  # size of a dot in the legend, over that in the drawing
 _SPHERE = "sphere at the section (mm)"
 
 
@@ -47,8 +48,9 @@ def drawn(plan: Plan, found: Found) -> Drawn:
         draw(panes, plan, found)
         panes[0].set_title(plan.title, loc="left")
         handles, labels = panes[0].get_legend_handles_labels()
+        scale = DOTS_IN_LEGEND if plan.kind in (plans.SECTION, plans.BIFURCATION) else 1.0
         if handles:
-            figure.legend(handles, labels, loc="outside lower center", ncols=3)
+            figure.legend(handles, labels, loc="outside lower center", ncols=3, markerscale=scale)
         return Drawn(f"dynamics_{plan.kind}", figure, f"{plan.title}: {what} Of the model, without instruments.")
 
 
@@ -84,14 +86,14 @@ def _bifurcation(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
     known: dict[str, int] = {}
     for task, rows in found:
         direction = plans.direction_of(task)
-        name = f"{plans.named(task.what['start'])}, {'from rest' if direction == RESET else direction}"
+        name = f"{'each from rest' if direction == RESET else direction}, sphere from {plans.named(task.what['start'])}"
         first = name not in known
         colour = SERIES[known.setdefault(name, len(known))]
         across = factor * column(plan, rows, plan.columns[0])
         for pane, quantity, scale in zip(panes, ("x_2_m", "dt"), (1e3, 1.0), strict=True):
             pane.plot(
-                across, scale * column(plan, rows, quantity), ".", color=colour, markersize=1.2,
-                label=name if first else None,
+                across, scale * column(plan, rows, quantity), ".", color=colour, label=name if first else None,
+                markersize=max(1.2, 3.0 - 1.4 * known[name]),  # what lies beneath shows around what lies above
             )  # fmt: skip
     panes[0].set(ylabel=_SPHERE)
     panes[1].set(xlabel=label, ylabel="DT (-)")

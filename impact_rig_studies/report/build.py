@@ -138,11 +138,9 @@ def _sections(
         dt.errors_without_sphere(curves, config),
     )
     details = itertools.chain(dt.peaks(curves), dt.amplitudes(curves), dt.regime_map(curves))
-    yield section("Set-up and instruments", *cover.apparatus(done, content), part=True)
-    yield section("Transmissibility", keep(dt.by_frequency(curves, config), large=True), part=True)
-    yield section(
-        "Reductions: the paper and this rig", *findings.reductions_table(done, content), keep(compared), part=True
-    )
+    yield section("Set-up and instruments", *cover.apparatus(done, content))
+    yield section("Transmissibility", keep(dt.by_frequency(curves, config), large=True))
+    yield section("Reductions: the paper and this rig", *findings.reductions_table(done, content), keep(compared))
     by_frequency = keep(dt.damper_by_frequency(curves, done.calibration))
     yield section("What DT tells of the damper", *findings.damper(done, content), by_frequency)
     yield section("The paper's statements", *findings.statements(done, content))

@@ -33,6 +33,7 @@ from impact_rig_studies.report import page
 
 FILE_NAME = "report.json"
 COVERAGE = 2.0  # standard uncertainties that an error bar, or a number behind ±, is long
+LEAST_SHARE = 1e-6  # of the variance, below which a line of the budget is left out
 
 
 @attrs.frozen

@@ -29,7 +29,7 @@ from impact_rig_studies.campaign.paper import CURRENT_A, FREQUENCY_HZ, REDUCTION
 from impact_rig_studies.campaign.results import Point
 from impact_rig_studies.campaign.run import Finished
 from impact_rig_studies.campaign.statements import Variation
-from impact_rig_studies.report.content import COVERAGE, Cell, Content, number, plus_minus
+from impact_rig_studies.report.content import COVERAGE, LEAST_SHARE, Cell, Content, number, plus_minus
 from impact_rig_studies.report.dt import dampers
 from impact_rig_studies.report.page import paragraph
 
@@ -127,7 +127,7 @@ def uncertainty(done: Finished, content: Content) -> Iterator[Markup]:
             part.source, part.what, part.evaluation, number(100.0 * part.u_relative, ".2g"),
             number(part.u_relative * found.transmissibility, ".2g"), number(100.0 * found.share(part), ".1f"),
         ]
-        for part in found.parts
+        for part in found.parts if found.share(part) >= LEAST_SHARE
     ]  # fmt: skip
     sums = (100.0 * relative, found.u_transmissibility, 100.0)
     rows.append(["combined", "standard uncertainty", "", *(number(v, ".2g" if v < 100.0 else ".0f") for v in sums)])

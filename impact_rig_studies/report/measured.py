@@ -49,7 +49,7 @@ from impact_rig.states import Method
 from impact_rig_studies.campaign.run import Finished
 from impact_rig_studies.reduction import reduction
 from impact_rig_studies.report import cover
-from impact_rig_studies.report.content import COVERAGE, Cell, Content, number, plus_minus
+from impact_rig_studies.report.content import COVERAGE, LEAST_SHARE, Cell, Content, number, plus_minus
 from impact_rig_studies.report.page import contents, heading, page, paragraph, section, tiles, title
 from impact_rig_studies.report.page import cover as cover_block
 
@@ -58,7 +58,6 @@ if TYPE_CHECKING:
 
 MOTION_INCH = 4.4  # height of a drawing of the motion
 BATCHES = 4  # of the scatter of a response that is not periodic: the fewer of the two numbers, see docs/analysis.md
-LEAST_SHARE = 1e-6  # of the variance, below which a line of the budget is left out
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -143,7 +142,7 @@ def document(data: MeasuredData, content: Content, links: Markup) -> str:
         calibration = Calibration.from_info(data.info)
         best = _largest(data.rows)
         sections = [
-            section("Transmissibility", *_results(data.rows, content), part=True),
+            section("Transmissibility", *_results(data.rows, content)),
             section("Reduction by the sphere", *_reductions(data.rows, calibration, content)),
             section("Uncertainty", *_uncertainty(best, calibration, content)),
             section("Motion", content.figures(data.drawn)),
@@ -205,7 +204,8 @@ def _tiles(data: MeasuredData, best: NDArray[np.void], content: Content) -> Iter
 def _results(rows: NDArray[np.void], content: Content) -> Iterator[Markup]:
     if not len(rows):
         return
-    yield content.figures([transmissibility(rows)], large=True)
+    if np.ptp(rows["frequency"]) > 0.0:  # one frequency is no curve
+        yield content.figures([transmissibility(rows)], large=True)
     cells: list[list[str | Cell]] = [
         [
             _case(float(row["gap"])), number(float(row["frequency"]), ".6g"),

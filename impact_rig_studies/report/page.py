@@ -108,13 +108,13 @@ def title(text: str) -> Markup:
     return _render("title", text)
 
 
-def section(title: str, *parts: Markup, part: bool = False) -> Section | None:
+def section(title: str, *parts: Markup) -> Section | None:
     """Return a section; None if it has no content."""
     body = Markup("\n").join(one for one in parts if one)
     if not body:
         return None
     made = Section(title, Markup())
-    return attrs.evolve(made, html=_render("section", title, made.anchor, body, part))
+    return attrs.evolve(made, html=_render("section", title, made.anchor, body))
 
 
 def contents(sections: Iterable[Section]) -> Markup:

@@ -21,7 +21,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tools.figures import DRAWN, IMAGES, ROOT, there
+from tools.figures import DRAWN, IMAGES, ROOT, digests, there
 from tools.figures.same import difference
 from tools.generate import generated
 
@@ -58,6 +58,7 @@ def main() -> None:
             continue
         module = tool.split()[0].removesuffix(".py").replace("/", ".")
         subprocess.run([sys.executable, "-m", module, *tool.split()[1:]], cwd=ROOT, check=True)  # noqa: S603  # our own
+        digests.write(there()[tool])
 
 
 if __name__ == "__main__":
