@@ -34,6 +34,7 @@ from impact_rig_studies.importing.units import Sensitivity, quantity, unit_facto
 
 MAPPING_CHARACTERS = 100_000
 _MOTION = ("m", "m/s", "m/s^2")
+USUAL = {"accelerometer": "g", "laser": "mm", "base": "g", "current": "A"}  # units in examples of a sensitivity
 UNITS = {"accelerometer": ("m/s^2",), "laser": _MOTION, "base": _MOTION, "current": ("A",)}
 """SI units that a channel may have: structure and base move in displacement, velocity or acceleration."""
 
@@ -63,7 +64,7 @@ class Channel:
             volts = unit_factor(self.unit or "V", "V")
             if found is None or found.unit not in allowed or volts is None:
                 raise ConfigError(
-                    f"channels.{name}.sensitivity must be like `100 mV/{allowed[0].split('/')[0]}` of a signal in V, "
+                    f"channels.{name}.sensitivity must be like `100 mV/{USUAL[name]}` of a signal in V, "
                     f"got {self.sensitivity!r} of {self.unit!r}"
                 )
             return volts / found.volts, found.unit
@@ -77,7 +78,7 @@ class Channel:
                 f"channels.{name}.unit must be a unit of {' or '.join(allowed)}, got {self.unit!r} of signal "
                 f"{self.column!r}"
                 + (
-                    f'; a voltage needs a sensitivity: --channel {name}="{self.column} V, 100 mV/{allowed[0]}"'
+                    f'; a voltage needs a sensitivity: --channel {name}="{self.column} V, 100 mV/{USUAL[name]}"'
                     if is_voltage
                     else f'; --channel {name}="{self.column} mm" gives another'
                 )

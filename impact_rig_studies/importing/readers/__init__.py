@@ -113,16 +113,17 @@ def read(path: Path) -> ImportedSignals:
         BudgetError: it is larger than the budget.
     """
     try:
-        if bag.is_bag(path):
-            return _read_bag(path)
-        if path.suffix.lower() not in FORMATS:
+        bag_bytes = _bag_bytes(path) if bag.is_bag(path) else None
+        if bag_bytes is None and path.suffix.lower() not in FORMATS:
             format_of(path, b"")
-        if not stat.S_ISREG(path.stat().st_mode):
+        if bag_bytes is None and not stat.S_ISREG(path.stat().st_mode):
             what = "a directory" if path.is_dir() else "no regular file"
             raise RecordingError(f"{path} is {what}: a file of measurements is needed")
-        content = files.read_bytes(path, math.ceil(FILE_BYTES * budget.factor()))
+        content = b"" if bag_bytes else files.read_bytes(path, math.ceil(FILE_BYTES * budget.factor()))
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from error
+    if bag_bytes:  # its library reads it piece by piece
+        return isolation.run(path, BAG.name, bag_bytes, lambda: _read(BAG, path, bag_bytes), BAG.load)
     if not content:
         raise RecordingError(f"{path} is empty")
     chosen = format_of(path, content)
@@ -133,8 +134,13 @@ def read(path: Path) -> ImportedSignals:
     return found
 
 
-def _read_bag(path: Path) -> ImportedSignals:
-    """Return the signals in a bag, which its library reads piece by piece."""
+def _bag_bytes(path: Path) -> int:
+    """Return the size of a bag.
+
+    Raises:
+        RecordingError: it is empty, or one of its files is none.
+        BudgetError: it is larger than the budget.
+    """
     members = sorted(path.iterdir()) if path.is_dir() else [path]
     wrong = next((one for one in members if not one.is_file()), None)
     if wrong is not None:
@@ -143,7 +149,7 @@ def _read_bag(path: Path) -> ImportedSignals:
     if not size:
         raise RecordingError(f"{path} is empty")
     budget.allow("bytes of a bag", size, FILE_BYTES)
-    return isolation.run(path, BAG.name, size, lambda: _read(BAG, path, size), BAG.load)
+    return size
 
 
 def _read(chosen: Format, path: Path, content: bytes | int) -> ImportedSignals:

@@ -33,6 +33,7 @@ from impact_rig_studies.importing.limits import allow_columns, allow_values
 from impact_rig_studies.importing.signals import Abscissa, AbscissaKind, ImportedSignals, Signal, UniqueNames
 
 SUFFIXES = (".mcap", ".db3", ".bag")
+SCHEMALESS = "__schemaless__"  # what rosbags calls the type of a channel with schema 0
 CLOUD = "sensor_msgs/msg/PointCloud2"
 UNITS = {
     ("sensor_msgs/msg/Imu", "linear_acceleration"): "m/s^2", ("sensor_msgs/msg/Imu", "angular_velocity"): "rad/s",
@@ -68,6 +69,8 @@ def read(path: Path, file_bytes: int, library: ModuleType) -> ImportedSignals:
     with library.AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
         for connection, log_ns, data in reader.messages():
             one = series.setdefault((connection.topic, connection.msgtype), _Series())
+            if connection.msgtype == SCHEMALESS:
+                one.left_out = "it has no schema"
             if not one.left_out:
                 try:
                     message = reader.deserialize(data, connection.msgtype)

