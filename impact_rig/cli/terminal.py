@@ -213,12 +213,17 @@ def add_figures(parser: argparse.ArgumentParser, what: str) -> None:
 WIDTH = 78  # of help pages: they are made for a terminal of 80 columns
 
 
-def add_run(parser: argparse.ArgumentParser, what: str = "run directory or .mcap file") -> None:
-    """Add the arguments that choose a recorded run and, where it holds several, its rig."""
-    parser.add_argument("path", type=Path, metavar="RUN", help=what)
+def add_rig(parser: argparse.ArgumentParser) -> None:
+    """Add the option that chooses a rig of a recording that holds several."""
     parser.add_argument(
         OPTION, dest="rig", metavar="NAMESPACE", help="rig to read (default: the only one in the recording)"
     )
+
+
+def add_run(parser: argparse.ArgumentParser, what: str = "run directory or .mcap file") -> None:
+    """Add the arguments that choose a recorded run and, where it holds several, its rig."""
+    parser.add_argument("path", type=Path, metavar="RUN", help=what)
+    add_rig(parser)
 
 
 def subcommand(

@@ -27,6 +27,7 @@ from impact_rig.cli.terminal import (
     TextTable,
     add_figures,
     add_json,
+    add_rig,
     figure,
     subcommand,
     tell_program,
@@ -250,6 +251,7 @@ def add_report(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="of `impact-rig dynamics continue`: its stable and unstable motions, drawn beside what was measured",
     )  # fmt: skip
     add_figures(parser, "directory of the figures (default: DIR/figures)")
+    add_rig(parser)
 
 
 def _report(arguments: argparse.Namespace) -> int:
@@ -257,7 +259,7 @@ def _report(arguments: argparse.Namespace) -> int:
 
     path = build_report(
         arguments.directory, arguments.output, arguments.margins, arguments.branches,
-        figures=arguments.figures, formats=arguments.formats,
+        figures=arguments.figures, formats=arguments.formats, rig=arguments.rig,
     )  # fmt: skip
     tell_program(path)
     return 0

@@ -54,6 +54,7 @@ def build_report(
     *,
     figures: Path | None = None,
     formats: Sequence[str] = FIGURE_FORMATS,
+    rig: str | None = None,
 ) -> Path:
     """Write the report of a campaign or of a run, its numbers and its figures; return the page.
 
@@ -64,6 +65,7 @@ def build_report(
         branches: directories of `impact-rig dynamics continue`, whose motions are drawn beside what was measured.
         figures: directory of the figures; `figures` in the directory if None.
         formats: of the figures, some of `impact_rig.names.FIGURE_FORMATS`.
+        rig: namespace of the rig, of a recording that holds several.
 
     Raises:
         ConfigError: a directory holds neither campaign nor run, that of the margins no variation, one of the branches
@@ -80,7 +82,7 @@ def build_report(
     is_campaign = (directory / run.CAMPAIGN_FILE).exists()
     if not is_campaign and (directory.is_file() or any(directory.glob("*.mcap*"))):
         _refuse_comparisons(directory, margins, branches)
-        data = measured.of_run(directory)
+        data = measured.of_run(directory, rig)
         paths = [*directory.glob("*.mcap")] if directory.is_dir() else [directory]
         html = measured.document(data, content, _links([target.parent / kept.FILE_NAME, *sorted(paths)], target.parent))
         return write(data.title, html)

@@ -103,13 +103,13 @@ def _origins(directory: Path) -> Iterator[tuple[str, str]]:
     yield from ((what.capitalize(), "; ".join(texts)) for what, texts in found.items() if texts)
 
 
-def of_run(path: Path) -> MeasuredData:
-    """Return what a run holds.
+def of_run(path: Path, rig: str | None = None) -> MeasuredData:
+    """Return what a run holds, of several rigs in it that of one namespace.
 
     Raises:
         RecordingError: it cannot be read or analysed.
     """
-    with open_run(path) as run, style():
+    with open_run(path, rig) as run, style():
         found = list(reanalysis.analyze(run))
         tables = reanalysis.measurements(iter(found))
         everything, rows, info = reanalysis.rows(tables), reanalysis.newest_settled(tables), calibration_rows(run)
