@@ -199,6 +199,12 @@ DAQ_INFO_COLUMNS = (
     Column(
         "converter_noise", "unit", "Noise of the converter itself, rms: it blurs the converter's step.", default=0.0
     ),
+    Column(
+        "high_pass",
+        "Hz",
+        "Corner of the first-order high-pass of the sensor; 0: it measures down to 0 Hz, or the corner is unknown.",
+        default=0.0,
+    ),
 )
 DAQ_INFO = row_type(DAQ_INFO_COLUMNS)
 

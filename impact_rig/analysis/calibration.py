@@ -15,9 +15,10 @@
 
 A channel converts its value `skew` after the scan clock, from a sensor that lags: the measured phasor is
 
-    Y(ω) = X(ω) · (iω)ⁿ · L(ω) · e^{iω·skew}
+    Y(ω) = X(ω) · (iω)ⁿ · L(ω) · P(ω) · e^{iω·skew},    P = iω / (ω_h + iω)
 
-X is the phasor of a displacement, also of a channel that measures velocity (n = 1) or acceleration (n = 2).
+X is the phasor of a displacement, also of a channel that measures velocity (n = 1) or acceleration (n = 2). P is the
+high-pass of a sensor that does not measure down to 0 Hz, with its corner ω_h; 1 of all others.
 
 `lag` is the sensor's group delay at low frequency; `lag_order` names its model:
 
@@ -98,7 +99,7 @@ TERMS = 12  # of the sum over the harmonics of a step: they fall with their cube
 
 COLUMNS = (
     "range_low", "range_high", "resolution", "noise", "sensitivity_uncertainty", "lag", "skew", "lag_order",
-    "bandwidth", "linearity", *STEPS,
+    "bandwidth", "linearity", *STEPS, "high_pass",
 )  # fmt: skip
 LARGEST = 1e100  # of any figure: its square is a number
 
@@ -122,6 +123,7 @@ class Calibration:
     output_noise: Real
     converter_step: Real  # of the converter [unit]; converter_noise: rms ahead of it
     converter_noise: Real
+    high_pass: Real  # corner of a first-order high-pass [Hz]; 0 for none
     truncates: NDArray[np.bool_] = attrs.field(factory=lambda: np.zeros(len(CHANNELS), np.bool_), kw_only=True)
     """Whether what makes the steps of a channel may truncate instead of round."""
     present: NDArray[np.bool_] = attrs.field(factory=lambda: np.ones(len(CHANNELS), np.bool_), kw_only=True)  # measured
@@ -189,10 +191,13 @@ class Calibration:
         return tuple(name for name, there in zip(CHANNELS, self.present.tolist(), strict=True) if not there)
 
     def response(self, channel: int, frequency_hz: Real | float) -> Complex:
-        """Return (iω)ⁿ·L(ω)·e^{iω·skew} of a channel: measured over true phasor, shape of `frequency_hz`."""
+        """Return (iω)ⁿ·L(ω)·P(ω)·e^{iω·skew} of a channel: measured over true phasor, shape of `frequency_hz`."""
         omega = 2.0 * np.pi * np.asarray(frequency_hz, dtype=np.float64)
         lag = LAG_MODELS[int(self.lag_order[channel])](omega * self.lag[channel])
         response = np.asarray(lag * np.exp(1j * omega * self.skew[channel]), dtype=np.complex128)
+        corner = 2.0 * np.pi * float(self.high_pass[channel])
+        if corner:
+            response = response * (1j * omega / (corner + 1j * omega))
         order = int(self.derivative[channel])
         return response * (1j * omega) ** order if order else response
 

@@ -30,7 +30,7 @@ import attrs
 from impact_rig.blocks import Column
 from impact_rig.config.fields import integer, quantity, switch
 from impact_rig.instruments.instrument import Instrument
-from impact_rig.instruments.sensor import Sensor, butterworth, high_pass, resonance
+from impact_rig.instruments.sensor import Sensor, butterworth, resonance
 from impact_rig.topics import Qos, Topic
 
 STANDARD_GRAVITY = 9.80665
@@ -87,7 +87,7 @@ class Accelerometer(Instrument):
             quantity=self.senses,
             unit=self.unit,
             low_pass=resonance(self.resonance_hz, self.quality) * butterworth(self.low_pass_order, self.low_pass_hz),
-            high_pass=high_pass(self.high_pass_hz),
+            high_pass_hz=self.high_pass_hz,
             lag_order=0,
             bandwidth_hz=self.low_pass_hz,
             volt_per_unit=volt_per_unit,

@@ -136,4 +136,5 @@ def certificate(sensors: list[Sensor], adc: Adc, rate_hz: int, skews_s: list[flo
         row["offset_uncertainty"] = offset_uncertainty(sensor, adc)
         row["lag"], row["lag_order"] = sensor.low_pass.delay_s(), sensor.lag_order
         row["bandwidth"], row["linearity"] = sensor.bandwidth_hz, sensor.linearity
+        row["high_pass"] = sensor.high_pass_hz
     return rows

@@ -181,7 +181,7 @@ class Sensor:
     quantity: str  # the motion's quantity it senses
     unit: str  # its unit
     low_pass: Transfer  # everything that limits its band from above, unit gain at zero frequency
-    high_pass: Transfer | None = None  # what limits it from below, or None
+    high_pass_hz: float = 0.0  # corner of the first-order high-pass that limits it from below; 0: none
     lag_order: int  # in the rig's band: 1 first-order lag, 2 two-pole Butterworth, 0 pure delay
     bandwidth_hz: float  # −3 dB corner of the sensor, and of its noise
     volt_per_unit: float  # nominal sensitivity, with its sign [V/unit]
@@ -200,7 +200,7 @@ class Sensor:
     @property
     def transfer(self) -> Transfer:
         """The whole chain."""
-        return self.low_pass if self.high_pass is None else self.low_pass * self.high_pass
+        return self.low_pass * high_pass(self.high_pass_hz) if self.high_pass_hz else self.low_pass
 
     @property
     def half_range(self) -> float:

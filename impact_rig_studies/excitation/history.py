@@ -13,7 +13,13 @@
 # limitations under the License.
 """Time histories: played as they are, or a response is made to follow one by iterative learning.
 
-    drive_1 = F⁻¹ [X / H],    drive_{n+1} = drive_n + F⁻¹ [(X − Y_n) / H]
+    drive_1 = F⁻¹ [X / H],    drive_{n+1} = drive_best + g F⁻¹ [(X − Y_best) / H]
+
+g is 1 and halves after each trial that is worse than the best one: with a sphere the response is not linear.
+
+A response is the motion, not the reading: what is known of its sensor is undone (`response.motion`), and it is judged
+in the band that is controlled. What the sensor's noise in that band and the uncertainty of its gain leave open is the
+floor of an error.
 
 H is measured first, on the lines of a frame that repeats: longer than the structure rings, since 1 / H rings as long
 where the structure holds the base still. A trial begins and ends at rest and is corrected on those same lines.
@@ -29,12 +35,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from impact_rig.analysis.calibration import Complex, Real
+from impact_rig.analysis.calibration import Calibration, Complex, Real
 from impact_rig.driver.hardware import Exchange, Hardware
 from impact_rig_studies.excitation.response import PSEUDO, Excitation, Response
 
-WORSE = 1.2  # a trial this much worse than the best ends the learning: lines on which H was estimated badly only grow
+LEAST_GAIN = 0.2  # a trial that is worse with a smaller gain than this ends the learning
 
+ABOVE = 1.25  # times the upper edge of the band, where the correction has faded out
 FRAMES = 3  # of the identification; one more goes ahead
 BESIDE = 25  # lines over which the noise of a response function is averaged
 NOISES = 4.0  # times its variance by which |H|² is held away from zero
@@ -58,7 +65,7 @@ class ReplicatePlan:
 
     low_hz: float = attrs.field(default=2.0, validator=attrs.validators.ge(0.0))
     high_hz: float = attrs.field(default=150.0, validator=attrs.validators.gt(0.0))
-    iterations: int = attrs.field(default=6, validator=attrs.validators.ge(1))
+    iterations: int = attrs.field(default=10, validator=attrs.validators.ge(1))
     enough: float = attrs.field(default=0.005, validator=attrs.validators.ge(0.0))
     rest_s: float = attrs.field(default=2.0, validator=attrs.validators.gt(0.0))
     identify_rms: float = attrs.field(default=2.0, validator=attrs.validators.gt(0.0))
@@ -73,13 +80,15 @@ class Replicated:
 
     rate_hz: int  # samples per second
     asked: Real  # shape (n,)
-    reached: Real  # shape (n,)
+    reached: Real  # shape (n,), within the band that is controlled
     linear: Real
     """What the drive would have given by H alone, shape (n,): where `reached` departs, the rig is not linear, or its
     sensors are noisy."""
     drive: Real  # of the whole trial, shape (m,) [A]
     lead: int  # samples of it before the history
     errors: tuple[float, ...]  # rms error over rms of what was asked, trial by trial
+    floor: float
+    """What of such an error the sensor's noise and twice the standard uncertainty of its gain may account for."""
 
     def relative(self, rest: Real) -> float:
         """Return the rms of a difference over that of what was asked."""
@@ -105,36 +114,47 @@ def replicate(hardware: Hardware, asked: Real, plan: ReplicatePlan) -> Iterator[
     target = np.zeros(length)
     history = slice(lead, lead + len(asked))
     target[history] = asked
-    h, inverse = _identify(hardware, plan, length)
+    calibration = Calibration.from_info(hardware.info())
+    h, inverse = _identify(hardware, plan, length, calibration)
     drive = np.fft.irfft(inverse * np.fft.rfft(target), length)
     fade = np.sin(0.5 * np.pi * np.clip(4.0 * np.arange(played) / max(1, lead) - 2.0, 0.0, 1.0)) ** 2
     fade *= fade[::-1]  # at rest where a trial begins and ends, also of what an offset would have corrected
+    top_hz = min(ABOVE * plan.high_hz, 0.5 * rate_hz)
+    noise = float(plan.response.noises(calibration, len(asked), 1, top_hz).std() / np.sqrt(np.mean(asked**2)))
+    floor = math.hypot(noise, 2.0 * float(calibration.gain_uncertainty[plan.response.channel_index]))
     errors: list[float] = []
     best: Replicated | None = None
+    gain, correction = 1.0, np.zeros(length)
     for _ in range(plan.iterations):
         drive[:played] *= fade
         drive[played:] = 0.0
-        found = plan.response.of(hardware.respond(drive[:played]))
+        found = plan.response.of(hardware.respond(drive[:played]), calibration, top_hz)
         found = found - found[lead // 4 : max(1, lead // 2)].mean()
         miss = np.zeros(length)
         miss[:played] = fade * (target[:played] - found)
         errors.append(float(np.sqrt(np.mean(miss[history] ** 2) / np.mean(asked**2))))
-        if best is None or errors[-1] <= min(errors):
+        improves = best is None or errors[-1] <= min(errors)
+        if improves:
+            correction = np.fft.irfft(inverse * np.fft.rfft(miss), length)
             linear = np.fft.irfft(h * np.fft.rfft(drive), length)[history]
             best = Replicated(
                 rate_hz=rate_hz, asked=asked, reached=found[history], linear=linear, drive=drive[:played].copy(),
-                lead=lead, errors=(),
+                lead=lead, errors=(), floor=floor,
             )  # fmt: skip
+        assert best is not None
         yield attrs.evolve(best, errors=tuple(errors))
-        if errors[-1] <= plan.enough or errors[-1] > WORSE * min(errors):
+        gain = gain if improves else 0.5 * gain
+        if errors[-1] <= plan.enough or gain < LEAST_GAIN:
             break
-        drive = drive + np.fft.irfft(inverse * np.fft.rfft(miss), length)
+        drive = np.concatenate([best.drive, np.zeros(length - played)]) + gain * correction
 
 
-def _identify(hardware: Hardware, plan: ReplicatePlan, length: int) -> tuple[Complex, Complex]:
+def _identify(
+    hardware: Hardware, plan: ReplicatePlan, length: int, calibration: Calibration
+) -> tuple[Complex, Complex]:
     """Return H and, with soft edges of the band, 1 / H on the lines of a frame of so many samples."""
     rate_hz = hardware.rig.stream_rate_hz
-    low_hz, high_hz = max(0.5 * plan.low_hz, 0.5 * rate_hz / length), min(1.25 * plan.high_hz, 0.49 * rate_hz)
+    low_hz, high_hz = max(0.5 * plan.low_hz, 0.5 * rate_hz / length), min(ABOVE * plan.high_hz, 0.49 * rate_hz)
     excitation = Excitation(
         kind=PSEUDO,
         frames=FRAMES,
@@ -145,7 +165,8 @@ def _identify(hardware: Hardware, plan: ReplicatePlan, length: int) -> tuple[Com
         high_hz=high_hz,
     )
     drive = excitation.samples(rate_hz)
-    found = plan.response.of(hardware.respond(drive, round(plan.rest_s * rate_hz)))[: len(drive)]
+    read = hardware.respond(drive, round(plan.rest_s * rate_hz))
+    found = plan.response.of(read, calibration, 0.5 * rate_hz)[: len(drive)]
     frequency: Real = np.asarray(np.fft.rfftfreq(length, 1.0 / rate_hz), np.float64)
     rise = np.clip((frequency - low_hz) / max(0.5 * plan.low_hz, 1e-9), 0.0, 1.0)
     fall = np.clip((high_hz - frequency) / (0.25 * plan.high_hz), 0.0, 1.0)

@@ -26,7 +26,7 @@ import attrs
 import numpy as np
 from scipy import signal, stats
 
-from impact_rig.analysis.calibration import Real
+from impact_rig.analysis.calibration import Calibration, Real
 from impact_rig.driver.hardware import Exchange, Hardware
 from impact_rig.errors import CommandError
 from impact_rig_studies.excitation.response import Response
@@ -147,8 +147,9 @@ def control(hardware: Hardware, plan: RandomPlan) -> Iterator[Reached]:
     lines: Real = np.asarray(np.fft.rfftfreq(length, 1.0 / rate_hz), np.float64)
     asked = plan.spectrum.at(lines)
     band = asked > 0.0
-    scale = np.where(band, plan.response.weight(np.maximum(lines, lines[1])), 0.0)
-    noise = plan.response.noise(hardware.info(), lines[band])
+    calibration = Calibration.from_info(hardware.info())
+    scale = np.where(band, plan.response.weight(calibration, np.maximum(lines, lines[1])), 0.0)
+    noise = plan.response.noise(calibration, lines[band])
     drive = _Drive(length, np.random.default_rng(plan.seed))
     density = band * plan.start_rms**2 / (np.count_nonzero(band) * rate_hz / length)
     exchange = Exchange(hardware, length // 2)
@@ -160,7 +161,7 @@ def control(hardware: Hardware, plan: RandomPlan) -> Iterator[Reached]:
         clipped += int(np.count_nonzero(np.abs(samples) > plan.crest * drive_rms))
         played, rows = exchange.exchange(np.clip(samples, -plan.crest * drive_rms, plan.crest * drive_rms))
         settled = slice(4 * (length // 2), None)  # what was before has died away
-        y, x = plan.response.of(rows)[settled], played[settled]
+        y, x = rows[plan.response.channel].astype(float)[settled], played[settled]
         options = {"fs": rate_hz, "nperseg": length, "noverlap": length // 2}
         reached, sent = signal.welch(y, **options)[1] * scale, signal.welch(x, **options)[1]
         error = 10.0 * np.log10(np.maximum(reached[band], 1e-30) / asked[band])

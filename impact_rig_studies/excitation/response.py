@@ -13,6 +13,9 @@
 # limitations under the License.
 """Frequency response of a rig to its current: burst random, pseudo-random or chirp, frame by frame, with coherence.
 
+Every response is the motion, not the reading: lag, skew, high-pass and order of derivative of its sensor are undone as
+calibrated (`motion`).
+
 A burst fills the first part of a frame and has died away at its end, a pseudo-random frame or a chirp repeats: nothing
 leaks, so no window is needed. Of a rig with its sphere this is the best linear approximation at this level: what the
 coherence lacks is noise and distortion (Pintelon & Schoukens 2012, System Identification, chapter 4).
@@ -56,20 +59,61 @@ class Response(enum.StrEnum):
         """SI unit."""
         return "m/s²" if self.endswith("acceleration") else "m"
 
-    def of(self, rows: NDArray[np.void]) -> Real:
-        """Return the channel of scans, shape (n,)."""
-        return rows[self.channel].astype(float)
+    @property
+    def channel_index(self) -> int:
+        """Place of that channel in `scans.CHANNELS`."""
+        return CHANNELS.index(self.channel)
 
-    def weight(self, frequency_hz: Real) -> Real:
+    def of(self, rows: NDArray[np.void], calibration: Calibration, top_hz: float) -> Real:
+        """Return the motion up to a frequency that the channel of scans read, shape (n,)."""
+        return motion(rows[self.channel].astype(float), calibration, self.channel_index, top_hz)
+
+    def weight(self, calibration: Calibration, frequency_hz: Real) -> Real:
         """Return what the density of the channel is multiplied by to be that of the response."""
         power = 4 if self is Response.BASE_ACCELERATION else 0
-        return np.asarray((2.0 * np.pi * frequency_hz) ** power)
+        seen = np.abs(calibration.response(self.channel_index, frequency_hz))
+        return np.asarray((2.0 * np.pi * frequency_hz) ** power / seen**2)
 
-    def noise(self, info: NDArray[np.void], frequency_hz: Real) -> Real:
+    def noise(self, calibration: Calibration, frequency_hz: Real) -> Real:
         """Return the density of the sensor's own noise, white over what the scans can show."""
-        calibration, channel = Calibration.from_info(info), CHANNELS.index(self.channel)
-        white = 2.0 * calibration.noise[channel] ** 2 * calibration.noise_crowding()[channel] / calibration.rate_hz
-        return np.asarray(self.weight(frequency_hz) * white)
+        white = 2.0 * _white_rms(calibration, self.channel_index) ** 2 / calibration.rate_hz
+        return np.asarray(self.weight(calibration, frequency_hz) * white)
+
+    def noises(self, calibration: Calibration, length: int, count: int, top_hz: float) -> Real:
+        """Return what the sensor's own noise makes of a motion at rest up to a frequency, shape (count, length)."""
+        drawn = np.random.default_rng(0).normal(0.0, _white_rms(calibration, self.channel_index), (count, length))
+        return np.array([motion(one, calibration, self.channel_index, top_hz) for one in drawn])
+
+
+def _white_rms(calibration: Calibration, channel: int) -> float:
+    """Return the rms of white noise as dense as that of a channel near 0 Hz."""
+    return float(calibration.noise[channel] * np.sqrt(calibration.noise_crowding()[channel]))
+
+
+FADE = 0.8  # of a band, where its edge begins to fall
+
+
+def motion(values: Real, calibration: Calibration, channel: int, top_hz: float, around: int = 0) -> Real:
+    """Return the motion that a sensor read: its lag, skew, high-pass and derivative undone, within a band.
+
+    Args:
+        values: contiguous readings, shape (n,).
+        calibration: of the instruments.
+        channel: index into `scans.CHANNELS`.
+        top_hz: upper edge of the band; half of the rate keeps it open.
+        around: samples that are mirrored at both ends, where the record does not begin and end at rest.
+    """
+    mirrored = np.pad(values, around, mode="reflect", reflect_type="odd") if around else values
+    frequency: Real = np.asarray(np.fft.rfftfreq(len(mirrored), 1.0 / calibration.rate_hz), np.float64)
+    edge = np.ones(len(frequency))
+    if top_hz < 0.5 * calibration.rate_hz:
+        edge = np.sin(0.5 * np.pi * np.clip((top_hz - frequency) / ((1.0 - FADE) * top_hz), 0.0, 1.0)) ** 2
+    response = calibration.response(channel, frequency)
+    seen = (edge > 0.0) & (response != 0.0)  # a sensor with a high-pass does not see the mean
+    spectrum = np.where(seen, np.fft.rfft(mirrored) * edge, 0.0)
+    spectrum[seen] /= response[seen]
+    found: Real = np.fft.irfft(spectrum, len(mirrored))[around : around + len(values)]
+    return found
 
 
 MOST_SAMPLES = 50_000_000  # of an excitation, in memory at once
@@ -119,7 +163,7 @@ class Excitation:
 def measure(hardware: Hardware, excitation: Excitation, channel: str, reference: str = "current") -> Iterator[Frf]:
     """Drive the rig and yield channel / reference after each frame from the third on.
 
-    Lag, skew and gain of the sensors are corrected as calibrated.
+    Lag, skew and high-pass of the sensors are corrected as calibrated.
 
     Args:
         hardware: output and acquisition, of one rate.
@@ -149,7 +193,9 @@ def measure(hardware: Hardware, excitation: Excitation, channel: str, reference:
             continue
         part = slice(settling, settling + frames * length)
         found = frf(read[reference][part], read[channel][part], rate_hz, length, overlap=0.0, window="boxcar")
-        lag = calibration.response(x, found.frequency_hz) / calibration.response(y, found.frequency_hz)
+        with np.errstate(divide="ignore", invalid="ignore"):  # a high-pass hides the mean
+            lag = calibration.response(x, found.frequency_hz) / calibration.response(y, found.frequency_hz)
+        lag[~np.isfinite(lag)] = 0.0
         if reference == "current":
             # of straight lines between samples: scans at the samples fold its harmonics onto it
             lag = lag / np.sinc(found.frequency_hz / rate_hz) ** 2

@@ -25,15 +25,15 @@ acceleration of straight lines between its samples.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import attrs
 import numpy as np
 from scipy import signal
 
-from impact_rig.analysis.calibration import Real
+from impact_rig.analysis.calibration import Calibration, Real
 from impact_rig.driver.hardware import Hardware
-from impact_rig_studies.excitation.history import Replicated, ReplicatePlan, replicate
+from impact_rig_studies.excitation.history import ABOVE, Replicated, ReplicatePlan, replicate
 
 
 @attrs.frozen(kw_only=True)
@@ -112,7 +112,11 @@ def half_sine_spectrum(peak: float, duration_s: float, frequency_hz: Real) -> Re
 
 @attrs.frozen(eq=False, kw_only=True)
 class Shocked:
-    """A shock of the inferior base, as its displacement sensor saw it, and what was asked."""
+    """A shock of the inferior base, as its displacement sensor saw it, and what was asked.
+
+    A figure within its floor is no error: so much may come of the sensor's noise, of twenty draws the largest, and of
+    twice the standard uncertainty of its gain.
+    """
 
     followed: Replicated  # the displacement
     asked: Real  # acceleration [m/s²], shape (n,)
@@ -124,13 +128,11 @@ class Shocked:
     peak_error: float  # relative, of the acceleration
     velocity_error: float  # relative, of the velocity that the pulse changes
     left_m: float  # displacement at the end
-
-    @property
-    def srs_worst_db(self) -> float:
-        """The largest difference of the spectra."""
-        return float(np.abs(20.0 * np.log10(self.srs_reached / self.srs_asked)).max())
+    srs_worst_db: float  # largest difference of the spectra
+    floors: Mapping[str, float]  # of the four figures, by name
 
 
+DRAWS = 20  # of the sensor's noise
 CORNER = 3.0
 """Over the pulse's duration, the frequency up to which a displacement is differentiated: noise grows as its square."""
 
@@ -162,14 +164,28 @@ def shock(hardware: Hardware, pulse: Pulse) -> Iterator[Shocked]:
     asked = pulse.acceleration(rate_hz)
     on = slice(round(pulse.compensation_s * rate_hz), round((pulse.compensation_s + pulse.duration_s) * rate_hz))
     ideal = half_sine_spectrum(pulse.peak, pulse.duration_s, frequency)
-    for followed in replicate(hardware, pulse.displacement(rate_hz), plan):
-        velocity, reached = differentiated(followed.reached, rate_hz, corner_hz)
-        wanted, smooth = differentiated(followed.asked, rate_hz, corner_hz)  # by the same filter
+    displacement = pulse.displacement(rate_hz)
+    wanted, smooth = differentiated(displacement, rate_hz, corner_hz)  # by the same filter as what is reached
+    srs_asked = shock_response_spectrum(smooth, rate_hz, frequency)
+
+    def figures(moved: Real) -> tuple[Real, Real, dict[str, float]]:
+        velocity, reached = differentiated(moved, rate_hz, corner_hz)
+        srs = shock_response_spectrum(reached, rate_hz, frequency)
+        return reached, srs, {
+            "peak_error": float(reached.max() / smooth.max() - 1.0),
+            "velocity_error": float(np.ptp(velocity[on]) / np.ptp(wanted[on]) - 1.0),
+            "left_m": float(moved[-1]), "srs_worst_db": float(np.abs(20.0 * np.log10(srs / srs_asked)).max()),
+        }  # fmt: skip
+
+    calibration = Calibration.from_info(hardware.info())
+    gain = 2.0 * float(calibration.gain_uncertainty[plan.response.channel_index])
+    noises = plan.response.noises(calibration, len(displacement), DRAWS, ABOVE * plan.high_hz)
+    drawn = [figures(displacement + one)[2] for one in noises]
+    of_gain = {"peak_error": gain, "velocity_error": gain, "left_m": 0.0, "srs_worst_db": 20.0 * math.log10(1.0 + gain)}
+    floors = {name: max(abs(one[name]) for one in drawn) + least for name, least in of_gain.items()}
+    for followed in replicate(hardware, displacement, plan):
+        reached, srs_reached, found = figures(followed.reached)
         yield Shocked(
-            followed=followed, asked=asked, reached=reached, frequency_hz=frequency,
-            srs_asked=shock_response_spectrum(smooth, rate_hz, frequency),
-            srs_reached=shock_response_spectrum(reached, rate_hz, frequency), srs_ideal=ideal,
-            peak_error=float(reached.max() / smooth.max() - 1.0),
-            velocity_error=float(np.ptp(velocity[on]) / np.ptp(wanted[on]) - 1.0),
-            left_m=float(followed.reached[-1]),
+            followed=followed, asked=asked, reached=reached, frequency_hz=frequency, srs_asked=srs_asked,
+            srs_reached=srs_reached, srs_ideal=ideal, floors=floors, **found,
         )  # fmt: skip

@@ -167,13 +167,16 @@ def _replicated(found: Replicated, unit: str) -> ResultSummary:
     error = found.relative(found.reached - found.asked)
     bent = found.relative(found.reached - found.linear)
     figures = {
-        "error": error, "errors": found.errors, "not_linear_or_noise": bent,
+        "error": error, "error_floor": found.floor, "errors": found.errors, "not_linear_or_noise": bent,
         "drive_peak_a": float(np.abs(found.drive).max()),
         "kurtosis_asked": float(stats.kurtosis(found.asked, fisher=False)),
         "kurtosis_reached": float(stats.kurtosis(found.reached, fisher=False)), "clipped_samples": 0,
     }  # fmt: skip
     sentences = [
-        f"Rms error {100 * error:.2f} % of the rms asked after {len(found.errors)} trials.",
+        (
+            f"Rms error of the motion {100 * error:.2f} % of the rms asked after {len(found.errors)} trials. The "
+            f"sensor's noise and gain leave {100 * found.floor:.2f} % open (2u)."
+        ),
         (
             f"The response departs by {100 * bent:.2f} % from what the measured response function makes of this drive: "
             "distortion, and the sensor's noise."
@@ -204,15 +207,26 @@ def _shocked(found: Shocked, unit: str) -> ResultSummary:
     figures = {
         **told.figures, "peak_error": found.peak_error, "velocity_change_error": found.velocity_error,
         "displacement_left_m": found.left_m, "srs_worst_db": found.srs_worst_db,
+        "peak_error_floor": found.floors["peak_error"], "velocity_change_error_floor": found.floors["velocity_error"],
+        "displacement_left_floor_m": found.floors["left_m"], "srs_floor_db": found.floors["srs_worst_db"],
     }  # fmt: skip
     first = (
-        f"Peak {100 * found.peak_error:+.1f} %, change of velocity {100 * found.velocity_error:+.2f} %, "
-        f"displacement left {1e6 * found.left_m:.1f} µm of {1e3 * np.abs(found.followed.asked).max():.2f} mm; "
-        f"shock response spectrum within {found.srs_worst_db:.2f} dB."
+        f"Peak {_error(found, 'peak_error', 100, '%')}, "
+        f"change of velocity {_error(found, 'velocity_error', 100, '%')}, "
+        f"displacement left {_error(found, 'left_m', 1e6, 'µm')} of {1e3 * np.abs(found.followed.asked).max():.2f} mm, "
+        f"shock response spectrum {_error(found, 'srs_worst_db', 1, 'dB')}."
     )
     return attrs.evolve(
         told, figures=figures, sentences=[first, *told.sentences], draw=lambda: [_draw_shock(found), *told.draw()]
     )
+
+
+def _error(found: Shocked, name: str, factor: float, unit: str) -> str:
+    """Return an error with its floor in words."""
+    value, floor = factor * getattr(found, name), factor * found.floors[name]
+    if abs(value) <= floor:
+        return f"as asked within the noise floor of {floor:.2g} {unit}"
+    return f"off by {value:+.2g} {unit} (noise floor {floor:.2g} {unit})"
 
 
 def _draw_shock(found: Shocked) -> Drawn:

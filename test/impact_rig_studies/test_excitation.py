@@ -21,7 +21,6 @@ import attrs
 import numpy as np
 import pytest
 from kits.recorded_rig import record
-from scipy import signal
 
 from impact_rig.blocks import Table
 from impact_rig.driver import Hardware, LocalRig
@@ -31,10 +30,11 @@ from impact_rig.physics.linear import constants, input_vectors, state_matrix
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig_studies.excitation.files import history, load
-from impact_rig_studies.excitation.history import ReplicatePlan, replicate
+from impact_rig_studies.excitation.history import ReplicatePlan
 from impact_rig_studies.excitation.random import RandomPlan, control
 from impact_rig_studies.excitation.response import BURST, CHIRP, PSEUDO, Excitation, Response, measure
-from impact_rig_studies.excitation.shock import Pulse, half_sine_spectrum, shock, shock_response_spectrum
+from impact_rig_studies.excitation.shock import Pulse, half_sine_spectrum, shock_response_spectrum
+from qualification.true_motion import accelerometer, replicated, shocked
 
 pytestmark = pytest.mark.heavy
 
@@ -154,58 +154,33 @@ def test_a_compensated_pulse_leaves_nothing_behind():
 
 
 @pytest.mark.parametrize(
-    ("response", "band", "rms", "sphere", "most"),
-    [
-        (Response.SUPERIOR, (6.0, 14.0), 1.5e-3, False, 0.02),
-        (Response.BASE, (6.0, 40.0), 3e-4, False, 0.01),
-        (Response.BASE, (6.0, 40.0), 3e-4, True, 0.02),
-    ],
+    ("response", "sphere"), [(Response.SUPERIOR, False), (Response.BASE, False), (Response.BASE, True)]
 )
-def test_a_history_is_replicated(response, band, rms, sphere, most):
-    sections = signal.butter(4, band, "bandpass", fs=RATE_HZ, output="sos")
-    asked = signal.sosfilt(sections, np.random.default_rng(3).standard_normal(4 * RATE_HZ))
-    asked *= signal.windows.tukey(len(asked), 0.2)
-    asked *= rms / asked.std()
-    level = 0.15 if response is Response.SUPERIOR else 2.0
-    plan = ReplicatePlan(
-        response=response, identify_rms=level, high_hz=25.0 if response is Response.SUPERIOR else 150.0
-    )
-    *_, found = replicate(hardware(sphere__present=sphere), asked, plan)
-    assert len(found.errors) <= 6
-    assert found.relative(found.reached - asked) == pytest.approx(min(found.errors))
-    assert min(found.errors) <= most
+def test_a_replicated_history_is_as_near_to_the_true_motion_as_is_stated(response, sphere):
+    """The reading lags: it was followed to 0.36 % while the base was 3.0 % off, the superior base 4.5 %."""
+    stated, error = replicated(response, sphere=sphere, seed=1)
+    assert len(stated.errors) <= 10
+    assert stated.relative(stated.reached - stated.asked) == pytest.approx(min(stated.errors))
+    assert min(stated.errors) <= 0.005
+    assert error <= min(stated.errors) + stated.floor
+    assert stated.floor < 0.01
 
 
-def test_the_base_makes_a_half_sine_and_comes_back_to_rest():
-    """By what really happened, not by the sensor: peak within 5 %, change of velocity within 2 %, displacement zero."""
-    pulse, rate_hz, truth = Pulse(), 10_000, []
-    settings = {"drive.waveform": "stream", "sphere.present": False, "output.truth_scan": True}
-    settings["daq.block_scans"] = 1_000
+def test_the_base_makes_a_half_sine_and_what_is_stated_is_within_the_floor_of_the_truth():
+    stated, true = shocked(1)
+    assert abs(true["peak_error"]) < 0.01
+    assert abs(true["velocity_error"]) < 0.005
+    assert abs(true["left_m"]) < 2e-6
+    for name, value in true.items():
+        assert abs(getattr(stated, name) - value) <= stated.floors[name], name
+    assert stated.floors["srs_worst_db"] < 3.0
 
-    class Watched(LocalRig):
-        def clear(self):
-            truth.append(self.rows("truth/scan"))
-            super().clear()
 
-    *_, found = shock(Hardware(Watched(settings, also=["truth/scan"])), pulse)
-    true = np.concatenate(truth)
-    asked = pulse.acceleration(rate_hz)
-    lead = found.followed.lead
-    begin = len(true) - len(found.followed.drive)
-    velocity = true["v_b"]
-    acceleration = np.gradient(velocity, 1.0 / rate_hz)
-    peak = begin + lead - 1_000 + int(np.argmax(acceleration[begin + lead - 1_000 : begin + lead + len(asked)]))
-    assert acceleration[peak] == pytest.approx(pulse.peak, rel=0.05)
-    on = slice(peak - 70, peak + 70)
-    wanted = np.ptp(np.cumsum(asked) / rate_hz)
-    assert np.ptp(velocity[on]) == pytest.approx(wanted, rel=0.02)
-    assert abs(true["x_b"][begin + lead + len(asked) + 500]) < 0.01 * np.abs(true["x_b"]).max()
-    assert abs(found.peak_error) < 0.05
-    assert abs(found.velocity_error) < 0.02
-    trial = acceleration[begin + lead - 50 : begin + lead + len(asked) + 500]
-    natural = np.geomspace(10.0, 250.0, 30)
-    ratio = shock_response_spectrum(trial, rate_hz, natural) / shock_response_spectrum(asked, rate_hz, natural)
-    assert np.abs(20.0 * np.log10(ratio)).max() < 1.0
+def test_the_high_pass_of_the_accelerometer_is_corrected():
+    """At 4.5 Hz it turned the phase by 12 degrees."""
+    share, lines = accelerometer(CHIRP, 1)
+    assert lines > 100
+    assert share >= 0.92
 
 
 @pytest.mark.parametrize(
