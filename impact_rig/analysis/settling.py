@@ -23,7 +23,9 @@ Three ways to a row, tried in this order after each window once enough windows h
    noise, and the amplitude repeats from cycle to cycle (or after a few). The first row after a change would carry a
    bias just below the limit, the same in every run; so it waits until, at the pace of the transient so far, the bias
    is `REMNANT` of the limit;
-2. stationary: the last `long_windows` windows have neither trend nor changing fluctuation: modulated or chaotic;
+2. stationary: the last `long_windows` windows have neither trend nor changing fluctuation: modulated or chaotic. What
+   makes a motion irregular are impacts, so they hold `FEW` of them at least: without, what fluctuates is the end of a
+   transient, and with a few, the sphere has hardly struck so far and will strike more often;
 3. the bound `wait_limit_s` is reached: numbers as they are, status `not_settled`.
 
 A sphere that drifts from wall to wall leaves the structure as steady as if there were none, for as long as it takes. So
@@ -117,6 +119,7 @@ def is_stationary(windows: Complex) -> bool:
 CYCLE_MULTIPLE = 6
 """Windows hold a multiple of 6 cycles: orbits of period 2, 3 and 6 close in each, those of period 4 and 8 in pairs."""
 NOISE_FACTOR = 2.0
+FEW = 20  # impacts in a long record below which it does not tell what an irregular motion is on average
 SPARSE = 0.5  # impacts per cycle below which a motion whose impacts do not repeat is looked at for long
 REMNANT = 0.02  # share of the limit on the bias that a transient may leave in the first measurement after a change
 
@@ -337,7 +340,9 @@ class Judge:
             return None
         if not is_stationary(np.array(self._ratios)):
             return None
-        return self._measure(long, 0j)
+        found = self._measure(long, 0j)
+        irregular = found.status in MEASURED and found.regime is not Regime.PERIODIC
+        return None if irregular and found.impacts_per_cycle * found.cycles < FEW else found
 
     def _overdue(self) -> Measurement | None:
         limit_s = self._settings.wait_limit_s

@@ -188,7 +188,9 @@ def measure(
         return refuse(wrong)
     no_current = calibration.present[CURRENT] and health.current_unsound(cycles, calibration, sizes, before)
     unsound = wrong.status if wrong else Status.CURRENT_UNSOUND if no_current else Status.OK
-    untold = wrong is not None and response.regime is Regime.PERIODIC  # nobody hears impacts that do not repeat
+    # impacts that do not repeat may be missed; and without any, an irregular response is a transient
+    struck = bool(cycles.impacts.any())  # also where they were not counted
+    untold = (wrong is not None) if response.regime is Regime.PERIODIC else not struck
     overtones = true[LASER][:, 1:].mean(axis=0)
     clipped = flags & ((1 | RANGE_BIT) << ACCELEROMETER)
     has_current = not no_current and sizes.size[CURRENT] > health.SIGNAL_FACTOR * sizes.u[CURRENT]
