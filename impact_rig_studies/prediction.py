@@ -23,9 +23,10 @@ every Θ gives one motion in closed form, whatever is held constant: a branch ov
 Θ. At a given gap Θ is the root of one equation of one unknown. On the backbone (T at −90°) frequency and DT depend on
 Θ alone: ω² M k_1 − ω² c_1 (c_1 + c_N) = k_1² with M = m_1 + the added mass and c_N the added damping.
 
-A motion is `stable` if the sphere keeps its rhythm (`Manifold.stable`) and the structure its amplitude: with the slow
-flow D'(s) dX/dt = F + (N − D) X, D the structure's stiffness with the drive as it is held, errors die. Where the
-superior base or the phase is held, a controller sees to the second.
+A motion is `stable` if all multipliers of rig and sphere together lie within the unit circle: half a cycle of flight,
+and the saltation matrix of the impact that ends it. What they lose it through has a name: fold, symmetry breaking, or
+torus. Where the superior base or the phase is held, a controller sees to the structure, and only the sphere must keep
+its rhythm (`Manifold.stable`).
 
 Valid for one sphere between walls without friction of the guide, symmetric motion with two impacts per cycle, m ≪ m_1
 (the first order of m/m_1 is taken into account unless `recoil` is false), contacts short against the cycle; e is what
@@ -58,10 +59,11 @@ else:
 With μ = 0 these are the published formulas (`mass_ratio` = 0). With it they agree with the exact orbits of an
 instantaneous law, Masri & Caughey's, to the order μ².
 
-**Stability.** A half period maps small errors of the instant and speed of an impact into those of the next, by a
-matrix with determinant e² and trace 2e − q, q = (π²/4)(1 + e)²(Θ − 1)/Θ. Its eigenvalues lie within the unit circle
-for 1/(1 + ρ²) < Θ < π²/(π² − 4): from the fold (an eigenvalue 1) to where the two half cycles become different (−1).
-The lower solution of the quadratic lies below the fold and is never stable. (This map is that of μ = 0.)
+**Stability of the sphere alone.** A half period maps small errors of the instant and speed of an impact into those of
+the next, by a matrix with determinant e² and trace 2e − q, q = (π²/4)(1 + e)²(Θ − 1)/Θ. Its eigenvalues lie within the
+unit circle for 1/(1 + ρ²) < Θ < π²/(π² − 4): from the fold (an eigenvalue 1) to where the two half cycles become
+different (−1). The lower solution of the quadratic lies below the fold and is never stable. (This map is that of
+μ = 0.)
 
 Left out: the order μ², how long a contact lasts, and what the harmonics do away from resonance.
 
@@ -150,15 +152,6 @@ class Manifold:
         top = theta * (self.kappa * theta - 1.0) - 1j * self.rho * theta**2
         return np.asarray(8.0 / math.pi**2 * top / self.xi(theta) ** 2, np.complex128)
 
-    def force_slope(self, theta: Real) -> Complex:
-        """Return ξ dN/dξ / (m ω²): what a larger amplitude changes of it; infinite at the fold."""
-        kappa, xi = self.kappa, self.xi(theta)
-        xi_slope = (kappa * (kappa * theta - 1.0) + self.rho**2 * theta) / xi
-        top_slope = 8.0 / math.pi**2 * ((2.0 * kappa * theta - 1.0) - 2j * self.rho * theta) / xi**2
-        with np.errstate(divide="ignore", invalid="ignore"):
-            growth = xi * top_slope / xi_slope
-        return np.asarray(growth - 2.0 * self.force(theta), np.complex128)
-
     def impact_phase_rad(self, theta: Real) -> Real:
         """Return α: how far past its right turning point the structure is when the sphere strikes the right wall."""
         found: Real = np.arctan2(self.rho * theta, self.kappa * theta - 1.0)
@@ -180,6 +173,8 @@ POINTS = 2000
 BEYOND = 1.5
 """How far past the symmetric motion's bound a branch is followed, as a factor of Θ; it is not stable there."""
 _NEAR_FOLD = 1e-9  # of Θ: at the fold itself slopes are infinite
+PAIRED = 1e-6  # share of a multiplier that is imaginary from which it is one of a pair
+STABLE, FOLD, SYMMETRY, TORUS = "stable", "fold", "symmetry", "torus"
 _HALVINGS = 45  # of a step of Θ
 _AT_ONCE = 32  # frequencies whose gaps are computed together: what stays in a cache
 
@@ -200,6 +195,8 @@ class Branch:
         impact_phase_rad: the superior base's phase past its right turning point when the right wall is struck.
         theta: amplitude of the sphere over half the gap, Θ.
         stable: whether the motion lasts.
+        kind: `stable`, or through what it loses its stability: `fold`, `symmetry` (the half cycles become different) or
+            `torus` (sphere and structure exchange a slow beat).
     """
 
     frequency_hz: Real
@@ -213,6 +210,7 @@ class Branch:
     impact_phase_rad: Real
     theta: Real
     stable: NDArray[np.bool_]
+    kind: NDArray[np.str_]
 
     def __len__(self) -> int:
         return len(self.theta)
@@ -320,8 +318,12 @@ class LinearRig:
         """Return the motions for values of Θ, each with the gap that it needs."""
         manifold = self.manifold
         frequency = np.broadcast_to(np.asarray(frequency_hz, float), theta.shape).copy()
-        s, force, ratio, current, base, superior, gap = self._answer(theta, frequency, held)
-        slow = np.ones(theta.shape, bool) if held.superior_m is not None else self._keeps(theta, s, force, held)
+        answer = self._answer(theta, frequency, held)
+        s, _, ratio, current, base, superior, gap = answer
+        if held.superior_m is not None:  # a controller sees to the structure
+            kind = np.where(manifold.stable(theta), STABLE, np.where(theta < THETA_SYMMETRIC, FOLD, SYMMETRY))
+        else:
+            kind = _kinds(self._multipliers(theta, frequency, answer, held))
         return Branch(
             frequency_hz=frequency,
             gap_m=gap,
@@ -333,23 +335,61 @@ class LinearRig:
             impact_speed_m_s=manifold.approach_speed(theta) * np.abs(s) * gap / 2.0,
             impact_phase_rad=manifold.impact_phase_rad(theta),
             theta=theta,
-            stable=manifold.stable(theta) & slow,
+            stable=kind == STABLE,
+            kind=kind,
         )
 
-    def _keeps(self, theta: Real, s: Complex, force: Complex, held: HeldDrive) -> NDArray[np.bool_]:
-        """Return where the structure keeps its amplitude: the slow flow's trace < 0 and determinant > 0."""
-        c = self.linear
-        k = c.k_1 + c.c_1 * s
-        stiffness, slope = k + c.m_1 * s**2, c.c_1 + 2.0 * c.m_1 * s
-        if held.current_a is not None:  # the base gives way
-            z, z_slope = c.m_base * s**2 + c.c_f * s + c.k_f + k, 2.0 * c.m_base * s + c.c_f + c.c_1
-            stiffness, slope = stiffness - k**2 / z, slope - (2.0 * k * c.c_1 * z - k**2 * z_slope) / z**2
-        p = (force - stiffness) / slope
-        r = self.sphere_kg * np.abs(s) ** 2 * self.manifold.force_slope(theta) / slope
-        trace = 2.0 * p.real + r.real
-        determinant = np.abs(p) ** 2 + p.real * r.real + p.imag * r.imag
-        found: NDArray[np.bool_] = (trace < 0.0) & (determinant > 0.0)
-        return found
+    def _multipliers(self, theta: Real, frequency_hz: Real, answer: _Answer, held: HeldDrive) -> Complex:
+        """Return the multipliers of half a cycle, the sign of the mirror image included; shape (n, 6) or (n, 4).
+
+        They are those of rig and sphere together: −S Φ, Φ the flight and S the saltation matrix of the impact that ends
+        it (Leine & Nijmeijer 2004, Dynamics and Bifurcations of Non-Smooth Mechanical Systems, chapter 7).
+        """
+        c, manifold = self.linear, self.manifold
+        free = held.base_m is None  # whether the base gives way
+        matrix = np.zeros((4, 4))
+        matrix[[0, 2], [1, 3]] = 1.0
+        matrix[1] = np.array([-c.k_f - c.k_1, -c.c_f - c.c_1, c.k_1, c.c_1]) / c.m_base
+        matrix[3] = np.array([c.k_1, c.c_1, -c.k_1, -c.c_1]) / c.m_1
+        own = slice(0, 4) if free else slice(2, 4)
+        values, vectors = np.linalg.eig(matrix[own, own].astype(np.complex128))
+        omega, n = 2.0 * math.pi * frequency_hz, len(theta)
+        half_s, size = math.pi / omega, len(values) + 2
+        flight = np.zeros((n, size, size))
+        growth = np.exp(values * half_s[:, None])
+        flight[:, :-2, :-2] = ((vectors * growth[:, None, :]) @ np.linalg.inv(vectors)).real
+        flight[:, -2:, -2:] = np.eye(2)
+        flight[:, -2, -1] = half_s
+        # before and after the impact at the right wall
+        e, mu, b = manifold.restitution, self.sphere_kg / c.m_1, 0.5 * answer.gap_m
+        speed, approach = 2.0 * omega * b * theta / math.pi, manifold.approach_speed(theta) * omega * b
+        before, after = speed - approach, -speed + e * approach  # of the superior base; of the sphere ± `speed`
+        base = answer.superior_m * np.exp(1j * manifold.impact_phase_rad(theta)) / answer.ratio
+        x_b, v_b, x_1 = base.real, (1j * omega * base).real, b * (theta - 1.0)
+        jump = np.broadcast_to(np.eye(size), (n, size, size)).copy()
+        i_v1, i_v2 = size - 3, size - 1
+        jump[:, i_v1, [i_v1, i_v2]] = np.array([1.0 - mu * (1.0 + e) / (1.0 + mu), mu * (1.0 + e) / (1.0 + mu)])
+        jump[:, i_v2, [i_v1, i_v2]] = np.array([(1.0 + e) / (1.0 + mu), 1.0 - (1.0 + e) / (1.0 + mu)])
+        rates = np.zeros((2, n, size))  # of the state, before and after; the force of the coil is the same in both
+        for side, v_1, v_2 in ((0, before, speed), (1, after, -speed)):
+            rates[side, :, -4], rates[side, :, -2] = v_1, v_2
+            rates[side, :, -3] = (c.k_1 * (x_b - x_1) + c.c_1 * (v_b - v_1)) / c.m_1
+            if free:
+                rates[side, :, 0] = v_b
+                rates[side, :, 1] = c.c_1 * v_1 / c.m_base
+        normal = np.zeros(size)
+        normal[[-4, -2]] = -1.0, 1.0
+        left = rates[1] - (jump @ rates[0][:, :, None])[:, :, 0]
+        saltation = jump + left[:, :, None] * normal / approach[:, None, None]
+        return np.asarray(np.linalg.eigvals(-saltation @ flight), np.complex128)
+
+
+def _kinds(multipliers: Complex) -> NDArray[np.str_]:
+    """Return what each motion does, by its largest multiplier of half a cycle."""
+    largest = np.take_along_axis(multipliers, np.abs(multipliers).argmax(axis=1)[:, None], axis=1)[:, 0]
+    paired = np.abs(largest.imag) > PAIRED * np.abs(largest)
+    lost = np.where(paired, TORUS, np.where(largest.real > 0.0, FOLD, SYMMETRY))
+    return np.asarray(np.where(np.abs(largest) < 1.0, STABLE, lost))
 
 
 def branch(

@@ -23,9 +23,11 @@ from kits.mechanics import TWO_PI, rig, sine
 
 from impact_rig.errors import ConfigError
 from impact_rig.physics import Simulation
-from impact_rig.rig.config import RigConfig
+from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig_studies import prediction
+from impact_rig_studies.dynamics.stroboscope import Place
 from impact_rig_studies.prediction import THETA_SYMMETRIC, Manifold
+from qualification.prediction_stability import continued, judged
 
 CURRENT_A = 0.52
 FLORES = 0.309
@@ -84,13 +86,32 @@ def test_the_bounds_of_stability_are_those_of_the_map(e):
     assert np.linalg.det(half_period_map(e, 1.1)) == pytest.approx(e * e)
 
 
-def test_the_slope_of_the_force_is_its_derivative():
-    manifold = Manifold(FLORES, 0.01)
-    theta, step = np.array([0.95, 1.2, 1.6]), 1e-6
-    rise = (manifold.force(theta + step) - manifold.force(theta - step)) / (
-        manifold.xi(theta + step) - manifold.xi(theta - step)
-    )
-    assert manifold.force_slope(theta) == pytest.approx(rise * manifold.xi(theta), rel=1e-7)
+def test_symmetry_breaks_where_continuation_says():
+    """12.210 mm at 9.1 Hz; the sphere alone would keep its rhythm down to 11.99 mm."""
+    found = prediction.branch(RigConfig(), 9.1, current_a=0.52)
+    assert found.gap_m[found.kind == "symmetry"].max() == pytest.approx(12.210e-3, rel=2e-3)
+    assert not found.stable[found.gap_m < 12.2e-3].any()
+
+
+@pytest.mark.parametrize(("gap_mm", "kind"), [(8.6, "stable"), (8.75, "torus")])
+def test_a_torus_ends_the_motion_before_its_fold(gap_mm, kind):
+    """Sphere and structure, each stable by itself, exchange a slow beat; stability once held up to the fold."""
+    sphere_kg = prediction.LinearRig.of(RigConfig()).sphere_kg
+    config = from_flat(RigConfig(), {"structure.mass_kg": sphere_kg / 0.0263212, "barriers.gap_m": gap_mm * 1e-3})
+    place = Place(config, 9.642195, 0.201917)
+    found = prediction.at(config, place.frequency_hz, gap_mm * 1e-3, current_a=place.amplitude)
+    assert found.kind[0] == kind
+    one = continued(place, 0)[1]
+    assert one is not None
+    assert one.kind == kind
+    assert abs(one.multipliers[0]) == pytest.approx(1.0, abs=0.2)
+
+
+@pytest.mark.parametrize("number", [2, 4, 6, 9])
+def test_the_model_s_multipliers_agree_with_what_is_predicted(number):
+    found = judged(60, number)
+    assert (found["predicted"] == "stable") == found["stable"]
+    assert found["predicted_dt"] == pytest.approx(found["dt"], rel=0.01)
 
 
 @pytest.mark.parametrize("held", ["current_a", "base_m", "superior_m"])
