@@ -106,14 +106,16 @@ def _add_exponents(done: run.FinishedMap, console: Console, runner: Runner[plans
             place = tuple(axis.index(at[name]) for name, axis in axes.items())
             if values["regime"][place] not in (Regime.PERIODIC.value, FAILED):
                 wanted.append((plans.exponent_at(line, value), values, place))
-    names = plans.COLUMNS[plans.EXPONENT][-2:]
+    names = ("exponent_per_s", "uncertainty_per_s")
+    part = [plans.COLUMNS[plans.EXPONENT].index(name) for name in names]
     for values in done.values.values():
         values |= {name: np.full(values["dt"].shape, np.nan) for name in names}
     store: TaskStore[plans.StudyTask] = TaskStore(done.directory, "map", "exponents", ("maps", "dynamics"))
     store.prepare(done.plan.text, done.plan.base)
     tasks.measure([task for task, _, _ in wanted], store, runner, console, lambda _: 1)
     for task, values, place in wanted:
-        for name, found in zip(names, (store.get(task) or [[]])[0][-2:], strict=True):
+        row = (store.get(task) or [[]])[0]
+        for name, found in zip(names, (row[i] for i in part), strict=True):
             values[name][place] = found
     return len(wanted)
 
@@ -207,7 +209,12 @@ def _summary(plan: Plan, rows: list[Row]) -> dict[str, object]:
         from impact_rig_studies.dynamics.figures import motion  # noqa: PLC0415  # as above
 
         counts = Counter(motion(plan, row) for row in rows)
-        return {"shares": {name: count / len(rows) for name, count in sorted(counts.items())}}
+        shares = {name: count / len(rows) for name, count in sorted(counts.items())}
+        return {
+            "shares": shares,
+            # of starts drawn at random, as those of a grid are to boundaries that are finer than it
+            "shares_uncertainty": {name: math.sqrt(p * (1.0 - p) / len(rows)) for name, p in shares.items()},
+        }
     if plan.kind == plans.BIFURCATION:
         failed = _unsolved(plan, rows)
         return {"failed_rows": failed} if failed else {}
@@ -219,7 +226,8 @@ def _summary(plan: Plan, rows: list[Row]) -> dict[str, object]:
 def _show(console: Console, plan: Plan, rows: list[Row]) -> None:
     summary = _summary(plan, rows)
     for name, share in summary.get("shares", {}).items():  # type: ignore[attr-defined]  # a mapping
-        console.print(f"{100.0 * share:.2f} % lead to: {name}")
+        u = summary["shares_uncertainty"][name]  # type: ignore[index]  # likewise
+        console.print(f"{100.0 * share:.2f} ± {200.0 * u:.2f} % lead to: {name}")
     if "failed_rows" in summary:
         console.print(f"{summary['failed_rows']} of {len(rows)} rows could not be resolved")
     if plan.kind not in SHOWN:

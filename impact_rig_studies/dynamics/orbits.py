@@ -25,6 +25,9 @@ that folds are no obstacle. Along it the multipliers tell stable from unstable, 
                two half cycles become different
     grazing    multipliers jump over 1 or −1: an impact comes or goes; nearby they grow beyond all bounds
 
+A branch of doubled or asymmetric orbits turns back, too, where it is born: there it goes on as the same orbits begun
+half a period later, or their mirror images. `born` tells such a turn from a fold.
+
 H. B. Keller (1977), "Numerical solution of bifurcation and nonlinear eigenvalue problems", in P. H. Rabinowitz (ed.),
 Applications of Bifurcation Theory, Academic Press, 359–384.
 """
@@ -131,6 +134,7 @@ def followed(
     longest: float = 0.1,
     points: int = 400,
     noted: Callable[[Orbit], object] = lambda _: None,
+    born: Callable[[Orbit, Orbit], str] = lambda _here, _turn: FOLD,
     moved: Callable[[Sequence[tuple[Real, float]]], list[Real] | None] = lambda _: None,
 ) -> Arc:
     """Return the branch of an orbit one way.
@@ -142,6 +146,8 @@ def followed(
         limits: least and largest p.
         longest: step along the arc.
         points: at most.
+        born: tells from an orbit of the branch and that at its turn what the turn is: `FLIP` or `SYMMETRY` at the birth
+            of its orbits, else `FOLD`.
         noted: asked for the `note` of every orbit while `f` is read in its coordinates.
         moved: given the first point (z, p) and the newest two, returns the z of all in other coordinates in which `f`
             is to be read from now on, or None.
@@ -164,10 +170,10 @@ def followed(
             last = orbit(f, here.z + share * (new.z - here.z), edge)
             if last is not None:
                 last = last.towards(here.tangent)
-                changes += [attrs.evolve(one, note=noted(one.orbit)) for one in _changes(f, here, last)]
+                changes += [attrs.evolve(one, note=noted(one.orbit)) for one in _changes(f, here, last, born)]
                 orbits.append(attrs.evolve(last, note=noted(last)))
             return Arc(tuple(orbits), tuple(changes), "edge")
-        changes += [attrs.evolve(one, note=noted(one.orbit)) for one in _changes(f, here, new)]
+        changes += [attrs.evolve(one, note=noted(one.orbit)) for one in _changes(f, here, new, born)]
         orbits.append(attrs.evolve(new, note=noted(new)))
         if len(orbits) > 3 and np.abs(np.append(new.z - first, new.p - start.p)).max() < 0.5 * length:
             return Arc(tuple(orbits), tuple(changes), "closed")
@@ -239,7 +245,7 @@ def _told(f: Map, y: Real) -> Orbit | None:
     return Orbit(z, p, float(np.abs(f(z, p) - z).max()), multipliers[order], np.linalg.svd(rows)[2][-1])
 
 
-def _changes(f: Map, here: Orbit, new: Orbit) -> Iterator[BranchChange]:
+def _changes(f: Map, here: Orbit, new: Orbit, born: Callable[[Orbit, Orbit], str]) -> Iterator[BranchChange]:
     """Yield what happens between two neighbours: where a test function passes zero."""
     tests: dict[str, Callable[[Orbit, Real], float]] = {}
     if here.tangent[-1] * new.tangent[-1] < 0.0:
@@ -258,7 +264,7 @@ def _changes(f: Map, here: Orbit, new: Orbit) -> Iterator[BranchChange]:
         if kind == TORUS and not (np.abs(np.abs(paired) - 1.0) < PASSING).any():
             continue  # no pair of complex multipliers stands on the unit circle
         jumps = kind in PASSED and float(np.abs(found.multipliers - PASSED[kind]).min()) > PASSING
-        yield BranchChange(GRAZING if jumps else kind, found)
+        yield BranchChange(GRAZING if jumps else born(here, found) if kind == FOLD else kind, found)
 
 
 def _product(one: Orbit, value: float) -> float:

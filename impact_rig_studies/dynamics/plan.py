@@ -31,8 +31,9 @@ from impact_rig_studies.campaign import axes, tables
 from impact_rig_studies.campaign.paper import CURRENT_A, FREQUENCY_HZ
 from impact_rig_studies.campaign.plan import STARTS
 from impact_rig_studies.campaign.tasks import Keyed, Row, TaskStore, load_plan
-from impact_rig_studies.dynamics import exponent, orbits
+from impact_rig_studies.dynamics import orbits
 from impact_rig_studies.dynamics.stroboscope import Energy, Note, Place, Properties, Stroboscope, at, size
+from impact_rig_studies.maps import exponent
 from impact_rig_studies.maps.measure import CHUNK, FAILED, MapRig, Reading, Settings
 from impact_rig_studies.maps.plan import (
     BOTH,
@@ -52,9 +53,12 @@ SECTION, BIFURCATION, BASIN, ORBIT, CONTINUE, EXPONENT = KINDS = (
     "section", "bifurcation", "basin", "orbit", "continue", "exponent",
 )  # fmt: skip
 POINT = ("x_1_m", "v_1_m_s", "x_2_m", "v_2_m_s")
+STATE = ("x_1_m", "v_1_m_s", "x_b_m", "v_b_m_s", "coil_a", "d_m", "d_rate_m_s")
+MOST_STATES = len(STATE)
 _ORBIT = (
     "value", "event", "stable", "period", *Properties._fields[:-1], *(f"{name}_j" for name in Energy._fields),
     "multiplier_real", "multiplier_imag", "residual", "turn",
+    *(f"multiplier_{number}_{part}" for number in range(2, MOST_STATES + 1) for part in ("real", "imag")), *STATE,
 )  # fmt: skip
 COLUMNS: Mapping[str, tuple[str, ...]] = {
     SECTION: POINT,
@@ -62,10 +66,14 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
     BASIN: (POSITION, SPEED, "attractor", "regime", "dt", "impacts_per_cycle", "cycles"),
     ORBIT: _ORBIT,
     CONTINUE: _ORBIT,
-    EXPONENT: ("value", "regime", "dt", "exponent_per_s", "uncertainty_per_s"),
+    EXPONENT: ("value", "regime", "dt", "exponent_per_s", "uncertainty_per_s", "settled_cycles"),
 }
 """Columns of a task's rows: `value` is the parameter's, `event` is orbit, or what changes there, or why the branch ends
-there."""
+there.
+
+Multipliers are the largest first, NaN where there are fewer. The state is that at the section `turn`. `settled_cycles`
+went before an exponent.
+"""
 NAMES = (FREQUENCY, CURRENT, GAP)
 CHUNK_VALUES = 20  # places that begin from rest in one task
 _CYCLES, _WINDOWS = 100, 20  # of an exponent
@@ -465,7 +473,14 @@ def _continue(
     for way in (-1.0, 1.0):
         strobe.turn = turn
         arc = orbits.followed(
-            strobe, first, way, (low / unit, high / unit), points=points, noted=strobe.note, moved=strobe.moved
+            strobe,
+            first,
+            way,
+            (low / unit, high / unit),
+            points=points,
+            noted=strobe.note,
+            born=strobe.born,
+            moved=strobe.moved,
         )
         half = [_row(one, one.note, unit, "orbit") for one in arc.orbits]
         half += [_row(one.orbit, one.note, unit, one.kind) for one in arc.changes]
@@ -497,11 +512,13 @@ def _found(
 
 def _row(one: orbits.Orbit, note: object, unit: float, event: str) -> Row:
     assert isinstance(note, Note)
-    properties, cycles, turn = note
-    largest = one.multipliers[0]
+    properties, cycles, turn, state = note
+    multipliers = np.full(MOST_STATES, complex(math.nan, math.nan))
+    multipliers[: len(one.multipliers)] = one.multipliers
+    largest, *others = ((float(each.real), float(each.imag)) for each in multipliers)
     return (
         one.p * unit, event, float(one.stable), float(cycles), *properties[:-1], *properties.energy,
-        float(largest.real), float(largest.imag), one.residual, turn,
+        *largest, one.residual, turn, *itertools.chain(*others), *state,
     )  # fmt: skip
 
 
@@ -515,11 +532,11 @@ def _exponent(task: StudyTask, over: str, value: float, start: Start, cycles: in
     except SimulationError:
         z = None
     if z is None:
-        return [(value, FAILED, math.nan, math.nan, math.nan)]
+        return [(value, FAILED, *[math.nan] * 4)]
     strobe.cycles = 1
     found = exponent.largest(lambda z, n: strobe(z, place.frequency_hz, n), z, cycles, windows)
     rate = place.frequency_hz
-    return [(value, reading.regime, reading.dt, rate * found.value, rate * found.uncertainty)]
+    return [(value, reading.regime, reading.dt, rate * found.value, rate * found.uncertainty, reading.cycles)]
 
 
 def _attractors(

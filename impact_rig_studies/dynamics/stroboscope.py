@@ -35,7 +35,7 @@ from impact_rig.physics import SEGMENT, Motion, Simulation
 from impact_rig.physics.linear import constants
 from impact_rig.physics.model import Model, build
 from impact_rig.rig.config import RigConfig, from_flat
-from impact_rig_studies.dynamics.orbits import Orbit
+from impact_rig_studies.dynamics.orbits import FLIP, FOLD, SYMMETRY, Orbit
 from impact_rig_studies.maps.measure import MapRig, Reading
 from impact_rig_studies.maps.plan import CURRENT, FREQUENCY, GAP
 
@@ -82,11 +82,12 @@ class Properties(NamedTuple):
 
 
 class Note(NamedTuple):
-    """What an orbit does, after how many cycles it repeats, and the section of its coordinates [turns]."""
+    """What an orbit does, after how many cycles it repeats, and its state at the section [turns]."""
 
     properties: Properties
     cycles: int
     turn: float
+    state: tuple[float, ...]  # of the whole rig at the section, as in `Simulation.state`
 
 
 class Slopes(NamedTuple):
@@ -97,6 +98,7 @@ class Slopes(NamedTuple):
     stable: bool  # whether all multipliers of the orbit are inside the unit circle
 
 
+BORN = 1e-4  # largest component by which an orbit differs from itself half a period later, or from its mirror image
 STEP = 1e-6
 """Relative step of differences: truncation falls with it, rounding and the contacts' tolerance grow."""
 
@@ -175,9 +177,52 @@ class Stroboscope:
             found.append(self._moved(z, p, turn))
         return found
 
+    def born(self, here: Orbit, turn: Orbit) -> str:
+        """Return what a turn of a branch is: the birth of its doubled or asymmetric orbits, or a fold.
+
+        Args:
+            here: an orbit of the branch.
+            turn: that at the turn, which alone is its own half or its own mirror image at a birth.
+        """
+        for kind, returned in ((FLIP, self._halved), (SYMMETRY, self._mirrored)):
+            there = returned(turn)
+            if there is not None and there < BORN < (returned(here) or 0.0):
+                return kind
+        return FOLD
+
+    def _halved(self, one: Orbit) -> float | None:
+        """Return how far an orbit is from itself half of its cycles later, None if they are odd."""
+        if self.cycles % 2:
+            return None
+        self._run(one.z, one.p, self.cycles // 2)
+        return self._apart(one.z)
+
+    def _mirrored(self, one: Orbit) -> float | None:
+        """Return how far an orbit is from its mirror image half of its cycles later, None if they are even."""
+        if self.cycles % 2 == 0:
+            return None
+        self._run(one.z, one.p, 0.5)
+        state = self._simulation.state()
+        if state is None:
+            return None
+        turn, self.turn = self.turn, (self.turn + 0.5) % 1.0
+        try:
+            z = state[self._free] / self.scale
+            if self.cycles > 1:
+                self._run(z, one.p, self.cycles // 2)
+                return self._apart(-one.z)
+            return float(np.abs(z + one.z).max())
+        finally:
+            self.turn = turn
+
+    def _apart(self, z: Real) -> float | None:
+        state = self._simulation.state()
+        return None if state is None else float(np.abs(state[self._free] / self.scale - z).max())
+
     def note(self, one: Orbit) -> Note:
         """Return what an orbit does that stands in the coordinates of now."""
-        return Note(self.properties(one.z, one.p), self.cycles, self.turn)
+        state = self._whole(one.z, self._found(one.p)[0])
+        return Note(self.properties(one.z, one.p), self.cycles, self.turn, tuple(state.tolist()))
 
     def properties(self, z: Real, p: float) -> Properties:
         """Return what the orbit through z does."""

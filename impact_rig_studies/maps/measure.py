@@ -15,8 +15,13 @@
 
 One drive segment is one cycle, so the record is stroboscopic: the fundamentals of both bases, and where the sphere is
 when each cycle begins. A motion that comes ever nearer to one that repeats has settled where what is left of the
-transient, a geometric series, is too little to matter. The regime is that of `analysis.spread.classify`. Everything is
-deterministic, and starts either from a reset rig or from what the place before left.
+transient, a geometric series, is too little to matter.
+
+Of a motion that has not settled, the structure alone does not tell the regime: a chaotic sphere may leave the structure
+as steady as an orbit does. So its largest exponent is measured (`exponent.largest`). Where neighbours part, the motion
+is chaotic. Where they do not, it is what `analysis.spread.classify` makes of the structure and of the impacts. Where
+they approach one another, it may also repeat after more cycles than `classify` looks for. Everything is deterministic,
+and starts either from a reset rig or from what the place before left.
 """
 
 from __future__ import annotations
@@ -28,6 +33,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig.analysis.calibration import Real
 from impact_rig.analysis.cycles import PHASE_BINS
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.spread import LONGEST_PERIOD, Behaviour, classify
@@ -38,13 +44,19 @@ from impact_rig.physics import SEGMENT, Motion, Simulation
 from impact_rig.physics.linear_response import transmissibility
 from impact_rig.rig.config import RigConfig
 from impact_rig.states import Regime
+from impact_rig_studies.maps.exponent import largest
 
 CHUNK = 24  # cycles looked at together, for a response that repeats after up to six of them
 _PART = CHUNK // 2  # the later ones, which such a response is read from
 _FIRST = 2 * CHUNK  # cycles before it is looked for the first time: hardly a response has settled earlier
+LASTING = 0.98  # ratio of a difference in the halves of a record from which it does not die
+TINY = 1e-12  # least scale of a coordinate
 _ROUNDING = 1e-9  # relative change of a cycle that is none
 WEAK = 0.02
 """Impacts slower than this share of the fastest one are bounces that settle: not counted, no part of the regime."""
+WINDOWS, WINDOW_CYCLES = 16, 12  # over which an exponent is measured
+SURE = 2.0  # standard uncertainties from which the sign of an exponent counts
+LONGEST_LOOKED = 64  # cycles of a period that is looked for where neighbours approach one another
 NEAR_S = TrackerSettings().wait_limit_s
 """A sphere that will strike a wall within this time has not come to rest: a measurement waits for it as long."""
 FAILED = "failed"  # the regime of a place whose motion could not be resolved
@@ -186,14 +198,44 @@ class MapRig:
             record = record.then(self._run(frequency_hz, amplitude, more if rest > 2 * more else rest))
         last = record.last(2 * CHUNK)
         behaviour, drifts = _behaviour(last, settings), self._drifts(last)
-        if drifts or not math.isfinite(behaviour.period):
+        sign = 0 if drifts else self._parting(frequency_hz, amplitude, last)
+        if drifts or sign > 0 or not math.isfinite(behaviour.period):
             if done < _FIRST + settings.cycles:
                 record = record.then(self._run(frequency_hz, amplitude, _FIRST + settings.cycles - done))
             last = record.last(settings.cycles)
             behaviour = _behaviour(last, settings)
             if drifts or self._drifts(last):
                 behaviour = attrs.evolve(behaviour, regime=Regime.INTERMITTENT, period=math.nan)
+            elif sign > 0:
+                behaviour = attrs.evolve(behaviour, regime=Regime.CHAOTIC, period=math.nan)
+            elif sign < 0 and (period := _long_period(last, frequency_hz, settings)):
+                behaviour = attrs.evolve(behaviour, regime=Regime.PERIODIC, period=float(period))
         return _reading(last, behaviour, self._config, frequency_hz)
+
+    def _parting(self, frequency_hz: float, amplitude: float, record: _Record) -> int:
+        """Return whether neighbours part (1), approach one another (-1), or neither is certain (0).
+
+        The motion of the rig goes on from where it was.
+        """
+        before = self.simulation.state()
+        if before is None or not len(record.speed):
+            return 0
+        superior, base = (float(np.abs(record.cycles[name]).max()) for name in ("x_1", "x_b"))
+        omega, half = 2.0 * np.pi * frequency_hz, 0.5 * self._config.barriers.gap_m
+        scale = np.array([superior, omega * superior, base, omega * base, amplitude, half, omega * half])
+        scale = np.maximum(scale, TINY)
+
+        def returned(z: Real, windows: int) -> Real:
+            self.simulation.set_state(z * scale)
+            self.advance(frequency_hz, amplitude, windows * WINDOW_CYCLES)
+            state = self.simulation.state()
+            return np.full(len(z), math.nan) if state is None else state / scale
+
+        found = largest(returned, before / scale, 1, WINDOWS)
+        self.simulation.set_state(before)
+        if not abs(found.value) > SURE * found.uncertainty:
+            return 0
+        return 1 if found.value > 0.0 else -1
 
     def _drifts(self, record: _Record) -> bool:
         """Return whether a record without impacts ends with the sphere on its way to one.
@@ -249,7 +291,27 @@ def _settled(record: _Record, frequency_hz: float, settings: Settings) -> Behavi
             left = np.where(ratio < 1.0, late[moving] * np.maximum(1.0, ratio / (1.0 - ratio)), np.inf)
         if np.all(left <= settings.settle_tolerance):
             behaviour = _behaviour(record, settings)
-            return behaviour if behaviour.period == period else None
+            if behaviour.period == period:
+                return behaviour
+            if not math.isfinite(behaviour.period) or period % int(behaviour.period):
+                return None
+            # the structure repeats earlier: either so does the sphere in the end, or it never will
+            shorter = np.abs(series[:, int(behaviour.period) :] - series[:, : -int(behaviour.period)])
+            half = shorter.shape[1] // 2
+            lasts = shorter[:, half:].max() > LASTING * shorter[:, :half].max()
+            return attrs.evolve(behaviour, period=float(period)) if lasts else None
+    return None
+
+
+def _long_period(record: _Record, frequency_hz: float, settings: Settings) -> int | None:
+    """Return after how many cycles all numbers of a cycle come back, of more cycles than `classify` looks for."""
+    series = np.array([record.cycles[name] for name in ("x_1", "x_2", "v_2")])
+    superior = float(np.abs(series[0]).mean())
+    sizes = np.array([superior, superior, 2.0 * np.pi * frequency_hz * superior])[:, np.newaxis]
+    for period in range(1, min(LONGEST_LOOKED, series.shape[1] // 3) + 1):
+        apart = np.abs(series[:, -period:] - series[:, -2 * period : -period]) / sizes
+        if apart.max() <= settings.periodic_tolerance:
+            return period
     return None
 
 

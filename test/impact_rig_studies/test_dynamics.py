@@ -31,8 +31,9 @@ from impact_rig.cli.main import main
 from impact_rig.errors import ConfigError, SimulationError
 from impact_rig.physics import Simulation
 from impact_rig.rig.config import RigConfig, from_flat
-from impact_rig_studies.dynamics import exponent, orbits, plan
+from impact_rig_studies.dynamics import orbits, plan
 from impact_rig_studies.dynamics.stroboscope import Place, Stroboscope
+from impact_rig_studies.maps import exponent
 from impact_rig_studies.maps.measure import MapRig, Settings
 from impact_rig_studies.prediction import LinearRig
 from qualification.prediction import job
@@ -492,14 +493,13 @@ def test_at_6_mm_four_impacts_per_cycle_are_an_island_between_two_folds(tmp_path
     assert marched(place, "frequency_hz", np.arange(9.1, 8.8, -0.001)) == pytest.approx(low, rel=1e-3)
 
 
-@pytest.mark.parametrize(("gap", "stable", "period"), [(0.010, 0.00975, 2), (0.008, 0.00806, 3)])
-def test_marching_doubles_its_period_at_the_flip(gap, stable, period, tmp_path):
+@pytest.mark.parametrize(("gap", "at", "stable", "period"), [(0.010, 0.010, 0.00975, 2), (0.008, 0.00806, 0.00806, 3)])
+def test_marching_doubles_its_period_at_the_flip(gap, at, stable, period, tmp_path):
     """Past a flip the square of what alternates grows in proportion: by marching alone it vanishes at the flip.
 
-    A map calls the motion doubled only where it alternates by more than `periodic_tolerance`: 0.9 % later for the
-    first, never for the second.
+    The branch of the doubled orbits, followed back, turns at its birth: that is the same flip and no fold.
     """
-    text = f"continue: {{over: gap_m, from: {0.5 * gap}, to: {1.02 * gap}, at: {gap}, points: 40}}"
+    text = f"continue: {{over: gap_m, from: {0.5 * gap}, to: {1.02 * gap}, at: {at}, points: 40}}"
     flip = event(study(tmp_path, "continue", text), "flip")["value"]
     rig = MapRig(from_flat(RigConfig(), {"barriers.gap_m": gap}), Settings())
     rig.reset()
@@ -513,6 +513,25 @@ def test_marching_doubles_its_period_at_the_flip(gap, stable, period, tmp_path):
         squares.append(float(((x_1[:period] - x_1[period:]) ** 2).sum()))
     assert squares[0] < 1e-6 * squares[1]
     assert np.polyfit(squares[1:], gaps, 1)[1] == pytest.approx(flip, rel=1e-4)
+    doubled = rig.measure(PLACE.frequency_hz, PLACE.amplitude)
+    assert doubled.period == 2 * period
+    strobe, here = Stroboscope(PLACE, "gap_m", 1e-3), 1e3 * float(gaps[-1])
+    one = orbits.orbit(strobe, strobe.seen(rig, here, doubled), here)
+    assert one is not None
+    arc = orbits.followed(
+        strobe, one, 1.0, (0.99 * here, 1.01 * here), longest=0.05, born=strobe.born, moved=strobe.moved
+    )
+    assert {change.kind for change in arc.changes} == {"flip"}
+    assert max(change.orbit.p for change in arc.changes) == pytest.approx(1e3 * flip, rel=1e-5)
+
+
+@pytest.mark.parametrize(("gap", "e"), [(0.008, 0.6), (0.008, 0.8), (0.008, 0.35), (0.0065, 0.35)])
+def test_a_chaotic_sphere_that_leaves_the_structure_steady_is_called_chaotic(gap, e):
+    """The structure alone repeats to 1e-3 or better in all of them but the first."""
+    config = from_flat(RigConfig(), {"barriers.gap_m": gap, "contact.restitution": e})
+    reading = MapRig(config, Settings()).measure(9.1, 0.52)
+    assert reading.regime == "chaotic"
+    assert math.isnan(reading.period)
 
 
 # Two motions at one place
