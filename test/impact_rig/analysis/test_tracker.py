@@ -75,7 +75,7 @@ def test_a_transient_is_waited_for_no_longer_than_needed(frequency_hz, tau_s):
     assert row["status"] == b"ok"
     assert row["transmissibility"] == pytest.approx(truth, rel=1e-3)
     assert abs(row["transmissibility"] - truth) < 3 * row["transmissibility_uncertainty"]
-    assert row["waited"] < tau_s * np.log(1 / 2e-4) + 2 * 48 / frequency_hz
+    assert row["waited"] < tau_s * np.log(1 / 2e-4) + 2.1 * 48 / frequency_hz
 
 
 @pytest.mark.parametrize(
@@ -116,15 +116,31 @@ def test_windows_that_were_thrown_away_are_no_wait():
     truth = linear_transmissibility(9.1)
     rows = record(seconds=50.0, transient=lambda t: truth * (1 + 0.05 * np.sin(3.3 * t) + 0.03 * np.sin(1.3 * t)))
     rows["status"][: 26 * RATE] = 2
+    struck_twice_a_cycle(rows, 9.1, 50.0)
     made = tracker(tracker_settings=TrackerSettings(window_s=0.1, wait_limit_s=25.0))
     found = [table.rows[0] for table in feed_all(made, blocks(rows, RATE, 20))[0]]
     assert {row["status"] for row in found[:-1]} == {b"over_range"}
     assert (found[-1]["status"], found[-1]["regime"], found[-1]["cycles"]) == (b"ok", b"modulated", 192)
 
 
+def struck_twice_a_cycle(rows, frequency_hz, seconds):
+    """Add impacts of about the same phases in every cycle."""
+    count = int(2 * seconds * frequency_hz) - 2
+    times = (np.arange(count) + 0.3) / (2 * frequency_hz)
+    add_impacts(rows["accelerometer"], RATE, times, np.full(count, 0.3), np.tile([1, -1], count // 2 + 1)[:count])
+
+
+def test_what_fluctuates_without_any_impact_is_no_modulation():
+    """A linear rig is neither modulated nor chaotic: it was called so in three of four first rows of a small base."""
+    truth = linear_transmissibility(9.2)
+    rows = record(9.2, 30.0, transient=lambda t: truth * (1 + 0.03 * np.cos(2.7 * t)))
+    assert not feed_all(tracker(9.2), blocks(rows, RATE, 20))[0]
+
+
 def test_a_modulated_response_is_labelled_and_measured_long():
     truth = linear_transmissibility(9.2)
     rows = record(9.2, 30.0, transient=lambda t: truth * (1 + 0.03 * np.cos(2.7 * t)))
+    struck_twice_a_cycle(rows, 9.2, 30.0)
     measurements, _ = feed_all(tracker(9.2), blocks(rows, RATE, 20))
     row = measurements[0].rows[0]
     assert (row["status"], row["regime"], row["method"]) == (b"ok", b"modulated", b"batch_means")

@@ -169,6 +169,10 @@ def test_a_modulated_response_is_measured_from_batches_and_says_so():
     k = 2 * np.pi * 0.437
     ratio = linear_transmissibility(9.2)
     rows = steady_record(9.2, 21.0, rng=rng, transient=lambda t: ratio * (1 + 0.05 * np.cos(k * t)))
+    assert measure_record(rows, info_rows(gain_u=0.0), 9.2).regime is Regime.UNKNOWN, (
+        "without impacts it is no such thing"
+    )
+    rows["accelerometer"][:: len(rows) // 400] += 500.0
     found = measure_record(rows, info_rows(gain_u=0.0), 9.2, TrackerSettings(lag_uncertainty=0.0))
     assert (found.status, found.regime, found.method) == (Status.OK, Regime.MODULATED, Method.BATCH_MEANS)
     assert found.spread / found.transmissibility == pytest.approx(0.05 / np.sqrt(2), rel=0.05)
