@@ -44,7 +44,10 @@ TRUTH_S = 7200.0  # over which an irregular motion is averaged
 
 def row_of(case: Case, seed: int, motion: Any, truth: complex) -> dict[str, object]:
     """Return what the first row of a seed states, and how far it is off in units of its uncertainty."""
-    row = measured(case, seed, motion)[0][0].rows[0]
+    tables = measured(case, seed, motion)[0]
+    if not tables:  # the record ends before one was due
+        return {"seed": seed, "status": "none", "regime": ""}
+    row = tables[0].rows[0]
     return {
         "seed": seed, "status": row["status"].decode(), "regime": row["regime"].decode(),
         "impacts_per_cycle": float(row["impacts_per_cycle"]),

@@ -227,7 +227,7 @@ class MapRig:
 
         def returned(z: Real, windows: int) -> Real:
             self.simulation.set_state(z * scale)
-            self.advance(frequency_hz, amplitude, windows * WINDOW_CYCLES)
+            self.run_cycles(frequency_hz, amplitude, windows * WINDOW_CYCLES)
             state = self.simulation.state()
             return np.full(len(z), math.nan) if state is None else state / scale
 
