@@ -84,7 +84,7 @@ kernels: $(PACKAGE) ## build the library of compiled kernels, where their source
 	@requirements/kernels.sh $(VENV)
 
 # --- Targets ----------------------------------------------------------------------------------------------------------
-.PHONY: help kernels lab demo campaign docs figures test check lint generate format bench fuzz journeys portability soak colcon release venv lock clean
+.PHONY: help kernels lab demo campaign docs site figures test check lint generate format bench fuzz journeys portability soak colcon release venv lock clean
 
 help: ## print this list
 	@echo 'impact_rig: make TARGET, where TARGET is one of'
@@ -149,6 +149,9 @@ figures: $(TEST) kernels ## draw every figure of README and docs; ARGS='paper.sv
 
 docs: $(DOCS) kernels ## build the website from docs/ into build/site, offline, without a warning
 	@$(VENV)/bin/python -m tools.website $(ARGS)
+
+site: $(TEST) kernels ## build the rig in a browser, one page that opens from disk, into build/rig
+	@$(VENV)/bin/python tools/browser_page.py $(ARGS)
 
 format: $(TEST) $(PACKAGE) ## bring the code into the one format
 	@$(VENV)/bin/ruff check --fix-only .

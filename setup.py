@@ -66,7 +66,7 @@ setup(
     package_data={
         NAME: ["py.typed", "interface.json", "embedded/*.[ch]", "kernels/*.c", "recording/definitions.json"],
         f"{NAME}_studies": ["py.typed", "report/parts.html", "report/style.css"],
-        f"{NAME}_lab": ["py.typed", "static/*", "words.json"],
+        f"{NAME}_lab": ["py.typed", "site/*", "static/*", "words.json"],
     },
     ext_modules=[Extension(f"{NAME}.kernels._library", [], py_limited_api=True, optional=True)],
     cmdclass={"build_ext": BuildKernels},

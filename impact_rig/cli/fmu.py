@@ -19,7 +19,8 @@ import argparse
 from pathlib import Path
 
 from impact_rig.cli.terminal import Console, subcommand
-from impact_rig.embedded.fmu import KERNELS, VERSIONS, write_fmu
+from impact_rig.embedded.fmu import VERSIONS, write_fmu
+from impact_rig.kernels.build import FOLDER
 from impact_rig.rig.config import RigConfig, load_config
 
 
@@ -36,7 +37,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.add_argument("--config", type=Path, metavar="FILE", help="configuration (default: the paper's rig)")
     parser.add_argument("--fmi", choices=VERSIONS, default=VERSIONS[0], help="version of FMI (default: %(default)s)")
     parser.add_argument(
-        "--kernels", type=Path, metavar="DIR", default=KERNELS,
+        "--kernels", type=Path, metavar="DIR", default=FOLDER,
         help="folder of compiled kernels, for another machine (default: those of this package)",
     )  # fmt: skip
 

@@ -30,8 +30,7 @@ import numpy as np
 from impact_rig import __version__
 from impact_rig.embedded.snapshot import SETUP, snapshot
 from impact_rig.errors import ImpactRigError
-from impact_rig.kernels.build import FOLDER as KERNELS
-from impact_rig.kernels.build import OBJECT
+from impact_rig.kernels.build import FOLDER, OBJECT
 from impact_rig.physics.sampling import QUANTITIES
 from impact_rig.rig.config import RigConfig
 from impact_rig.system.files import written_whole
@@ -51,7 +50,7 @@ MOTION, IMPACTS, READINGS = 10, 30, 40
 UNITS = dict(zip(QUANTITIES, ("m", "m", "m", "m/s", "m/s", "m/s", "m/s2", "m/s2", "m/s2", "A", "N", "N"), strict=True))
 
 
-def write_fmu(config: RigConfig, path: Path, version: str = VERSIONS[0], kernels: Path = KERNELS) -> None:
+def write_fmu(config: RigConfig, path: Path, version: str = VERSIONS[0], kernels: Path = FOLDER) -> None:
     """Write a co-simulation unit of a rig.
 
     Args:

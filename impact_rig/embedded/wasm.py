@@ -31,20 +31,22 @@ from impact_rig.kernels.emit import WASM, emit
 
 ZIG = [sys.executable, "-m", "ziglang", "cc", "-target", "wasm32-wasi", "-mexec-model=reactor"]
 RIG = (
-    "new",
-    "free",
-    "reset",
-    "command",
-    "set_gap",
-    "advance",
-    "scans",
-    "channels",
-    "channel_name",
-    "sample",
-    "contact",
-    "tick",
+    *(
+        "new",
+        "free",
+        "reset",
+        "command",
+        "set_gap",
+        "advance",
+        "scans",
+        "channels",
+        "channel_name",
+        "sample",
+        "contact",
+    ),
+    *("tick", "tick_s", "gap", "impacts", "state_size", "save", "restore"),
 )
-RIG += ("tick", "tick_s", "gap", "impacts", "state_size", "save", "restore")
+"""Functions of rig.h."""
 
 
 def build_wasm(path: Path, keep: Path) -> None:

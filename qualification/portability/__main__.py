@@ -24,6 +24,7 @@ compiles, they have caches of their own: the first time, each compiles everythin
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import shutil
 import subprocess
@@ -46,6 +47,7 @@ FIGURES = Path("build", "bench.json")
 WORK = Path("build", "portability")
 """Caches of compiled code, and what the processes complained of."""
 EMULATOR = "qemu-x86_64"
+WASM = "wasm32"
 EMULATED = ("Nehalem", "EPYC")
 """An Intel CPU without AVX and an AMD one with AVX2 and FMA; NumPy's wheels need at least SSE4.2."""
 
@@ -73,7 +75,7 @@ def main() -> int:
     """Return 0 if all bits are the committed ones."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--write", action="store_true", help="rewrite the committed digests with this machine's")
-    names = [mask.name for mask in MASKS] + [*EMULATED]
+    names = [mask.name for mask in MASKS] + [*EMULATED, WASM]
     parser.add_argument("--only", choices=names, help="this mask or emulated CPU")
     arguments = parser.parse_args()
     console = Console()
@@ -91,6 +93,8 @@ def main() -> int:
         for cpu in EMULATED:
             if arguments.only in (None, cpu) and shutil.which(EMULATOR):
                 outcomes.append(bench.emulated(cpu, bare))
+        if arguments.only in (None, WASM) and all(map(importlib.util.find_spec, ("llvmlite", "wasmtime", "ziglang"))):
+            outcomes.append(bench.webassembly())
     return report(console, outcomes, complete=arguments.only is None)
 
 
@@ -126,14 +130,32 @@ class Bench:
         runs = [run for run in SHORT if run.name in INTERPRETED_ELSEWHERE]
         return self.judged(" ".join(emulator), held, runs, found)
 
+    def webassembly(self) -> Outcome:
+        """Record every run with the kernels as WebAssembly."""
+        from impact_rig.embedded.wasm import build_wasm  # noqa: PLC0415  # needs LLVM
+        from impact_rig.kernels.build import STAMP  # noqa: PLC0415
+
+        module, translated = self._scratch / "rig.wasm", Path("build", "kernels")
+        build_wasm(module, translated)
+        program = ("qualification.portability.wasm", str(module), str(translated / STAMP))
+        environment = full_environment(BARE) | {"IMPACT_RIG_KERNELS": "library"}
+        found = self.record(WASM, environment, ["long", "short"], program=program)
+        return self.judged(WASM, "wasmtime", ALL_RUNS, found)
+
     def record(
-        self, name: str, environment: dict[str, str], runs: list[str], prefix: tuple[str, ...] = (), save: bool = False
+        self,
+        name: str,
+        environment: dict[str, str],
+        runs: list[str],
+        prefix: tuple[str, ...] = (),
+        save: bool = False,
+        program: tuple[str, ...] = ("qualification.portability.child",),
     ) -> digests.Digests:
         """Record runs in a process of its own, show how it gets on, and return their digests; none if it failed."""
         output = self._scratch / "digests.txt"
         output.unlink(missing_ok=True)
         keep = "--save" if save else "--against"
-        command = [*prefix, sys.executable, "-m", "qualification.portability.child", str(output), *runs, keep]
+        command = [*prefix, sys.executable, "-m", *program, str(output), *runs, keep]
         command.append(str(self._reference))
         self._said, began = [], time.monotonic()
         WORK.mkdir(parents=True, exist_ok=True)

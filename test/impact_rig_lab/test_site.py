@@ -1,0 +1,87 @@
+# Copyright 2026 The impact_rig developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The rig in a browser: one file, from disk, with the readings of the rig in Python."""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from impact_rig import kernels
+from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig, from_flat
+
+if TYPE_CHECKING:
+    from kits.browser import Browser
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT))  # the tool is no part of the package
+for needed in ("ziglang", "llvmlite", "aiohttp", "uplot"):
+    pytest.importorskip(needed)
+from kits.browser import serious_faults  # noqa: E402
+
+from tools import browser_page  # noqa: E402
+
+pytestmark = [
+    pytest.mark.skipif(kernels.MODE != "library", reason="kernels run otherwise here"),
+    pytest.mark.timeout(900),  # translates where `make` has left nothing
+]
+SECONDS = 10
+
+
+@pytest.fixture(scope="module")
+def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return browser_page.build(tmp_path_factory.mktemp("site") / "rig")
+
+
+def readings(gap_m: float, frequency_hz: float) -> str:
+    """SHA-256 of the readings of the rig in Python, channel by channel."""
+    rig = Rig(from_flat(RigConfig(), {"barriers.gap_m": gap_m}))
+    rig.accept(frequency_hz, 0.52)
+    rows = np.concatenate([block.scan.rows for block in rig.advance(SECONDS * 1_000_000_000)])
+    names = [name for name in rows.dtype.names or () if name not in ("time", "status")]
+    return hashlib.sha256(b"".join(np.ascontiguousarray(rows[name]).tobytes() for name in names)).hexdigest()
+
+
+def test_the_page_from_disk_gives_the_readings_of_the_rig(page_file: Path, browser: Browser) -> None:
+    page = browser.page()
+    page.goto(page_file.as_uri())
+    page.wait("document.getElementById('word').textContent === 'running'", "the rig to run")
+    page.wait("lab.now.scans > 20000 && document.getElementById('dt').textContent !== '–'", "two seconds and DT")
+    assert 10.0 < float(page.text("#dt")) < 150.0
+    assert page.js("lab.motion.states.length") > 500
+    for gap_mm, frequency in ((6, 9.1), (2, 9.1), (2, 8.7), (6, 8.7)):
+        page.write("#frequency", f"{frequency}")
+        page.write("#gap", f"{gap_mm}")
+        page.js(f"lab.digest = null; site.worker.postMessage({{type: 'digest', seconds: {SECONDS}}})")
+        found = page.wait("lab.digest", "the digest")
+        assert found["hash"] == readings(gap_mm / 1000, frequency)
+        assert found["scans"] == SECONDS * 10_000
+    assert page.faults() == []
+    assert all(url.startswith(("file:", "data:", "blob:")) for url in page.fetched)
+
+
+def test_the_page_can_be_used_by_everybody(page_file: Path, browser: Browser) -> None:
+    page = browser.page(400, 900, prefers_color_scheme="dark")
+    page.goto(page_file.as_uri())
+    page.wait("lab.now.scans > 0", "the rig to run")
+    assert serious_faults(page) == []
+    assert page.js("document.documentElement.scrollWidth") <= 400
+    page.write("#gap", "1000000")
+    page.wait("document.getElementById('answer').textContent === 'a value is out of range'", "the answer")
