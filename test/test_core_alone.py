@@ -27,7 +27,7 @@ pytestmark = pytest.mark.heavy
 
 ROOT = Path(__file__).parents[1]
 REMOVED = ("impact_rig_studies", "impact_rig_lab")
-TESTS = ("cli", "rig/test_commands.py", "runs/test_exports.py", "testing/test_virtual_rig.py")
+TESTS = ("cli", "rig/test_commands.py", "runs/test_exports.py", "driver/test_local_rig.py")
 """Tests of the rig that run in some seconds without another process."""
 ALONE = f"""\
 import sys
