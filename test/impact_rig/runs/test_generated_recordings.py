@@ -31,7 +31,7 @@ FEW = [name for name in KINDS if name.startswith(("01 ", "06 ", "08 ", "57 "))]
 @pytest.mark.parametrize("name", FEW)
 def test_a_sound_recording_is_accepted(tmp_path: Path, name: str) -> None:
     for recording in sound_recordings.recordings(KINDS[name], 3, tmp_path):
-        assert not sound_recordings.problems(recording)
+        assert not sound_recordings.problems(recording, KINDS[name])
 
 
 def test_every_edit_is_found(tmp_path: Path) -> None:
