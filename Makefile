@@ -166,7 +166,7 @@ fuzz: $(TEST) kernels ## throw 10,000 hostile inputs at each decoder and validat
 portability: kernels ## prove the same bits under masks of this CPU and on emulated ones; ARGS=--write takes this machine's
 	@$(VENV)/bin/python -m qualification.portability $(ARGS)
 
-soak: kernels ## run for hours: two of rig time freewheeling, ten minutes live at 50 kS/s; ARGS='--part live' chooses
+soak: kernels ## run for hours: two of rig time free-running, ten minutes live at 50 kS/s; ARGS='--part live' chooses
 	@$(VENV)/bin/python qualification/soak.py $(ARGS)
 
 COLCON := build/colcon-venv

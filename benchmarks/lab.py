@@ -41,7 +41,7 @@ sys.path.insert(0, str(ROOT / "test"))
 from kits.browser import Browser  # noqa: E402
 
 from benchmarks.cpu import cpu_share, resident_mb  # noqa: E402
-from benchmarks.live import FREEWHEEL_WINDOW, graph  # noqa: E402
+from benchmarks.live import FREE_RUNNING_WINDOW, graph  # noqa: E402
 from impact_rig.client import Client, Processes  # noqa: E402
 from impact_rig.errors import ImpactRigError  # noqa: E402
 
@@ -63,7 +63,7 @@ def tell(text: str) -> None:
 def run() -> dict[str, float]:
     """Measure everything."""
     seconds, pairs = float(os.environ.get("SECONDS", "10")), int(os.environ.get("PAIRS", "5"))
-    return {**_live(seconds, pairs), **_freewheel(seconds, pairs)}
+    return {**_live(seconds, pairs), **_free_running(seconds, pairs)}
 
 
 def _live(seconds: float, pairs: int) -> dict[str, float]:
@@ -103,17 +103,18 @@ def _live(seconds: float, pairs: int) -> dict[str, float]:
             browser.close()
 
 
-def _freewheel(seconds: float, pairs: int) -> dict[str, float]:
+def _free_running(seconds: float, pairs: int) -> dict[str, float]:
     """Speed as fast as analysis and recorder follow, in turns with and without a page."""
     parameters = {
-        "time.mode": "freewheel", "time.peers": ("analysis", "recorder"), "time.ack_window": FREEWHEEL_WINDOW, **DRIVE,
+        "time.mode": "free_running", "time.peers": ("analysis", "recorder"),
+        "time.ack_window": FREE_RUNNING_WINDOW, **DRIVE,
     }  # fmt: skip
     with graph(parameters) as (client, processes, directory), _lab(processes, directory) as (address, _):
         browser = Browser()
         try:
             without, speeds = [_speed(client, seconds)], []
             for turn in range(pairs):
-                tell(f"freewheel, pair {turn + 1} of {pairs}: with a page, then without one")
+                tell(f"free_running, pair {turn + 1} of {pairs}: with a page, then without one")
                 with _pages(browser, address, sockets=0):
                     client.spin_for(2.0)
                     speeds.append(_speed(client, seconds))

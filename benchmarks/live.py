@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The whole graph as processes: real time at 10 and 50 kS/s, freewheel at 10 kS/s, in turns with what the wire takes.
+"""The whole graph as processes: real time at 10 and 50 kS/s, free-running at 10 kS/s, beside what the wire takes.
 
 Lateness is receipt at a further subscriber less the end of the block, so it holds computing, pacing, DDS and that
 subscriber's own wake-up. CPU shares are those of the processes, from /proc, in percent of one core. The environment
@@ -45,7 +45,7 @@ BLOCK_NS = 10_000_000
 DRIVE = {"drive.amplitude": 0.52, "barriers.gap_m": 0.006}
 NODES = ("rig", "analysis", "recorder")
 WARM_UP_S = 2.0
-FREEWHEEL_WINDOW = 64
+FREE_RUNNING_WINDOW = 64
 ROUNDS = 3
 STOPS = 50
 BESIDE = dict(zip(NODES, ("source", *wire.READERS), strict=True))  # node -> the bare process with its messages
@@ -58,7 +58,7 @@ def run() -> dict[str, float]:
     return {
         **live_beside_the_wire(seconds / 2),
         **live(seconds, 50_000),
-        **freewheel_beside_the_wire(seconds / 2),
+        **free_running_beside_the_wire(seconds / 2),
         **stop_under_load(),
     }
 
@@ -75,13 +75,13 @@ def live_beside_the_wire(seconds: float) -> dict[str, float]:
     }
 
 
-def freewheel_beside_the_wire(seconds: float) -> dict[str, float]:
-    """Freewheel and what the wire carries, in turn; the ratio of their medians."""
+def free_running_beside_the_wire(seconds: float) -> dict[str, float]:
+    """Free-running mode and what the wire carries, in turn; the ratio of their medians."""
     found = [
         (
-            freewheel(seconds)["freewheel_x_realtime_10kSps"],
-            wire.run(seconds, FREEWHEEL_WINDOW),
-            wire.run(seconds, FREEWHEEL_WINDOW, patient=True),
+            free_running(seconds)["freewheel_x_realtime_10kSps"],
+            wire.run(seconds, FREE_RUNNING_WINDOW),
+            wire.run(seconds, FREE_RUNNING_WINDOW, patient=True),
         )
         for _ in range(ROUNDS)
     ]
@@ -124,12 +124,12 @@ def live(seconds: float, rate_hz: int) -> dict[str, float]:
         return {f"live_{rate_hz // 1000}kSps_{name}": value for name, value in figures.items()}
 
 
-def freewheel(seconds: float) -> dict[str, float]:
+def free_running(seconds: float) -> dict[str, float]:
     """As fast as analysis and recorder acknowledge, default rate."""
     parameters = {
-        "time.mode": "freewheel",
+        "time.mode": "free_running",
         "time.peers": ("analysis", "recorder"),
-        "time.ack_window": FREEWHEEL_WINDOW,
+        "time.ack_window": FREE_RUNNING_WINDOW,
         **DRIVE,
     }
     with graph(parameters) as (client, _, _):

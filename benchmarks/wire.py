@@ -15,7 +15,7 @@
 
 A source publishes scans of 10 ms at 10 kS/s, monitors and clock as ready-made bytes; a reader acknowledges every scan;
 a keeper writes all bytes to a file and acknowledges, too. The source keeps at most a window ahead of the slower of the
-two: freewheel without simulation, analysis or MCAP; the ratio to it, measured in the same minute, says how near ours
+two: free-running without simulation, analysis or MCAP; the ratio to it, measured in the same minute, says how near ours
 comes. It sends five messages a block there, a rig 3.4; on the other hand threads of DDS interrupt it, as they do every
 rclpy node. With threads as patient as our nodes' it carries nearly twice as much. Or the source publishes a block every
 10 ms: the least that a rig, its analysis and its recorder take of a core in real time.

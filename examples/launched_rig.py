@@ -33,7 +33,7 @@ from impact_rig.system.files import share_dir
 def description() -> LaunchDescription:
     """One rig as fast as its analysis follows, not recorded."""
     source = PythonLaunchDescriptionSource(str(share_dir() / "launch" / "rig.launch.py"))
-    arguments = {"mode": "freewheel", "peers": "analysis", "record": "false"}
+    arguments = {"mode": "free_running", "peers": "analysis", "record": "false"}
     return LaunchDescription([IncludeLaunchDescription(source, launch_arguments=arguments.items()), ReadyToTest()])
 
 

@@ -119,7 +119,7 @@ SERVICES = (
         "~/step",
         TRIGGER,
         "rig",
-        "Advance by `step.blocks`, while paused or with `time.mode: stepped`; answered when the last block is out and "
+        "Advance by `step.blocks`, while paused or with `time.mode: lockstep`; answered when the last block is out and "
         "acknowledged by all `time.peers`. A paused rig stays paused.",
         _ACTIVE,
     ),

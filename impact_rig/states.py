@@ -57,7 +57,7 @@ class RigWord(Word):
         "a peer no longer acknowledges, or a controller sends no samples: rig time stands still",
     )
     TRIPPED = "tripped", "the interlock or `~/stop` has latched the shaker: the reason says which"
-    PAUSED = "paused", "by `~/pause`; or stepped, and for a second no step was asked for"
+    PAUSED = "paused", "by `~/pause`; or in lockstep, and for a second no step was asked for"
     PLUCKED = "plucked", "base locked after a pluck, structure swings freely"
     AT_REST = "at_rest", "running, no drive"
     DRIVING = "driving", "running, an amplitude is commanded"

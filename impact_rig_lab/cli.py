@@ -62,7 +62,10 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.add_argument("--no-browser", action="store_true", help="only print the address")
     parser.add_argument("--rate", type=int, default=10_000, metavar="HZ", help="scans per second (default: 10000)")
     parser.add_argument(
-        "--mode", choices=("realtime", "freewheel"), default="realtime", help="how rig time passes (default: realtime)"
+        "--mode",
+        choices=("realtime", "free_running"),
+        default="realtime",
+        help="how rig time passes (default: realtime)",
     )
     parser.add_argument(
         "--branches", type=Path, metavar="DIR", nargs="+", default=(),

@@ -15,11 +15,11 @@
 
 Examples:
     ros2 launch impact_rig rig.launch.py
-    ros2 launch impact_rig rig.launch.py mode:=freewheel config:=/path/to/mine.yaml record:=false
+    ros2 launch impact_rig rig.launch.py mode:=free_running config:=/path/to/mine.yaml record:=false
     ros2 launch impact_rig rig.launch.py overrides:='{barriers.gap_m: 0.004, daq.seed: 7}' autostart:=false
     ros2 launch impact_rig rig.launch.py namespace:=rig2 clock:=/clock
     ros2 launch impact_rig rig.launch.py enclave:=/rig
-    ros2 launch impact_rig rig.launch.py mode:=stepped peers:=analysis,recorder,my_controller
+    ros2 launch impact_rig rig.launch.py mode:=lockstep peers:=analysis,recorder,my_controller
     ros2 launch impact_rig rig.launch.py lab:=true
     ros2 launch impact_rig rig.launch.py rviz:=true
     ros2 launch impact_rig rig.launch.py --show-args
@@ -244,7 +244,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "mode",
                 default_value="",
-                choices=["", "realtime", "freewheel", "stepped"],
+                choices=["", "realtime", "free_running", "lockstep"],
                 description="Paced by the clock, as fast as the peers follow, or by ~/step; empty: as in the file.",
             ),
             DeclareLaunchArgument(

@@ -15,7 +15,7 @@
 
 Examples:
     ros2 launch impact_rig two_rigs.launch.py
-    ros2 launch impact_rig two_rigs.launch.py first:=left second:=right mode:=freewheel
+    ros2 launch impact_rig two_rigs.launch.py first:=left second:=right mode:=free_running
     ros2 launch impact_rig two_rigs.launch.py second_overrides:='{barriers.gap_m: 0.01}' record:=false
 """
 

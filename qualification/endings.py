@@ -148,7 +148,7 @@ def end_program(words: Sequence[str | Path], number: int, instant_s: float, fold
 def end_nodes(number: int, instant_s: float, folder: Path, tally: Tally) -> None:
     """Start rig, analysis and recorder as a launch file does, and signal all of them."""
     with isolated_domain() as domain, Processes(domain, folder / "logs") as processes:
-        processes.start("rig", {"time.mode": "freewheel", "time.peers": ["analysis", "recorder"]})
+        processes.start("rig", {"time.mode": "free_running", "time.peers": ["analysis", "recorder"]})
         processes.start("analysis")
         processes.start("recorder", {"directory": str(folder), "name": "run"})
         for name in NODES:

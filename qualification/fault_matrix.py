@@ -20,7 +20,7 @@ says of rows, state of the analysis and faults in force is asked every second: `
 such a row. The table in docs/analysis.md is the last thing it prints.
 
 Processes:
- Rig, analysis and recorder run as processes, freewheeling; a client is a peer as well, so what it misses is a loss.
+ Rig, analysis and recorder run as processes, free-running; a client is a peer as well, so what it misses is a loss.
 Each case hurts one of them, undoes it as an operator would, and measures the wall time until blocks flow again. At the
 end the recording is checked: every block that the recorder acknowledged must be in it.
 """
@@ -94,7 +94,7 @@ class Graph:
         """Start a process, or start it again."""
         parameters: dict[str, object] = {}
         if node == "rig":
-            parameters = {"time.mode": "freewheel", "time.peers": PEERS, "drive.amplitude": 0.52}
+            parameters = {"time.mode": "free_running", "time.peers": PEERS, "drive.amplitude": 0.52}
         elif node == "recorder":
             parameters = {"directory": str(self.directory), "name": f"run{self.recordings}"}
             self.recordings += 1

@@ -13,7 +13,7 @@
 # limitations under the License.
 """Call what the `ros2` command line calls, through rclpy, and say what did not answer as documented.
 
-`python qualification/ros2_calls.py` (a minute): two rigs in two namespaces as processes, one in freewheel, one at half
+`python qualification/ros2_calls.py` (a minute): two rigs in two namespaces as processes, one free-running, one at half
 of real time, each with a clock of its own; then a rig all of whose topics are renamed. Each line names the command it
 stands for. The wheels have no ros2cli, but list, info, echo, hz, param, lifecycle and service are few lines above
 rclpy.
@@ -44,7 +44,7 @@ from impact_rig.nodes.rig_node import RigNode
 
 NODES = ("rig", "analysis", "recorder")
 MODES: dict[str, dict[str, Any]] = {
-    "/one": {"time.mode": "freewheel"},
+    "/one": {"time.mode": "free_running"},
     "/two": {"time.mode": "realtime", "time.factor": 0.5},
 }
 ECHOED = (
@@ -206,7 +206,7 @@ def renamed(calls: Calls) -> None:
     arguments = ["--ros-args", *itertools.chain.from_iterable(("-r", rule) for rule in rules)]
     with isolated_domain() as domain_id, Client(domain_id) as client:
         client.host(AnalysisNode, cli_args=arguments)
-        parameters = ros_parameters({"time.mode": "stepped"})
+        parameters = ros_parameters({"time.mode": "lockstep"})
         client.host(RigNode, parameter_overrides=parameters, cli_args=arguments)
         client.wait_active("rig", "analysis")
         topics(calls, client, "renamed/")

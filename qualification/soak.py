@@ -15,7 +15,7 @@
 
 Two parts, each with the rig, the analysis and the recorder as processes, as a user has them:
 
-- freewheel: hours of rig time, as fast as the peers follow, at 10 kS/s;
+- free-running mode: hours of rig time, as fast as the peers follow, at 10 kS/s;
 - live: minutes of real time at 50 kS/s.
 
 Memory must be flat: the slope over the second half, times the whole duration, must stay below a limit. The pools
@@ -45,7 +45,7 @@ NODES = ("rig", "analysis", "recorder")
 SAMPLES = 60
 GROWTH_LIMIT_MB = 10.0
 DESCRIPTOR_LIMIT = 2
-RATES = {"freewheel": 10_000, "live": 50_000}
+RATES = {"free_running": 10_000, "live": 50_000}
 
 
 @attrs.define
@@ -71,8 +71,8 @@ class Watched:
 
 
 def soak(part: str, duration_s: float, directory: Path, console: Console) -> bool:
-    """Run one part for a duration: rig time in freewheel, real time live; return whether all was well."""
-    rate, mode = RATES[part], "freewheel" if part == "freewheel" else "realtime"
+    """Run one part for a duration: rig time in free_running, real time live; return whether all was well."""
+    rate, mode = RATES[part], "free_running" if part == "free_running" else "realtime"
     with isolated_domain() as domain_id, Processes(domain_id, directory / "logs") as processes:
         processes.start(
             "rig",
@@ -94,7 +94,7 @@ def soak(part: str, duration_s: float, directory: Path, console: Console) -> boo
             for number in range(1, SAMPLES + 1):
                 while done < duration_s * number / SAMPLES:
                     client.spin_for(0.2)
-                    done = (_rig_time_s(client) - begin) if part == "freewheel" else (time.monotonic() - began)
+                    done = (_rig_time_s(client) - begin) if part == "free_running" else (time.monotonic() - began)
                 for node, record in watched.items():
                     record.look(processes.running[node].pid)
                 console.print(f"{part}: {done:.0f} of {duration_s:.0f} s", end="\r")
@@ -134,13 +134,13 @@ def main() -> int:
     """Return 0 if memory and descriptors were flat and nothing was lost."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--part", choices=tuple(RATES), help="only this one; default: both")
-    parser.add_argument("--hours", type=float, default=2.0, help="of rig time in freewheel (default 2)")
+    parser.add_argument("--hours", type=float, default=2.0, help="of rig time free-running (default 2)")
     parser.add_argument("--minutes", type=float, default=10.0, help="of real time live (default 10)")
     parser.add_argument("--keep", type=Path, help="keep runs and logs in this directory; default: removed")
     arguments = parser.parse_args()
     console = Console()
     directory = arguments.keep or Path(tempfile.mkdtemp(prefix="impact_rig_soak_"))
-    durations = {"freewheel": arguments.hours * 3600, "live": arguments.minutes * 60}
+    durations = {"free_running": arguments.hours * 3600, "live": arguments.minutes * 60}
     try:
         parts = [arguments.part] if arguments.part else list(RATES)
         well = [soak(part, durations[part], directory / part, console) for part in parts]

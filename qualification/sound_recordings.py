@@ -109,7 +109,7 @@ class Stage:
             "daq.block_scans": kind.block_scans,
             "daq.seed": seed,
             "barriers.gap_m": 0.002,
-            "time.mode": "realtime" if kind.in_real_time else "stepped",
+            "time.mode": "realtime" if kind.in_real_time else "lockstep",
             **dict(kind.values),
         }
         self.random = np.random.default_rng(seed)

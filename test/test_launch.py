@@ -159,7 +159,7 @@ def test_the_parameters_are_those_of_the_nodes() -> None:
 
     schemas = {"rig": TREE, "analysis": Tree(AnalysisSettings)}
     schemas["recorder"] = Tree(RecorderSettings)
-    started = nodes(RIG, mode="freewheel", factor="1", start_wait="1", autostart="true")
+    started = nodes(RIG, mode="free_running", factor="1", start_wait="1", autostart="true")
     for name, schema in schemas.items():
         known = {field for field, _, _ in schema.fields()} | {CONFIG_FILE, "use_sim_time"}
         assert set(parameters(started[name])) <= known, name
@@ -224,7 +224,7 @@ def test_rviz_and_tf_come_on_request_and_agree_on_frames() -> None:
 
 def test_two_rigs_are_the_first_file_twice_with_namespaces_clocks_and_folders_of_their_own() -> None:
     entities = description(TWO)
-    context = context_of(entities, {"mode": "freewheel"})
+    context = context_of(entities, {"mode": "free_running"})
     groups = [entity for entity in entities if isinstance(entity, GroupAction)]
     assert all(group.words == {"scoped": True} for group in groups)
     given = []
@@ -240,7 +240,7 @@ def test_two_rigs_are_the_first_file_twice_with_namespaces_clocks_and_folders_of
         assert len({node["namespace"] for node in rigs}) == 2
         assert all(("/clock", "clock") in node["remappings"] for node in rigs), "relative: one per namespace"
     assert parameters(started[1]["rig"])["daq.seed"] == 2
-    assert {one["mode"] for one in given} == {"freewheel"}
+    assert {one["mode"] for one in given} == {"free_running"}
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)

@@ -125,7 +125,7 @@ def test_policy_and_launch_file_agree() -> None:
     from impact_rig import graph
     from tools import sros2_policy
 
-    started = nodes(ROOT / "launch" / "rig.launch.py", enclave="/rig", mode="freewheel")
+    started = nodes(ROOT / "launch" / "rig.launch.py", enclave="/rig", mode="free_running")
     enclaves = {one.get("path"): one for one in ET.fromstring(sros2_policy.policy()).iter("enclave")}
     for name, node in started.items():
         profile = enclaves[node["ros_arguments"][node["ros_arguments"].index("--enclave") + 1]].find("profiles/profile")

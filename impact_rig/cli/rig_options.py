@@ -89,7 +89,7 @@ def open_rig(
 
     if arguments.through == RUNNING:
         return RosRig(required, record=record, namespace=arguments.namespace)
-    return RosRig(config, analysis=analysis, record=record, mode="freewheel")
+    return RosRig(config, analysis=analysis, record=record, mode="free_running")
 
 
 def run_directory(wanted: Path | None, what: str) -> Path:

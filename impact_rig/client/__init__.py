@@ -14,7 +14,7 @@
 """Programs that use a rig over ROS: processes of nodes, a client of their topics and services, a domain of its own.
 
     with isolated_domain() as domain_id, Processes(domain_id, logs) as processes:
-        processes.start("rig", {"time.mode": "stepped", "barriers.gap_m": 0.006})
+        processes.start("rig", {"time.mode": "lockstep", "barriers.gap_m": 0.006})
         with Client(domain_id, processes=processes) as client:
             client.wait_active("rig")
             scans = client.collect("daq/scan")

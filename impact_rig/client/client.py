@@ -505,7 +505,7 @@ class Client:
         self.publish(topics.NOTES, String(data=text))
 
     def step(self, blocks: int | None = None, timeout_s: float = START_TIMEOUT_S) -> str:
-        """Advance a stepped rig and return when the last block is out and acknowledged."""
+        """Advance a rig in lockstep and return when the last block is out and acknowledged."""
         if blocks is not None:
             self.set_parameters("rig", {"step.blocks": blocks})
         return self.trigger("rig/step", timeout_s)

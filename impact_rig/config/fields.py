@@ -234,12 +234,14 @@ def choice(
     *,
     read_only: bool = False,
     switched: Mapping[bool, str] | None = None,
+    formerly: Mapping[str, str] | None = None,
 ) -> Any:
     """One word out of `choices`; none of them may be a word that YAML takes for something else.
 
     `switched` has the words that true and false stand for, and `on` and `off` with them, which YAML takes for these.
+    `formerly` has words of an earlier version, which recordings hold, and what they are called now.
     """
-    meant: dict[tuple[type, object], str] = {}
+    meant: dict[tuple[type, object], str] = {(str, word): now for word, now in (formerly or {}).items()}
     for state, word in (switched or {}).items():
         meant[bool, state] = meant[str, "on" if state else "off"] = word
     about = FieldInfo(doc, "-", origin, choices=choices, read_only=read_only)

@@ -132,7 +132,7 @@ class Drive:
         2.0, "s", "How far ahead samples of a stream are taken.", at_least=0.02, at_most=60
     )
     stream_wait: bool = switch(
-        True, "In freewheel and stepped the rig goes no further than it has samples of a stream."
+        True, "In free_running and lockstep the rig goes no further than it has samples of a stream."
     )
     on_underrun: str = choice(
         "ramp",
@@ -200,16 +200,17 @@ class Time:
 
     mode: str = choice(
         "realtime",
-        ("realtime", "freewheel", "stepped"),
+        ("realtime", "free_running", "lockstep"),
         "Paced by the clock, as fast as the peers acknowledge, or by ~/step.",
         read_only=True,
+        formerly={"freewheel": "free_running", "stepped": "lockstep"},
     )
     factor: float = quantity(1.0, "-", "Speed of realtime, times real time.", above=0, at_most=1000)
     peers: tuple[str, ...] = names(
-        (), "Peers whose daq/ack freewheel and stepped wait for; in realtime scan 0 waits for them."
+        (), "Peers whose daq/ack free_running and lockstep wait for; in realtime scan 0 waits for them."
     )
     ack_window: int = integer(
-        16, "blocks", "How far freewheel runs ahead of the slowest peer.", at_least=1, at_most=1000
+        16, "blocks", "How far a free-running rig runs ahead of the slowest peer.", at_least=1, at_most=1000
     )
     peer_timeout_s: float = quantity(3.0, "s", "A peer silent for this long pauses the rig.", above=0)
     start_wait_s: float = quantity(
@@ -223,8 +224,8 @@ class Time:
     )
 
     def __attrs_post_init__(self) -> None:
-        if self.mode == "freewheel" and not self.peers:
-            raise ConfigError("peers must name who follows in freewheel: without, every queue would overflow, got []")
+        if self.mode == "free_running" and not self.peers:
+            raise ConfigError("peers must name who follows in free_running: without, queues would overflow, got []")
 
     @property
     def is_simulated(self) -> bool:

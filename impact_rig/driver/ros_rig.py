@@ -63,7 +63,7 @@ NODE_TIMEOUT_S = 30.0  # how long a node under test may take to subscribe
 ACK_WINDOW, WINDOW_S = 8, 0.1
 """Bounds of the blocks out and not acknowledged: fewer than the 10 messages most nodes keep, so that a slow one loses
 none, and so little rig time that the messages of the monitors stay within what the middleware holds."""
-LOCKSTEP = "stepped"
+LOCKSTEP = "lockstep"
 RUN = "run"
 CLIENT, CONTROLLER = "client", "controller"
 """Node of this program for a rig that it starts, and for one that runs already, where it may be among `time.peers`."""

@@ -38,7 +38,7 @@ from impact_rig.nodes.pacing import Clock
 from impact_rig.simtime import NS_PER_S
 
 KEPT = 4096  # blocks whose stamps are remembered, at least
-POLL_S = 0.02  # least time between two looks for peers that freewheel waits for
+POLL_S = 0.02  # least time between two looks for peers that a free-running rig waits for
 LOOK_S = 0.5  # least time between two looks for everybody
 REALTIME_S = 0.05
 """Time between acknowledgements of a rig in real time, which waits for nobody and only wants to know who is late."""

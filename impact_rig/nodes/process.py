@@ -77,7 +77,7 @@ def patient_threads() -> Iterator[None]:
     """Let threads that begin meanwhile, those of DDS, wait for a free core or their turn when they wake (Linux).
 
     Each message wakes some, in its sender as well: receipt, heartbeats, acknowledgements. Where all cores are busy they
-    would interrupt the callback that runs some five times a block, which costs freewheel a quarter of its speed.
+    would interrupt the callback that runs some five times a block, which costs a quarter of the speed.
     The calling thread is as patient meanwhile. A process that somebody gave a policy of its own keeps it (sched(7):
     `SCHED_BATCH` and others are inherited).
     """

@@ -164,7 +164,7 @@ class RigState:
             yield Trouble(Level.ERROR, f"shaker latched by {rig.latched}", NodeState(words.TRIPPED, rig.latched))
         if session.paused:
             yield Trouble(Level.WARN, "paused", NodeState(words.PAUSED, "~/pause"))
-        if session.is_stepped and session.is_idle:
+        if session.is_lockstep and session.is_idle:
             yield Trouble(Level.OK, "", NodeState(words.PAUSED, "no step is asked for"))
         without = missing if realtime else ", ".join(session.window.waived())
         if without:

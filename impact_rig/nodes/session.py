@@ -14,7 +14,7 @@
 """A rig on the graph: whether it may begin, what it is told, its time, what it publishes, and how far its readers are.
 
 The work is calls into `Rig` for the blocks that are due: by the clock in realtime, otherwise as far as the slowest
-peer allows, and where rig time is stepped or paused only as far as steps were asked for.
+peer allows, and where rig time is in lockstep or paused only as far as steps were asked for.
 
 A domain and namespace belong to one rig of a machine at a time. The graph knows of another rig only after seconds where
 an announcement was missed; a lock tells at once, but only on this machine. Where discovery ends here, nobody waits.
@@ -258,9 +258,9 @@ class Session:
         return self.node.settings.time.mode == "realtime"
 
     @property
-    def is_stepped(self) -> bool:
+    def is_lockstep(self) -> bool:
         """Whether rig time moves by steps only, paused or not."""
-        return self.node.settings.time.mode == "stepped"
+        return self.node.settings.time.mode == "lockstep"
 
     @property
     def is_idle(self) -> bool:
@@ -472,7 +472,7 @@ class Session:
     def _run_ahead(self, rig: Rig, deadline: float) -> None:
         """Publish as many blocks as the window (and a step) allows, until the deadline."""
         daq, window = self.node.settings.daq, self.window
-        by_steps = self.paused or self.is_stepped
+        by_steps = self.paused or self.is_lockstep
         limit = self._steps_left if by_steps else window.window
         if not self.readers.all_matched():
             self._refuse_without_peers()
@@ -549,7 +549,7 @@ class Session:
         if self.paused or self.window.silent() or starving:  # else it was running: nothing is given up
             self.paused = self._is_still = False
             _answer(self._pausing, False, "told to go on")
-            if not self.is_stepped:
+            if not self.is_lockstep:
                 self._end_steps("told to go on")
             self.window.waive()
             if starving:
@@ -573,9 +573,9 @@ class Session:
 
     def _on_step(self, _request: Trigger.Request, done: Done) -> None:
         self.running()
-        if not self.is_stepped and not self.paused:
+        if not self.is_lockstep and not self.paused:
             mode = self.node.settings.time.mode
-            raise CommandError(f"the rig runs in {mode}: pause it first (~/pause), or set time.mode to stepped")
+            raise CommandError(f"the rig runs in {mode}: pause it first (~/pause), or set time.mode to lockstep")
         self.step(1, done)
 
     # Other inputs

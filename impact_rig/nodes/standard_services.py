@@ -94,7 +94,7 @@ class StandardServices:
             return int(states.STATE_QUITTING)
         if rig is None or (self._session.paused and self._stopped == (rig, rig.next_block_ns)):
             return int(states.STATE_STOPPED)
-        stands = self._session.paused or self._session.is_stepped
+        stands = self._session.paused or self._session.is_lockstep
         return int(states.STATE_PAUSED if stands else states.STATE_PLAYING)
 
     def _get_simulator_features(self, _request: Any, response: Any, tell: Tell) -> None:
@@ -121,8 +121,8 @@ class StandardServices:
             tell(codes.RESULT_OK, "")
         elif rig is None:
             tell(response.STATE_TRANSITION_ERROR, self._session.why_not())
-        elif wanted == states.STATE_PLAYING and self._session.is_stepped:
-            tell(response.STATE_TRANSITION_ERROR, "time.mode is stepped: the rig moves by steps only")
+        elif wanted == states.STATE_PLAYING and self._session.is_lockstep:
+            tell(response.STATE_TRANSITION_ERROR, "time.mode is lockstep: the rig moves by steps only")
         elif wanted == states.STATE_PLAYING:
             self._session.resume(self._done(tell, response.STATE_TRANSITION_ERROR))
         elif wanted == states.STATE_PAUSED:

@@ -33,7 +33,7 @@ def dotted(values: dict[str, Any]) -> dict[str, Any]:
     return {name.replace("__", "."): value for name, value in values.items()}
 
 
-def host_rig(client: Client, mode: str = "stepped", **values: Any) -> RigNode:
+def host_rig(client: Client, mode: str = "lockstep", **values: Any) -> RigNode:
     """Run a rig node in this process; keys with `__` for the point."""
     return client.host(RigNode, parameter_overrides=ros_parameters({"time.mode": mode, **dotted(values)}))
 

@@ -32,7 +32,7 @@ def opened_by(namespace: str, clock: str, directory: str) -> dict[str, Opened]:
     """Run every node in a namespace with a clock of its own, and return what each of them opens."""
     arguments = ["--ros-args", "-r", f"/clock:={clock}"]
     makers: dict[str, tuple[Any, dict[str, Any]]] = {
-        "rig": (RigNode, {"time.mode": "stepped"}),
+        "rig": (RigNode, {"time.mode": "lockstep"}),
         "analysis": (AnalysisNode, {"use_sim_time": True}),
         "recorder": (RecorderNode, {"use_sim_time": True, "directory": directory}),
         "stepped_sine": (SteppedSineNode, {"use_sim_time": True, "hold": "phase"}),

@@ -103,7 +103,7 @@ def test_a_trip_is_reported_with_its_figures(start: Start) -> None:
 
 def test_a_stream_is_played_and_read_and_ends_where_its_samples_end(start: Start) -> None:
     wave = 0.3 * np.sin(2.0 * np.pi * 9.0 * np.arange(1500) / 2000)
-    found = Hardware(start({**STREAM, "time.mode": "freewheel", "time.peers": ["client"]})).respond(wave)
+    found = Hardware(start({**STREAM, "time.mode": "free_running", "time.peers": ["client"]})).respond(wave)
     twin = Hardware(LocalRig(STREAM)).respond(wave)
     assert found["current"].tobytes() == twin["current"].tobytes()
     assert np.abs(found["current"][:1500]).max() > 0.25

@@ -47,7 +47,7 @@ def frames(collectors: list[Collector]) -> dict[str, set[str]]:
 
 def frames_of_a_rig(client: Client, prefix: str = "") -> dict[str, set[str]]:
     """Run a rig with its analysis in the namespace of the client, and return the frames that they publish."""
-    settings = {"time.mode": "stepped", "drive.amplitude": 0.52, "barriers.gap_m": 0.002, "time.peers": ["analysis"]}
+    settings = {"time.mode": "lockstep", "drive.amplitude": 0.52, "barriers.gap_m": 0.002, "time.peers": ["analysis"]}
     rig = client.host(
         RigNode,
         parameter_overrides=ros_parameters(settings | {"output.frame_prefix": prefix, "output.truth_scan": True}),

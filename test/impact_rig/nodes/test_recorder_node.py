@@ -70,7 +70,7 @@ def test_a_run_holds_every_message_and_the_configuration(client: Client, tmp_pat
     with open_run(tmp_path / "run") as run:
         assert run.topics[run.resolve("daq/scan")].count == 50
         assert run.provenance["seed"] == "77"
-        assert run.provenance["mode"] == "stepped"
+        assert run.provenance["mode"] == "lockstep"
         assert b"gap_m: 0.002" in run.attachments()["config.yaml"]
         stamps = [table.stamp_ns for table in run.tables("daq/scan")]
         assert stamps == [k * 10_000_000 for k in range(50)]
@@ -353,7 +353,7 @@ def test_after_a_loss_nothing_is_acknowledged_until_the_recording_is_stopped(
 def test_long_blocks_ahead_of_time_lose_no_monitor_message(client: Client, tmp_path: Path) -> None:
     """The rig sends 16 blocks of half a second ahead: more messages than the middleware holds."""
     host_recorder(client, tmp_path)
-    host_rig(client, "freewheel", time__peers=["recorder"], daq__block_scans=5000, output__monitor_rate_hz=200.0)
+    host_rig(client, "free_running", time__peers=["recorder"], daq__block_scans=5000, output__monitor_rate_hz=200.0)
     client.wait_active("rig", "recorder")
     scans = client.listen("daq/scan")
     client.wait_until(lambda: len(scans) > 40, "blocks", 60.0)

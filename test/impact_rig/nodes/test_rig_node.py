@@ -112,7 +112,7 @@ def test_the_published_configuration_is_a_file_that_loads_again(client: Client, 
     client.wait_until(lambda: configuration.messages, "rig/configuration")
     path = tmp_path / "rig.yaml"
     path.write_text(configuration.messages[0].data)
-    expected = from_flat(RigConfig(), {"barriers.gap_m": 0.004, "time.mode": "stepped"})
+    expected = from_flat(RigConfig(), {"barriers.gap_m": 0.004, "time.mode": "lockstep"})
     assert load_config(path) == expected
 
 
@@ -133,7 +133,7 @@ def test_qos_of_publishers_and_subscriptions_can_be_overridden(client: Client) -
     assert client.get_parameters("analysis", [scans]) == {scans: 5}
 
 
-@pytest.mark.parametrize("mode", ["realtime", "freewheel"])
+@pytest.mark.parametrize("mode", ["realtime", "free_running"])
 def test_a_simulation_that_cannot_go_on_deactivates_the_rig_and_can_be_started_again(
     client: Client, mode: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

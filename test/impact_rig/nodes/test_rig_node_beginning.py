@@ -98,7 +98,7 @@ def starts(journal: Collector) -> int:
     return [entry.kind.value for entry in journal.entries()].count("start")
 
 
-@pytest.mark.parametrize("mode", ["realtime", "stepped"])
+@pytest.mark.parametrize("mode", ["realtime", "lockstep"])
 def test_a_second_rig_waits_until_the_first_is_gone(client: Client, mode: str) -> None:
     """Two rigs with one name in one namespace were merged into one recording."""
     first = host_rig(client, "realtime")
@@ -130,7 +130,7 @@ def test_a_rig_waits_for_one_of_this_machine_that_the_graph_does_not_know_yet(cl
     client.wait_until(lambda: "another rig of this machine" in client.status("rig").message, "the diagnostic")
     assert client.status("rig").level == LEVELS["error"]
     place.leave()
-    client.wait_until(lambda: client.status("rig").message == "running, stepped", "the rig to begin")
+    client.wait_until(lambda: client.status("rig").message == "running, lockstep", "the rig to begin")
     assert not place.take()
 
 
@@ -148,10 +148,10 @@ def test_a_clock_can_belong_to_a_namespace(client: Client) -> None:
     for name in ("one", "two"):
         client.host(
             lambda name=name, **kwargs: RigNode(**{**kwargs, "namespace": f"/{name}", "cli_args": remapped}),
-            parameter_overrides=ros_parameters({"time.mode": "stepped"}),
+            parameter_overrides=ros_parameters({"time.mode": "lockstep"}),
         )
-    client.wait_until(lambda: client.status("one/rig").message == "running, stepped", "the first")
-    client.wait_until(lambda: client.status("two/rig").message == "running, stepped", "the second")
+    client.wait_until(lambda: client.status("one/rig").message == "running, lockstep", "the first")
+    client.wait_until(lambda: client.status("two/rig").message == "running, lockstep", "the second")
     client.trigger("one/rig/step")
     client.trigger("two/rig/step")
     clocks = [client.node.count_publishers(name) for name in ("/clock", "/one/clock", "/two/clock")]

@@ -32,7 +32,7 @@ pytestmark = pytest.mark.ros
 
 
 def test_silent_peer_pauses_the_rig_by_name_until_told_to_go_on(client: Client) -> None:
-    host_rig(client, "freewheel", time__peers=["client"], time__peer_timeout_s=0.5, time__ack_window=4)
+    host_rig(client, "free_running", time__peers=["client"], time__peer_timeout_s=0.5, time__ack_window=4)
     client.wait_active("rig")
     scans = client.collect("daq/scan")  # listens, but never acknowledges
     client.wait_until(lambda: "client silent for 0.5 s" in client.status("rig").message, "the diagnostic")
@@ -40,12 +40,12 @@ def test_silent_peer_pauses_the_rig_by_name_until_told_to_go_on(client: Client) 
     assert len(scans) == 4, "no further than the window"
     client.pause(False)
     client.wait_until(lambda: len(scans) == 8, "the next window")
-    with pytest.raises(ConfigError, match="peers must name who follows in freewheel"):
+    with pytest.raises(ConfigError, match="peers must name who follows in free_running"):
         client.set_parameters("rig", {"time.peers": [""]})
 
 
-def test_freewheel_waits_for_peers_that_are_not_there_yet(client: Client) -> None:
-    host_rig(client, "freewheel", time__peers=["client", "absent"])
+def test_free_running_waits_for_peers_that_are_not_there_yet(client: Client) -> None:
+    host_rig(client, "free_running", time__peers=["client", "absent"])
     client.wait_active("rig")
     client.wait_until(lambda: "waiting for peer" in client.status("rig").message, "the diagnostic")
     assert "absent" in client.status("rig").message
@@ -100,14 +100,14 @@ def test_a_step_without_its_peer_is_refused_by_name(client: Client) -> None:
     assert "waiting for peer nobody" in client.status("rig").message
 
 
-def test_freewheel_without_anybody_to_follow_is_refused(client: Client) -> None:
-    rig = host_rig(client, mode="freewheel")
-    assert "peers must name who follows in freewheel" in str(rig.parameters.refused)
+def test_free_running_without_anybody_to_follow_is_refused(client: Client) -> None:
+    rig = host_rig(client, mode="free_running")
+    assert "peers must name who follows in free_running" in str(rig.parameters.refused)
 
 
 def test_a_peer_that_has_begun_anew_owes_nothing_and_the_rig_goes_on(client: Client) -> None:
     """A recorder that was killed and started again once left the rig standing: it got no block, so it said nothing."""
-    host_rig(client, "freewheel", time__peers=["client"], time__peer_timeout_s=0.5, time__ack_window=4)
+    host_rig(client, "free_running", time__peers=["client"], time__peer_timeout_s=0.5, time__ack_window=4)
     client.wait_active("rig")
     dead = client.subscribe(topics.SCAN, lambda *_: None, raw=True)
     client.wait_until(lambda: "client silent" in client.status("rig").message, "the diagnostic")
@@ -118,7 +118,7 @@ def test_a_peer_that_has_begun_anew_owes_nothing_and_the_rig_goes_on(client: Cli
 
 
 def test_a_rig_told_to_go_on_goes_on_without_the_one_that_is_silent(client: Client) -> None:
-    host_rig(client, "freewheel", time__peers=["client", "other"], time__peer_timeout_s=0.5, time__ack_window=4)
+    host_rig(client, "free_running", time__peers=["client", "other"], time__peer_timeout_s=0.5, time__ack_window=4)
     client.wait_active("rig")
     scans = client.collect("daq/scan", acknowledge=True)
     with Client(client.context.get_domain_id(), namespace=client.node.get_namespace(), name="other") as other:
@@ -131,7 +131,7 @@ def test_a_rig_told_to_go_on_goes_on_without_the_one_that_is_silent(client: Clie
 
 def test_peers_that_were_refused_together_with_something_else_are_not_waited_for(client: Client) -> None:
     """Once the rig stood still for a peer that is not in its parameters, and nothing but a new list let it go on."""
-    host_rig(client, "freewheel", time__peers=["client"])
+    host_rig(client, "free_running", time__peers=["client"])
     client.wait_active("rig")
     scans = client.collect("daq/scan", acknowledge=True)
     client.wait_until(lambda: len(scans) > 5, "blocks")

@@ -73,7 +73,7 @@ def test_only_another_speed_gives_the_work_another_rhythm(client: Client) -> Non
     client.wait_until(lambda: len(scans) > before + 5, "blocks at the new speed")
 
 
-@pytest.mark.parametrize("mode", ["realtime", "freewheel"])
+@pytest.mark.parametrize("mode", ["realtime", "free_running"])
 def test_other_modes_give_the_same_bits_for_the_same_journal(client: Client, mode: str) -> None:
     """Commands arrive whenever they arrive; the journal says where they acted."""
     host_rig(client, mode, time__peers=["client"], daq__seed=3, barriers__gap_m=0.002)
@@ -96,7 +96,7 @@ def test_other_modes_give_the_same_bits_for_the_same_journal(client: Client, mod
 
 
 def test_pause_holds_rig_time(client: Client) -> None:
-    host_rig(client, "freewheel", time__peers=["client"])
+    host_rig(client, "free_running", time__peers=["client"])
     client.wait_active("rig")
     scans = client.collect("daq/scan", acknowledge=True)
     client.pause(True)
@@ -110,7 +110,7 @@ def test_pause_holds_rig_time(client: Client) -> None:
 
 def test_a_pause_is_answered_when_everything_out_was_processed(client: Client) -> None:
     """So that what is done next (a reset, a new recording) has no blocks of the past on the way."""
-    host_rig(client, "freewheel", time__peers=["client"])
+    host_rig(client, "free_running", time__peers=["client"])
     client.wait_active("rig")
     scans = client.collect("daq/scan", acknowledge=True)
     client.wait_until(lambda: len(scans) > 30, "blocks")
@@ -133,13 +133,13 @@ def test_services_do_not_answer_success_twice(client: Client) -> None:
         assert response.success
 
 
-@pytest.mark.parametrize("mode", ["realtime", "freewheel", "stepped"])
+@pytest.mark.parametrize("mode", ["realtime", "free_running", "lockstep"])
 def test_a_paused_rig_is_stepped_block_by_block_and_stays_paused(client: Client, mode: str) -> None:
     """As simulation_interfaces have it: a step needs PAUSED; the samples are those of any other way."""
     node = host_rig(client, mode, time__peers=["client"], drive__amplitude=0.52)
     scans, journal = (client.collect(name, acknowledge=name == "daq/scan") for name in ("daq/scan", "rig/journal"))
     client.wait_active("rig")
-    if mode != "stepped":
+    if mode != "lockstep":
         client.wait_until(lambda: len(scans) > 3, "the first blocks")
     client.pause()
     client.wait_until(lambda: "paused" in client.status("rig").message, "the pause")
@@ -152,7 +152,7 @@ def test_a_paused_rig_is_stepped_block_by_block_and_stays_paused(client: Client,
     assert len(scans) == before + 8, "it stands still again"
     assert "paused" in client.status("rig").message
     client.pause(False)
-    if mode != "stepped":
+    if mode != "lockstep":
         client.wait_until(lambda: len(scans) > before + 20, "it goes on")
     assert scans.lost() == 0
     assert same_as_resimulated(scans, journal) == len(scans)
@@ -211,12 +211,12 @@ def test_step_refuses_in_the_wrong_mode_and_answers_when_deactivated(client: Cli
         client.trigger("rig/step")
 
 
-@pytest.mark.parametrize(("mode", "published"), [("stepped", True), ("realtime", False)])
+@pytest.mark.parametrize(("mode", "published"), [("lockstep", True), ("realtime", False)])
 def test_the_clock_runs_when_rig_time_is_not_real_time(client: Client, mode: str, published: bool) -> None:
     host_rig(client, mode)
     client.wait_active("rig")
     scans = client.collect("daq/scan")
-    if mode == "stepped":
+    if mode == "lockstep":
         client.step(5)
     client.wait_until(lambda: len(scans) >= 5, "blocks")
     assert bool(client.node.count_publishers("/clock")) == published

@@ -201,7 +201,7 @@ def test_what_is_offered_is_said_feature_by_feature(
     assert ("~/step_simulation" in user.offered) == (not absent)
 
 
-@pytest.mark.parametrize("mode", ["realtime", "freewheel"])
+@pytest.mark.parametrize("mode", ["realtime", "free_running"])
 def test_a_rig_is_paused_stepped_stopped_and_played(user: User, mode: str) -> None:
     client = user.client
     node = host_rig(client, mode, time__peers=["client"])
@@ -239,13 +239,13 @@ def test_a_rig_is_paused_stepped_stopped_and_played(user: User, mode: str) -> No
 
 def test_a_reset_is_of_the_state_alone(user: User) -> None:
     client = user.client
-    host_rig(client, "stepped", time__peers=["client"])
+    host_rig(client, "lockstep", time__peers=["client"])
     client.wait_active("rig")
     scans = client.collect("daq/scan", acknowledge=True)
     assert user.state == PAUSED, "it moves by steps only"
     assert user.set(PLAYING) == (
         SetResponse.STATE_TRANSITION_ERROR,
-        "time.mode is stepped: the rig moves by steps only",
+        "time.mode is lockstep: the rig moves by steps only",
     )
     user.call("step_simulation", StepRequest(3))
     for scope in (ResetRequest.SCOPE_DEFAULT, ResetRequest.SCOPE_ALL, ResetRequest.SCOPE_TIME, 3, 4, 6, 8, 10, 254):
@@ -271,7 +271,7 @@ def test_a_reset_is_of_the_state_alone(user: User) -> None:
 def test_a_rig_that_begins_anew_is_not_the_one_that_was_stopped(user: User) -> None:
     """At the time at which one before it was stopped it once was STOPPED in a pause, and took no step."""
     client = user.client
-    host_rig(client, "stepped", time__peers=["client"])
+    host_rig(client, "lockstep", time__peers=["client"])
     client.wait_active("rig")
     client.collect("daq/scan", acknowledge=True)
     user.call("step_simulation", StepRequest(5))
@@ -287,7 +287,7 @@ def test_a_rig_that_begins_anew_is_not_the_one_that_was_stopped(user: User) -> N
 
 def test_a_pause_is_answered_when_the_peers_are_done(user: User) -> None:
     client = user.client
-    host_rig(client, "freewheel", time__peers=["client"])
+    host_rig(client, "free_running", time__peers=["client"])
     scans = client.collect("daq/scan")
     client.wait_active("rig")
     client.wait_until(lambda: len(scans) > 3, "blocks nobody acknowledges")

@@ -129,9 +129,9 @@ def test_killed_processes_leave_a_readable_file_and_do_not_hinder_the_next_start
 
 
 def test_a_suspended_rig_and_a_suspended_peer_go_on_without_a_lost_block(processes: Processes, tmp_path: Path) -> None:
-    """Freewheel: the rig waits for a stopped peer and names it; its own stop is nobody's silence."""
+    """Free-running mode: the rig waits for a stopped peer and names it; its own stop is nobody's silence."""
     start_all(
-        processes, tmp_path / "run", "freewheel",
+        processes, tmp_path / "run", "free_running",
         time__peers=("analysis", "recorder"), time__peer_timeout_s=0.5, time__ack_window=8,
     )  # fmt: skip
     with Client(processes.domain_id, processes=processes) as client:

@@ -53,7 +53,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for node, values in (
             (AnalysisNode, {"gap_m": 0.0}),
             (RecorderNode, {"directory": str(directory), "name": "run", "record": False}),
-            (RigNode, {"time.mode": "stepped", "time.peers": ["analysis", "recorder"], "sphere.present": False}),
+            (RigNode, {"time.mode": "lockstep", "time.peers": ["analysis", "recorder"], "sphere.present": False}),
         ):
             client.host(node, parameter_overrides=[Parameter(name, value=value) for name, value in values.items()])
         client.wait_active("rig", "analysis", "recorder")

@@ -64,7 +64,7 @@ def test_a_stepped_run_is_whole_and_is_what_its_journal_says(
     processes: Processes, client: Client, tmp_path: Path
 ) -> None:
     """Published = recorded = re-simulated, and the recorded analysis is the one an offline tracker gives."""
-    start_all(processes, client, tmp_path, time__mode="stepped")
+    start_all(processes, client, tmp_path, time__mode="lockstep")
     scans = client.collect("daq/scan")
     client.step(20)
     client.command(frequency_hz=9.1, current_a=0.52)
@@ -97,7 +97,7 @@ def test_a_stepped_run_is_whole_and_is_what_its_journal_says(
 def test_a_killed_process_is_named_with_its_last_words_and_its_file_is_recovered(
     processes: Processes, client: Client, tmp_path: Path
 ) -> None:
-    start_all(processes, client, tmp_path, time__mode="freewheel")
+    start_all(processes, client, tmp_path, time__mode="free_running")
     acknowledged = client.listen("daq/ack")
     client.wait_until(lambda: float(client.figures("recorder").get("messages", 0)) > 3000, "a recording")
     client.wait_until(lambda: any(ack.frame_id == "recorder" for ack in acknowledged.messages), "its acknowledgement")

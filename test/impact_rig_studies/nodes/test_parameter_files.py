@@ -56,7 +56,7 @@ RIGS: dict[str, dict[str, Any]] = {
     "a law of each kind": {"contact__law": "kelvin_voigt", "contact__release": "force", "contact__restitution": 1.0},
     "no sphere, prescribed": {"sphere__present": False, "drive__kind": "prescribed", "drive__amplitude": 1e-3},
     "other instruments": {"instruments__ideal": True, "instruments__adc__bits": 24, "daq__seed": 2**53},
-    "stepped": {"time__mode": "stepped", "daq__rate_hz": 1000, "daq__block_scans": 10, "step__blocks": 7},
+    "lockstep": {"time__mode": "lockstep", "daq__rate_hz": 1000, "daq__block_scans": 10, "step__blocks": 7},
 }
 NODES: dict[str, tuple[type, list[dict[str, Any]]]] = {
     "rig": (RigNode, [dotted({"output__autostart": False, **values}) for values in RIGS.values()]),

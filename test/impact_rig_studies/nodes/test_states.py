@@ -63,7 +63,7 @@ def wait_for(client: Client, node: str, word: str, reason: str = "") -> dict[str
 
 def test_a_rig_says_what_it_does(client: Client) -> None:
     """Each change is told by the message that comes next, not by one of the regular reports."""
-    host_rig(client, "freewheel", time__peers=["client"], output__autostart=False)
+    host_rig(client, "free_running", time__peers=["client"], output__autostart=False)
     inactive = wait_for(client, "rig", "inactive", "unconfigured")
     assert inactive["since_ns"] == ""
     client.change_state("rig", "configure")
@@ -109,7 +109,7 @@ def test_a_stepped_rig_is_paused_while_nobody_steps(client: Client) -> None:
 
 
 def test_a_silent_peer_is_named(client: Client) -> None:
-    host_rig(client, "freewheel", time__peers=["client"], time__peer_timeout_s=0.3)
+    host_rig(client, "free_running", time__peers=["client"], time__peer_timeout_s=0.3)
     client.wait_active("rig")
     client.collect("daq/scan")  # and never acknowledges
     wait_for(client, "rig", "silent_peer", "client")

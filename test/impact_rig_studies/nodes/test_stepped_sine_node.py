@@ -42,7 +42,7 @@ def sweeping(client: Client) -> Client:
     client.host(AnalysisNode)
     values = {"frequencies_hz": FREQUENCIES_HZ, "direction": "up_down"}
     client.host(SteppedSineNode, parameter_overrides=ros_parameters(values))
-    host_rig(client, "freewheel", time__peers=["analysis"], sphere__present=False)
+    host_rig(client, "free_running", time__peers=["analysis"], sphere__present=False)
     client.wait_active("rig", "analysis", "stepped_sine")
     return client
 
@@ -103,7 +103,7 @@ def locking(client: Client) -> Client:
     values = {"hold": "phase", "frequencies_hz": [8.9], "current_a": 0.3, "dwell_s": 4.0, "within_deg": 1.0}
     client.host(SteppedSineNode, parameter_overrides=ros_parameters(values))
     ahead = {"daq__block_scans": 500, "time__ack_window": 2}
-    host_rig(client, "freewheel", time__peers=["stepped_sine"], sphere__present=False, **ahead)
+    host_rig(client, "free_running", time__peers=["stepped_sine"], sphere__present=False, **ahead)
     client.wait_active("rig", "stepped_sine")
     return client
 

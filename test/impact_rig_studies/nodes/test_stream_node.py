@@ -84,7 +84,7 @@ def in_process() -> NDArray[np.void]:
     return np.concatenate([block.scan.rows for block in rig.advance(NS_PER_S)])
 
 
-@pytest.mark.parametrize(("mode", "block"), [("freewheel", 100), ("freewheel", 5_000), ("stepped", 700)])
+@pytest.mark.parametrize(("mode", "block"), [("free_running", 100), ("free_running", 5_000), ("lockstep", 700)])
 def test_over_topics_come_the_bits_of_the_rig_in_process(client, in_process, mode, block):
     host_rig(client, mode, time__peers=[client.name], **STREAM)
     client.wait_active("rig")
@@ -94,7 +94,7 @@ def test_over_topics_come_the_bits_of_the_rig_in_process(client, in_process, mod
     for first in range(0, len(WAVE), block):
         send(client, first, WAVE[first : first + block])
     send(client, len(WAVE), WAVE[:0])
-    if mode == "stepped":
+    if mode == "lockstep":
         client.step(100)
     client.wait_until(lambda: len(scans) >= 100, "a second of scans")
     rows = np.concatenate([table.rows for table in scans.tables()])
@@ -140,7 +140,7 @@ def test_in_real_time_come_the_bits_of_the_rig_in_process(client):
 )
 def test_a_recording_verifies_with_all_its_samples_only(client, tmp_path, harm, says):
     client.host(RecorderNode, parameter_overrides=ros_parameters({"directory": str(tmp_path), "name": "run"}))
-    host_rig(client, "freewheel", time__peers=[client.name, "recorder"], **STREAM)
+    host_rig(client, "free_running", time__peers=[client.name, "recorder"], **STREAM)
     client.wait_active("rig", "recorder")
     client.wait_until(lambda: client.status("recorder").message == "recording", "the recorder")
     scans = client.collect("daq/scan", acknowledge=True)
@@ -215,7 +215,7 @@ def test_hostile_samples_are_refused_whole_counted_and_change_nothing(client):
 
 
 def test_a_rig_ahead_of_time_waits_for_samples_and_names_who_sends_none(client):
-    node = host_rig(client, "freewheel", time__peers=[client.name], time__peer_timeout_s=0.3, **STREAM)
+    node = host_rig(client, "free_running", time__peers=[client.name], time__peer_timeout_s=0.3, **STREAM)
     client.wait_active("rig")
     scans = client.collect("daq/scan", acknowledge=True)
     send(client, 0, WAVE[:2_050])
@@ -229,7 +229,7 @@ def test_a_rig_ahead_of_time_waits_for_samples_and_names_who_sends_none(client):
     client.wait_until(lambda: len(scans) > 60, "that it goes on without")
 
 
-def starved(client: Client, mode: str = "freewheel", **values: Any) -> tuple[RigNode, Collector]:
+def starved(client: Client, mode: str = "free_running", **values: Any) -> tuple[RigNode, Collector]:
     """A rig ahead of time that is out of samples after twenty blocks, but for half a block."""
     node = host_rig(client, mode, time__peers=[client.name], **STREAM, **values)
     client.wait_active("rig")
@@ -268,7 +268,7 @@ def test_a_stop_during_a_pause_leaves_nothing_to_wait_for(client: Client) -> Non
 @pytest.mark.parametrize("what", ["reset", "suspended"])
 def test_the_time_to_wait_for_samples_begins_anew(client: Client, monkeypatch: pytest.MonkeyPatch, what: str) -> None:
     """A step was refused at once for the samples that had not come before the reset, or while this process was away."""
-    node = host_rig(client, "stepped", time__peers=[client.name], time__peer_timeout_s=0.5, **STREAM)
+    node = host_rig(client, "lockstep", time__peers=[client.name], time__peer_timeout_s=0.5, **STREAM)
     client.wait_active("rig")
     client.collect("daq/scan", acknowledge=True)
     with pytest.raises(ServiceFailedError, match="sends no samples"):
@@ -286,7 +286,7 @@ def test_the_time_to_wait_for_samples_begins_anew(client: Client, monkeypatch: p
 
 
 def test_of_two_controllers_the_last_counts_and_both_are_named(client):
-    node = host_rig(client, "stepped", time__peers=[client.name], **STREAM)
+    node = host_rig(client, "lockstep", time__peers=[client.name], **STREAM)
     other = client.host(functools.partial(Node, "other"))
     client.wait_active("rig")
     publisher = other.create_publisher(PointCloud2, topics.WAVEFORM.name, 10)
@@ -303,7 +303,7 @@ def test_of_two_controllers_the_last_counts_and_both_are_named(client):
 
 
 def test_a_controllers_hardware_reads_over_topics_what_it_reads_in_process():
-    with RosRig({**FLAT, "time.mode": "freewheel"}, hosted=True) as over, LocalRig(FLAT) as alone:
+    with RosRig({**FLAT, "time.mode": "free_running"}, hosted=True) as over, LocalRig(FLAT) as alone:
         found = [Hardware(rig).respond(WAVE[: RATE_HZ // 2], rest=RATE_HZ // 10) for rig in (over, alone)]
     assert len(found[0]) == len(found[1]) > RATE_HZ // 2
     assert np.array_equal(found[0]["laser"], found[1]["laser"])
@@ -312,7 +312,7 @@ def test_a_controllers_hardware_reads_over_topics_what_it_reads_in_process():
 
 def test_a_controller_whose_rig_has_died_is_told_so(monkeypatch: pytest.MonkeyPatch) -> None:
     """It once waited on, as hard as it could, until its time was over, and was told that no scans came."""
-    with RosRig({**FLAT, "time.mode": "freewheel"}, hosted=True) as rig:
+    with RosRig({**FLAT, "time.mode": "free_running"}, hosted=True) as rig:
 
         class Died:
             def check(self) -> None:

@@ -64,7 +64,7 @@ def test_a_rig_says_what_runs_what_trips_and_who_has_left(client: Client) -> Non
     console = Console(client)
     node = host_rig(client, drive__frequency_hz=8.0, instruments__faults__planned=[FAULT], daq__seed=7)
     console.wait(LoggingSeverity.INFO, "configured")
-    console.wait(LoggingSeverity.INFO, "running: stepped, 10000 scans/s, gap 6 mm, law flores, seed 7")
+    console.wait(LoggingSeverity.INFO, "running: lockstep, 10000 scans/s, gap 6 mm, law flores, seed 7")
     node.get_logger().set_level(LoggingSeverity.DEBUG)
     client.command(current_a=8.0)
     console.wait(LoggingSeverity.DEBUG, "accepted: amplitude = 8")
@@ -87,7 +87,7 @@ def test_a_rig_says_what_runs_what_trips_and_who_has_left(client: Client) -> Non
 
 def test_a_peer_that_falls_silent_is_named_once_and_welcomed_back(client: Client) -> None:
     console = Console(client)
-    host_rig(client, "freewheel", time__peers=["client"], time__peer_timeout_s=0.3)
+    host_rig(client, "free_running", time__peers=["client"], time__peer_timeout_s=0.3)
     client.wait_active("rig")
     scans = client.collect("daq/scan")
     console.wait(LoggingSeverity.WARN, "peer client is silent: it owes acknowledgements of daq/scan")
@@ -134,8 +134,8 @@ def test_a_rig_that_is_started_with_somebodys_clock_refuses_to_begin(client: Cli
         ({}, "realtime x 1, 10000 scans/s, gap 6 mm, law flores, seed 1"),
         ({"time.factor": 0.5, "contact.law": "hertz"}, "realtime x 0.5, 10000 scans/s, gap 6 mm, law hertz, seed 1"),
         (
-            {"time.mode": "freewheel", "time.peers": ["a"], "sphere.present": False},
-            "freewheel, 10000 scans/s, no sphere, seed 1",
+            {"time.mode": "free_running", "time.peers": ["a"], "sphere.present": False},
+            "free_running, 10000 scans/s, no sphere, seed 1",
         ),
     ],
 )
