@@ -26,7 +26,7 @@ from hypothesis import strategies as st
 from impact_rig.errors import ConfigError
 from impact_rig.physics.contact import LAWS
 from impact_rig.rig import config
-from impact_rig.rig.config import RigConfig
+from impact_rig.rig.config import RigConfig, from_flat
 
 FIELDS = {name: (about, default) for name, about, default in config.fields()}
 NUMBERS = [name for name, (_, default) in FIELDS.items() if type(default) is float]
@@ -274,3 +274,11 @@ def test_no_file_crashes_the_loader(content, tmp_path_factory):
         config.load_config(path)
     except ConfigError as error:
         assert str(path) in str(error)  # noqa: PT017  # either outcome is right
+
+
+@pytest.mark.parametrize(("formerly", "now"), [("freewheel", "free_running"), ("stepped", "lockstep")])
+def test_time_modes_of_the_version_before_are_read(formerly: str, now: str) -> None:
+    """Recordings hold them, in their configurations."""
+    assert from_flat(RigConfig(), {"time.peers": ["analysis"], "time.mode": formerly}).time.mode == now
+    with pytest.raises(ConfigError, match="one of realtime, free_running, lockstep, got 'freewheeling'"):
+        from_flat(RigConfig(), {"time.mode": "freewheeling"})
