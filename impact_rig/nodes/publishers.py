@@ -133,8 +133,7 @@ class Publishers:
         # as many as the blocks hold that may be published and not acknowledged: none of them is overwritten
         in_window = (config.time.ack_window + 1) * math.ceil(config.output.monitor_rate_hz / per_second + 1)
         often = [topics.JOINT_STATES, *MONITORS.values()]
-        in_flight = config.time.ack_window * (1.0 + len(often) * config.output.monitor_rate_hz / per_second)
-        self._may_overflow = config.time.mode != "realtime" and in_flight > QUEUE
+        self._may_overflow = _may_overflow(config)
         depths = dict.fromkeys(topics.BULKY, depth)
         depths |= dict.fromkeys(often, max(topics.DATA_DEPTH, in_window))
         node.outputs |= {
@@ -215,6 +214,7 @@ class Publishers:
 
     def configuration(self, rig: Rig) -> None:
         """Publish the configuration, and the calibration if it is another; take both for the monitors."""
+        self._may_overflow = _may_overflow(rig.config)
         info = rig.info()
         noise = dict(zip(info.rows["name"].astype(str).tolist(), info.rows["noise"].tolist(), strict=True))
         decides = rig.config.daq, rig.config.output, attrs.evolve(rig.config.instruments, faults=FaultPlan()), noise
@@ -254,3 +254,14 @@ class Publishers:
         """
         if self._node.settings.time.mode != "realtime":
             self._node.outputs[topic.name].wait_for_all_acked(DELIVERY)
+
+
+def _may_overflow(config: RigConfig) -> bool:
+    """Return whether more messages may be under way to a process than the middleware surely holds."""
+    if config.time.mode == "realtime":
+        return False
+    blocks = config.time.ack_window
+    if config.time.mode == "lockstep":  # no more are out than one step has
+        blocks = min(blocks, config.step.blocks)
+    per_block = config.output.monitor_rate_hz * config.daq.block_scans / config.daq.rate_hz
+    return blocks * (1.0 + (1 + len(MONITORS)) * per_block) > QUEUE
