@@ -15,7 +15,7 @@
 
 Each program gets SIGINT, as Ctrl-C sends it to its whole group, and SIGTERM, alone, at random instants from when it
 takes signals (its first import) to its end, early ones more often; one that has ended by itself before is run again. It
-must answer with one line and 128 + the signal's number (nodes: 0, since launch takes anything else for a crash), leave
+must answer with one line and 128 + the signal's number (nodes: no line and 0, or launch takes it for a crash), leave
 no process, and every file must be readable.
 `driven` ends rigs that are driven and recorded, half of them by a second SIGINT on top. The table is that of
 docs/reliability.md.
@@ -184,10 +184,9 @@ def _end_all(
         time.sleep(pause_s)
     codes = {node.name: node.wait(PATIENCE_S) for node in nodes}
     tally.slowest_s = max(tally.slowest_s, time.monotonic() - began)
-    word = WORDS[signal.Signals(numbers[0])]
     for node in nodes:
         said = [line for line in node.log.read_text(errors="replace").splitlines() if not line.startswith("[INFO]")]
-        if codes[node.name] != 0 or [line for line in said if line] != [f"{node.name}_node: {word}"]:
+        if codes[node.name] != 0 or any(said):  # a node that ends well has said so in its log
             tally.faults.append(f"{where}: {node.name} ended with {codes[node.name]}: {said[-15:]}")
     tally.faults += [f"{where}: {fault}" for fault in unreadable(folder)]
 

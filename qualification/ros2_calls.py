@@ -40,9 +40,10 @@ from impact_rig.config.tree import nested
 from impact_rig.graph import SERVICES
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.messages import TOPICS, nanoseconds
+from impact_rig.nodes.plot_node import PlotNode
 from impact_rig.nodes.rig_node import RigNode
 
-NODES = ("rig", "analysis", "recorder")
+NODES = ("rig", "analysis", "recorder", "plot")
 MODES: dict[str, dict[str, Any]] = {
     "/one": {"time.mode": "free_running"},
     "/two": {"time.mode": "realtime", "time.factor": 0.5},
@@ -84,7 +85,7 @@ class Calls:
 def topics(calls: Calls, client: Client, renamed: str = "") -> None:
     """`ros2 topic list` and `info` of everything that rig and analysis publish, perhaps under other names."""
     for topic in TOPICS:
-        if topic.publisher not in ("rig", "analysis") or topic.name.startswith("/"):
+        if topic.publisher not in ("rig", "analysis", "plot") or topic.name.startswith("/"):
             continue
         name = client.node.resolve_topic_name(renamed + topic.name)
         found = client.node.get_publishers_info_by_topic(name)
@@ -206,9 +207,10 @@ def renamed(calls: Calls) -> None:
     arguments = ["--ros-args", *itertools.chain.from_iterable(("-r", rule) for rule in rules)]
     with isolated_domain() as domain_id, Client(domain_id) as client:
         client.host(AnalysisNode, cli_args=arguments)
+        client.host(PlotNode, cli_args=arguments)
         parameters = ros_parameters({"time.mode": "lockstep"})
         client.host(RigNode, parameter_overrides=parameters, cli_args=arguments)
-        client.wait_active("rig", "analysis")
+        client.wait_active("rig", "analysis", "plot")
         topics(calls, client, "renamed/")
 
 

@@ -57,7 +57,7 @@ def core(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the rig, its tests and its entry points, and nothing of the other packages."""
     folder = tmp_path_factory.mktemp("core")
     ignored = shutil.ignore_patterns("__pycache__")
-    for name in ("impact_rig", "config", "launch", "urdf", "test/impact_rig", "test/kits"):
+    for name in ("impact_rig", "config", "launch", "urdf", "test/impact_rig", "test/kits", "test/data/third_version"):
         shutil.copytree(ROOT / name, folder / name, ignore=ignored)
     for name in ("pyproject.toml", "package.xml"):
         shutil.copy(ROOT / name, folder / name)

@@ -33,7 +33,10 @@ SOURCES = sorted(
 MODULES = {"pickle", "cPickle", "marshal", "shelve", "dill", "cloudpickle", "joblib"}
 CALLS = {"eval", "exec", "yaml.load", "yaml.unsafe_load", "yaml.full_load", "os.system", "os.popen", "tempfile.mktemp"}
 ARGUMENTS = {"shell", "allow_pickle"}
-STARTERS = {"impact_rig/client/processes.py", "impact_rig/kernels/build.py"}
+STARTERS = {
+    "impact_rig/client/processes.py", "impact_rig/kernels/build.py", "impact_rig/embedded/fmu.py",
+    "impact_rig/embedded/wasm.py",
+}  # fmt: skip
 """The modules of the package that start programs: nodes; compilers, which open no network."""
 
 

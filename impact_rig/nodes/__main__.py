@@ -68,7 +68,7 @@ NODES: dict[str, Use] = {
     ),
     "plot": (
         "Topics for plotters: envelopes, spectra, drive and transmissibility as small messages of standard types.",
-        "autostart:=true",
+        "autostart:=false",
         "Topics: docs/interface.md.",
     ),
 }

@@ -64,7 +64,7 @@ class PlotNode(ManagedNode[PlotSettings]):
 
     def activate(self) -> None:
         """Follow calibration, drive and measurements; scans only while they are wanted."""
-        self._plots = Plots(self.outputs)
+        self._plots = Plots(self.outputs, self.frame_prefix)
         self.until_deactivated(
             self.subscribe_table(topics.INFO, self._on_info),
             self.subscribe_table(topics.APPLIED, self._plots.on_applied),
@@ -108,11 +108,12 @@ class Plots:
 
     Args:
         publishers: publisher by topic name.
+        frame_prefix: text in front of the frames, until a calibration says another.
     """
 
-    def __init__(self, publishers: Mapping[str, Any]) -> None:
+    def __init__(self, publishers: Mapping[str, Any], frame_prefix: str) -> None:
         self._publishers = publishers
-        self._set_prefix("")
+        self._set_prefix(frame_prefix)
         self._rate_hz = 0.0
         self._intervals: Intervals | None = None
         self._pulses: tuple[HighPass, Intervals] | None = None

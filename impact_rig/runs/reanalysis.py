@@ -32,10 +32,11 @@ from numpy.typing import NDArray
 from impact_rig import topics
 from impact_rig.analysis.settings import GapLabel, TrackerSettings, machine_of, parse_label, read_settings, started_of
 from impact_rig.analysis.tracker import Findings, Tracker
+from impact_rig.arithmetic import ARITHMETIC
 from impact_rig.blocks import TRANSMISSIBILITY, Table
 from impact_rig.config.tree import parameters_in
 from impact_rig.errors import ConfigError, RecordingError
-from impact_rig.recording import CONFIGURATION, Message, Run, is_measured
+from impact_rig.recording import CONFIGURATION, Message, Run, arithmetic_of, is_measured
 from impact_rig.recording.losses import check_contiguity, last_scan_ns
 from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Status
@@ -302,6 +303,9 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
     """
     if is_measured(run.provenance):
         return Agreement(None, reason="this run was imported, no analysis saw it live")
+    version = arithmetic_of(run.provenance)
+    if version not in ("", str(ARITHMETIC)):
+        return Agreement(None, reason=f"the live results were made with arithmetic {version}, this is {ARITHMETIC}")
     settings = _settings_told(run)
     if any(one.in_turn for one in settings):
         return Agreement(None, reason="two analyses labelled this run at once: whose gap a row has is not known")

@@ -288,7 +288,6 @@ def without(column: str) -> Callable[[np.ndarray], np.ndarray]:
     ("topic", "column"),
     [
         ("daq/scan", "status"),
-        ("rig/journal", "kind"),
         ("transmissibility/table", "phase"),
         ("shaker/applied", "current"),
     ],

@@ -40,6 +40,7 @@ from impact_rig.nodes import messages
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.messages import TOPICS
+from impact_rig.nodes.plot_node import PlotNode
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig_studies.stepped_sine_node import SteppedSineNode
 
@@ -106,6 +107,7 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Client, di
             "rig": host_rig(client),
             "analysis": client.host(AnalysisNode),
             "recorder": client.host(RecorderNode, parameter_overrides=ros_parameters({"directory": directory})),
+            "plot": client.host(PlotNode),
             "stepped_sine": client.host(SteppedSineNode, parameter_overrides=ros_parameters({"hold": "phase"})),
         }
         client.wait_active(*nodes)
@@ -113,7 +115,7 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Client, di
         yield client, nodes
 
 
-@pytest.mark.parametrize("name", ["rig", "analysis", "recorder", "stepped_sine"])
+@pytest.mark.parametrize("name", ["rig", "analysis", "recorder", "plot", "stepped_sine"])
 def test_every_subscription_of_a_node_takes_anything(
     graph: tuple[Client, dict[str, ManagedNode[Any]]], name: str
 ) -> None:
@@ -161,7 +163,7 @@ def test_nodes_go_on_after_all_that(graph: tuple[Client, dict[str, ManagedNode[A
     found = client.wait_until(
         lambda: (f := client.figures("recorder")).get("state") in ("losing", "rival") and f, "the recorder's word"
     )
-    assert int(found["refused.rig/journal"]) > 0
+    assert int(found["refused.shaker/applied"]) > 0
     assert client.status("recorder").level == b"\1"
 
 

@@ -135,7 +135,7 @@ def test_in_real_time_come_the_bits_of_the_rig_in_process(client):
         (None, "identical: "),
         ("removed", "lacks sample 2000 of shaker/waveform, which was in force 0.200000 s after the start"),
         (0.1, "daq/scan at 0.240000000 s, sample 89, current: logged"),
-        (1e-16, "rig/journal: row 4 at 1.000000000 s: logged stream crc32 0.0 b'10000 "),
+        (1e-16, 'rig/journal: entry 2 at 1.000000000 s: logged "name": "crc32", "value": 0.0, "text": "10000 '),
     ],
 )
 def test_a_recording_verifies_with_all_its_samples_only(client, tmp_path, harm, says):
