@@ -398,18 +398,18 @@ TAKEN_ALONG = 1
 
 @pytest.fixture
 def stuck(monkeypatch):
-    """Let the rig's first advance of so many cycles be one that cannot be resolved."""
+    """Let the rig's first run of so many cycles be one that cannot be resolved."""
 
     def fail_once(cycles: int) -> None:
-        real, left = MapRig.advance, [cycles]
+        real, left = MapRig.run_cycles, [cycles]
 
-        def advance(self: MapRig, frequency_hz: float, amplitude: float, count: int) -> object:
+        def run_cycles(self: MapRig, frequency_hz: float, amplitude: float, count: int) -> object:
             if count in left:
                 left.remove(count)
                 raise SimulationError("stuck")
             return real(self, frequency_hz, amplitude, count)
 
-        monkeypatch.setattr(MapRig, "advance", advance)
+        monkeypatch.setattr(MapRig, "run_cycles", run_cycles)
 
     return fail_once
 
@@ -433,17 +433,17 @@ def test_a_start_that_cannot_be_resolved_is_marked_and_the_others_go_on(tmp_path
     path = tmp_path / "study.yaml"
     path.write_text("basin: {sphere_position_m: [-0.002, 0.001, 0.002], sphere_speed_m_s: 0.5}")
     found = plan.load(path, "basin")
-    real, starts = MapRig.advance, []
+    real, starts = MapRig.run_cycles, []
     monkeypatch.setattr(
         MapRig, "reset", lambda self, sphere, reset=MapRig.reset: (starts.append(sphere), reset(self, sphere))
     )
 
-    def advance(self: MapRig, *asked: float) -> object:
+    def run_cycles(self: MapRig, *asked: float) -> object:
         if starts[-1][0] == 0.001:
             raise SimulationError("stuck")
         return real(self, *asked)
 
-    monkeypatch.setattr(MapRig, "advance", advance)
+    monkeypatch.setattr(MapRig, "run_cycles", run_cycles)
     (task,) = found.tasks
     regimes = {row[0]: row[3] for row in task.read(plan.run(task))}
     assert regimes == {-0.002: "periodic", 0.001: "failed", 0.002: "periodic"}

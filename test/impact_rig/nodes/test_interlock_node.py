@@ -54,7 +54,7 @@ def test_a_recorded_trip_latches_until_cleared_and_verifies_bit_for_bit(client: 
     client.step(200)
     client.wait_until(lambda: "latched by over_travel" in client.status("rig").message, "the diagnostic")
     assert client.status("rig").level == b"\2"
-    assert "limit 0.00635" in client.figures("rig")["latched"]
+    assert "limit 6.35 mm" in client.figures("rig")["latched"]
     with pytest.raises(ServiceFailedError, match="clear_trip"):
         client.trigger("rig/reset")
     with pytest.raises(CommandError, match="latched"):

@@ -136,7 +136,7 @@ def test_points_that_fail_are_reported_and_do_not_stop_the_rest(tiny, measured, 
     failures = {point.study: point.failure for point in done.failed()}
     assert set(failures) == {"trip", "refused"}
     assert "over_travel" in failures["trip"]
-    assert "limit 0.00635" in failures["trip"]
+    assert "limit 6.35 mm" in failures["trip"]
     assert "current must be >= 0 and <= 21.21 A" in failures["refused"]
     run.write_results(done, 1.0)
     assert json.loads((tmp_path / "summary.json").read_text())["failed_points"] == 2
