@@ -64,7 +64,7 @@ from impact_rig.recording import (
     records,
 )
 from impact_rig.rig import Block, Rig, journal
-from impact_rig.rig.config import RigConfig, dump, from_flat
+from impact_rig.rig.config import RigConfig, Shaker, dump, from_flat
 from impact_rig.rig.description import robot_description
 from impact_rig.runs import info, reanalysis, recover
 from impact_rig.runs.verification import Verification, verify
@@ -253,6 +253,7 @@ class Stage:
     def release(self) -> None:
         """Release the latch."""
         self.rig.clear_trip()
+        self.rig.configure({"shaker.current_limit_a_rms": Shaker().current_limit_a_rms})  # as before a trip
 
     def trip(self) -> None:
         """Let the interlock trip."""

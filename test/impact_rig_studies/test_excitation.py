@@ -158,10 +158,11 @@ def test_a_compensated_pulse_leaves_nothing_behind():
 )
 def test_a_replicated_history_is_as_near_to_the_true_motion_as_is_stated(response, sphere):
     """The reading lags: it was followed to 0.36 % while the base was 3.0 % off, the superior base 4.5 %."""
-    stated, error = replicated(response, sphere=sphere, seed=1)
+    stated, error, most = replicated(response, sphere=sphere, seed=1)
     assert len(stated.errors) <= 10
     assert stated.relative(stated.reached - stated.asked) == pytest.approx(min(stated.errors))
-    assert min(stated.errors) <= 0.005
+    assert min(stated.errors) <= most < 0.01
+    assert sphere or most == pytest.approx(0.005, rel=0.02)  # only the sphere begins each trial elsewhere
     assert error <= min(stated.errors) + stated.floor
     assert stated.floor < 0.01
 
