@@ -37,7 +37,7 @@ pytestmark = pytest.mark.heavy
 
 ROOT = Path(__file__).parents[1]
 REQUIREMENTS = ROOT / "requirements"
-EXTRAS = {"argcomplete", "distributed", "hypothesis", "pint", "pytest"}
+EXTRAS = {"argcomplete", "distributed", "hypothesis", "pint", "pytest", "rosbags"}
 """What the package imports only for who has the extra, which is in the tests' part."""
 
 IN_ORDER = True
