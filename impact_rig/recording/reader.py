@@ -130,6 +130,7 @@ class Run:
     def __init__(self, path: Path, rig: str | None = None) -> None:
         self.path = path
         self._rig = rig
+        self._ahead = ThreadPoolExecutor(1, thread_name_prefix="read-ahead")
         self.sources: list[McapSource] = []
         try:
             for file in run_files(path):
@@ -145,6 +146,7 @@ class Run:
 
     def close(self) -> None:
         """Close the files; a second call does nothing."""
+        self._ahead.shutdown(cancel_futures=True)  # first: it reads from these files
         for source in self.sources:
             source.close()
 
@@ -391,30 +393,30 @@ class Run:
         pending: list[_Item] = []
         account, most = self._account(), round(budget.HELD_BYTES // budget.MESSAGE_BYTES * budget.factor())
         coming, ahead = deque(places), deque[tuple[_Place, Future[memoryview]]]()
-        with ThreadPoolExecutor(1, thread_name_prefix="read-ahead") as pool:
-            while coming or ahead:
-                while coming:
-                    in_memory = [*(place for place, _ in ahead), coming[0]]
-                    if len(in_memory) > LEAST_AHEAD and _size(*in_memory) > AHEAD_BYTES:
-                        break
-                    self._refuse_hoard(pending, recorded, in_memory)
-                    ahead.append((coming[0], pool.submit(coming[0].source.content, coming[0].segment)))
-                    coming.popleft()
-                place, reading = ahead.popleft()
-                content = reading.result()
-                place.source.refuse_if_closed(place.segment.offset)  # it may have been read before
-                with _named(self.path):  # counted before any record becomes an object
-                    account.records(records.count(content, most))
-                pending += _items(place, content, names, running_number[id(place)], account)
-                cut = len(pending)
-                if not recorded_order:
-                    pending.sort()
-                    if ahead:  # nothing in the chunks to come is earlier than the next one's start
-                        cut = bisect.bisect_left(pending, (ahead[0][0].segment.first_ns,))
-                for log_time, _, _, message in pending[:cut]:
-                    if (start_ns is None or log_time >= start_ns) and (end_ns is None or log_time < end_ns):
-                        yield message
-                del pending[:cut]
+        while coming or ahead:
+            while coming:
+                in_memory = [*(place for place, _ in ahead), coming[0]]
+                if len(in_memory) > LEAST_AHEAD and _size(*in_memory) > AHEAD_BYTES:
+                    break
+                self._refuse_hoard(pending, recorded, in_memory)
+                place = coming.popleft()
+                place.source.refuse_if_closed(place.segment.offset)
+                ahead.append((place, self._ahead.submit(place.source.content, place.segment)))
+            place, reading = ahead.popleft()
+            place.source.refuse_if_closed(place.segment.offset)  # its content may have been read before that
+            content = reading.result()
+            with _named(self.path):  # counted before any record becomes an object
+                account.records(records.count(content, most))
+            pending += _items(place, content, names, running_number[id(place)], account)
+            cut = len(pending)
+            if not recorded_order:
+                pending.sort()
+                if ahead:  # nothing in the chunks to come is earlier than the next one's start
+                    cut = bisect.bisect_left(pending, (ahead[0][0].segment.first_ns,))
+            for log_time, _, _, message in pending[:cut]:
+                if (start_ns is None or log_time >= start_ns) and (end_ns is None or log_time < end_ns):
+                    yield message
+            del pending[:cut]
 
     def _refuse_hoard(self, pending: list[_Item], recorded: Sequence[_Place], coming: Iterable[_Place]) -> None:
         """Refuse to hold many chunks because each has a message that is much later than the others."""

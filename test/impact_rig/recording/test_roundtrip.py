@@ -15,6 +15,8 @@
 
 from __future__ import annotations
 
+import threading
+
 import attrs
 import numpy as np
 import pytest
@@ -100,6 +102,18 @@ def test_log_time_order_and_ties(record):
     in_order = sorted(range(len(sent)), key=lambda i: (sent[i].log_time, i))
     with open_run(writer.directory) as run:
         assert [as_sent(m) for m in run.messages()] == [as_tuple(sent[i]) for i in in_order]
+
+
+def test_closing_a_run_ends_what_still_reads_from_it(record):
+    """An iteration that an exception interrupted may live on in its traceback."""
+    with record(chunk_bytes=2_000) as writer:
+        fill(writer, 50)
+    with open_run(writer.directory) as run:
+        messages = run.messages()
+        next(messages)
+    assert [thread.name for thread in threading.enumerate() if thread.name.startswith("read-ahead")] == []
+    with pytest.raises(RecordingError, match="it has been closed"):
+        list(messages)
 
 
 def test_selected_topics_and_times(record):
