@@ -104,7 +104,9 @@ def test_every_picture_has_words(found):
 def test_every_block_of_code_is_a_block_and_no_fence_is_left_as_text(site, found, name):
     text = (DOCS / name).read_text(encoding="utf-8")
     path = site / Path(name).with_suffix(".html")
-    assert found[path].blocks == len(re.findall(r"^```+\w+", text, re.MULTILINE))
+    blocks = len(re.findall(r"^```+\w+", text, re.MULTILINE))
+    generated = ":::" in text  # signatures and examples of docstrings are blocks, too
+    assert found[path].blocks > blocks if generated else found[path].blocks == blocks
     assert "```" not in path.read_text(encoding="utf-8")
 
 
