@@ -40,8 +40,9 @@ def write(path: Path, text: str) -> None:
 def main() -> None:
     """Draw all, or what is named on the command line: pictures, or tools by the stem of their file."""
     parser = argparse.ArgumentParser(prog="python -m tools.figures", description=__doc__)
-    tools = {Path(tool.split()[0]).stem: tool for tool in there()}
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"only these: {', '.join((*DRAWN, *tools))}")
+    stems = {tool: Path(tool.split()[0]).stem for tool in there()}
+    known = ", ".join(dict.fromkeys((*DRAWN, *stems.values())))
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"only these: {known}")
     names = parser.parse_args().names
     for name, draw in DRAWN.items():
         if not names or name in names:
@@ -49,7 +50,7 @@ def main() -> None:
     for path, text in () if names else generated().items():
         if path.parent == IMAGES:
             write(path, text)
-    for stem, tool in tools.items():
+    for tool, stem in stems.items():
         program = NEEDS.get(tool)
         if names and stem not in names:
             continue
