@@ -154,15 +154,15 @@ def test_a_compensated_pulse_leaves_nothing_behind():
 
 
 @pytest.mark.parametrize(
-    ("response", "sphere"), [(Response.SUPERIOR, False), (Response.BASE, False), (Response.BASE, True)]
+    ("response", "sphere", "most"),
+    [(Response.SUPERIOR, False, 0.005), (Response.BASE, False, 0.005), (Response.BASE, True, 0.01)],
 )
-def test_a_replicated_history_is_as_near_to_the_true_motion_as_is_stated(response, sphere):
+def test_a_replicated_history_is_as_near_to_the_true_motion_as_is_stated(response, sphere, most):
     """The reading lags: it was followed to 0.36 % while the base was 3.0 % off, the superior base 4.5 %."""
-    stated, error, most = replicated(response, sphere=sphere, seed=1)
-    assert len(stated.errors) <= 10
+    stated, error = replicated(response, sphere=sphere, seed=1)
+    assert len(stated.errors) <= 6
     assert stated.relative(stated.reached - stated.asked) == pytest.approx(min(stated.errors))
-    assert min(stated.errors) <= most < 0.01
-    assert sphere or most == pytest.approx(0.005, rel=0.02)  # only the sphere begins each trial elsewhere
+    assert min(stated.errors) <= most
     assert error <= min(stated.errors) + stated.floor
     assert stated.floor < 0.01
 
