@@ -101,7 +101,7 @@ setup(
     ],
     extras_require={
         # for machines without an apt-installed ROS 2 only: never mix the two, so these are never a requirement
-        "wheels": [*ROS_WHEELS, "pytest"],  # pytest: see docs/testing.md
+        "wheels": [*ROS_WHEELS, "pytest"],  # pytest: see docs/how-to/testing.md
         "jit": ["numba>=0.59"],  # contact laws of one's own, compiled; and kernels where no library was built
         "lab": ["aiohttp>=3.9", "uplot-python>=1.1"],  # `impact-rig lab`; 3.9 is that of Ubuntu 24.04
         "completion": ["argcomplete>=3.1"],  # `register-python-argcomplete`; 3.1 is that of Ubuntu 24.04

@@ -14,7 +14,7 @@
 """The tables that travel: the columns of each table topic, their numpy type, and `Table`, a stamped structured array.
 
 Of each table there are its columns (`FAULTS_COLUMNS`) and the type of its rows made from them (`FAULTS`). `time` is
-always seconds since the table's stamp. `docs/interface.md` is written from these columns.
+always seconds since the table's stamp. `docs/reference/interface.md` is written from these columns.
 """
 
 from __future__ import annotations
@@ -227,9 +227,9 @@ TRANSMISSIBILITY_COLUMNS = (
     Column("spread", "-", "Standard deviation of the transmissibility from cycle to cycle.", default=math.nan),
     Column("period", "drive cycles", "After which the response repeats; NaN if it is not periodic.", default=math.nan),
     Column("waited", "s", "From the last change to the end of the measurement.", least=0.0, most=LONGEST_S),
-    Column("regime", "-", "What the response does from cycle to cycle, see docs/analysis.md.", TEXT, default=""),
-    Column("method", "-", "How the uncertainty was found, see docs/analysis.md.", TEXT, default=""),
-    Column("status", "-", "What this row is, see docs/analysis.md; numbers are NaN unless it was measured.", TEXT),
+    Column("regime", "-", "Behaviour from cycle to cycle (docs/explanation/analysis.md).", TEXT, default=""),
+    Column("method", "-", "Method of the uncertainty (docs/explanation/analysis.md).", TEXT, default=""),
+    Column("status", "-", "Status of the row (docs/explanation/analysis.md); numbers are NaN unless measured.", TEXT),
     Column(
         "channel",
         "-",
@@ -237,7 +237,7 @@ TRANSMISSIBILITY_COLUMNS = (
         TEXT,
         default="",
     ),
-    Column("largest", "-", "The largest contribution to the uncertainty, see docs/analysis.md.", TEXT, default=""),
+    Column("largest", "-", "Largest contribution to the uncertainty (docs/explanation/analysis.md).", TEXT, default=""),
     Column("largest_share", "-", "Its share of the variance of the transmissibility, 0 to 1.", default=math.nan),
     Column(
         "steps_uncertainty",

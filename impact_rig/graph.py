@@ -13,8 +13,8 @@
 # limitations under the License.
 """Description of the graph: nodes with their topics, services and clock, and the names that a launch file remaps.
 
-With the topics of `impact_rig.topics` it is the one source of `docs/interface.md`, `interface.json`, the SROS2 policy,
-the picture of the nodes and the remappings of the launch files. Tests compare it with the running nodes and ask every
+With `impact_rig.topics` it is the one source of `docs/reference/interface.md`, `interface.json`, the SROS2 policy, the
+picture of the nodes and the remappings of the launch files. Tests compare it with the running nodes and ask every
 service in every situation. It needs no ROS.
 """
 

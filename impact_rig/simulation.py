@@ -49,8 +49,8 @@ class Record:
     """What the instruments of a simulated rig read, and what follows from it.
 
     Attributes:
-        scans: columns of `daq/scan`, docs/interface.md, SI; `time` [s] since the start; shape (n,). Those that a
-            `lost_block` fault withholds are missing.
+        scans: columns of `daq/scan`, docs/reference/interface.md, SI; `time` [s] since the start; shape (n,). Those
+            that a `lost_block` fault withholds are missing.
         state: of the measurement at the end: settling, measuring, ...
         measurements: rows of `transmissibility/table`, the newest last; empty before the first window is full.
         impact_times: when the analysis found impacts in the acceleration [s], shape (k,).
@@ -95,8 +95,8 @@ def simulate(seconds: float, parameters: Mapping[str, object] | None = None) -> 
 
     Args:
         seconds: rig time, at most an hour.
-        parameters: configuration values that differ from the paper's rig, by full name, as in docs/interface.md.
-            Without any value of the drive, the rig is driven with the paper's 0.52 A at 9.1 Hz.
+        parameters: configuration values that differ from the paper's rig, by full name, as in
+            docs/reference/interface.md. The drive is the paper's, 0.52 A at 9.1 Hz, unless they set one.
 
     Raises:
         ConfigError: unknown key, value out of range, or too long.

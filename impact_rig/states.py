@@ -15,8 +15,8 @@
 
 The message of a diagnostic status is a sentence for people and may change; nothing reads a state out of it. Every
 status carries the keys of `KEYS`; `state` is one of the words below, the gravest that is true. Status, regime and
-method of a measurement are those of `transmissibility/table`; `docs/analysis.md` explains each. How grave a state is,
-each node decides for itself (`health`).
+method of a measurement are those of `transmissibility/table`; `docs/explanation/analysis.md` explains each. How grave a
+state is, each node decides for itself (`health`).
 """
 
 from __future__ import annotations

@@ -13,8 +13,8 @@
 # limitations under the License.
 """The one table of topics: name, type, quality of service, who publishes, what is in it.
 
-Publishers, subscribers, recordings, the analysis of runs and `docs/interface.md` read this table; nothing about a topic
-is written twice. Only how many messages of a topic of `BULKY` a rig keeps follows from its configuration:
+Publishers, subscribers, recordings, the analysis of runs and `docs/reference/interface.md` read this table; nothing
+about a topic is written twice. Only how many messages of a topic of `BULKY` a rig keeps follows from its configuration:
 `nodes.publishers.Publishers`. It needs no ROS: `impact_rig.nodes.messages` turns its rows into what rclpy takes.
 Names are relative: a launch file puts them under one namespace, except the two that are global by convention.
 """

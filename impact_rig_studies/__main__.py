@@ -25,7 +25,7 @@ from impact_rig.nodes.__main__ import run
 USE = (
     "The stepped sine: sets one frequency after the other, waits for the analysis, and publishes the curve.",
     "begin:=true",
-    "Topics, services and parameters: docs/interface.md.",
+    "Topics, services and parameters: docs/reference/interface.md.",
 )
 
 stepped_sine = functools.partial(run, "stepped_sine", USE, "impact_rig_studies.stepped_sine_node")

@@ -30,7 +30,8 @@ its rhythm (`Manifold.stable`).
 
 Valid for one sphere between walls without friction of the guide, symmetric motion with two impacts per cycle, m ≪ m_1
 (the first order of m/m_1 is taken into account unless `recoil` is false), contacts short against the cycle; e is what
-the contact law returns, not its nominal value. docs/prediction.md has the derivation and what simulation says.
+the contact law returns, not its nominal value. docs/explanation/prediction.md has the derivation and a
+comparison with simulation.
 
 **The slow invariant manifold** of a vibro-impact energy sink: two symmetric impacts per cycle, without any structure.
 A sphere of mass m between two walls b = g/2 from the middle of what moves as x_1 = A cos(ωt + α). Let it strike one

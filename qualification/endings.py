@@ -18,7 +18,7 @@ takes signals (its first import) to its end, early ones more often; one that has
 must answer with one line and 128 + the signal's number (nodes: no line and 0, or launch takes it for a crash), leave
 no process, and every file must be readable.
 `driven` ends rigs that are driven and recorded, half of them by a second SIGINT on top. The table is that of
-docs/reliability.md.
+docs/explanation/reliability.md.
 """
 
 from __future__ import annotations

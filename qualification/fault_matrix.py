@@ -17,7 +17,7 @@ Sensors: every fault, on each channel, in two sizes, read by three sets of instr
 lasts. Rows that look good are compared with the motion itself. None may be off by more than 3u, save by a gain error
 within the limits of the calibration, which no reading shows: the budget names it as `sensitivity`. What the lab's page
 says of rows, state of the analysis and faults in force is asked every second: `measured` neither in a fault nor over
-such a row. The table in docs/analysis.md is the last thing it prints.
+such a row. The table in docs/explanation/analysis.md is the last thing it prints.
 
 Processes:
  Rig, analysis and recorder run as processes, free-running; a client is a peer as well, so what it misses is a loss.

@@ -15,7 +15,7 @@
 
 Each command must end within 5 s of CPU time (wall time, which other work on the machine stretches, is shown beside it),
 with a peak memory of at most 300 MB, the right exit code and one line of error at most; it must touch no file of
-others and send no control character to the terminal. The table is that of docs/reliability.md.
+others and send no control character to the terminal. The table is that of docs/explanation/reliability.md.
 """
 
 from __future__ import annotations

@@ -69,7 +69,9 @@ def test_nothing_is_wrong_in_any_page():
     found = [fault for page in TOOL["pages"]().values() for fault in TOOL["faults"](page)]
     assert found == []
     assert len(BLOCKS) > 40
-    assert {"README.md", "CONTRIBUTING.md", "docs/interface.md", "examples/README.md"} <= TOOL["pages"]().keys()
+    assert {"README.md", "CONTRIBUTING.md", "docs/reference/interface.md", "examples/README.md"} <= TOOL[
+        "pages"
+    ]().keys()
 
 
 def symbol_rows(page: str) -> list[list[str]]:
@@ -88,7 +90,7 @@ def symbols_in(text: str) -> set[str]:
 
 def known_symbols() -> list[str]:
     """Every symbol of both tables, as often as it stands there."""
-    rows = symbol_rows("glossary.md") + symbol_rows("physics.md")
+    rows = symbol_rows("reference/glossary.md") + symbol_rows("explanation/physics.md")
     assert all(len(row) == 3 and all(row) for row in rows)
     return [symbol for row in rows for symbol in row[0].split(", ")]
 
@@ -108,8 +110,10 @@ def test_a_symbol_of_the_kernels_means_one_thing():
 
 
 def test_every_symbol_of_the_kernels_is_in_the_glossary():
-    """Every letter of the equations has a unit, or a dash, and a meaning: docs/kernels.md, heads of the modules."""
-    page = (ROOT / "docs" / "kernels.md").read_text(encoding="utf-8").partition("| kernel | equation |")[2]
+    """Each letter in equations of docs/explanation/kernels.md and the modules has a unit or a dash, and a meaning."""
+    page = (
+        (ROOT / "docs" / "explanation" / "kernels.md").read_text(encoding="utf-8").partition("| kernel | equation |")[2]
+    )
     equations = [page.partition("\n\n")[0]]
     for module in {one.__module__ for one in kernels_that_read_aloud()}:
         head = sys.modules[module].__doc__ or ""
@@ -137,11 +141,16 @@ def test_every_letter_in_the_code_of_kernels_is_in_the_glossary():
 
 def test_every_symbol_of_the_equations_of_motion_stands_in_the_table_below_them():
     """But the three states and what the equations themselves give: m_a, c_f, K_f, … were explained nowhere."""
-    text = (ROOT / "docs" / "physics.md").read_text(encoding="utf-8").partition("```text\n")[2].partition("```")[0]
+    text = (
+        (ROOT / "docs" / "explanation" / "physics.md")
+        .read_text(encoding="utf-8")
+        .partition("```text\n")[2]
+        .partition("```")[0]
+    )
     equations = re.sub(r"[a-z]{2,}|`[^`]*`|'s |'", " ", text.replace("F_right", "F_r").replace("F_left", "F_l"))
     found = {*re.findall(r"(?<![\w.])[A-Za-zμδ](?:_\w|0)?(?!\w)", equations)}
     assert {"m_a", "c_f", "K_f", "F_μ", "L", "δ", "v0", "F_r"} <= found
-    known = {one.removesuffix("(e)") for row in symbol_rows("physics.md") for one in row[0].split(", ")}
+    known = {one.removesuffix("(e)") for row in symbol_rows("explanation/physics.md") for one in row[0].split(", ")}
     assert found - {one[:3] for one in known} == {"x_b", "x_1", "x_2", "t", "F", "F_μ"}
 
 
@@ -181,8 +190,8 @@ def test_a_test_that_runs_a_page_reads_it():
         ("`ros2 run impact_rig rig`", "setup.py has no program rig"),
         ("`ros2 run impact_rig impact-rig inform x`", "no such subcommand"),
         ("`ros2 launch impact_rig rig.launch.py modus:=x`", "rig.launch.py has no argument modus"),
-        ("`ros2 topic echo /rig/transmissibilities`", "docs/interface.md has no topic transmissibilities"),
-        ("`ros2 param set /rig/rig barriers.gap 1`", "docs/interface.md has no parameter barriers.gap"),
+        ("`ros2 topic echo /rig/transmissibilities`", "docs/reference/interface.md has no topic transmissibilities"),
+        ("`ros2 param set /rig/rig barriers.gap 1`", "docs/reference/interface.md has no parameter barriers.gap"),
         ("```sh not run: so\nros2 run impact_rig\n```\n", "ros2 run impact_rig: words are missing"),
         ("in `test/test_nothing.py`", "there is no test/test_nothing.py"),
         ("in `config/none/`", "there is no config/none/"),
@@ -195,7 +204,7 @@ def test_a_test_that_runs_a_page_reads_it():
         ("`codec.decode_all()`", "the package has no codec.decode_all()"),
         ("`daq.rate`", "the package has no daq.rate"),
         ("[x](none.md)", "there is no none.md"),
-        ("[x](physics.md#nothing)", "physics.md has no heading #nothing"),
+        ("[x](explanation/physics.md#nothing)", "explanation/physics.md has no heading #nothing"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_named(text, fault):
@@ -217,7 +226,7 @@ def test_what_is_right_is_not():
         "```sh\nmake bench ONLY=physics; make  # all\nmake figures ARGS='paper.svg lab_pictures'\n```\n\n"
         "`build/bench.json`, `test_codec.py`, "
         "`impact-rig recover`, `rig/start`, `analysis/settings`, `impact-rig campaign FILE`, "
-        "`~/stop`, `daq.rate_hz`, `analysis.tracker.Tracker`, `e.g.`, [x](physics.md#numerics)\n"
+        "`~/stop`, `daq.rate_hz`, `analysis.tracker.Tracker`, `e.g.`, [x](explanation/physics.md#numerics)\n"
     )
     assert list(TOOL["faults"](TOOL["Page"].parse("docs/page.md", text))) == []
 
@@ -244,14 +253,14 @@ def test_python_runs(block, monkeypatch, tmp_path):
 def test_yaml_is_accepted(block, tmp_path):
     file = tmp_path / "mine.yaml"
     file.write_text(block.content, encoding="utf-8")
-    if block.page == "docs/campaign.md":
+    if block.page == "docs/how-to/campaign.md":
         (tmp_path / "rig.yaml").write_text(dump(RigConfig()), encoding="utf-8")
         assert load_campaign(file).base.daq.rate_hz == 20_000
-    elif block.page == "docs/maps.md":
+    elif block.page == "docs/how-to/maps.md":
         assert load_map(file).direction == "both"
-    elif block.page == "docs/own_measurement.md":
+    elif block.page == "docs/tutorials/own_measurement.md":
         assert sorted(refined(Mapping(channels={}), block.content).channels) == ["accelerometer", "base", "laser"]
-    elif block.page == "docs/dynamics.md":
+    elif block.page == "docs/how-to/dynamics.md":
         assert [bool(load_dynamics(file, kind).tasks) for kind in KINDS] == [True] * len(KINDS)
     else:
         assert len(load_config(file).instruments.faults.planned) == 2
@@ -259,7 +268,11 @@ def test_yaml_is_accepted(block, tmp_path):
 
 def test_the_table_of_the_first_measurement_is_right_in_itself():
     """The paper's numbers, the closed form, and the reductions that follow from the transmissibilities shown."""
-    (block,) = (block for block in BLOCKS if block.page == "docs/first_measurement.md" and "no sphere" in block.content)
+    (block,) = (
+        block
+        for block in BLOCKS
+        if block.page == "docs/tutorials/first_measurement.md" and "no sphere" in block.content
+    )
     without = re.search(r"none +([\d.]+) +closed form ([\d.]+)", block.content)
     assert without is not None
     expected = f"{abs(transmissibility(RigConfig(), FREQUENCY_HZ)):.2f}"
@@ -273,7 +286,7 @@ def test_the_table_of_the_first_measurement_is_right_in_itself():
 
 def test_the_reductions_on_the_first_page_are_those_that_were_measured_and_the_papers():
     """It said 30 to 49 % of what another page gives as 30.9 to 48.3, and the paper as 29.4 to 49."""
-    readme, campaign = ((ROOT / page).read_text(encoding="utf-8") for page in ("README.md", "docs/campaign.md"))
+    readme, campaign = ((ROOT / page).read_text(encoding="utf-8") for page in ("README.md", "docs/how-to/campaign.md"))
     ours = [float(one) for one in re.search(r"seed 1: reductions ([\d., ]+) %", campaign)[1].split(", ")]
     paper = REDUCTION_PERCENT.values()
     assert f"takes {min(ours):.0f} to {max(ours):.0f} % off it" in readme
@@ -282,7 +295,7 @@ def test_the_reductions_on_the_first_page_are_those_that_were_measured_and_the_p
 
 def test_taking_the_sphere_away_takes_as_long_as_the_first_measurement_says():
     """About ten seconds of rig time: it said 40."""
-    text = (ROOT / "docs" / "first_measurement.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "tutorials" / "first_measurement.md").read_text(encoding="utf-8")
     assert "Click *none*: the sphere is taken away, and after about ten seconds DT is 110." in text
     rig = LocalRig()
     rig.command(frequency_hz=FREQUENCY_HZ, current_a=CURRENT_A)

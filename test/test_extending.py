@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The recipes of docs/extending.md, done to the letter in a copy of the repository: their files, no other by hand.
+"""The recipes of docs/how-to/extending.md, done to the letter in a copy of the repository: no other file by hand.
 
 All of them one after another in one copy, whose pages are made and whose tests are run once; each in a copy of its own
 with `--thorough`, which shows that none needs another one.
@@ -87,8 +87,8 @@ RECIPES = (
         12,
         {
             "config/nominal.yaml": "my_law, restitution",
-            "docs/physics.md": "| `my_law` | 2(1 − e) | 0.526 |",
-            "docs/interface.md": "my_law, restitution",
+            "docs/explanation/physics.md": "| `my_law` | 2(1 − e) | 0.526 |",
+            "docs/reference/interface.md": "my_law, restitution",
         },
     ),
     Recipe(
@@ -99,8 +99,8 @@ RECIPES = (
         12,
         {
             "config/nominal.yaml": "linear_stiffness_n_m: 5000000.0  # N/m",
-            "docs/physics.md": "| `linear_hysteretic` |",
-            "docs/interface.md": "`contact.linear_stiffness_n_m`",
+            "docs/explanation/physics.md": "| `linear_hysteretic` |",
+            "docs/reference/interface.md": "`contact.linear_stiffness_n_m`",
         },
     ),
     Recipe(
@@ -111,7 +111,7 @@ RECIPES = (
         7,
         {
             "config/nominal.yaml": "force:\n        present: false  # -; assumed: ",
-            "docs/interface.md": "| `barrier_force` | WrenchStamped | rig |",
+            "docs/reference/interface.md": "| `barrier_force` | WrenchStamped | rig |",
         },
     ),
     Recipe(
@@ -120,7 +120,7 @@ RECIPES = (
         "test/impact_rig_studies/nodes/test_interface.py",
         ("rms",),
         3,
-        {"docs/interface.md": "### `acceleration_rms`"},
+        {"docs/reference/interface.md": "### `acceleration_rms`"},
     ),
 )
 

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import impact_rig
 
-PAGE = Path(__file__).parents[1] / "docs" / "api.md"
+PAGE = Path(__file__).parents[1] / "docs" / "reference" / "api.md"
 
 
 def test_the_page_of_the_api_shows_exactly_the_public_names() -> None:

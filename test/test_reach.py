@@ -60,7 +60,7 @@ def checkout() -> Reach:
             "test/impact_rig/recording/test_hostile_recordings.py",
             "test/impact_rig/physics/test_energy.py",
         ),
-        ("docs/rig.md", "test/test_docs.py", "test/impact_rig/physics/test_energy.py"),
+        ("docs/explanation/rig.md", "test/test_docs.py", "test/impact_rig/physics/test_energy.py"),
         ("test/data/digests.txt", "test/test_digests.py", "test/impact_rig/recording/test_tail.py"),
         (
             "impact_rig_lab/static/main.js",
@@ -81,7 +81,7 @@ def test_a_change_reaches_who_uses_it_and_not_everybody(
 
 @pytest.mark.parametrize("changed", ["pyproject.toml", "test/conftest.py", "quite" + "_new.xyz"])
 def test_what_is_not_known_reaches_everything(checkout: Reach, changed: str) -> None:
-    assert checkout.files(["docs/rig.md", changed]) is None
+    assert checkout.files(["docs/explanation/rig.md", changed]) is None
 
 
 def test_no_change_reaches_nothing(checkout: Reach) -> None:

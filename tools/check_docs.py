@@ -51,16 +51,16 @@ from tools.doc_commands import PROGRAMS, command_faults, commands
 from tools.doc_paths import ROOT, exists, is_dangling, is_path
 
 RUN_BY = {
-    ("docs/analysis.md", "python"): "test/impact_rig/analysis/test_guide.py",
-    ("docs/drive.md", "python title"): "test/impact_rig/testing/test_examples.py",
-    ("docs/extending.md", "python title"): "test/test_extending.py",
-    ("docs/first_node.md", "python title"): "test/impact_rig/testing/test_examples.py",
-    ("docs/interface.md", "xml"): "test/impact_rig/nodes/test_convert.py",
-    ("docs/recording.md", "python"): "test/impact_rig/recording/test_guide.py",
-    ("docs/recording.md", "python notebook"): "test/impact_rig/recording/test_guide.py",
-    ("docs/testing.md", "python title"): "test/impact_rig/testing/test_guide.py",
-    ("docs/testing.md", "sh"): "test/impact_rig/testing/test_guide.py",
-    ("docs/testing.md", "sh fails"): "test/impact_rig/testing/test_guide.py",
+    ("docs/explanation/analysis.md", "python"): "test/impact_rig/analysis/test_guide.py",
+    ("docs/how-to/drive.md", "python title"): "test/impact_rig/testing/test_examples.py",
+    ("docs/how-to/extending.md", "python title"): "test/test_extending.py",
+    ("docs/tutorials/first_node.md", "python title"): "test/impact_rig/testing/test_examples.py",
+    ("docs/reference/interface.md", "xml"): "test/impact_rig/nodes/test_convert.py",
+    ("docs/how-to/recording.md", "python"): "test/impact_rig/recording/test_guide.py",
+    ("docs/how-to/recording.md", "python notebook"): "test/impact_rig/recording/test_guide.py",
+    ("docs/how-to/testing.md", "python title"): "test/impact_rig/testing/test_guide.py",
+    ("docs/how-to/testing.md", "sh"): "test/impact_rig/testing/test_guide.py",
+    ("docs/how-to/testing.md", "sh fails"): "test/impact_rig/testing/test_guide.py",
     ("examples/README.md", "sh"): "test/impact_rig/testing/test_examples.py",
 }
 RUN_BY_TEST_DOCS = {"python", "python title", "yaml"}

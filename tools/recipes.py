@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Write the files of all recipes of docs/extending.md into this checkout: `python -m tools.recipes`."""
+"""Write the files of all recipes of docs/how-to/extending.md into this checkout: `python -m tools.recipes`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import re
 
 from tools.doc_paths import ROOT
 
-PAGE = ROOT / "docs" / "extending.md"
+PAGE = ROOT / "docs" / "how-to" / "extending.md"
 
 
 def notice() -> str:

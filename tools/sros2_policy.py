@@ -17,7 +17,7 @@
 
     python tools/sros2_policy.py --namespace /left/rig --clock clock > policy.xml
 
-The rest of what SROS2 needs (keystore, certificates) is described in docs/security.md.
+The rest of what SROS2 needs (keystore, certificates) is described in docs/explanation/security.md.
 """
 
 from __future__ import annotations

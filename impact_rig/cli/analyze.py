@@ -173,7 +173,9 @@ def _print_measurements(console: Console, rows: NDArray[np.void], *, everything:
     if not (everything or np.all(measured)):
         words, counts = np.unique(rows["status"][~measured], return_counts=True)
         why = ", ".join(f"{count} {word.decode()}" for word, count in zip(words, counts, strict=True))
-        console.print(f"left out, as nothing was measured: {why} (docs/analysis.md explains; --all shows them)")
+        console.print(
+            f"left out, as nothing was measured: {why} (docs/explanation/analysis.md explains; --all shows them)"
+        )
 
 
 def _places(u: float) -> str:
@@ -309,7 +311,9 @@ def _sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
         console.print("no DT: it needs the motion of structure (laser) and base, and one of them was not measured")
         return 0
     if measured.status not in MEASURED or not math.isfinite(measured.u_transmissibility):
-        console.print(f"no DT from these scans: {measured.status.value} (docs/analysis.md explains)", style="red")
+        console.print(
+            f"no DT from these scans: {measured.status.value} (docs/explanation/analysis.md explains)", style="red"
+        )
         return 1
     phase, u_phase = math.degrees(measured.phase_rad), math.degrees(measured.u_phase_rad)
     spec = _places(measured.u_transmissibility)

@@ -43,7 +43,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
             ("interface --json > interface.json", "types, qualities of service, columns, ranges, defaults"),
             ("interface --against older.json", "what breaks a client of that version, and what is merely new"),
         ],
-        "Exit code 1 if something breaks a client: docs/interface.md says what does.",
+        "Exit code 1 if something breaks a client: docs/reference/interface.md says what does.",
     )  # fmt: skip
     add_json(parser)
     parser.add_argument("--against", type=Path, metavar="FILE", help="document of another version, an earlier one")

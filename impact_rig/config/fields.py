@@ -14,8 +14,8 @@
 """Configuration fields that know their unit, range and origin, and refuse bad values by name.
 
 A section is a frozen attrs class whose fields are made by `quantity`, `quantities`, `choice`, `integer`, `switch` or
-`names`. Each field's metadata carries what parameter descriptors, `docs/interface.md` and error messages need, so none
-of them is written twice.
+`names`. Each field's metadata carries what parameter descriptors, `docs/reference/interface.md` and error messages
+need, so none of them is written twice.
 """
 
 from __future__ import annotations

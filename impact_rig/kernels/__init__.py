@@ -20,7 +20,7 @@ decided once, when this module is imported:
     jit       Numba compiles each function at its first call: no C compiler was there, or a kernel is being edited
     plain     the functions themselves: the same bits, some thousand times slower
 
-`IMPACT_RIG_KERNELS` names one of them; left alone, the first that can be had is taken. See docs/kernels.md.
+`IMPACT_RIG_KERNELS` names one of them; left alone, the first that can be had is taken. See docs/explanation/kernels.md.
 `records` are arrays whose fields have names in all three.
 """
 

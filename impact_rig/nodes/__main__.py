@@ -59,17 +59,17 @@ NODES: dict[str, Use] = {
     "analysis": (
         "The analysis: measures displacement transmissibility and impacts from daq/scan.",
         "gap_m:=0.004",
-        "Topics and parameters: docs/interface.md.",
+        "Topics and parameters: docs/reference/interface.md.",
     ),
     "recorder": (
         "The recorder: writes a rig's topics into an MCAP run, from its start on or between ~/start and ~/stop.",
         "name:=first_light",
-        "Topics, services and parameters: docs/interface.md.",
+        "Topics, services and parameters: docs/reference/interface.md.",
     ),
     "plot": (
         "Topics for plotters: envelopes, spectra, drive and transmissibility as small messages of standard types.",
         "autostart:=false",
-        "Topics: docs/interface.md.",
+        "Topics: docs/reference/interface.md.",
     ),
 }
 

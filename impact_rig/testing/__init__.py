@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""For tests of a pipeline. `docs/testing.md` shows how to test one with it; `impact_rig.client` is for everything else.
+"""Tools for tests of a pipeline, as `docs/how-to/testing.md` shows; `impact_rig.client` is for everything else.
 
 Through the pytest plugin's fixtures `virtual_rig`, `ros_rig` and `golden`, or by themselves:
 

@@ -1,4 +1,4 @@
-// The rig in a Web Worker. It takes and posts objects; docs/browser.md describes them.
+// The rig in a Web Worker. It takes and posts objects; docs/how-to/browser.md describes them.
 
 import { MOST_TICKS, Rig, TICK_S } from "./rig.js";
 

@@ -40,7 +40,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
             ("compare runs/mine --config my_rig.yaml", "the model of that rig, driven by the measured current"),
             ("compare runs/mine --drive base --figures build/mine", "driven by the measured base, and drawn"),
         ],
-        "Takes recorded and imported runs: docs/own_measurement.md.",
+        "Takes recorded and imported runs: docs/tutorials/own_measurement.md.",
     )  # fmt: skip
     add_json(parser)
     add_run(parser)

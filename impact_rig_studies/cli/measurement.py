@@ -52,7 +52,7 @@ def add_import(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         ],
         "Reads text tables (CSV, TSV, LVM), TDMS, universal files (dataset 58), MATLAB, WAV, Parquet, npz, "
         "Rattlesnake netCDF4 and ROS bags. DT needs laser (motion of the structure) and base (motion of what it stands "
-        "on), each as displacement, velocity or acceleration: docs/own_measurement.md.",
+        "on), each as displacement, velocity or acceleration: docs/tutorials/own_measurement.md.",
     )  # fmt: skip
     add_json(parser)
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="file of a measurement")

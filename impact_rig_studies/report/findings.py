@@ -153,7 +153,7 @@ def chosen(config: RigConfig, content: Content) -> Iterator[Markup]:
         f"The paper prints neither amplitudes nor these {content.fact('constants_chosen', len(rows))} constants; they "
         "were chosen so that its five reductions, its natural frequency and its statements come out. The five "
         "reductions of this page are therefore a fit, not a validation; of m₁, ζ and the current they determine two "
-        "combinations, not all three (docs/identification.md)."
+        "combinations, not all three (docs/how-to/identification.md)."
     )
     yield content.table("chosen", ["constant", "value", "unit", "meaning"], rows, [1])
     yield paragraph(

@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOTION_INCH = 4.4  # height of a drawing of the motion
-BATCHES = 4  # of the scatter of a response that is not periodic: the fewer of the two numbers, see docs/analysis.md
+BATCHES = 4  # of the scatter of a response that is not periodic: the fewer of the two, see docs/explanation/analysis.md
 
 
 @attrs.frozen(eq=False, kw_only=True)

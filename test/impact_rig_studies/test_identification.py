@@ -418,7 +418,7 @@ def test_a_fit_to_the_paper_that_runs_out_tells_the_reductions_of_its_own_consta
 
 @pytest.mark.slow
 def test_the_shipped_rig_is_near_the_best_fit_to_the_paper():
-    """As docs/identification.md says: f_n and ζ follow from five reductions; a free current as well would not."""
+    """As docs/how-to/identification.md says: f_n and ζ follow from five reductions; a current would not."""
     found = paper_fit.fit_paper(RigConfig())
     shipped = {"f_n": RigConfig().structure.natural_frequency_hz, "ζ": RigConfig().structure.damping_ratio}
     assert found.converged

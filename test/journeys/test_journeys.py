@@ -52,9 +52,15 @@ def test_a_journey_is_run_or_says_why_not() -> None:
 def test_a_new_command_without_a_journey_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     from tools.check_docs import Page
 
-    text = (ROOT / "docs" / "instruments.md").read_text(encoding="utf-8") + "\n```sh\nimpact-rig check new.yaml\n```\n"
-    monkeypatch.setattr(table, "pages", lambda: {"docs/instruments.md": Page.parse("docs/instruments.md", text)})
-    assert table.faults() == ["docs/instruments.md: impact-rig check new.yaml: it has no journey in journeys.yaml"]
+    text = (ROOT / "docs" / "reference" / "instruments.md").read_text(
+        encoding="utf-8"
+    ) + "\n```sh\nimpact-rig check new.yaml\n```\n"
+    monkeypatch.setattr(
+        table, "pages", lambda: {"docs/reference/instruments.md": Page.parse("docs/reference/instruments.md", text)}
+    )
+    assert table.faults() == [
+        "docs/reference/instruments.md: impact-rig check new.yaml: it has no journey in journeys.yaml"
+    ]
 
 
 def test_what_is_run_instead_of_a_command_exists() -> None:
@@ -83,7 +89,7 @@ def shown_code() -> dict[str, list[str]]:
         for name, page in pages().items()
     }
     cells = json.loads((ROOT / "examples" / "recorded_run.ipynb").read_text(encoding="utf-8"))["cells"]
-    shown["docs/notebook.md"] += ["".join(one["source"]) for one in cells if one["cell_type"] == "code"]
+    shown["docs/how-to/notebook.md"] += ["".join(one["source"]) for one in cells if one["cell_type"] == "code"]
     return shown
 
 

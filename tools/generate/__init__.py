@@ -60,7 +60,7 @@ def rewritten(text: str) -> str:
 
 def generated() -> dict[Path, str]:
     """Return every file that is generated, in whole or in part, with the text the code wants it to have."""
-    texts = {page: page.read_text(encoding="utf-8") for page in sorted((ROOT / "docs").glob("*.md"))}
+    texts = {page: page.read_text(encoding="utf-8") for page in sorted((ROOT / "docs").rglob("*.md"))}
     pages = {page: rewritten(text) for page, text in texts.items() if _SECTION.search(text)}
     description = robot_description(RigConfig())
     return {

@@ -13,8 +13,8 @@
 # limitations under the License.
 """The one table of the figures in `/diagnostics`: key, unit, meaning, by node.
 
-`docs/interface.md` is written from this table, and a test compares it with what the nodes publish. `<...>` in a key
-stands for one word per peer, channel, counter or reason.
+`docs/reference/interface.md` is written from this table, and a test compares it with what the nodes publish. `<...>`
+in a key stands for one word per peer, channel, counter or reason.
 """
 
 from __future__ import annotations

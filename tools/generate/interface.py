@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The interface: as the tables of `docs/interface.md`, and as the document that `impact-rig interface` gives."""
+"""The interface as the tables of `docs/reference/interface.md` and as the document of `impact-rig interface`."""
 
 from __future__ import annotations
 

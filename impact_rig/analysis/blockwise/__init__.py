@@ -14,9 +14,9 @@
 """Analyses of blocks of scans as they come: those with a topic of their own, and what plotters are given.
 
 Every module of this folder that defines a `Blockwise` is found; the analysis node feeds it and publishes what it
-returns (docs/extending.md). Plotters get envelopes, with least, largest and rms value of every interval, so that a
-pulse of 50 µs shows at 50 Hz; the pulses alone; and amplitude spectra of the last seconds through a flat-top window of
-five cosine terms (d'Antona and Ferrero, Digital Signal Processing for Measurement Systems, 2006): a line between two
+returns (docs/how-to/extending.md). Plotters get envelopes, with least, largest and rms value of every interval, so that
+a pulse of 50 µs shows at 50 Hz; the pulses alone; and amplitude spectra of the last seconds through a flat-top window
+of five cosine terms (d'Antona and Ferrero, Digital Signal Processing for Measurement Systems, 2006): a line between two
 bins is 0.1 % too low at worst, for which it is ten bins wide.
 """
 

@@ -11,7 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Contact laws, found by name, and the configuration's `contact` section; docs/extending.md shows how to add a law.
+"""Contact laws, found by name, and the configuration's `contact` section.
+
+docs/how-to/extending.md shows how to add a law.
 
 `LAWS` holds every law that a module of this folder defines, in alphabetical order of names. Nothing else lists them:
 the configuration's choices and its `contact` section, the tables of the documentation and the tests are made from it.

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The code in docs/analysis.md runs and says what the page says."""
+"""The code in docs/explanation/analysis.md runs and says what the page says."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from pathlib import Path
 
 from impact_rig.states import Status
 
-PAGE = Path(__file__).parents[3] / "docs" / "analysis.md"
+PAGE = Path(__file__).parents[3] / "docs" / "explanation" / "analysis.md"
 
 
 def test_the_example_runs(capsys):

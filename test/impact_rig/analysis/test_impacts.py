@@ -87,7 +87,7 @@ def test_default_instruments_at_50_ks_find_every_impact_above_0_02_m_s():
     ("rate_hz", "share", "false_share", "worst_scans"), [(25_600, 0.99, 0.02, 2.0), (10_000, 0.85, 0.03, 5.0)]
 )
 def test_lower_rates_are_documented_not_hidden(rate_hz, share, false_share, worst_scans):
-    """At 10 kS/s a 40 µs pulse may fall between two scans: the figures of docs/analysis.md."""
+    """At 10 kS/s a 40 µs pulse may fall between two scans: the figures of docs/explanation/analysis.md."""
     times, speeds, signs = drawn_impacts(600, 12.0, seed=3)
     acceleration = background(12.0, rate_hz)
     add_impacts(acceleration, rate_hz, times, speeds, signs)

@@ -37,7 +37,7 @@ from impact_rig.rig import Block, Rig
 from impact_rig.simtime import NS_PER_S
 
 RATE = 25_000
-"""At which every contact shows; at 10 kS/s both scans near a pulse can meet a zero of it: see docs/interface.md."""
+"""Every contact shows at this rate; at 10 kS/s both scans near a pulse can meet a zero: docs/reference/interface.md."""
 STRONG_N = 5.0
 SHOWS_M_S2, QUIET_M_S2 = 5.0, 0.5
 LINE_RTOL = 0.005

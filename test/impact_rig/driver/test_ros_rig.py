@@ -137,7 +137,7 @@ def test_an_injected_fault_is_told_at_the_scan_it_acts_on(rig: RosRig) -> None:
 
 
 def test_a_running_rig_takes_changes_and_faults_and_has_its_own_analysis(rig: RosRig) -> None:
-    """As docs/testing.md says it is done through topics; without ROS it is `configure` and `inject`."""
+    """As docs/how-to/testing.md says it is done through topics; without ROS it is `configure` and `inject`."""
     rig.processes.start("analysis")
     assert rig.follow("analysis") is None, "it acknowledges by itself"
     acknowledged = rig.listen("daq/ack")

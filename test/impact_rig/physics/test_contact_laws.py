@@ -250,8 +250,8 @@ def test_a_law_refuses_an_impossible_restitution(law, wrong):
 
 
 def test_the_speed_at_which_a_barrier_yields():
-    """Hertz, p = (2/π) E* √(δ/R) with K = 4/3 E* √R and δ of an elastic impact, as in docs/limits.md; p ~ v^(2/5)."""
-    text = (Path(__file__).parents[3] / "docs" / "limits.md").read_text(encoding="utf-8")
+    """Hertz, as in docs/explanation/limits.md: p = (2/π) E* √(δ/R), K = 4/3 E* √R, δ elastic; p ~ v^(2/5)."""
+    text = (Path(__file__).parents[3] / "docs" / "explanation" / "limits.md").read_text(encoding="utf-8")
     stated = r"put ([\d.]+) GPa .*?yield stress\s+([\d.]+) GPa\).*?reached at ([\d.]+) m/s"
     pressure_gpa, yield_gpa, speed = map(float, re.search(stated, text, re.DOTALL).groups())
     radius, k, mass = RigConfig().sphere.diameter_m / 2.0, stiffness(), sphere_kg()

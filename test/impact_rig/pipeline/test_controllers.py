@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Controllers that go wrong, as processes beside a rig in real time: each ends as docs/drive.md says, and is recorded.
+"""Faulty controllers as processes next to a rig in real time: each ends as docs/how-to/drive.md says, and is recorded.
 
 They come one after the other to one rig; at its end the recording has all of it, and verifies.
 """

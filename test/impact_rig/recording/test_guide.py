@@ -35,7 +35,7 @@ from impact_rig.instruments.section import SCAN
 from impact_rig.nodes.messages import TOPICS
 
 ROOT = Path(__file__).parents[3]
-GUIDE = ROOT / "docs" / "recording.md"
+GUIDE = ROOT / "docs" / "how-to" / "recording.md"
 PLOTTED = {
     "/rig/base_displacement": "geometry_msgs/msg/Vector3Stamped",
     "/rig/laser": "sensor_msgs/msg/Range",

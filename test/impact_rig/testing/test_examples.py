@@ -53,7 +53,9 @@ def test_they_are_collected_in_a_checkout() -> None:
     assert "tests collected" in done.stdout
 
 
-@pytest.mark.parametrize(("page", "name"), [("first_node", "first_node.py"), ("drive", "velocity_feedback.py")])
+@pytest.mark.parametrize(
+    ("page", "name"), [("tutorials/first_node", "first_node.py"), ("how-to/drive", "velocity_feedback.py")]
+)
 def test_a_node_of_the_docs_is_the_one_that_is_tested(page: str, name: str) -> None:
     text = (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8")
     (block,) = re.findall(rf"^```python title=examples/{name}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)

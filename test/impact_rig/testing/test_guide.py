@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""docs/testing.md, followed to the letter in an empty folder: every block is run, and says what the page says."""
+"""docs/how-to/testing.md, followed to the letter in an empty folder: every block runs and prints what the page says."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from impact_rig.runs.verification import verify
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline, pytest.mark.timeout(300)]
 
 ROOT = Path(__file__).parents[3]
-GUIDE = ROOT / "docs" / "testing.md"
+GUIDE = ROOT / "docs" / "how-to" / "testing.md"
 _BLOCK = re.compile(r"^```(\w+)(?: ([^\n]*))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`docs/interface.md` says what the code does: its tables are those of the code, and those of the code the graph's."""
+"""`docs/reference/interface.md` agrees with the code, and the code with the running graph."""
 
 from __future__ import annotations
 
