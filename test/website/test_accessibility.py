@@ -35,7 +35,12 @@ WIDE, NARROW = 1280, 400
 
 @pytest.mark.parametrize(
     ("name", "width", "scheme"),
-    [("index", WIDE, "light"), ("index", NARROW, "dark"), ("rig", NARROW, "light"), ("first_node", WIDE, "dark")],
+    [
+        ("index", WIDE, "light"),
+        ("index", NARROW, "dark"),
+        ("explanation/rig", NARROW, "light"),
+        ("tutorials/first_node", WIDE, "dark"),
+    ],
 )
 def test_pages_of_the_website(site, browser, name, width, scheme):
     page = browser.page(width, 900, prefers_color_scheme=scheme)
