@@ -128,6 +128,7 @@ test: $(TEST) kernels ## run all tests on real ROS 2; ARGS=--changed or '-k code
 	    $(COVERAGE) report --include="$(KERNELS)" --fail-under=90 && [ $$status = 0 ] && $(call note,suite_s) &&) exit $$status
 
 LINT = $(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check . && $(VENV)/bin/mypy && $(VENV)/bin/lint-imports && \
+    $(VENV)/bin/python tools/prose_lint.py && \
     if command -v node >/dev/null; then for file in impact_rig_lab/static/*.js; do \
     node --check --input-type=module < $$file || exit 1; done; fi
 
@@ -135,7 +136,7 @@ check: $(TEST) kernels ## after every edit: style, types, layers, and the tests 
 	@begin=$$(date +%s); $(LINT) && \
 	    $(VENV)/bin/python -m pytest $(PYTEST_PLUGINS_USED) -q -n 2 $(BY_FILE) --check $(ARGS) $(if $(MEASURED),&& $(call note,check_s))
 
-lint: $(TEST) kernels ## check style, types and layers
+lint: $(TEST) kernels ## check style, types, layers and prose
 	@$(LINT)
 
 generate: $(TEST) kernels ## rewrite the pages and files that are made from the code

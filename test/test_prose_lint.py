@@ -1,0 +1,87 @@
+# Copyright 2026 The impact_rig developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Decisions of the prose lint: what it accepts and what it rejects."""
+
+import ast
+
+import pytest
+
+from tools import prose_lint
+
+
+@pytest.mark.parametrize(
+    ("line", "good"),
+    [
+        ("Flow control for `daq/scan`.", True),
+        ("Readers of one run.", True),
+        ("Run and report of a job.", True),
+        ("What a job gave.", False),
+        ("Gives back the messages of a run.", False),
+        ("Reads a file.", False),
+        ("One that waits.", False),
+        ("Of a node: its topics.", False),
+        ("Everything about a topic.", False),
+    ],
+)
+def test_a_class_begins_with_a_noun_phrase(line, good):
+    assert prose_lint.is_noun_phrase(line) is good
+
+
+@pytest.mark.parametrize(
+    ("line", "good"),
+    [
+        ("Decode a received table.", True),
+        ("Return whether the rig is ready.", True),
+        ("Return how many scans were lost.", True),
+        ("Return what was lost.", False),
+        ("Whether the rig is ready.", False),
+        ("A decoded table.", False),
+        ("Hear from a peer.", False),
+    ],
+)
+def test_a_function_begins_with_an_imperative(line, good):
+    assert prose_lint.is_imperative(line) is good
+
+
+@pytest.mark.parametrize(
+    ("option", "count"),
+    [
+        (', help="number of frames to average"', 0),
+        (', help="that are averaged"', 1),
+        (', help="of the rig; default: the paper\'s"', 1),
+        ("", 1),
+    ],
+)
+def test_an_option_has_a_help_text_that_is_a_noun_phrase(option, count):
+    tree = ast.parse(f'parser.add_argument("--frames"{option})')
+    assert len(list(prose_lint.of_help("x.py", tree))) == count
+
+
+def test_phrases_are_found_in_comments_messages_and_docstrings_but_not_in_code():
+    source = 'def run():\n    """Wait for `nobody`.\n\n    Nobody listens."""\n    raise E("begins anew")  # in force\n'
+    found = [(one.line, one.text.lower()) for one in prose_lint.of_python("test/x.py", source)]
+    assert found == [(4, "nobody"), (5, "anew"), (5, "in force")]
+
+
+def test_history_is_found_in_comments_only():
+    source = 'x = "no longer"  # the first version had two\n'
+    assert [one.rule for one in prose_lint.of_python("test/x.py", source)] == ["history"]
+
+
+def test_a_page_has_short_sentences():
+    short, long = "The rig waits for the reader. ", f"The rig {'very ' * 40}slowly waits. "
+    assert not list(prose_lint.of_page("x.md", f"# Title\n\n{short * 9}\n"))
+    assert [one.rule for one in prose_lint.of_page("x.md", short * 9 + long)] == ["length"]
+    medium = f"The rig {'very ' * 20}slowly waits. "
+    assert "median" in next(iter(prose_lint.of_page("x.md", medium * 3))).text

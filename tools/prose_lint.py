@@ -1,0 +1,343 @@
+# Copyright 2026 The impact_rig developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Lint for the prose of code and documentation: `python tools/prose_lint.py` names what cannot be plain English.
+
+It checks what can be counted:
+
+- `head`: the first words of docstrings. Modules and classes begin with a noun phrase, functions with an imperative.
+- `help`: options without help text, and help texts that begin with a preposition, a relative or a finite verb.
+- `phrase`: expressions of `PHRASES` in docstrings, comments, messages, help texts and documentation.
+- `history`: comments about earlier versions of the code.
+- `length`: sentences of docstrings and pages with more than 40 words, and pages whose median exceeds 18 words.
+- `chain`: sentences joined by two or more semicolons.
+- `name`: classes, functions and constants with a name of `NAMES`.
+
+`ALLOWED` holds the findings left in each part of the repository. These counts may only fall: `--write` lowers them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import io
+import json
+import re
+import statistics
+import subprocess
+import sys
+import tokenize
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import attrs
+from markdown_it import MarkdownIt
+
+ROOT = Path(__file__).parents[1]
+ALLOWED = Path(__file__).with_suffix(".json")
+LONGEST, MEDIAN = 40, 18  # words of a sentence
+
+# --- Exceptions: file and a part of the finding, with the reason ------------------------------------------------------
+EXCEPTIONS: dict[tuple[str, str], str] = {
+    ("tools/prose_lint.py", ""): "the patterns themselves",
+}
+
+
+# --- Vocabulary -------------------------------------------------------------------------------------------------------
+def words(text: str) -> set[str]:
+    """Return the words of a text as a set."""
+    return set(text.split())
+
+
+RELATIVES = words("what which who whom whose how where when why that")
+CONJUNCTIONS = words("and as because but if or so than then though unless while whatever")
+PREPOSITIONS = words("""
+    about above after against along among around at before behind below beneath beside between beyond by down during for
+    from in inside into like near of off on onto out outside over past since through till to toward under until up upon
+    via with within without""")
+PRONOUNS = words("""
+    he her his i it me my our ours she their them they us we you your anybody anyone anything everybody everyone
+    everything nobody none nothing somebody someone something whoever""")
+AUXILIARIES = words("""
+    am are be been can could did do does had has have is may might must shall should was were will would""")
+DETERMINERS = words("a an the this these its each every all any one two both whether")
+HEADLESS = RELATIVES | CONJUNCTIONS | PREPOSITIONS | PRONOUNS | AUXILIARIES | {"whether"}
+# verbs that a docstring of a module or a class could begin with
+IMPERATIVES = words("""
+    analyse build call check compare compute draw evaluate fit give guess hold hurt import keep let list look make
+    measure parse play predict print prove put read run seek send serve show start take test turn watch write""")
+# everyday verbs that would have a private meaning
+PRIVATE = words("be come go hear look rest say speak tell")
+
+PHRASES = [
+    "anew", "nobody", "somebody", "whoever", "anybody", "everybody", "in force", "in words",
+    "(?:is|are|was|were|be) (?:told|said)", "told of", "told about", "what is none", "what is not one",
+    r"is none\b(?! of)", r"freewheel\w*", "beyond all measure", "(?:is|are|written) whole", "(?:goes|go|went) out",
+    "stands there", r"dents?\b(?! of)", "unhurried", "heard of", "(?:is|are) heard", "hears", "amid", "albeit", "hence",
+    "hitherto", "lest", "thence", "thereby", "thereof", "therein", "whence", "whereof",
+]  # fmt: skip
+HISTORY = [
+    "no longer", "used to", "formerly", "(?:first|earlier|previous) version", "originally", "until now", "any ?more",
+    "once was", "was once", "has been renamed", "in the past", "historically", "before this change",
+]  # fmt: skip
+NAMES = words("""
+    Apparatus Wire OverTopics InProcess RecordedInProcess Ladder Rung climb Walk News Note hear rest Look Own Spending
+    Foreign Trouble Quiet Replan Keyed Portable held unhurried be_gentle written_whole errors_as obstacle GLANCE_S
+    PEEK_S DEAF_S LOOK_S MOST_BAD HURRIED dent FREEWHEEL freewheel""")
+PHRASE = re.compile(rf"\b(?:{'|'.join(PHRASES)})\b", re.IGNORECASE)
+PAST = re.compile(rf"\b(?:{'|'.join(HISTORY)})\b", re.IGNORECASE)
+
+MARKDOWN = MarkdownIt("commonmark").enable("table")
+WORD = re.compile(r"[^\W_][\w'’.-]*")
+SENTENCE = re.compile(r"(?<=[.!?])[\"')\]]*\s+(?=[A-Z`*\[\"'(])")
+OF_CODE = (
+    "impact_rig",
+    "impact_rig_lab",
+    "impact_rig_studies",
+    "tools",
+    "qualification",
+    "benchmarks",
+    "fuzz",
+    "launch",
+    "examples",
+)
+
+
+@attrs.frozen
+class Finding:
+    """Violation of one rule at one line of a file."""
+
+    file: str
+    line: int
+    rule: str
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.file}:{self.line}: {self.rule}: {self.text}"
+
+
+# --- Sentences --------------------------------------------------------------------------------------------------------
+def sentences(text: str) -> Iterator[str]:
+    """Yield the sentences of prose; inline code counts as one word, indented blocks and lists end a sentence."""
+    text = re.sub(r"``?[^`]+``?", "code", text)
+    for paragraph in re.split(r"\n\s*\n|\n\s*(?:[-*]|\d+\.)\s|\n\s+\w+(?:, \w+)*: ", text):
+        yield from (part for part in SENTENCE.split(" ".join(paragraph.split())) if part)
+
+
+def of_sentence(file: str, line: int, sentence: str) -> Iterator[Finding]:
+    """Yield what is wrong with the length and the punctuation of one sentence."""
+    if (count := len(WORD.findall(sentence))) > LONGEST:
+        yield Finding(file, line, "length", f"{count} words: {sentence[:60]} …")
+    if sentence.count("; ") >= 2:
+        yield Finding(file, line, "chain", sentence[:70])
+
+
+def of_phrases(file: str, line: int, text: str) -> Iterator[Finding]:
+    """Yield the rejected phrases of a text, each with the line it is in."""
+    for hit in PHRASE.finditer(re.sub(r"`[^`\n]+`", lambda code: "·" * len(code.group()), text)):
+        yield Finding(file, line + text.count("\n", 0, hit.start()), "phrase", hit.group())
+
+
+# --- Python -----------------------------------------------------------------------------------------------------------
+def is_noun_phrase(line: str) -> bool:
+    """Return whether the first line of a docstring of a module or a class can be a noun phrase."""
+    first, second = ([*(word.lower() for word in re.findall(r"[\w'’-]+", line)), "", ""])[:2]
+    if first in HEADLESS or (first in {"all", "one", "some", "a", "the"} and second in RELATIVES | PREPOSITIONS):
+        return False
+    follows = second in DETERMINERS | RELATIVES | PRONOUNS | {"back", "from", "into", "together"}
+    return not (follows and (first in IMPERATIVES or (first.endswith("s") and first not in {"this", "as"})))
+
+
+def is_imperative(line: str) -> bool:
+    """Return whether the first line of a function's docstring can begin with an imperative verb."""
+    first, second = ([*(word.lower() for word in re.findall(r"[\w'’-]+", line)), "", ""])[:2]
+    if first in HEADLESS - {"do"} | DETERMINERS | PRIVATE:
+        return False
+    return not (first == "return" and second in RELATIVES - {"that"} and not line.lower().startswith("return how many"))
+
+
+def of_docstrings(file: str, tree: ast.Module, *, heads: bool) -> Iterator[Finding]:
+    """Yield what is wrong with the docstrings of a module."""
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            continue
+        text = ast.get_docstring(node)
+        if not text:
+            continue
+        line = node.body[0].lineno
+        first = text.split("\n", maxsplit=1)[0]
+        decorators = " ".join(ast.unparse(one) for one in getattr(node, "decorator_list", ()))
+        if isinstance(node, ast.Module | ast.ClassDef) or "property" in decorators:
+            good = (
+                is_noun_phrase(first)
+                or ("property" in decorators and is_imperative(first))
+                or first.startswith("`python")
+            )
+        else:
+            good = is_imperative(first)
+        if heads and not good:
+            yield Finding(file, line, "head", first[:80])
+        yield from of_phrases(file, line, text)
+        for sentence in sentences(text):
+            yield from of_sentence(file, line, sentence)
+
+
+def of_strings(file: str, tree: ast.Module) -> Iterator[Finding]:
+    """Yield the rejected phrases of messages, help texts and labels: all strings of several words."""
+    inner: set[ast.AST] = set()  # docstrings, and the parts of f-strings
+    for node in ast.walk(tree):
+        if isinstance(node, ast.JoinedStr):
+            inner.update(node.values)
+            text = "".join(str(part.value) if isinstance(part, ast.Constant) else "·" for part in node.values)
+        elif isinstance(node, ast.Expr):
+            inner.add(node.value)
+            continue
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in inner:
+            text = node.value
+        else:
+            continue
+        if " " in text and "\n" not in text:
+            yield from of_phrases(file, node.lineno, text)
+
+
+def of_help(file: str, tree: ast.Module) -> Iterator[Finding]:
+    """Yield the options of command lines without a help text or with one that is no noun phrase or instruction."""
+    for node in ast.walk(tree):
+        name = node.func.attr if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) else ""
+        if not isinstance(node, ast.Call) or name not in {"add_argument", "add_parser"}:
+            continue
+        given = {one.arg: one.value for one in node.keywords}
+        if None in given:
+            continue
+        subject = ast.unparse(node.args[0]) if node.args else name
+        if "help" not in given:
+            yield Finding(file, node.lineno, "help", f"{subject} has no help")
+            continue
+        parts = [one for one in ast.walk(given["help"]) if isinstance(one, ast.Constant) and isinstance(one.value, str)]
+        for text in (one.value for one in parts if " " in one.value.strip() and one is parts[0]):
+            first, second = ([*(word.lower() for word in re.findall(r"[\w'’-]+", text)), "", ""])[:2]
+            finite = first.endswith("s") and second in DETERMINERS | RELATIVES
+            if first in HEADLESS - {"do"} | PRIVATE or finite:
+                yield Finding(file, node.lineno, "help", f"{subject}: {text[:60]}")
+
+
+def of_comments(file: str, source: str) -> Iterator[Finding]:
+    """Yield the rejected phrases and the history in comments."""
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT:
+            yield from of_phrases(file, token.start[0], token.string)
+            for hit in PAST.finditer(token.string):
+                yield Finding(file, token.start[0], "history", token.string[max(0, hit.start() - 30) : hit.end() + 30])
+
+
+def of_names(file: str, tree: ast.Module) -> Iterator[Finding]:
+    """Yield the functions, classes and constants of a module with a rejected name."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef) and node.name in NAMES:
+            yield Finding(file, node.lineno, "name", node.name)
+    for statement in tree.body:
+        for node in statement.targets if isinstance(statement, ast.Assign) else ():
+            if isinstance(node, ast.Name) and node.id in NAMES:
+                yield Finding(file, node.lineno, "name", node.id)
+
+
+def of_python(file: str, source: str) -> Iterator[Finding]:
+    """Yield the findings of a Python file; the first words of docstrings are free in tests and examples."""
+    tree = ast.parse(source)
+    yield from of_docstrings(file, tree, heads=not file.startswith(("test/", "examples/")))
+    yield from of_strings(file, tree)
+    yield from of_help(file, tree)
+    yield from of_comments(file, source)
+    yield from of_names(file, tree)
+
+
+# --- Pages ------------------------------------------------------------------------------------------------------------
+def of_page(file: str, source: str) -> Iterator[Finding]:
+    """Yield the findings of a Markdown page: phrases, long sentences and a median above the limit."""
+    counts = []
+    table = 0
+    line = 1
+    for token in MARKDOWN.parse(source):
+        table += {"table_open": 1, "table_close": -1}.get(token.type, 0)
+        line = token.map[0] + 1 if token.map else line
+        if token.type != "inline" or not token.children:
+            continue
+        prose = "".join(
+            "code" if child.type == "code_inline" else child.content if child.type == "text" else " "
+            for child in token.children
+        )
+        yield from of_phrases(file, line, prose)
+        for sentence in sentences(prose):
+            if re.search(r"[.!?:]$", sentence) or len(WORD.findall(sentence)) > LONGEST:
+                yield from of_sentence(file, line, sentence)
+                if not table:
+                    counts.append(len(WORD.findall(sentence)))
+    if counts and (median := statistics.median(counts)) > MEDIAN:
+        yield Finding(file, 1, "length", f"median of {median:g} words a sentence, at most {MEDIAN}")
+
+
+def findings(files: Iterable[str]) -> Iterator[Finding]:
+    """Yield the findings of these files, those of the repository for which there is no exception."""
+    for file in files:
+        source = (ROOT / file).read_text(encoding="utf-8")
+        if file.endswith(".py"):
+            found = of_python(file, source)
+        elif file.endswith(".md"):
+            found = of_page(file, source)
+        else:
+            found = of_phrases(file, 1, source)
+        yield from (one for one in found if not any(file == path and text in one.text for path, text in EXCEPTIONS))
+
+
+def part(file: str) -> str:
+    """Return the part of the repository that a file is counted in: a room of the packages, else the first folder."""
+    first, *rest = file.split("/")
+    return f"{first}/{rest[0]}" if first.startswith("impact_rig") and len(rest) > 1 else first if rest else "."
+
+
+def main() -> int:
+    """Compare the findings with those allowed; print those of the parts with more, and fail."""
+    parser = argparse.ArgumentParser(description=str(__doc__).split("\n", maxsplit=1)[0])
+    parser.add_argument("--list", action="store_true", help="print all findings")
+    parser.add_argument("--write", action="store_true", help="lower the allowed counts to the present ones")
+    parser.add_argument("paths", nargs="*", help="files and folders to check (default: the repository)")
+    args = parser.parse_args()
+    kinds = ("*.py", "*.md", "*.js", "*.mjs", "*.html", "*.sh", "*.c", "*.h", "*.yaml", "*.toml", "*.rst", "Makefile")
+    command = ["git", "ls-files", *kinds, "*/words.json"]
+    listed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout  # noqa: S603  # git
+    wanted = [
+        one for one in listed.split() if one.startswith(tuple(args.paths or [""])) and not one.startswith("test/data/")
+    ]
+    found = list(findings(wanted))
+    if args.list or args.paths:
+        print(*found, dict(Counter(one.rule for one in found)), sep="\n")  # noqa: T201  # a program
+        return 0
+    counts = Counter((part(one.file), one.rule) for one in found)
+    allowed = json.loads(ALLOWED.read_text(encoding="utf-8"))
+    over = [key for key in sorted(counts) if counts[key] > allowed.get(key[0], {}).get(key[1], 0)]
+    for place, rule in over:
+        message = (
+            f"{place}: {counts[place, rule]} findings of `{rule}`, more than allowed; at least one of these is new:"
+        )
+        print(message, *(one for one in found if (part(one.file), one.rule) == (place, rule)), sep="\n  ")  # noqa: T201
+    if args.write and not over:
+        left: dict[str, dict[str, int]] = {}
+        for (place, rule), count in sorted(counts.items()):
+            left.setdefault(place, {})[rule] = count
+        ALLOWED.write_text(json.dumps(left, indent=1) + "\n", encoding="utf-8")
+    return 1 if over else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
