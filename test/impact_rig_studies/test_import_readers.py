@@ -21,6 +21,8 @@ import io
 import itertools
 import os
 import struct
+import subprocess
+import sys
 import warnings
 import zipfile
 from collections.abc import Callable
@@ -31,6 +33,7 @@ import numpy as np
 import pytest
 
 from impact_rig.errors import ImpactRigError
+from impact_rig.runs.exports import write_columns
 from impact_rig_studies.importing import headings, readers
 from impact_rig_studies.importing.cells import half_digit
 from impact_rig_studies.importing.readers import delimited, labview, universal, wav
@@ -525,6 +528,27 @@ def test_a_small_table_of_one_value_does_not_become_a_large_one(tmp_path: Path) 
     parquet.write_table(table, tmp_path / "own.parquet", compression="zstd")
     with pytest.raises(ImpactRigError, match="bytes of content in a file of"):
         readers.read(tmp_path / "own.parquet")
+
+
+READ = """import sys
+from pathlib import Path
+from impact_rig_studies.importing.readers import read
+print(len(read(Path(sys.argv[1])).signals))
+"""
+
+
+@pytest.mark.parametrize("before", ["", "import pyarrow\n"])
+def test_a_long_table_is_read_whatever_reserves_the_memory_of_pyarrow(tmp_path: Path, before: str) -> None:
+    """Other pools than the system's reserve so many addresses that 100,000 rows exceeded the limit of the reader."""
+    pytest.importorskip("pyarrow")
+    rows = np.random.default_rng(1).integers(0, 4096, (4, 100_000)) / 4096.0  # a file that is small for its rows
+    stamps = np.arange(100_000).astype("datetime64[ns]")
+    columns = {"timestamp": stamps, **{f"channel_{k}": one for k, one in enumerate(rows)}}
+    path = tmp_path / "own.parquet"
+    write_columns(lambda: iter([columns]), path)
+    command = [sys.executable, "-c", f"{before}{READ}", path]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.stdout == "4\n", done.stderr
 
 
 @pytest.mark.parametrize("suffix", sorted(readers.FORMATS))

@@ -54,6 +54,7 @@ class Format:
     read: Callable[..., ImportedSignals]  # of path and content, and of the library where there is one
     library: str = ""  # that the reader is given; empty: none
     package: str = ""  # that brings it
+    prepare: Callable[[], object] | None = None  # called after the library is imported
 
     def load(self) -> tuple[ModuleType, ...]:
         """Return the library as arguments for the reader.
@@ -64,9 +65,12 @@ class Format:
         if not self.library:
             return ()
         try:
-            return (importlib.import_module(self.library),)
+            library = importlib.import_module(self.library)
         except ImportError as error:
             raise RecordingError(f"{self.name} needs {self.package}: pip install 'impact_rig[import]'") from error
+        if self.prepare:
+            self.prepare()
+        return (library,)
 
 
 TEXT = Format("a text table", delimited.read)
@@ -80,7 +84,7 @@ FORMATS: Mapping[str, Format] = {
     ".lvm": Format("a LabVIEW measurement file", labview.read),
     ".tdms": Format("a TDMS file", tdms.read, "nptdms", "npTDMS"),
     ".npz": Format("an npz file", npz.read),
-    ".parquet": Format("a Parquet file", parquet.read, "pyarrow.parquet", "pyarrow"),
+    ".parquet": Format("a Parquet file", parquet.read, "pyarrow.parquet", "pyarrow", parquet.reserve),
     ".wav": Format("a WAV file", wav.read),
     ".uff": UNIVERSAL, ".unv": UNIVERSAL, ".uf": UNIVERSAL,
     ".nc": NETCDF, ".nc4": NETCDF,

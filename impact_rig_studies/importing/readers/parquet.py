@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 import io
+import os
 from pathlib import Path
 from types import ModuleType
 
@@ -23,11 +24,18 @@ from impact_rig_studies.importing.columns import signals_of
 from impact_rig_studies.importing.limits import allow_bytes, allow_columns, allow_values
 from impact_rig_studies.importing.signals import ImportedSignals
 
+# The other memory pools reserve 128 MiB to 1 GiB of addresses, which exceeds the limit of the reader's process.
+os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
+
+
+def reserve() -> None:
+    """Let the default memory pool reserve its addresses before they are limited, if pyarrow was imported earlier."""
+    pyarrow = __import__("pyarrow")
+    pyarrow.allocate_buffer(1, memory_pool=pyarrow.default_memory_pool())
+
 
 def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
     """Read all columns; what the file claims to hold is checked before it is decompressed."""
-    pyarrow = __import__("pyarrow")
-    pyarrow.set_memory_pool(pyarrow.system_memory_pool())  # the others reserve far more than they use
     file = library.ParquetFile(io.BytesIO(content))
     allow_columns(file.metadata.num_columns)
     allow_values(float(file.metadata.num_rows) * file.metadata.num_columns, len(content))
