@@ -58,7 +58,7 @@ SOURCES_LETTERS = {
     "impact_rig.arithmetic.random",
     "impact_rig.analysis.calibration",
 }
-"""Modules whose letters are those of their sources, as the glossary says."""
+"""Modules whose letters are those of their sources, as the page of symbols says."""
 
 
 def by_place(block):
@@ -90,7 +90,7 @@ def symbols_in(text: str) -> set[str]:
 
 def known_symbols() -> list[str]:
     """Every symbol of both tables, as often as it stands there."""
-    rows = symbol_rows("reference/glossary.md") + symbol_rows("explanation/physics.md")
+    rows = symbol_rows("reference/symbols.md") + symbol_rows("explanation/physics.md")
     assert all(len(row) == 3 and all(row) for row in rows)
     return [symbol for row in rows for symbol in row[0].split(", ")]
 
@@ -109,7 +109,7 @@ def test_a_symbol_of_the_kernels_means_one_thing():
     assert [symbol for symbol, count in Counter(known_symbols()).items() if count > 1] == []
 
 
-def test_every_symbol_of_the_kernels_is_in_the_glossary():
+def test_every_symbol_of_the_kernels_is_listed():
     """Each letter in equations of docs/explanation/kernels.md and the modules has a unit or a dash, and a meaning."""
     page = (
         (ROOT / "docs" / "explanation" / "kernels.md").read_text(encoding="utf-8").partition("| kernel | equation |")[2]
@@ -127,7 +127,7 @@ def test_every_symbol_of_the_kernels_is_in_the_glossary():
     assert {one for one in used - known if not (one[:2] in counted and re.fullmatch(INDEXED, one))} == set()
 
 
-def test_every_letter_in_the_code_of_kernels_is_in_the_glossary():
+def test_every_letter_in_the_code_of_kernels_is_listed():
     known = {re.sub(r"`|'", "", symbol) for symbol in known_symbols()}
     letters = {
         (one.__module__, one.__name__, name)
@@ -258,7 +258,7 @@ def test_yaml_is_accepted(block, tmp_path):
         assert load_campaign(file).base.daq.rate_hz == 20_000
     elif block.page == "docs/how-to/maps.md":
         assert load_map(file).direction == "both"
-    elif block.page == "docs/tutorials/own_measurement.md":
+    elif block.page == "docs/how-to/import.md":
         assert sorted(refined(Mapping(channels={}), block.content).channels) == ["accelerometer", "base", "laser"]
     elif block.page == "docs/how-to/dynamics.md":
         assert [bool(load_dynamics(file, kind).tasks) for kind in KINDS] == [True] * len(KINDS)
@@ -284,19 +284,21 @@ def test_the_table_of_the_first_measurement_is_right_in_itself():
         assert difference == pytest.approx(ours - paper, abs=0.11)
 
 
-def test_the_reductions_on_the_first_page_are_those_that_were_measured_and_the_papers():
-    """It said 30 to 49 % of what another page gives as 30.9 to 48.3, and the paper as 29.4 to 49."""
-    readme, campaign = ((ROOT / page).read_text(encoding="utf-8") for page in ("README.md", "docs/how-to/campaign.md"))
-    ours = [float(one) for one in re.search(r"seed 1: reductions ([\d., ]+) %", campaign)[1].split(", ")]
-    paper = REDUCTION_PERCENT.values()
-    assert f"takes {min(ours):.0f} to {max(ours):.0f} % off it" in readme
-    assert f"(the paper: {min(paper):g} to {max(paper):g} %)" in readme
+def test_the_reductions_on_the_page_of_the_paper_are_those_of_the_paper_and_of_the_first_measurement():
+    text = (ROOT / "docs" / "explanation" / "paper.md").read_text(encoding="utf-8")
+    paper, rig = (
+        [float(one) for one in re.findall(r"([\d.]+) %", re.search(rf"^\| {row} \|.*$", text, re.MULTILINE)[0])]
+        for row in ("paper", "rig")
+    )
+    assert paper == list(REDUCTION_PERCENT.values())
+    table = (ROOT / "docs" / "tutorials" / "first_measurement.md").read_text(encoding="utf-8")
+    assert rig == [float(one) for one in re.findall(r"^ +\d+ +[\d.]+ +([\d.]+)", table, re.MULTILINE)]
 
 
 def test_taking_the_sphere_away_takes_as_long_as_the_first_measurement_says():
     """About ten seconds of rig time: it said 40."""
     text = (ROOT / "docs" / "tutorials" / "first_measurement.md").read_text(encoding="utf-8")
-    assert "Click *none*: the sphere is taken away, and after about ten seconds DT is 110." in text
+    assert "Click *none* to remove the sphere. After about ten seconds DT is 110." in text
     rig = LocalRig()
     rig.command(frequency_hz=FREQUENCY_HZ, current_a=CURRENT_A)
     rig.run(seconds=12.0)

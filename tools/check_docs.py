@@ -61,6 +61,9 @@ RUN_BY = {
     ("docs/how-to/testing.md", "python title"): "test/impact_rig/testing/test_guide.py",
     ("docs/how-to/testing.md", "sh"): "test/impact_rig/testing/test_guide.py",
     ("docs/how-to/testing.md", "sh fails"): "test/impact_rig/testing/test_guide.py",
+    ("docs/tutorials/first_pipeline_test.md", "python title"): "test/impact_rig/testing/test_guide.py",
+    ("docs/tutorials/first_pipeline_test.md", "sh"): "test/impact_rig/testing/test_guide.py",
+    ("docs/tutorials/first_pipeline_test.md", "sh fails"): "test/impact_rig/testing/test_guide.py",
     ("examples/README.md", "sh"): "test/impact_rig/testing/test_examples.py",
 }
 RUN_BY_TEST_DOCS = {"python", "python title", "yaml"}

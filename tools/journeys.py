@@ -45,8 +45,8 @@ from tools.environments import assemble, closure, install, pinned  # noqa: E402
 TABLE = ROOT / "test" / "journeys" / "journeys.yaml"
 CLONE, TEST, JAZZY = "clone", "test", "jazzy"
 ENVIRONMENTS = {
-    CLONE: "a fresh clone, in which `make` sets up `.venv`",
-    TEST: "the tests' part of `.venv`, which `make test` installs",
+    CLONE: "a clone of the repository",
+    TEST: "the test environment, which `make test` installs",
     JAZZY: "a shell in which ROS 2 Jazzy is sourced",
     "wheel": "the installed package",
     "wheel[lab]": "Environment: the installed package with the extra `[lab]`",

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""docs/how-to/testing.md, followed to the letter in an empty folder: every block runs and prints what the page says."""
+"""Tests of the pages on testing, followed to the letter in an empty folder: every block prints what its page says."""
 
 from __future__ import annotations
 
@@ -30,13 +30,14 @@ from impact_rig.runs.verification import verify
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline, pytest.mark.timeout(300)]
 
 ROOT = Path(__file__).parents[3]
-GUIDE = ROOT / "docs" / "how-to" / "testing.md"
+PAGES = [ROOT / "docs" / name for name in ("tutorials/first_pipeline_test.md", "how-to/testing.md")]
 _BLOCK = re.compile(r"^```(\w+)(?: ([^\n]*))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
 def blocks() -> Iterator[tuple[str, str, str]]:
     """Language, what follows it, and content of each block, in order."""
-    return (match.groups(default="") for match in _BLOCK.finditer(GUIDE.read_text(encoding="utf-8")))
+    for page in PAGES:
+        yield from (match.groups(default="") for match in _BLOCK.finditer(page.read_text(encoding="utf-8")))
 
 
 def run(commands: str, folder: Path, project: Path = ROOT) -> subprocess.CompletedProcess[str]:
