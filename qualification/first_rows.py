@@ -24,7 +24,6 @@ Every seed draws the errors and the noise of all instruments. Results are kept i
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import sys
 from pathlib import Path
@@ -36,6 +35,7 @@ from impact_rig.physics.linear_response import transmissibility
 from impact_rig.rig.gaps import NO_SPHERE
 from impact_rig.simtime import TICKS_PER_S
 from qualification.coverage_of_uncertainties import Case, driven, irregular_cases, measured, motions, stretches
+from qualification.results import Results
 
 BASES_UM, FREQUENCY_HZ, SECONDS = (2.0, 5.0, 10.0), 9.1, 80.0
 MEAN, LOW, HIGH, FAR = 0.2, 0.92, 0.985, 4.5
@@ -92,7 +92,6 @@ def main() -> int:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--seeds", type=int, default=300, help="number of seeds of each case (default: 300)")
     arguments = parser.parse_args()
-    arguments.folder.mkdir(parents=True, exist_ok=True)
     sound = True
     linear = [
         Case(
@@ -103,8 +102,7 @@ def main() -> int:
     (intermittent,) = [case for case in irregular_cases() if case.label == ("30", "8.82")]
     for case in (*linear, intermittent):
         name = "_".join((case.table, *case.label))
-        kept = arguments.folder / f"{name}.jsonl"
-        done = [json.loads(line) for line in kept.read_text(encoding="utf-8").splitlines()] if kept.exists() else []
+        done = Results(arguments.folder / f"{name}.jsonl")
         first, is_linear = len(done), case.table == "small"
         if first < arguments.seeds:
             truth = complex(transmissibility(case.config(NO_SPHERE), FREQUENCY_HZ)) if is_linear else averaged(case)
@@ -116,9 +114,7 @@ def main() -> int:
             for seed, motion in enumerate(parts):
                 if seed < first:
                     continue
-                done.append(row_of(case, seed + 1, motion, truth))
-                with kept.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(done[-1]) + "\n")
+                done.add(row_of(case, seed + 1, motion, truth))
         sound = told(name, done, linear=is_linear) and sound
     return 0 if sound else 1
 

@@ -48,6 +48,7 @@ from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, dump, from_flat
 from impact_rig.rig.gaps import gap_values
 from impact_rig.simtime import NS_PER_S
+from qualification.results import Results
 
 RATE_HZ, GAIN, COVERAGE = 1000, 0.03, 2.0
 DETUNING = (0.82, 0.93, 0.985, 1.0, 1.015, 1.07, 1.15)
@@ -221,15 +222,11 @@ def main() -> int:
     if arguments.draw:
         draw(arguments.folder / "drawn")
         return 0
-    arguments.folder.mkdir(parents=True, exist_ok=True)
-    kept = arguments.folder / f"found_{arguments.seed}.jsonl"
-    done = [json.loads(line) for line in kept.read_text(encoding="utf-8").splitlines()] if kept.exists() else []
+    done = Results(arguments.folder / f"found_{arguments.seed}.jsonl")
     for number in range(arguments.rigs):
         if number not in {one["number"] for one in done}:
             place = arguments.folder / f"{number:04d}"
-            done.append(judged(arguments.seed, number, place, compares=not arguments.no_compare))
-            with kept.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(done[-1], ensure_ascii=False) + "\n")
+            done.add(judged(arguments.seed, number, place, compares=not arguments.no_compare))
     return 0 if summary(done) else 1
 
 

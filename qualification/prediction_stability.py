@@ -23,7 +23,6 @@ FOLDER, so a run can be continued. Exit code 1 otherwise.
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import sys
 from pathlib import Path
@@ -38,6 +37,7 @@ from impact_rig_studies import prediction
 from impact_rig_studies.dynamics import orbits
 from impact_rig_studies.dynamics.stroboscope import Place, Stroboscope, size
 from impact_rig_studies.maps.plan import GAP
+from qualification.results import Results
 
 MOST_MASS_RATIO, SHARE, CYCLES, ERROR = 0.03, 0.9, 500, 1e-4
 
@@ -118,14 +118,10 @@ def main() -> int:
     parser.add_argument("--places", type=int, default=60, help="number of places (default: 60)")
     parser.add_argument("--seed", type=int, default=60, help="seed of the places (default: 60)")
     arguments = parser.parse_args()
-    arguments.folder.mkdir(parents=True, exist_ok=True)
-    kept = arguments.folder / f"stability_{arguments.seed}.jsonl"
-    done = [json.loads(line) for line in kept.read_text(encoding="utf-8").splitlines()] if kept.exists() else []
+    done = Results(arguments.folder / f"stability_{arguments.seed}.jsonl")
     for number in range(arguments.places):
         if number not in {one["number"] for one in done}:
-            done.append(judged(arguments.seed, number))
-            with kept.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(done[-1]) + "\n")
+            done.add(judged(arguments.seed, number))
     called = [one for one in done if one["predicted"] == prediction.STABLE]
     left = [one for one in called if not one["stable"]]
     lasting = [one for one in done if one["stable"]]

@@ -22,7 +22,6 @@ disagree by more than 2u, none by more than 4u. Results are kept in FOLDER, so a
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from pathlib import Path
 
@@ -34,6 +33,7 @@ from impact_rig_studies.dynamics.stroboscope import Place, Stroboscope
 from impact_rig_studies.maps import exponent
 from impact_rig_studies.maps.measure import MapRig, Settings
 from impact_rig_studies.maps.plan import FREQUENCY
+from qualification.results import Results
 
 CYCLES, WINDOWS, MOST, FAR = 100, 20, 0.05, 4.0
 
@@ -80,13 +80,9 @@ def main() -> int:
     parser.add_argument("--places", type=int, default=200, help="number of places (default: 200)")
     parser.add_argument("--seed", type=int, default=2, help="seed of the places (default: 2)")
     arguments = parser.parse_args()
-    arguments.folder.mkdir(parents=True, exist_ok=True)
-    kept = arguments.folder / f"regimes_{arguments.seed}.jsonl"
-    done = [json.loads(line) for line in kept.read_text(encoding="utf-8").splitlines()] if kept.exists() else []
+    done = Results(arguments.folder / f"regimes_{arguments.seed}.jsonl")
     for number in range(len(done), arguments.places):
-        done.append(judged(arguments.seed, number))
-        with kept.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(done[-1]) + "\n")
+        done.add(judged(arguments.seed, number))
     known = [one for one in done if np.isfinite(one["exponent_per_s"])]
     apart = np.array([off(one) for one in known])
     print(  # noqa: T201  # the result

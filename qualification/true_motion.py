@@ -27,7 +27,6 @@ Results are kept in FOLDER, so a run can be continued. Exit code 1 if a case fai
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import sys
 from pathlib import Path
@@ -43,6 +42,7 @@ from impact_rig.physics.linear import constants, input_vectors, state_matrix
 from impact_rig_studies.excitation.history import Replicated, ReplicatePlan, replicate
 from impact_rig_studies.excitation.response import KINDS, Excitation, Response, measure
 from impact_rig_studies.excitation.shock import Pulse, Shocked, differentiated, shock, shock_response_spectrum
+from qualification.results import Results
 
 RATE_HZ, SHOCK_HZ = 2_000, 10_000
 MOST = 0.005  # stated error of a replication
@@ -177,15 +177,11 @@ def main() -> int:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--seeds", type=int, default=5, help="number of seeds of the instruments (default: 5)")
     arguments = parser.parse_args()
-    arguments.folder.mkdir(parents=True, exist_ok=True)
-    kept = arguments.folder / "true_motion.jsonl"
-    done = [json.loads(line) for line in kept.read_text(encoding="utf-8").splitlines()] if kept.exists() else []
+    done = Results(arguments.folder / "true_motion.jsonl")
     for seed in range(1, arguments.seeds + 1):
         for case in CASES:
             if not any(one["case"] == case and one["seed"] == seed for one in done):
-                done.append({"case": case, "seed": seed, **judged(case, seed)})
-                with kept.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(done[-1]) + "\n")
+                done.add({"case": case, "seed": seed, **judged(case, seed)})
                 print(done[-1], flush=True)  # noqa: T201  # the result
     print(f"{sum(one['kept'] for one in done)} of {len(done)} kept")  # noqa: T201  # as above
     return 0 if all(one["kept"] for one in done) else 1
