@@ -375,6 +375,12 @@ class Client:
             check()
         return check
 
+    def spin_pending(self) -> None:
+        """Run the callbacks of everything that has arrived, without waiting for more."""
+        last = self.executor.create_task(lambda: None)  # tasks and messages run in the order in which they arrived
+        while not last.done():
+            self._spinner.spin(0.0)
+
     def spin_for(self, duration_s: float) -> None:
         """Let things happen for a while of wall time: for benchmarks and demonstrations, not for tests."""
         deadline = time.monotonic() + duration_s

@@ -18,8 +18,8 @@
     rig.run(seconds=20)
     print(rig.rows("transmissibility/table")["transmissibility"])
 
-`Hardware` shows either as the output and the acquisition of a controller. Importing this imports neither rclpy nor
-compiled code: both are loaded when something that needs them is asked for.
+`AnalogOutput` and `Acquisition` are its buffered analog output and input, `Hardware` both of them. Importing this
+imports neither rclpy nor compiled code: both are loaded when something that needs them is asked for.
 """
 
 from __future__ import annotations
@@ -30,13 +30,22 @@ from impact_rig.system import lazily
 
 if TYPE_CHECKING:
     from impact_rig.driver.driver import NotReachedError, RigDriver
-    from impact_rig.driver.hardware import Hardware
+    from impact_rig.driver.hardware import Acquisition, AnalogOutput, Hardware, UnderrunError
     from impact_rig.driver.local_rig import LocalRig
     from impact_rig.driver.ros_rig import RosRig
 
-__all__ = ["Hardware", "LocalRig", "NotReachedError", "RigDriver", "RosRig"]
+__all__ = [
+    "Acquisition",
+    "AnalogOutput",
+    "Hardware",
+    "LocalRig",
+    "NotReachedError",
+    "RigDriver",
+    "RosRig",
+    "UnderrunError",
+]
 
 __getattr__ = lazily(
-    __name__, Hardware="hardware", LocalRig="local_rig", NotReachedError="driver", RigDriver="driver",
-    RosRig="ros_rig",
+    __name__, Acquisition="hardware", Hardware="hardware", LocalRig="local_rig", NotReachedError="driver",
+    AnalogOutput="hardware", RigDriver="driver", RosRig="ros_rig", UnderrunError="hardware",
 )  # fmt: skip

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import abc
 import math
+import threading
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, Self  # Any: what a parameter is
@@ -57,15 +58,47 @@ class NoSamplesError(ImpactRigError, TimeoutError):
 
 
 class StreamLevel(NamedTuple):
-    """State of the drive's buffer: the next sample to play, how many follow without a gap, how many it can hold."""
+    """State of the drive's buffer.
+
+    Attributes:
+        sample: number of the next sample to play.
+        buffered: samples that follow from there without a gap.
+        capacity: samples that the buffer can hold.
+        late: samples that arrived too late and were dropped, so far.
+        missing: samples that were needed and had not arrived, so far.
+    """
 
     sample: int
     buffered: int
     capacity: int
+    late: int
+    missing: int
+
+
+class Turns:
+    """Reentrant lock that threads get in the order in which they ask for it."""
+
+    def __init__(self) -> None:
+        self._next, self._lock = threading.Lock(), threading.Lock()
+        self._owner: int | None = None
+        self._depth = 0
+
+    def __enter__(self) -> None:
+        if self._owner != threading.get_ident():
+            with self._next:
+                self._lock.acquire()
+            self._owner = threading.get_ident()
+        self._depth += 1
+
+    def __exit__(self, *_: object) -> None:
+        self._depth -= 1
+        if self._depth == 0:
+            self._owner = None
+            self._lock.release()
 
 
 class RigDriver(abc.ABC):
-    """A rig that only moves when told to.
+    """A rig that a program drives.
 
     Args:
         name: what reports call it.
@@ -75,9 +108,13 @@ class RigDriver(abc.ABC):
         sample: first scan of the next block.
         closed: whether `close` was called.
         lead_s: rig time by which a stream must be ahead of `stream_level().sample` to arrive in time.
+        runs_by_itself: whether rig time passes without `step`, which then waits for it.
+        turns: lock that threads which share the rig hold while they call it.
+        fed: event that is set when samples were sent or the stream was ended.
     """
 
     lead_s = 0.0
+    runs_by_itself = False
 
     def __init__(self, name: str, config: RigConfig) -> None:
         self.name = name
@@ -87,6 +124,8 @@ class RigDriver(abc.ABC):
         self._start_ns = 0  # stamp of scan 0
         self._kept_from = 0  # first scan that is not forgotten
         self._lost_before = 0  # scans lost among the forgotten ones
+        self._listeners: list[Callable[[Table], object]] = []
+        self.turns, self.fed = Turns(), threading.Event()
 
     def __enter__(self) -> Self:
         return self
@@ -174,9 +213,21 @@ class RigDriver(abc.ABC):
         """What a measurement is held back for, for people: a sphere that may still strike; empty where unknown."""
         return ""
 
+    def poll(self) -> None:  # noqa: B027  # a rig that moves only in `step` has nothing to process
+        """Process what a rig that runs by itself has published, without waiting."""
+
+    def connect(self, listener: Callable[[Table], object]) -> None:
+        """Give every block of scans to a function, in order."""
+        self._listeners.append(listener)
+
+    def disconnect(self, listener: Callable[[Table], object]) -> None:
+        """Give a function no more blocks."""
+        self._listeners.remove(listener)
+
     def close(self) -> None:
         """End the rig."""
         self.closed = True
+        self._listeners.clear()
 
     # Time
 

@@ -11,76 +11,335 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A rig as a controller's hardware: an output that plays blocks of samples, and an acquisition that reads scans.
+"""Buffered analog output and input of a rig, for controllers.
 
-The two halves that any vibration controller needs, blocking, with time-outs, for blocks of any size. They are the same
-whether the rig is in this process (`LocalRig`) or behind topics (`RosRig`), in real time or not.
+`AnalogOutput` plays blocks of samples and `Acquisition` reads scans. Each works without the other, so they may be in
+processes of their own, each with its own `RosRig`, or in two threads that share one rig. `Hardware` is the pair in one
+program. All calls that wait have a time-out, and blocks may have any size.
 """
 
 from __future__ import annotations
 
 import contextlib
+import math
 import time
+from collections import deque
 from collections.abc import Mapping
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from impact_rig.driver.driver import RigDriver
-from impact_rig.errors import CommandError
+from impact_rig.blocks import Table
+from impact_rig.driver.driver import RigDriver, StreamLevel
+from impact_rig.errors import CommandError, ConfigError
+from impact_rig.instruments.section import SCAN
 from impact_rig.simtime import NS_PER_S, stamp_ns
 from impact_rig.topics import INFO
 
 TIMEOUT_S = 10.0
+SLICE_S = 0.1  # longest wait for a block before another thread has its turn
+UNREAD_S = 60.0  # scans that an acquisition keeps for its reader
+
+
+class UnderrunError(CommandError):
+    """Samples were not written in time, so the rig went on without them.
+
+    Attributes:
+        samples: number of samples that were not played.
+    """
+
+    def __init__(self, message: str, samples: int) -> None:
+        super().__init__(message)
+        self.samples = samples
+
+
+class AnalogOutput:
+    """Buffered output: the rig plays the samples that are written, block after block without a gap.
+
+    Args:
+        rig: rig with `drive.waveform: stream`; what it has published is forgotten while this waits.
+        buffer_s: how far samples are written ahead of the rig at most, which is the latency of a controller
+            (default: `drive.stream_buffer_s`).
+        raise_underrun: whether `write` raises `UnderrunError` when samples were not played in time; otherwise it
+            returns their number and continues at the rig's present time.
+
+    Attributes:
+        next_sample: number of the next sample to be written; None before the start.
+
+    Raises:
+        ConfigError: the buffer is shorter than two blocks of scans, or longer than that of the rig.
+    """
+
+    def __init__(self, rig: RigDriver, *, buffer_s: float | None = None, raise_underrun: bool = True) -> None:
+        self._rig, self._raises = rig, raise_underrun
+        self.next_sample: int | None = None
+        self._playing = False
+        self._waiting: list[NDArray[np.float64]] = []  # written before the start
+        self._before = self._counted = self._level()
+        self._block = math.ceil(rig.block_scans * rig.stream_rate_hz / rig.rate_hz)
+        self._size = self._before.capacity
+        if buffer_s is not None:
+            least, most = 2 * self._block / rig.stream_rate_hz, self._size / rig.stream_rate_hz
+            if not least <= buffer_s <= most:
+                raise ConfigError(
+                    f"buffer_s must be from {least:g} (two blocks) to {most:g} s (drive.stream_buffer_s), "
+                    f"got {buffer_s:g}"
+                )
+            self._size = int(buffer_s * rig.stream_rate_hz)
+
+    @property
+    def buffered(self) -> int:
+        """Number of samples that were written and are still to be played."""
+        if self.next_sample is None or not self._playing:
+            return sum(map(len, self._waiting))
+        return max(0, self.next_sample - self._level().sample)
+
+    @property
+    def space(self) -> int:
+        """Number of samples that `write` takes now without waiting."""
+        return self._size - self.buffered
+
+    @property
+    def late(self) -> int:
+        """Number of samples since the start that reached the rig too late and were not played."""
+        return self._level().late - self._before.late
+
+    @property
+    def missing(self) -> int:
+        """Number of samples since the start that the rig had to do without."""
+        return self._level().missing - self._before.missing
+
+    def ready(self, count: int) -> bool:
+        """Return whether `write` takes this many samples now without waiting."""
+        return count <= self.space
+
+    def start(self, lead_s: float | None = None) -> int:
+        """Begin to play what was written, and return the number of the first sample.
+
+        Args:
+            lead_s: time from the sample that the rig wants next to the first one (default: as early as it arrives in
+                time).
+        """
+        rig = self._rig
+        with rig.turns:
+            level = self._before = self._counted = self._level()
+            at = max(level.sample + level.buffered, self.next_sample or 0)
+            lead = round((rig.lead_s if lead_s is None else lead_s) * rig.stream_rate_hz)
+            first = at + lead
+            self.next_sample, self._playing = first, True
+            if lead and not rig.lead_s:  # a rig that waits for samples waits for these, too
+                rig.feed(at, np.zeros(lead))
+            for values in self._waiting:
+                self._feed(values)
+            self._waiting.clear()
+        return first
+
+    def write(self, samples: ArrayLike, timeout_s: float = TIMEOUT_S) -> int:
+        """Append samples and return once the buffer has taken them; before the start they are kept for it.
+
+        Args:
+            samples: A, m or V by `drive.kind`, shape (n,).
+            timeout_s: how long the rig may take to make room.
+
+        Returns:
+            Number of samples that were not played in time since the last call, 0 where an underrun raises.
+
+        Raises:
+            TimeoutError: there was no room in time.
+            UnderrunError: samples were not played in time; `start` begins again.
+            CommandError: the rig refuses the samples or has stopped, or they do not fit before the start.
+        """
+        values = np.asarray(samples, np.float64)
+        deadline, lost = time.monotonic() + timeout_s, 0
+        if not self._playing:
+            self._keep(values)
+            return 0
+        while len(values):
+            with self._rig.turns:
+                lost += self._lost()
+                space = self.space
+                if space >= min(len(values), self._block, self._size):
+                    self._feed(values[:space])
+                    values = values[space:]
+                    continue
+            _advance(self._rig, deadline, f"room for {len(values)} samples")
+        return lost
+
+    def stop(self) -> None:
+        """End the stream after what was written: the drive ramps to zero and the rig waits for no more samples.
+
+        Does nothing if the output is not playing or the rig has stopped.
+        """
+        if self._playing and self.next_sample is not None:
+            with self._rig.turns, contextlib.suppress(CommandError):
+                self._rig.feed(self.next_sample, np.empty(0))
+                self._rig.fed.set()
+        self._playing = False
+        self._waiting.clear()
+
+    def _keep(self, values: NDArray[np.float64]) -> None:
+        if not self.ready(len(values)):
+            raise CommandError(
+                f"{len(values)} samples before the start do not fit: the buffer has room for {self.space}"
+            )
+        self._waiting.append(values)
+
+    def _feed(self, values: NDArray[np.float64]) -> None:
+        assert self.next_sample is not None
+        self._rig.feed(self.next_sample, values)
+        self._rig.fed.set()
+        self.next_sample += len(values)
+
+    def _lost(self) -> int:
+        """Return how many samples were not played since the last call; continue where the rig is."""
+        assert self.next_sample is not None
+        level = self._level()
+        lost = level.late - self._counted.late
+        self._counted = level
+        behind = level.sample - self.next_sample
+        if behind > 0:
+            skipped = behind + round(self._rig.lead_s * self._rig.stream_rate_hz)
+            self.next_sample += skipped
+            lost += skipped
+        if lost and self._raises:
+            self._playing = False
+            raise UnderrunError(
+                f"underrun: {lost} samples were not written in time, the rig is at sample {level.sample}; "
+                "write earlier or with a larger buffer_s",
+                lost,
+            )
+        return lost
+
+    def _level(self) -> StreamLevel:
+        with self._rig.turns:
+            _refresh(self._rig)
+            return self._rig.stream_level()
+
+
+class Acquisition:
+    """Buffered input: scans are kept from the start until they are read.
+
+    Args:
+        rig: rig that is read; what it has published is forgotten while this waits.
+        buffer_s: how much is kept for the reader; older scans are lost.
+
+    Attributes:
+        next_scan: number of the next scan to be read; None until the first one is known.
+        lost: number of scans since the start that were not published, did not arrive or were not read in time.
+    """
+
+    def __init__(self, rig: RigDriver, *, buffer_s: float = UNREAD_S) -> None:
+        self._rig = rig
+        self._most = max(rig.block_scans, round(buffer_s * rig.rate_hz))
+        self._kept: deque[tuple[int, NDArray[np.void]]] = deque()
+        self.next_scan: int | None = None
+        self.lost = 0
+        self._end = 0  # number of the scan after the last one that arrived
+        self._started = False
+
+    @property
+    def available(self) -> int:
+        """Number of scans that `read` returns now without waiting, lost ones included."""
+        with self._rig.turns:
+            _refresh(self._rig)
+            return 0 if self.next_scan is None else max(0, self._end - self.next_scan)
+
+    def start(self, scan: int | None = None) -> None:
+        """Keep scans from number `scan` on (default: from the next one that arrives)."""
+        with self._rig.turns:
+            if not self._started:
+                self._rig.connect(self._take)
+            self._started = True
+            self._kept = deque(part for part in self._kept if scan is not None and part[0] + len(part[1]) > scan)
+            self.next_scan, self.lost = scan, 0
+            self._end = self._kept[-1][0] + len(self._kept[-1][1]) if self._kept else scan or 0
+
+    def stop(self) -> None:
+        """Keep no more scans; those that have arrived can still be read."""
+        with self._rig.turns:
+            if self._started:
+                self._rig.disconnect(self._take)
+            self._started = False
+
+    def delay_s(self, sample: int, scan: int) -> float:
+        """Return how much later a scan is taken than a sample is played [s], exactly: both are on rig time."""
+        rig = self._rig
+        return (stamp_ns(scan, rig.rate_hz) - stamp_ns(sample, rig.stream_rate_hz)) / NS_PER_S
+
+    def read(self, count: int, timeout_s: float = TIMEOUT_S) -> NDArray[np.void]:
+        """Return the next `count` scans as soon as they have arrived.
+
+        Args:
+            count: number of scans.
+            timeout_s: how long none may arrive.
+
+        Returns:
+            Rows with a field for each channel, shape (count,); fewer where scans were lost.
+
+        Raises:
+            TimeoutError: they did not arrive in time, or the output had no samples for them.
+            CommandError: the rig has stopped while its output was waited for.
+        """
+        if not self._started and self.available < count:
+            self.start(self.next_scan)
+        deadline, before = time.monotonic() + timeout_s, self._end
+        while self.available < count:
+            _advance(self._rig, deadline, f"{count} scans")
+            if self._end > before:
+                deadline, before = time.monotonic() + timeout_s, self._end
+        return self._cut(count)
+
+    def read_remaining(self) -> NDArray[np.void]:
+        """Return the scans that have arrived and were not read."""
+        return self._cut(self.available)
+
+    def _take(self, table: Table) -> None:
+        first, rows = self._rig.first_scan(table), table.rows
+        if self.next_scan is None:
+            self.next_scan = self._end = first
+        if first + len(rows) <= self.next_scan:
+            return
+        self.lost += max(0, first - self._end)
+        self._end = first + len(rows)
+        self._kept.append((first, rows))
+        while self._end - self.next_scan > self._most:
+            oldest, overwritten = self._kept.popleft()
+            self.lost += min(len(overwritten), oldest + len(overwritten) - self.next_scan)
+            self.next_scan = self._kept[0][0]
+
+    def _cut(self, count: int) -> NDArray[np.void]:
+        with self._rig.turns:
+            first = self.next_scan or 0
+            parts = [rows[max(0, first - at) : max(0, first + count - at)] for at, rows in self._kept]
+            self.next_scan = first + count if self.next_scan is not None else None
+            while self._kept and self._kept[0][0] + len(self._kept[0][1]) <= first + count:
+                self._kept.popleft()
+        return np.concatenate([part for part in parts if len(part)] or [np.empty(0, SCAN)])
 
 
 class Hardware:
     """Output and acquisition of one rig.
 
     Args:
-        rig: its drive is a stream; what it has published so far is forgotten as it is read here.
+        rig: rig with `drive.waveform: stream`; what it has published is forgotten as it is read here.
         abort: by channel, the largest reading of either sign that is tolerated.
 
     Attributes:
+        rig: the rig.
         output: plays.
         acquisition: reads.
     """
 
     def __init__(self, rig: RigDriver, abort: Mapping[str, float] = MappingProxyType({})) -> None:
         self.rig, self._abort = rig, abort
-        self.output, self.acquisition = AnalogOutput(self), Acquisition(self)
+        self.output, self.acquisition = AnalogOutput(rig), Acquisition(rig)
+        if abort:
+            rig.connect(self._check)
 
     def info(self) -> NDArray[np.void]:
         """Return the calibration as last published: rows of `daq/info`."""
         return self.rig.tables(INFO.name)[-1].rows
-
-    def turn(self, deadline: float, what: str) -> None:
-        """Let rig time pass until scans arrive.
-
-        Raises:
-            TimeoutError: none arrived; names what was waited for.
-            CommandError: a reading is beyond its limit, or the rig has stopped.
-        """
-        rig = self.rig
-        try:
-            rig.step(1, max(0.0, deadline - time.monotonic()))
-        except TimeoutError as error:
-            if stopped := rig.stopped:
-                raise CommandError(stopped) from error
-            raise TimeoutError(f"waited in vain for {what}: {rig.stream_level()}") from error
-        found = [(rig.first_scan(table), table.rows) for table in rig.tables()]
-        rig.clear()
-        for first, rows in found:
-            self.acquisition.take(first, rows)
-            self._check(first, rows)
-
-    def _check(self, first: int, rows: NDArray[np.void]) -> None:
-        for channel, limit in self._abort.items():
-            beyond = np.flatnonzero(np.abs(rows[channel]) > limit)
-            if len(beyond):
-                scan = first + int(beyond[0])
-                raise CommandError(f"aborted: {channel} {rows[channel][beyond[0]]:.6g} beyond {limit:g} at scan {scan}")
 
     def respond(self, samples: ArrayLike, rest: int = 0) -> NDArray[np.void]:
         """Play samples and return the scans from the first of them on, and of `rest` scans more after the last.
@@ -88,128 +347,28 @@ class Hardware:
         The stream ends with the last sample. Both rates must be the same.
 
         Raises:
-            TimeoutError: the rig did not go on.
+            TimeoutError: the rig did not continue.
         """
         values = np.asarray(samples, np.float64)
         first = self.output.start()
-        self.acquisition.start(first * self.rig.rate_hz // self.rig.stream_rate_hz)
-        size = self.rig.stream_level().capacity // 4
+        begin = first * self.rig.rate_hz // self.rig.stream_rate_hz
+        self.acquisition.start(begin)
+        parts, size = [], self.rig.stream_level().capacity // 4
         for at in range(0, len(values), size):
             self.output.write(values[at : at + size])
+            parts.append(self.acquisition.read_remaining())
         self.output.stop()
-        return self.acquisition.read(len(values) + rest)
+        left = begin + len(values) + rest - (self.acquisition.next_scan or begin)
+        parts.append(self.acquisition.read(max(0, left)))
+        return np.concatenate(parts)[: len(values) + rest]
 
-
-class AnalogOutput:
-    """The half that plays: set up by the rig's configuration, started, written to block by block, stopped.
-
-    Attributes:
-        next_sample: number of the next sample to be written; None before the start.
-    """
-
-    def __init__(self, hardware: Hardware) -> None:
-        self._hardware, self._rig = hardware, hardware.rig
-        self.next_sample: int | None = None
-
-    def start(self, lead_s: float | None = None) -> int:
-        """Begin `lead_s` after the sample that is wanted next, or as early as it comes in time; return its number."""
-        level = self._rig.stream_level()
-        at = max(level.sample + level.buffered, self.next_sample or 0)
-        self.next_sample = at + round((self._rig.lead_s if lead_s is None else lead_s) * self._rig.stream_rate_hz)
-        return self.next_sample
-
-    def ready(self, count: int) -> bool:
-        """Whether the buffer takes so many samples more now."""
-        level = self._rig.stream_level()
-        return self._next() + count <= level.sample + level.capacity
-
-    def write(self, samples: ArrayLike, timeout_s: float = TIMEOUT_S) -> None:
-        """Append a block, as soon as the buffer takes it.
-
-        Args:
-            samples: A, m or V by `drive.kind`, shape (n,).
-            timeout_s: how long the rig may take to play what is in the way.
-
-        Raises:
-            TimeoutError: it took longer.
-            CommandError: the rig (in this process) refuses the block; behind topics diagnostics tell that.
-        """
-        values = np.asarray(samples, np.float64)
-        deadline = time.monotonic() + timeout_s
-        while not self.ready(len(values)):
-            self._hardware.turn(deadline, f"room for {len(values)} samples")
-        self._rig.feed(self._next(), values)
-        self.next_sample = self._next() + len(values)
-
-    def stop(self) -> None:
-        """End the stream after what was written: the drive then ramps to zero, and nobody waits for more.
-
-        Not started, or stopped by the rig itself: nothing happens.
-        """
-        if self.next_sample is not None:
-            with contextlib.suppress(CommandError):
-                self._rig.feed(self.next_sample, np.empty(0))
-
-    def _next(self) -> int:
-        assert self.next_sample is not None, "start() comes first"
-        return self.next_sample
-
-
-class Acquisition:
-    """The half that reads: scans are kept from its start on until they are read.
-
-    Attributes:
-        next_scan: number of the next scan to be read.
-    """
-
-    def __init__(self, hardware: Hardware) -> None:
-        self._hardware = hardware
-        self._kept: list[tuple[int, NDArray[np.void]]] = []
-        self.next_scan: int | None = None
-
-    def start(self, scan: int | None = None) -> None:
-        """Keep scans from number `scan` on; None: from the next one that comes."""
-        self.next_scan = scan
-        self._kept = [part for part in self._kept if scan is not None and part[0] + len(part[1]) > scan]
-
-    def take(self, first: int, rows: NDArray[np.void]) -> None:
-        """Take rows as they come."""
-        if self.next_scan is None:
-            self.next_scan = first
-        self._kept.append((first, rows))
-
-    def delay_s(self, sample: int, scan: int) -> float:
-        """Return how much later a scan was taken than a sample was played [s]: both are on one clock, so exactly."""
-        rig = self._hardware.rig
-        return (stamp_ns(scan, rig.rate_hz) - stamp_ns(sample, rig.stream_rate_hz)) / NS_PER_S
-
-    def read(self, count: int, timeout_s: float = TIMEOUT_S) -> NDArray[np.void]:
-        """Return the next `count` scans, rows with a field a channel, as soon as they are there.
-
-        Raises:
-            TimeoutError: they did not come in time, or the output had no samples for them.
-        """
-        deadline = time.monotonic() + timeout_s
-        while self.next_scan is None or not self._kept or self._end() < self.next_scan + count:
-            before = len(self._kept)
-            self._hardware.turn(deadline, f"{count} scans")
-            if len(self._kept) > before:
-                deadline = time.monotonic() + timeout_s
-        return self._cut(count)
-
-    def read_remaining(self) -> NDArray[np.void]:
-        """Return what has come and was not read."""
-        return self._cut(max(0, self._end() - (self.next_scan or 0)))
-
-    def _end(self) -> int:
-        return self._kept[-1][0] + len(self._kept[-1][1]) if self._kept else 0
-
-    def _cut(self, count: int) -> NDArray[np.void]:
-        first = self.next_scan or 0
-        parts = [rows[max(0, first - at) : max(0, first + count - at)] for at, rows in self._kept]
-        self.next_scan = first + count
-        self._kept = [part for part in self._kept if part[0] + len(part[1]) > self.next_scan]
-        return np.concatenate([part for part in parts if len(part)] or [np.empty(0, np.dtype([]))])
+    def _check(self, table: Table) -> None:
+        for channel, limit in self._abort.items():
+            beyond = np.flatnonzero(np.abs(table.rows[channel]) > limit)
+            if len(beyond):
+                scan = self.rig.first_scan(table) + int(beyond[0])
+                reading = table.rows[channel][beyond[0]]
+                raise CommandError(f"aborted: {channel} {reading:.6g} beyond {limit:g} at scan {scan}")
 
 
 class Exchange:
@@ -239,3 +398,36 @@ class Exchange:
         played = np.concatenate([self._ahead, samples])
         self._ahead = played[len(samples) :]
         return played[: len(samples)], np.concatenate(parts)
+
+
+def _refresh(rig: RigDriver) -> None:
+    """Process what has arrived from a rig that runs by itself."""
+    if rig.runs_by_itself:
+        rig.poll()
+        rig.clear()
+
+
+def _advance(rig: RigDriver, deadline: float, what: str) -> None:
+    """Let rig time pass by a block, or wait for another thread to write.
+
+    Raises:
+        TimeoutError: the deadline is over; names what was waited for.
+        CommandError: the rig has stopped.
+    """
+    left = max(0.0, deadline - time.monotonic())
+    with rig.turns:
+        rig.fed.clear()
+        try:
+            rig.step(1, min(left, SLICE_S) if rig.runs_by_itself else left)
+        except TimeoutError as error:
+            if stopped := rig.stopped:
+                raise CommandError(stopped) from error
+            if time.monotonic() >= deadline:
+                raise TimeoutError(f"waited in vain for {what}: {rig.stream_level()}") from error
+            if rig.runs_by_itself:
+                rig.fed.set()
+        else:
+            rig.fed.set()
+        finally:
+            rig.clear()
+    rig.fed.wait(deadline - time.monotonic())

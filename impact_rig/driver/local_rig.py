@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any  # what a parameter is
 
@@ -96,7 +96,6 @@ class LocalRig(RigDriver):
         self.core = Rig(self.config)
         self.tracker = None if analysis is None else Tracker(settings)
         self._injected: list[Fault] = []
-        self._listeners: list[Callable[[Table], object]] = []
         names = dict.fromkeys((*TOPICS, *also, *(ANALYSED if analysis is not None else ())))
         self._kept: dict[str, deque[Any]] = {topic: deque() for topic in names}
         self._order: deque[tuple[str, Table | JournalEntry]] = deque()
@@ -114,10 +113,6 @@ class LocalRig(RigDriver):
             self._publish(topics.ANALYSIS_SETTINGS.name, settings_table(settings, label_m, 0))
         self._info = b""
         self._publish_changes()
-
-    def connect(self, listener: Callable[[Table], object]) -> None:
-        """Give every published block of scans to a function, in order; what it commands acts at the next instant."""
-        self._listeners.append(listener)
 
     def step(self, blocks: int = 1, timeout_s: float = STEP_TIMEOUT_S) -> None:  # noqa: ARG002  # nothing to wait for
         """Advance by whole blocks, one at a time where a pipeline listens.
@@ -173,7 +168,8 @@ class LocalRig(RigDriver):
     def stream_level(self) -> StreamLevel:
         """Return how far the stream is."""
         stream = self.core.stream
-        return StreamLevel(stream.played, stream.buffered(), stream.capacity)
+        late = int(self.core.stream_state().rows["late"][0])
+        return StreamLevel(stream.played, stream.buffered(), stream.capacity, late, stream.missing)
 
     @property
     def stopped(self) -> str:
@@ -208,7 +204,6 @@ class LocalRig(RigDriver):
     def close(self) -> None:
         """End the recording."""
         super().close()
-        self._listeners.clear()
         self._publish_changes()
         if self._recording is not None:
             self._recording.finish()

@@ -153,16 +153,19 @@ class RosRig(RigDriver):
                 self.client.wait_active(self._recorder)
             if analysis is not None:
                 self.client.wait_active("analysis")
-            self._is_lockstep = self.config.time.mode == LOCKSTEP
+            self.runs_by_itself = self.config.time.mode != LOCKSTEP
             self.lead_s = REALTIME_LEAD_S if self.config.time.mode == "realtime" else 0.0
             self._step_blocks = self.config.step.blocks
             self._measurements = topics.TRANSMISSIBILITY_TABLE.name if analysis is not None else ""
             names = dict.fromkeys((*TOPICS, *also, *([self._measurements] if self._measurements else [])))
             self._collectors = {topic: self.client.collect(topic, acknowledge=topic == SCANS) for topic in names}
+            self._collectors[SCANS].then(self._hand_over)
             if self.config.drive.waveform == "stream":
                 self._connect_stream()
-            if running:
+            if running or self.config.time.mode == "realtime":
                 self._join()
+            if running:  # what stopped it before is history
+                self._journal_read = len(self._collectors[topics.JOURNAL.name])
             self._stack = stack.pop_all()
 
     def _start(self, node: str, parameters: Mapping[str, ParameterValue], *, hosted: bool = False) -> None:
@@ -198,13 +201,16 @@ class RosRig(RigDriver):
         return bool(figures) and names <= subscribers(self.client.node, topics.SCAN.name)
 
     def _join(self) -> None:
-        """Find out where a running rig is; what stopped it before is history."""
+        """Find out where a rig is that runs by itself."""
         info = self.client.wait_until(self._collectors[topics.INFO.name].last, topics.INFO.name)
         self._start_ns = info.stamp_ns - round(float(info.rows["since_start"][0]) * NS_PER_S)
-        if not self._is_lockstep:
+        if self.runs_by_itself:
             first = self.client.wait_until(self._collectors[SCANS].last, "a block of scans", STEP_TIMEOUT_S)
             self.sample = self._kept_from = self.first_scan(first)
-        self._journal_read = len(self._collectors[topics.JOURNAL.name])
+
+    def _hand_over(self, message: Received) -> None:
+        for listener in self._listeners:
+            listener(message.table or codec.decode(message.data))
 
     # The pipeline under test
 
@@ -269,7 +275,7 @@ class RosRig(RigDriver):
         """
         if blocks < 1:
             return
-        if self._is_lockstep:
+        if not self.runs_by_itself:
             self._step(blocks, timeout_s)
             return
         end, what = self.sample + blocks * self.block_scans, "a block of scans"
@@ -320,7 +326,7 @@ class RosRig(RigDriver):
         return self.rows(topic)[-count:]
 
     def _forget(self) -> None:
-        if not self._is_lockstep:
+        if self.runs_by_itself:
             self.sample = self._received_to()
         for topic, collector in self._collectors.items():
             if topic not in ESSENTIAL:
@@ -349,6 +355,10 @@ class RosRig(RigDriver):
         planned = zip(self.config.instruments.faults.planned, super().faults, strict=True)
         return [fault for line, fault in planned if line not in injected] + [fault for _, fault in self._injected]
 
+    def poll(self) -> None:
+        """Process what has arrived, without waiting."""
+        self.client.spin_pending()
+
     def feed(self, first: int, samples: NDArray[np.float64]) -> None:
         """Send samples of the stream; see `RigDriver`."""
         if stopped := self.stopped:
@@ -366,7 +376,8 @@ class RosRig(RigDriver):
         del self._stream.received[:-1]
         row = table.rows[0]
         sample = int(row["wanted"])
-        return StreamLevel(sample, max(int(row["buffered"]), self._sent_to - sample), int(row["capacity"]))
+        buffered = max(int(row["buffered"]), self._sent_to - sample)
+        return StreamLevel(sample, buffered, *(int(row[name]) for name in ("capacity", "late", "missing")))
 
     @property
     def stopped(self) -> str:

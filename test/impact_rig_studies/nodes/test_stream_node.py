@@ -38,7 +38,7 @@ from impact_rig import codec, topics
 from impact_rig.blocks import WAVEFORM, Table
 from impact_rig.client import Client, Collector, ProcessDiedError, ServiceFailedError
 from impact_rig.client.client import ros_parameters
-from impact_rig.driver import Hardware, LocalRig, RosRig
+from impact_rig.driver import Acquisition, Hardware, LocalRig, RosRig
 from impact_rig.errors import CommandError
 from impact_rig.nodes import session
 from impact_rig.nodes.recorder_node import RecorderNode
@@ -320,7 +320,7 @@ def test_a_controller_whose_rig_has_died_is_told_so(monkeypatch: pytest.MonkeyPa
 
         monkeypatch.setattr(rig.client, "_processes", Died())
         with pytest.raises(ProcessDiedError, match="ended by SIGKILL"):
-            Hardware(rig).turn(time.monotonic() + 0.5, "scans")
+            Acquisition(rig).read(10**6, timeout_s=0.5)
 
 
 def test_a_stop_while_a_controller_looks_for_readers_is_not_overlooked(monkeypatch: pytest.MonkeyPatch) -> None:
