@@ -419,7 +419,7 @@ def recordings(kind: Kind, seed: int, folder: Path) -> list[Recording]:
             return [made("run", sent)]
         case "root":
             return [(record(folder / "run", {"": sent}), None)]
-        case "late":
+        case "late":  # a stream begins later: one that nobody recorded from its first sample on cannot be simulated
             return [made("run", heard(sent, random, random.uniform(0.02, 0.6)))]
         case "two":
             return [made("one", sent), made("other", heard(sent, random, 0.3))]
@@ -456,9 +456,9 @@ def problems(recording: Recording, kind: Kind) -> list[str]:
     told = info(path)
     begins = "recovered: every checksum fits" if told.recovered else "whole: "
     if "lost_block" in kind.deeds:
-        begins = (
-            begins if told.scans is not None and told.scans.whole else "every checksum fits, but 1 gaps in daq/scan"
-        )
+        is_whole = told.scans is not None and told.scans.whole
+        recovered = "recovered: " if told.recovered else ""
+        begins = begins if is_whole else f"{recovered}every checksum fits, but 1 gaps in daq/scan"
     if not told.verdict.startswith(begins):
         found.append(f"info: {told.verdict}")
     with open_run(path, rig) as run:
@@ -531,7 +531,7 @@ ROWS: tuple[tuple[int, int, str, str], ...] = (
     (50_000, 5_000, "late", "drive drive"),
     (50_000, 50, "killed and slow", "drive lost_block drive"),
     (10_000, 100, "plain", "starve feed_again starve"),
-    (1_000, 10, "late", "starve feed_again note"),
+    (1_000, 10, "late", "starve note feed_again"),
     (997, 100, "plain", "starve"),
     (10_000, 1_000, "slow", "note starve feed_again reset starve"),
     (5_000, 50, "killed", "starve feed_again starve"),

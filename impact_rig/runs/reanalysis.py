@@ -197,9 +197,26 @@ def newest_settled(tables: list[Table]) -> NDArray[np.void]:
     return settled[[last[key] for key in sorted(last)]]
 
 
-def texts(run: Run, topic: topics.Topic) -> list[str]:
-    """Return what was said on a topic of std_msgs/String, in order; nothing where it was not recorded."""
-    return [_text(message.data) for message in run.messages([topic.name])] if run.holds(topic) else []
+def texts(run: Run, topic: topics.Topic, blocks: int | None = None) -> list[str]:
+    """Return the texts of a topic of std_msgs/String, in order; nothing where it was not recorded.
+
+    Args:
+        run: an open run.
+        topic: the topic.
+        blocks: only what was recorded before so many blocks of scans had been (default: everything).
+    """
+    if not run.holds(topic):
+        return []
+    if blocks is None:
+        return [_text(message.data) for message in run.messages([topic.name])]
+    found, scan, seen = [], run.resolve(topics.SCAN.name), 0
+    for message in run.messages([topic.name, scan], recorded_order=True):
+        seen += message.topic == scan
+        if seen >= blocks:
+            break
+        if message.topic != scan:
+            found.append(_text(message.data))
+    return found
 
 
 def _text(cdr: bytes | memoryview) -> str:

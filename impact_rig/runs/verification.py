@@ -52,6 +52,8 @@ from impact_rig.rig.resimulation import Resimulation, Sent
 from impact_rig.rig.truth import monitor_step
 from impact_rig.runs import structure
 from impact_rig.runs.reanalysis import Compared, lag_s, texts
+from impact_rig.runs.recovery import RECORD_NAME as RECOVERED_RECORD
+from impact_rig.runs.recovery import read_record
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, stamp_ns
 
 _NO_JOURNAL = (ConfigError, CommandError, SimulationError)  # what a journal raises that is incomplete, or no rig's
@@ -127,23 +129,50 @@ def verify(run: Run) -> Verification:
     if not examined.has_digests and any(name.startswith(PROVENANCE_RECORD) for name in _metadata_names(run)):
         changes = ("the digests that its recorder wrote are missing",)
     not_checked = NOT_CHECKED if examined.has_digests else NOT_CHECKED_WITHOUT_DIGESTS
-    return attrs.evolve(_verify_content(run, changes), not_checked=not_checked)
+    found = _verify_content(run, changes)
+    recovered = read_record(run.record(RECOVERED_RECORD))
+    if not found.identical and recovered is not None and recovered.unfinished:
+        blocks, ahead = _complete_blocks(run)
+        shorter = _verify_content(run, changes, blocks)
+        if shorter.identical:
+            rest = f"the last {ahead} blocks: what acted on them may not have reached the recorder before it was killed"
+            found, not_checked = shorter, (rest, *not_checked)
+    return attrs.evolve(found, not_checked=not_checked)
+
+
+def _complete_blocks(run: Run) -> tuple[int, int]:
+    """Return how many blocks have certainly all messages of other topics in the recording, and how many follow."""
+    stamps_ns = np.array([table.stamp_ns for table in run.tables(topics.SCAN, recorded_order=True)])
+    lag_ns = NS_PER_S * lag_s(run, float(np.median(np.diff(stamps_ns))) / NS_PER_S) if len(stamps_ns) > 1 else 0
+    before_end = stamps_ns[-1:] - stamps_ns
+    complete = int(np.flatnonzero((before_end < 0) | (before_end > lag_ns))[-1:].sum() + 1)
+    return complete, len(stamps_ns) - complete
 
 
 def _metadata_names(run: Run) -> Iterator[str]:
     return (name for source in run.sources for name, _ in source.metadata())
 
 
-def _verify_content(run: Run, changes: Sequence[str]) -> Verification:
-    """Re-simulate a run and compare, and take what was changed after the recording for a difference."""
+def _verify_content(run: Run, changes: Sequence[str], blocks: int | None = None) -> Verification:
+    """Re-simulate a run and compare, and take what was changed after the recording for a difference.
+
+    Args:
+        run: an open run.
+        changes: what was changed after the recording.
+        blocks: number of blocks of scans to compare, with what was published until then (default: all).
+    """
     try:
         journals, waveforms, first, foreign = _journals(run)
     except (RecordingError, ConfigError) as error:
         return Verification(False if changes else None, 0, changes[0] if changes else str(error))
     if not journals:
         return Verification(False if changes else None, 0, changes[0] if changes else "the journal is empty")
-    with contextlib.closing(_Beside(run, foreign, list(zip(journals, waveforms, strict=True)))) as beside:
-        found = _verify_all(run, journals, first, beside)
+    if blocks is not None:
+        last = max((number for number, _ in _assigned(_scans(run, blocks), journals, first)), default=first)
+        journals = journals[: last + 1]
+    sent = list(zip(journals, waveforms, strict=False))
+    with contextlib.closing(_Beside(run, foreign, sent, blocks)) as beside:
+        found = _verify_all(_scans(run, blocks), journals, first, beside)
         compared = (Compared(topics.SCAN.name, found.scans, what="scans"), *beside.compared())
     differences = [*(str(one) for one in compared if one.difference), *changes]
     if found.identical is not False and (changes or (found.identical and differences)):
@@ -151,9 +180,14 @@ def _verify_content(run: Run, changes: Sequence[str]) -> Verification:
     return attrs.evolve(found, topics=compared if found.identical is not None else ())
 
 
-def _verify_all(run: Run, journals: list[list[JournalEntry]], first: int, beside: _Beside) -> Verification:
+def _scans(run: Run, blocks: int | None) -> Iterator[Table]:
+    return itertools.islice(run.tables(topics.SCAN, recorded_order=True), blocks)
+
+
+def _verify_all(
+    scans: Iterator[Table], journals: list[list[JournalEntry]], first: int, beside: _Beside
+) -> Verification:
     compared, rest = 0, None
-    scans = run.tables(topics.SCAN, recorded_order=True)
     for number, stretch in itertools.groupby(_assigned(scans, journals, first), key=lambda pair: pair[0]):
         begun = journals[number][0]
         is_reset = begun.kind is not InputKind.START  # else it is unknown when the rig before ended
@@ -431,10 +465,18 @@ class _Beside:
     Args:
         foreign: messages on `rig/journal` that were left out.
         waveforms: each journal, and what came on `shaker/waveform` meanwhile.
+        blocks: number of blocks of scans that are compared; None: all.
     """
 
-    def __init__(self, run: Run, foreign: int, waveforms: Sequence[tuple[list[JournalEntry], list[Sent]]]) -> None:
+    def __init__(
+        self,
+        run: Run,
+        foreign: int,
+        waveforms: Sequence[tuple[list[JournalEntry], list[Sent]]],
+        blocks: int | None,
+    ) -> None:
         self._run = run
+        self._blocks = blocks
         self._waveforms = waveforms
 
         def tables(topic: topics.Topic) -> _Recorded:
@@ -615,7 +657,7 @@ class _Beside:
     def _compare_configuration(self) -> Compared:
         """Compare each configuration that was published or attached with those the journal has led to."""
         name = topics.CONFIGURATION.name
-        told = texts(self._run, topics.CONFIGURATION)
+        told = texts(self._run, topics.CONFIGURATION, self._blocks)
         attached = self._run.attachments().get(CONFIGURATION)
         count, found = 0, []
         try:
@@ -657,7 +699,7 @@ class _Beside:
         name = topics.ROBOT_DESCRIPTION.name
         if not self._run.holds(name):
             return Compared(name, left_out="it is not in this run")
-        told = texts(self._run, topics.ROBOT_DESCRIPTION)
+        told = texts(self._run, topics.ROBOT_DESCRIPTION, self._blocks)
         wrong = [text for text in told if text not in self._descriptions]
         return Compared(name, len(told), "it is not that of the configuration" if wrong else "", what="texts")
 

@@ -168,6 +168,36 @@ def test_a_rescued_run_keeps_its_arithmetic(whole: Messages, tmp_path: Path) -> 
         assert arithmetic_of(opened.provenance) == "1"
 
 
+@pytest.mark.parametrize("deed", ["drive", "gap", "reset"])
+def test_what_a_killed_recorder_had_not_received_is_no_difference(tmp_path: Path, deed: str) -> None:
+    """Topics overtake each other: scans and other topics were recorded, the entry about what acted on them was not."""
+    rig = Rig(from_flat(RigConfig(), {"daq.seed": 5, "drive.amplitude": 0.52}))
+    deeds: dict[str, Callable[[], object]] = {
+        "drive": lambda: rig.accept(frequency_hz=9.3),
+        "gap": lambda: rig.configure({"barriers.gap_m": 0.001}),
+        "reset": rig.reset,
+    }
+    found = everything(rig, 260, {120: deeds[deed]})
+    lost = next(n for n, (name, one) in enumerate(found) if name == "rig/journal" and one.stamp_ns >= 120 * TICK)
+    lacking = [*found[:lost], *((name, one) for name, one in found[lost:] if name != "rig/journal")]
+    blocks = np.cumsum([name == "daq/scan" for name, _ in lacking])
+
+    def killed(count: int) -> Verification:
+        path = record(tmp_path / f"killed_{count}", lacking[: int(np.searchsorted(blocks, count)) + 1])
+        (file,) = path.glob("*.mcap")
+        file.write_bytes(file.read_bytes()[:-20])  # as if the recorder had not come to its end
+        recover(path, tmp_path / f"recovered_{count}")
+        with open_run(tmp_path / f"recovered_{count}") as run:
+            return verify(run)
+
+    soon = killed(200)
+    assert soon.identical, soon.reason
+    assert soon.scans == 9_900
+    assert soon.not_checked[0].startswith("the last 101 blocks: what acted on them may not have reached the recorder")
+    assert not killed(240).identical, "an entry of 1.2 s before the end is there"
+    assert not verdict(tmp_path, lacking[: int(np.searchsorted(blocks, 200)) + 1]).identical, "a finished recording"
+
+
 def reset_rig() -> tuple[Messages, Messages, Messages]:
     """A rig that is reset twice, each time with another seed, and measures before, between and after."""
     rig = Rig(from_flat(RigConfig(), {"daq.seed": 5, "drive.amplitude": 0.52}))
