@@ -96,7 +96,7 @@ def simulate(seconds: float, parameters: Mapping[str, object] | None = None) -> 
     Args:
         seconds: rig time, at most an hour.
         parameters: configuration values that differ from the paper's rig, by full name, as in
-            docs/reference/interface.md. The drive is the paper's, 0.52 A at 9.1 Hz, unless they set one.
+            docs/reference/configuration.md. The drive is the paper's, 0.52 A at 9.1 Hz, unless they set one.
 
     Raises:
         ConfigError: unknown key, value out of range, or too long.

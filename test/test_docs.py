@@ -191,7 +191,7 @@ def test_a_test_that_runs_a_page_reads_it():
         ("`ros2 run impact_rig impact-rig inform x`", "no such subcommand"),
         ("`ros2 launch impact_rig rig.launch.py modus:=x`", "rig.launch.py has no argument modus"),
         ("`ros2 topic echo /rig/transmissibilities`", "docs/reference/interface.md has no topic transmissibilities"),
-        ("`ros2 param set /rig/rig barriers.gap 1`", "docs/reference/interface.md has no parameter barriers.gap"),
+        ("`ros2 param set /rig/rig barriers.gap 1`", "docs/reference/configuration.md has no parameter barriers.gap"),
         ("```sh not run: so\nros2 run impact_rig\n```\n", "ros2 run impact_rig: words are missing"),
         ("in `test/test_nothing.py`", "there is no test/test_nothing.py"),
         ("in `config/none/`", "there is no config/none/"),

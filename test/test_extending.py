@@ -88,7 +88,7 @@ RECIPES = (
         {
             "config/nominal.yaml": "my_law, restitution",
             "docs/explanation/physics.md": "| `my_law` | 2(1 − e) | 0.526 |",
-            "docs/reference/interface.md": "my_law, restitution",
+            "docs/reference/configuration.md": "my_law, restitution",
         },
     ),
     Recipe(
@@ -100,7 +100,7 @@ RECIPES = (
         {
             "config/nominal.yaml": "linear_stiffness_n_m: 5000000.0  # N/m",
             "docs/explanation/physics.md": "| `linear_hysteretic` |",
-            "docs/reference/interface.md": "`contact.linear_stiffness_n_m`",
+            "docs/reference/configuration.md": "`contact.linear_stiffness_n_m`",
         },
     ),
     Recipe(

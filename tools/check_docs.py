@@ -55,7 +55,7 @@ RUN_BY = {
     ("docs/how-to/drive.md", "python title"): "test/impact_rig/testing/test_examples.py",
     ("docs/how-to/extending.md", "python title"): "test/test_extending.py",
     ("docs/tutorials/first_node.md", "python title"): "test/impact_rig/testing/test_examples.py",
-    ("docs/reference/interface.md", "xml"): "test/impact_rig/nodes/test_convert.py",
+    ("docs/how-to/ros2_control.md", "xml"): "test/impact_rig/nodes/test_convert.py",
     ("docs/how-to/recording.md", "python"): "test/impact_rig/recording/test_guide.py",
     ("docs/how-to/recording.md", "python notebook"): "test/impact_rig/recording/test_guide.py",
     ("docs/how-to/testing.md", "python title"): "test/impact_rig/testing/test_guide.py",

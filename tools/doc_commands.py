@@ -149,15 +149,16 @@ def _ros2(words: list[str], whole: bool) -> str | None:
         declared = re.findall(r'DeclareLaunchArgument\(\s*"(\w+)"', file.read_text(encoding="utf-8"))
         given = [word.partition(":=")[0] for word in words[3:] if ":=" in word]
         return next((f"{file.name} has no argument {name}" for name in given if name not in declared), None)
-    interface = (ROOT / "docs" / "reference" / "interface.md").read_text(
-        encoding="utf-8"
-    )  # itself held against the code by a test
+    interface, configuration = (  # tests compare both with the code
+        (ROOT / "docs" / "reference" / f"{name}.md").read_text(encoding="utf-8")
+        for name in ("interface", "configuration")
+    )
     if words[0] in {"topic", "service"}:
         for name in (word.removeprefix("/rig/") for word in words if word.startswith("/rig/")):
             if f"`{name}`" not in interface:
                 return f"docs/reference/interface.md has no {words[0]} {name}"
-    if words[:2] == ["param", "set"] and f"`{words[3]}`" not in interface:
-        return f"docs/reference/interface.md has no parameter {words[3]}"
+    if words[:2] == ["param", "set"] and f"`{words[3]}`" not in configuration:
+        return f"docs/reference/configuration.md has no parameter {words[3]}"
     return None
 
 

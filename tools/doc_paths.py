@@ -86,5 +86,5 @@ def _words(path: Path) -> frozenset[str]:
 
 @cache
 def _parameters() -> frozenset[str]:
-    text = (ROOT / "docs" / "reference" / "interface.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "reference" / "configuration.md").read_text(encoding="utf-8")
     return frozenset(re.findall(r"`([a-z_]+\.\w+)", text))

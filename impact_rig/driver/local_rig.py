@@ -63,7 +63,7 @@ class LocalRig(RigDriver):
 
     Args:
         config: the configuration, or the values that differ from the defaults, `section.key` -> value, as in
-            docs/reference/interface.md.
+            docs/reference/configuration.md.
         faults: planned.
         name: what reports call it.
         analysis: parameters of the rig's analysis, as of its node: `gap_m` is the operator's label; None: no analysis.

@@ -78,7 +78,7 @@ class RosRig(RigDriver):
 
     Args:
         config: the configuration, or the values that differ from the defaults of a rig in lockstep, `section.key` ->
-            value, as in docs/reference/interface.md; of a rig that runs already the values that it must have.
+            value, as in docs/reference/configuration.md; of a rig that runs already the values that it must have.
         faults: planned.
         name: what reports call it.
         directory: for logs, kept; None: a temporary one that `close` removes.

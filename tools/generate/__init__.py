@@ -30,7 +30,7 @@ from impact_rig.recording.description import DEFINITIONS
 from impact_rig.rig.config import RigConfig
 from impact_rig.rig.description import robot_description
 from tools import sros2_policy
-from tools.generate import graph, interface, layers
+from tools.generate import commands, graph, interface, layers
 from tools.generate.markdown import table
 from tools.generate.nominal import nominal
 
@@ -43,7 +43,12 @@ def _laws() -> str:
     return table(("law", "a(e), or its shape", "returned e", "source"), rows)
 
 
-TABLES: dict[str, Callable[[], str]] = {**layers.TABLES, **interface.TABLES, "contact laws": _laws}
+TABLES: dict[str, Callable[[], str]] = {
+    **layers.TABLES,
+    **interface.TABLES,
+    "contact laws": _laws,
+    "commands": commands.reference,
+}
 """Name in a page's markers -> its text."""
 
 _SECTION = re.compile(r"(<!-- generated: (?P<name>[\w ]+) -->\n).*?(<!-- end -->)", re.DOTALL)

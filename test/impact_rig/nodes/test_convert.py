@@ -178,7 +178,7 @@ def test_joint_states_carry_the_contact_force_as_effort() -> None:
 
 
 def test_joint_states_serve_a_topic_based_hardware_interface_as_the_page_says(default) -> None:
-    page = (Path(__file__).parents[3] / "docs" / "reference" / "interface.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[3] / "docs" / "how-to" / "ros2_control.md").read_text(encoding="utf-8")
     (snippet,) = re.findall(r"```xml\n(.*?)```", page, flags=re.DOTALL)
     robot = ET.fromstring(snippet)
     xacro = "{http://www.ros.org/wiki/xacro}"
