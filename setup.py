@@ -149,13 +149,11 @@ setup(
             "campaign = impact_rig_studies.cli.campaign:add_command",
             "compare = impact_rig_studies.cli.compare:add_command",
             "demo = impact_rig_studies.cli.demo:add_command",
+            "drive = impact_rig_studies.cli.drive:add_command",
             "dynamics = impact_rig_studies.cli.mechanics:add_dynamics",
-            "frf = impact_rig_studies.cli.excite:add_frf",
             "identify = impact_rig_studies.cli.identify:add_command",
             "import = impact_rig_studies.cli.measurement:add_import",
-            "loop = impact_rig_studies.cli.loop:add_command",
             "map = impact_rig_studies.cli.mechanics:add_map",
-            "play = impact_rig_studies.cli.excite:add_play",
             "report = impact_rig_studies.cli.campaign:add_report",
         ],
         "impact_rig.analyses": [
@@ -166,6 +164,7 @@ setup(
         "impact_rig.exporters": [
             "map = impact_rig_studies.exporters:map_points",
             "campaign = impact_rig_studies.exporters:campaign_points",
+            "drive = impact_rig_studies.cli.drive:add_command",
             "dynamics = impact_rig_studies.exporters:study_rows",
         ],
         "console_scripts": [

@@ -27,7 +27,7 @@ import webbrowser
 from pathlib import Path
 from typing import Any  # a source of either kind
 
-from impact_rig.cli.terminal import Console, subcommand
+from impact_rig.cli.terminal import Commands, Console, subcommand
 from impact_rig.errors import ImpactRigError
 from impact_rig.system import files
 
@@ -37,7 +37,7 @@ LOOK_MS = 1000
 """Time between two looks at signals: one that comes in the very moment when a wait begins does not interrupt it."""
 
 
-def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_command(commands: Commands) -> None:
     """Register the subcommand."""
     parser = subcommand(
         commands, "lab", run, "see the rig move and turn its knobs, live, in a browser",
@@ -53,14 +53,14 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.add_argument(
         "--attach", nargs="?", const=FOUND, metavar="NAMESPACE", help="show a rig that runs already, e.g. /rig"
     )
-    parser.add_argument("--namespace", default="/rig", help="of the rig that is started (default: /rig)")
+    parser.add_argument("--namespace", default="/rig", help="namespace of the rig (default: /rig)")
     parser.add_argument("--sample", action="store_true", help="play back a short run, recorded for this on first use")
     parser.add_argument("--port", type=int, default=8765, help="of the page; 0: any (default: 8765)")
     parser.add_argument(
         "--host", default="127.0.0.1", help="address to serve; others than this machine may then look in"
     )
     parser.add_argument("--no-browser", action="store_true", help="only print the address")
-    parser.add_argument("--rate", type=int, default=10_000, metavar="HZ", help="scans per second (default: 10000)")
+    parser.add_argument("--scan-rate", type=int, default=10_000, metavar="HZ", help="scans per second (default: 10000)")
     parser.add_argument(
         "--mode",
         choices=("realtime", "free_running"),
@@ -73,7 +73,11 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     )  # fmt: skip
     parser.add_argument("--no-record", action="store_true", help="record only when told to on the page")
     parser.add_argument(
-        "--record-directory", type=Path, default=Path("runs"), help="where run directories are made (default: runs)"
+        "--output",
+        type=Path,
+        default=Path("runs"),
+        metavar="DIR",
+        help="directory in which recordings are made (default: runs)",
     )
 
 
@@ -92,7 +96,7 @@ def run(arguments: argparse.Namespace) -> int:
     check_port(arguments.port)
     branches = [continued(directory) for directory in arguments.branches]
     console = Console()
-    runs = arguments.runs[0].resolve().parent if arguments.runs else arguments.record_directory
+    runs = arguments.runs[0].resolve().parent if arguments.runs else arguments.output
     with contextlib.ExitStack() as stack:
         source: Any = None
         stack.callback(lambda: _say_where(source))  # last of all: the recorder has finished then
@@ -144,7 +148,7 @@ def _source(arguments: argparse.Namespace, stack: contextlib.ExitStack) -> Any:
     parameters = node_parameters(arguments)
     from_flat(RigConfig(), parameters["rig"])  # what a rig refuses is refused here, where somebody reads it
     if not arguments.no_record:
-        _check_writable(arguments.record_directory)
+        _check_writable(arguments.output)
     _take_place(domain, namespace, stack)
     logs = files.state_dir("lab_logs") / files.place(domain, namespace)
     processes = stack.enter_context(Processes(domain, logs, namespace=namespace))
@@ -153,7 +157,7 @@ def _source(arguments: argparse.Namespace, stack: contextlib.ExitStack) -> Any:
 
 def _check_writable(directory: Path) -> None:
     """Refuse a directory into which the recorder, later and in its log, could not record."""
-    with files.errors_as(f"nothing can be recorded into {directory}; choose --record-directory DIR or --no-record"):
+    with files.errors_as(f"nothing can be recorded into {directory}; choose --output DIR or --no-record"):
         files.make_folder(directory)
         if not os.access(directory, os.W_OK | os.X_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
@@ -188,10 +192,10 @@ def node_parameters(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
         "rig": {
             "time.mode": arguments.mode,
             "time.peers": ["analysis", "recorder"],
-            "daq.rate_hz": arguments.rate,
-            "daq.block_scans": max(1, arguments.rate // 100),
+            "daq.rate_hz": arguments.scan_rate,
+            "daq.block_scans": max(1, arguments.scan_rate // 100),
         },
         "analysis": {"gap_m": 0.006},
         "plot": {},
-        "recorder": {"directory": str(arguments.record_directory.resolve()), "record": not arguments.no_record},
+        "recorder": {"directory": str(arguments.output.resolve()), "record": not arguments.no_record},
     }

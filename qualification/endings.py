@@ -275,7 +275,7 @@ class Bench:
         self.programs: dict[str, Callable[[Path], list[str | Path]]] = {
             "demo": lambda into: ["demo", "--output", into / "demo"],
             "campaign": lambda into: ["campaign", self.plan, "--output", into / "campaign"],
-            "report": lambda into: ["report", self._campaign(), "--output", into / "report.html"],
+            "report": lambda into: ["report", self._campaign(), "--output", into],
             "identify": lambda _: ["identify", self._campaign(), "--without", "reductions"],
             "verify": lambda _: ["verify", self._run()],
             "replay": lambda _: ["replay", self._run(), "--delay", "0.2", "--rate", "2"],

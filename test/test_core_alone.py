@@ -95,7 +95,7 @@ def test_the_command_line_has_the_rigs_own_commands(core: Path) -> None:
     page = python(
         core, "import alone; from impact_rig.cli.main import command_line; print(command_line().format_help())"
     )
-    found = {line.split()[0] for line in page.splitlines() if line.startswith("    ") and line[4] != " "}
+    found = {line.split()[0] for line in page.splitlines() if line.startswith("  ") and line[2] != " "}
     assert {"info", "analyze", "verify", "replay", "recover", "export", "check"} <= found
     assert found.isdisjoint({"lab", "campaign", "map", "import", "report"})
 

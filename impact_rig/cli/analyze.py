@@ -26,7 +26,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.transmissibility import note_on
-from impact_rig.cli.terminal import Console, TextTable, add_figures, add_json, add_run, figure, subcommand, tell_json
+from impact_rig.cli.terminal import (
+    Commands,
+    Console,
+    TextTable,
+    add_figures,
+    add_json,
+    add_run,
+    figure,
+    subcommand,
+    tell_json,
+)
 from impact_rig.errors import ConfigError
 from impact_rig.recording import Run, open_run
 from impact_rig.states import MEASURED, Status
@@ -55,7 +65,7 @@ def _analyses() -> Iterator[Analysis]:
     return (one.load() for one in metadata.entry_points(group=GROUP))
 
 
-def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_command(commands: Commands) -> None:
     """Register the subcommand."""
     parser = subcommand(
         commands, "analyze", _run, "analyse a run again, as the live node did; says if the results agree",
@@ -174,7 +184,7 @@ def _print_measurements(console: Console, rows: NDArray[np.void], *, everything:
         words, counts = np.unique(rows["status"][~measured], return_counts=True)
         why = ", ".join(f"{count} {word.decode()}" for word, count in zip(words, counts, strict=True))
         console.print(
-            f"left out, as nothing was measured: {why} (docs/explanation/analysis.md explains; --all shows them)"
+            f"left out, as nothing was measured: {why} (--all shows them; docs/explanation/analysis.md explains)"
         )
 
 

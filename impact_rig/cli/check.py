@@ -23,7 +23,7 @@ from pathlib import Path
 import attrs
 from rich.text import Text
 
-from impact_rig.cli.terminal import Console, TextTable, add_json, subcommand, tell_json
+from impact_rig.cli.terminal import Commands, Console, TextTable, add_json, subcommand, tell_json
 from impact_rig.errors import ConfigError
 from impact_rig.instruments import check_known_input
 from impact_rig.instruments.checks import ChannelCheck
@@ -34,7 +34,7 @@ from impact_rig.rig.config import load_config
 _POLARITY = {1: "right", 0: "no signal", -1: "reversed"}
 
 
-def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_command(commands: Commands) -> None:
     """Register the subcommand."""
     parser = subcommand(
         commands, "check", _run, "validate a configuration file without starting anything",

@@ -23,13 +23,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.cli.terminal import Console, add_run, subcommand
+from impact_rig.cli.terminal import Commands, Console, add_run, subcommand
 from impact_rig.errors import ConfigError
 from impact_rig.recording import open_run
 from impact_rig.runs import export
 from impact_rig.runs.exports import write_columns
 
-FORMATS = ("csv", "npz", "parquet", "uff")
 Columns = dict[str, NDArray[np.generic]]
 Exporter = Callable[[Path], Mapping[str, Callable[[str], Columns]] | None]
 """Takes a directory that is no run; returns its tables by name, None for another kind of directory. A table is a
@@ -42,7 +41,7 @@ def _exporters() -> Iterator[Exporter]:
     return (one.load() for one in metadata.entry_points(group=GROUP))
 
 
-def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_command(commands: Commands) -> None:
     """Register the subcommand."""
     parser = subcommand(
         commands, "export", _run, "write a table of a run, campaign, map or study as .csv, .npz, .parquet or .uff",
@@ -58,13 +57,10 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
         "topic", help="e.g. transmissibility/table; points: of a campaign or a map; kind of study: of dynamics"
     )
     parser.add_argument("target", type=Path, metavar="FILE", help="its suffix chooses the format")
-    parser.add_argument("--format", choices=FORMATS, help="instead of a suffix, which is then appended")
 
 
 def _run(arguments: argparse.Namespace) -> int:
     path, target = arguments.path, arguments.target
-    if arguments.format and target.suffix != f".{arguments.format}":
-        target = target.with_name(f"{target.name}.{arguments.format}")
     tables = next((found for exporter in _exporters() if (found := exporter(path)) is not None), None)
     if tables is not None:
         table = tables.get(arguments.topic)

@@ -18,13 +18,13 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from impact_rig.cli.terminal import Console, subcommand
+from impact_rig.cli.terminal import Commands, Console, subcommand
 from impact_rig.embedded.fmu import VERSIONS, write_fmu
 from impact_rig.kernels.build import FOLDER
 from impact_rig.rig.config import RigConfig, load_config
 
 
-def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_command(commands: Commands) -> None:
     """Register the subcommand."""
     parser = subcommand(
         commands, "fmu", _run, "write the rig as a co-simulation unit (FMI 3.0 or 2.0)",

@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any  # what JSON holds
 
-from impact_rig.cli.terminal import Console, TextTable, add_json, subcommand, tell_json
+from impact_rig.cli.terminal import Commands, Console, TextTable, add_json, subcommand, tell_json
 from impact_rig.errors import ConfigError
 from impact_rig.system import files
 
@@ -34,7 +34,7 @@ CLIENTS = ("client", "peers")  # publishers of what the rig takes
 Row = dict[str, Any]
 
 
-def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_command(commands: Commands) -> None:
     """Register the subcommand."""
     parser = subcommand(
         commands, "interface", _run,

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import functools
 import io
+import itertools
 import os
 import sys
 from collections.abc import Sequence
@@ -35,11 +36,18 @@ EXIT_ERROR = 1
 PROGRAM = "impact-rig"
 GROUP = "impact_rig.commands"
 """Entry points by which packages bring their commands: a name, and the function that registers its parser."""
-ORDER = (
-    "lab", "demo", "record", "campaign", "map", "dynamics", "loop", "play", "frf", "report", "identify",
-    "info", "analyze", "compare", "verify", "replay", "recover", "import", "export", "check", "interface",
-)  # fmt: skip
-"""Commands in the order of the help; others follow by name."""
+HEADINGS = {
+    "See it": ("lab", "demo"),
+    "Recordings": ("record", "info", "analyze", "compare", "verify", "replay", "recover", "import", "export"),
+    "Drive": ("drive",),
+    "Studies": ("campaign", "map", "dynamics", "identify", "report"),
+    "Interfaces": ("fmu", "daqmx"),
+    "Files": ("check",),
+    "Other packages": (),
+}
+"""Commands of the help by heading; commands that other packages bring are listed under the last one."""
+HIDDEN = ("interface",)  # installed, but not listed in the help
+MOVED = {"loop": "drive", "play": "drive play", "frf": "drive frf"}
 
 
 @functools.cache
@@ -47,7 +55,8 @@ def commands() -> dict[str, EntryPoint]:
     """Return the installed commands by name, in the order of the help."""
     from importlib.metadata import entry_points  # noqa: PLC0415  # after the signals are taken
 
-    place = {name: number for number, name in enumerate(ORDER)}
+    ordered = (*itertools.chain.from_iterable(HEADINGS.values()), *HIDDEN)
+    place = {name: number for number, name in enumerate(ordered)}
     found = sorted(entry_points(group=GROUP), key=lambda one: (place.get(one.name, len(place)), one.name))
     return {one.name: one for one in found}
 
@@ -60,15 +69,23 @@ def command_line(command: str = "") -> argparse.ArgumentParser:
 
     parser = argparse.ArgumentParser(
         prog=PROGRAM,
+        usage=f"{PROGRAM} [-h] [--version] COMMAND ...",
         description="The test rig of an impact damper as virtual hardware.",
         epilog="example: impact-rig lab --sample\n`impact-rig COMMAND --help` shows examples of a command.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"{PROGRAM} {impact_rig.__version__}")
-    registered = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    registered = parser.add_subparsers(
+        dest="command", required=True, metavar="COMMAND", prog=PROGRAM, help=argparse.SUPPRESS
+    )
     known = commands() if command != "--version" else {}
     for name in [command] if command in known else known:
         known[name].load()(registered)
+    listed = {one.dest: one for one in registered._choices_actions if one.dest not in HIDDEN}
+    for heading, names in HEADINGS.items():
+        named = [listed.pop(name) for name in names if name in listed]
+        parser.add_argument_group(heading)._group_actions += named
+    parser._action_groups[-1]._group_actions += listed.values()
     return parser
 
 
@@ -101,6 +118,8 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
         from impact_rig.errors import did_you_mean  # noqa: PLC0415
         from impact_rig.names import visible  # noqa: PLC0415
 
+        if first in MOVED:
+            parser.error(f"{first!r} is now `{PROGRAM} {MOVED[first]}`")
         hint = did_you_mean(first, known, f"did you mean `{PROGRAM} {{}}`?", f"the commands are {', '.join(known)}")
         parser.error(visible(f"{first!r} is no command: {hint}"))
     return parser.parse_args(arguments)

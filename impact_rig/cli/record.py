@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from impact_rig import topics
 from impact_rig.cli.quantities import Quantity, positive
 from impact_rig.cli.rig_options import RUNNING, add_rig, add_way, open_rig, rig_of, run_directory
-from impact_rig.cli.terminal import Console, Counted, TextTable, add_json, figure, subcommand, tell_results
+from impact_rig.cli.terminal import Commands, Console, Counted, TextTable, add_json, figure, subcommand, tell_results
 from impact_rig.config import Drive, FieldInfo
 from impact_rig.errors import CommandError, ConfigError, ImpactRigError
 from impact_rig.recording import open_run
@@ -42,10 +42,10 @@ SCANS_TIMEOUT_S = 30.0  # wall time that a rig may take for a block of scans
 FREQUENCY_HZ, CURRENT_A = 9.1, 0.52  # of the paper
 CURRENT = Quantity(FieldInfo("Peak current.", "A", low=0.0))
 NEGLIGIBLE = 1e-6  # share of the variance below which a line of the budget is not printed
-OF_THE_RIG = ("config", "gap", "sphere_start", "seed", "rate")
+OF_THE_RIG = ("config", "gap", "sphere_start", "seed", "scan_rate")
 
 
-def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_command(commands: Commands) -> None:
     """Register the subcommand."""
     parser = subcommand(
         commands, "record", _run, "record one run at one frequency and current, and measure its DT",
@@ -68,7 +68,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     )
     add_rig(parser)
     parser.add_argument("--seed", type=int, metavar="N", help="seed of noise and calibration errors")
-    parser.add_argument("--rate", type=int, metavar="HZ", help="scans per second")
+    parser.add_argument("--scan-rate", type=int, metavar="HZ", help="scans per second (default: the configuration's)")
     add_way(parser)
     parser.add_argument("--output", type=Path, metavar="DIR", help="directory of the run (default: runs/record_<time>)")
     add_json(parser)
@@ -122,9 +122,8 @@ def _config(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
                 raise ConfigError(f"{option} belongs to a rig that is started; a running rig keeps its configuration")
         return RigConfig(), NO_SPHERE
     config, gap_m = rig_of(arguments)
-    rate = (
-        {} if arguments.rate is None else {"daq.rate_hz": arguments.rate, "daq.block_scans": arguments.rate // 100 or 1}
-    )
+    rate_hz = arguments.scan_rate
+    rate = {} if rate_hz is None else {"daq.rate_hz": rate_hz, "daq.block_scans": rate_hz // 100 or 1}
     seed = {} if arguments.seed is None else {"daq.seed": arguments.seed}
     config = from_flat(config, {**rate, **seed})
     if config.drive.kind != "current" or config.drive.waveform != "sine":

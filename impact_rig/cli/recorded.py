@@ -23,14 +23,14 @@ from pathlib import Path
 import attrs
 from rich.progress import BarColumn, Progress, TimeRemainingColumn
 
-from impact_rig.cli.terminal import Console, Steps, TextTable, Words, add_json, add_run, subcommand, tell_json
+from impact_rig.cli.terminal import Commands, Console, Steps, TextTable, Words, add_json, add_run, subcommand, tell_json
 from impact_rig.errors import ImpactRigError
 from impact_rig.recording import Run, open_run
 from impact_rig.runs import RecoverReport, RunInfo, info, recover
 from impact_rig.simtime import NS_PER_S
 
 
-def add_info(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_info(commands: Commands) -> None:
     """Register the subcommand."""
     parser = subcommand(
         commands, "info", _info, "what a run holds and whether it is whole",
@@ -98,7 +98,7 @@ def _info_content(found: RunInfo) -> dict[str, object]:
     }
 
 
-def add_verify(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_verify(commands: Commands) -> None:
     """Register the subcommand."""
     parser = subcommand(
         commands, "verify", _verify, "re-simulate a run from its journal and compare all that the rig published",
@@ -132,7 +132,7 @@ INCOMPLETE = 3  # exit code when the new run lacks something of the old one
 LISTED = 20  # places that are shown one by one
 
 
-def add_recover(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_recover(commands: Commands) -> None:
     """Register the subcommand."""
     parser = subcommand(
         commands, "recover", _recover, "save every whole chunk of a damaged or unfinished run",
@@ -216,7 +216,7 @@ FASTEST = "max"
 LONGEST_DELAY_S = 3600.0
 
 
-def add_replay(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_replay(commands: Commands) -> None:
     """Register the subcommand."""
     parser = subcommand(
         commands, "replay", _replay, "publish a run onto the graph again, with /clock",

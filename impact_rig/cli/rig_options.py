@@ -39,7 +39,10 @@ def add_rig(parser: argparse.ArgumentParser) -> None:
         "--gap", type=GAP, metavar="LENGTH",
         help="gap with its unit, e.g. 6mm; none: no sphere (default: the configuration's)",
     )  # fmt: skip
-    parser.add_argument("--sphere-start", choices=("left", "centre", "right"), default=None)
+    parser.add_argument(
+        "--sphere-start", choices=("left", "centre", "right"),
+        help="position of the sphere at the start (default: the configuration's)",
+    )  # fmt: skip
 
 
 def rig_of(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
@@ -62,7 +65,7 @@ def add_way(parser: argparse.ArgumentParser, needs: str = "") -> None:
         "--through", choices=WAYS, default=PROCESS,
         help=f"a rig in this process (default), behind topics, or one that runs already{needs}",
     )  # fmt: skip
-    parser.add_argument("--namespace", default="/rig", help="namespace of the rig that runs already (default: /rig)")
+    parser.add_argument("--namespace", default="/rig", help="namespace of the rig (default: /rig)")
 
 
 def open_rig(

@@ -28,7 +28,7 @@ import sys
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any  # what rich's methods take
+from typing import Any, TypeAlias  # what rich's methods take
 
 from rich import box
 from rich import console as rich_console
@@ -50,6 +50,8 @@ from impact_rig.system.files import plain
 
 __all__ = ["Console", "Counted", "Steps", "TextTable", "Words", "figure", "tell_json", "tell_program", "tell_results"]
 
+Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+"""Commands of the program, or subcommands of one, to which others are added."""
 LONGEST_HEADING = 11  # characters of a heading over numbers that stay in one line
 LONGEST_WORD = 12  # characters of a word in a cell that are not parted
 LARGEST_WIDTH = 10_000  # of a table, in characters
@@ -227,9 +229,9 @@ def add_run(parser: argparse.ArgumentParser, what: str = "run directory or .mcap
 
 
 def subcommand(
-    commands: argparse._SubParsersAction[argparse.ArgumentParser],
+    commands: Commands,
     name: str,
-    run: Callable[[argparse.Namespace], int],
+    run: Callable[[argparse.Namespace], int] | None,
     sentence: str,
     examples: Sequence[tuple[str, str]],
     more: str = "",
@@ -239,7 +241,7 @@ def subcommand(
     Args:
         commands: of the program.
         name: of the subcommand.
-        run: does it, and returns the exit code.
+        run: runs it and returns the exit code; None: its own subcommands do.
         sentence: what it does, for the list of commands and the head of its page.
         examples: command without the program's name, and what it is for.
         more: what else is to be known, below the examples.
@@ -254,5 +256,6 @@ def subcommand(
         epilog=epilog,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.set_defaults(run=run)
+    if run is not None:
+        parser.set_defaults(run=run)
     return parser

@@ -22,6 +22,7 @@ import time
 from pathlib import Path
 
 from impact_rig.cli.terminal import (
+    Commands,
     Console,
     Counted,
     TextTable,
@@ -48,7 +49,7 @@ WAYS = ("process", "ros", "dask")
 SHOWN = 20  # failing points that are printed; all of them are in the CSV
 
 
-def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_command(commands: Commands) -> None:
     """Register the subcommand."""
     parser = subcommand(
         commands, "campaign", _run, "measure all points of a campaign file; run again to resume",
@@ -69,8 +70,10 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
         "--output", type=Path, metavar="DIR", help="default: runs/campaign_<file>; resumed if it exists"
     )
     parser.add_argument("--only", nargs="+", default=(), metavar="STUDY", help="run these studies only")
-    parser.add_argument("--seed", type=int, help="seed of noise and calibration errors, instead of the file's")
-    parser.add_argument("--rate", type=int, metavar="HZ", help="scans per second, instead of the file's")
+    parser.add_argument(
+        "--seed", type=int, metavar="N", help="seed of noise and calibration errors (default: the file's)"
+    )
+    parser.add_argument("--scan-rate", type=int, metavar="HZ", help="scans per second (default: the file's)")
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
     parser.add_argument("--record", action="store_true", help="with --through ros: record every run as MCAP")
     parser.add_argument(
@@ -80,7 +83,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 def _run(arguments: argparse.Namespace) -> int:
     file, directory, way, address = tasks.words(arguments, "campaign", "campaign config/paper.yaml", WAYS)
-    overrides = {"daq.seed": arguments.seed, "daq.rate_hz": arguments.rate}
+    overrides = {"daq.seed": arguments.seed, "daq.rate_hz": arguments.scan_rate}
     campaign = load_campaign(file, {name: value for name, value in overrides.items() if value is not None})
     if arguments.only:
         campaign = campaign.only(tuple(arguments.only))
@@ -229,7 +232,7 @@ def _print_failed(console: Console, done: run.Finished) -> None:
     console.print(table)
 
 
-def add_report(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_report(commands: Commands) -> None:
     """Register `report`: the page of a campaign."""
     parser = subcommand(
         commands, "report", _report,
@@ -241,7 +244,7 @@ def add_report(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         ],
     )  # fmt: skip
     parser.add_argument("directory", type=Path, metavar="DIR", help="directory of a campaign, or a run")
-    parser.add_argument("--output", type=Path, metavar="FILE", help="the page (default: DIR/report.html)")
+    parser.add_argument("--output", type=Path, metavar="DIR", help="directory of the page (default: DIR)")
     parser.add_argument(
         "--margins", type=Path, metavar="DIR",
         help="campaign that varies constants (config/campaigns/margins.yaml): what the statements owe to them",
@@ -250,7 +253,7 @@ def add_report(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "--branches", type=Path, metavar="DIR", nargs="+", default=(),
         help="of `impact-rig dynamics continue`: its stable and unstable motions, drawn beside what was measured",
     )  # fmt: skip
-    add_figures(parser, "directory of the figures (default: DIR/figures)")
+    add_figures(parser, "directory of the figures (default: figures in that of the page)")
     add_rig(parser)
 
 

@@ -22,7 +22,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from impact_rig.cli.terminal import Console, TextTable, add_figures, add_json, add_run, figure, subcommand, tell_json
+from impact_rig.cli.terminal import (
+    Commands,
+    Console,
+    TextTable,
+    add_figures,
+    add_json,
+    add_run,
+    figure,
+    subcommand,
+    tell_json,
+)
 from impact_rig.recording import open_run
 from impact_rig.system import files
 
@@ -32,7 +42,7 @@ if TYPE_CHECKING:
 FAR_OFF = 2.0  # standard uncertainties from which a difference is marked
 
 
-def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_command(commands: Commands) -> None:
     """Register the subcommand."""
     parser = subcommand(
         commands, "compare", _run, "a measurement and the model side by side, and the constants that would fit best",

@@ -28,7 +28,17 @@ from rich.progress import BarColumn, Progress, TaskID, TimeElapsedColumn
 
 from impact_rig import topics
 from impact_rig.analysis.calibration import Calibration
-from impact_rig.cli.terminal import Console, Steps, TextTable, Words, add_json, figure, subcommand, tell_results
+from impact_rig.cli.terminal import (
+    Commands,
+    Console,
+    Steps,
+    TextTable,
+    Words,
+    add_json,
+    figure,
+    subcommand,
+    tell_results,
+)
 from impact_rig.errors import ImpactRigError
 from impact_rig.recording import open_run
 from impact_rig.rig.config import RigConfig, from_flat
@@ -53,22 +63,24 @@ RUNS = {NO_SPHERE: "no_sphere", **{gap_m: f"gap_{gap_m * 1e3:g}mm" for gap_m in 
 """Name of the run's directory, by gap [m]."""
 
 
-def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_command(commands: Commands) -> None:
     """Register the subcommand."""
     parser = subcommand(
         commands, "demo", run, "measure the paper's five reductions through the topics",
         [
             ("demo", "three processes, six runs recorded below runs/, a table and a figure"),
-            ("demo --rate 50000 --seed 7 --output runs/fast", "other instruments, read faster"),
+            ("demo --scan-rate 50000 --seed 7 --output runs/fast", "other instruments, read faster"),
         ],
         "The last line is the directory of the results. Exit code 0: every reduction within 3 points of the paper.",
     )  # fmt: skip
     add_json(parser)
     parser.add_argument(
-        "--output", type=Path, help="directory for runs, figure and summary (default: runs/demo_<date>)"
+        "--output", type=Path, metavar="DIR", help="directory for runs, figure and summary (default: runs/demo_<date>)"
     )
-    parser.add_argument("--rate", type=int, default=10_000, metavar="HZ", help="scans per second (default: 10000)")
-    parser.add_argument("--seed", type=int, default=1, help="seed of noise and calibration errors (default: 1)")
+    parser.add_argument("--scan-rate", type=int, default=10_000, metavar="HZ", help="scans per second (default: 10000)")
+    parser.add_argument(
+        "--seed", type=int, default=1, metavar="N", help="seed of noise and calibration errors (default: 1)"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -78,12 +90,12 @@ def run(arguments: argparse.Namespace) -> int:
     config = from_flat(
         RigConfig(),
         {
-            "daq.rate_hz": arguments.rate,
+            "daq.rate_hz": arguments.scan_rate,
             "daq.seed": arguments.seed,
         },
     )
     console.print(
-        f"impact_rig demo: rig, analysis and recorder as three processes in lockstep, {arguments.rate} scans/s"
+        f"impact_rig demo: rig, analysis and recorder as three processes in lockstep, {arguments.scan_rate} scans/s"
     )
     started = time.monotonic()
     rows = _measure(config, directory)

@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from impact_rig.cli.terminal import Console, TextTable, add_json, figure, subcommand, tell_json, tell_program
+from impact_rig.cli.terminal import Commands, Console, TextTable, add_json, figure, subcommand, tell_json, tell_program
 from impact_rig.errors import ConfigError, ImpactRigError
 from impact_rig.recording import open_run
 from impact_rig.rig.config import RigConfig, dump, load_config
@@ -56,7 +56,7 @@ from impact_rig_studies.identification.measurements import (
 JSON_FILE, CONFIGURATION_FILE = "identification.json", "identified.yaml"
 
 
-def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_command(commands: Commands) -> None:
     """Register the subcommand."""
     parser = subcommand(
         commands, "identify", _run, "constants of the rig from measured runs, and what they cannot tell",

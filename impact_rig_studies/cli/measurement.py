@@ -23,7 +23,7 @@ import attrs
 import numpy as np
 
 from impact_rig.cli.quantities import GAP, Quantity
-from impact_rig.cli.terminal import Console, TextTable, add_json, subcommand, tell_json, tell_program
+from impact_rig.cli.terminal import Commands, Console, TextTable, add_json, subcommand, tell_json, tell_program
 from impact_rig.config.fields import FieldInfo
 from impact_rig.errors import ConfigError
 from impact_rig.system import files
@@ -37,7 +37,7 @@ FREQUENCY = Quantity(FieldInfo("Frequency of the drive.", "Hz", low=0.0), names=
 GAP_LABEL = attrs.evolve(GAP, names=True)
 
 
-def add_import(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_import(commands: Commands) -> None:
     """Register the subcommand."""
     parser = subcommand(
         commands, "import", _import, "make a run of a measurement of your own rig, or a campaign of several",
@@ -66,7 +66,7 @@ def add_import(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="signal of a channel, with unit and sensitivity where the file has none: laser=ai0, laser='ai0 mm', "
         "laser='ai0 V, 500 mV/mm'; channels: laser, base, accelerometer (also detects impacts), current",
     )  # fmt: skip
-    parser.add_argument("--rate", type=float, metavar="HZ", help="scans per second, where the file states none or errs")
+    parser.add_argument("--scan-rate", type=float, metavar="HZ", help="scans per second (default: the file's)")
     parser.add_argument(
         "--resample", type=int, metavar="HZ", help="rate to which scans are resampled that are not uniform in time"
     )
@@ -78,7 +78,7 @@ def add_import(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "--gap", type=GAP_LABEL, metavar="LENGTH|SIGNAL",
         help="gap with its unit, e.g. 6mm, none (no sphere), or the signal that has it (default: by the file name)",
     )  # fmt: skip
-    parser.add_argument("--drive", type=Path, metavar="FILE", help="table of the commands: time, frequency, current")
+    parser.add_argument("--commands", type=Path, metavar="FILE", help="table of the commands: time, frequency, current")
     parser.add_argument(
         "--calibration", type=Path, metavar="FILE", help="table with columns of daq/info, a row a channel"
     )
@@ -96,7 +96,7 @@ def _import(arguments: argparse.Namespace) -> int:
     from impact_rig_studies.importing.readers import read  # noqa: PLC0415  # as above
 
     console = Console(quiet=arguments.json)
-    drive = read(arguments.drive) if arguments.drive else None
+    drive = read(arguments.commands) if arguments.commands else None
     sheet = read(arguments.calibration) if arguments.calibration else None
     several = len(arguments.files) > 1
     if several and len({file.stem for file in arguments.files}) < len(arguments.files):
@@ -152,7 +152,7 @@ def _mapping(guessed: Mapping, source: ImportedSignals, arguments: argparse.Name
         channels = with_channel(channels, " ".join(words), source.signals)
     changes: dict[str, object] = {"channels": channels, "notes": (*mapping.notes, *arguments.note)}
     given = {
-        "rate_hz": arguments.rate, "resample_hz": arguments.resample, "frequency": arguments.frequency,
+        "rate_hz": arguments.scan_rate, "resample_hz": arguments.resample, "frequency": arguments.frequency,
         "gap": arguments.gap,
     }  # fmt: skip
     given = {name: value for name, value in given.items() if value is not None}

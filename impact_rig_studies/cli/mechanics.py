@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from impact_rig.cli.terminal import Console, TextTable, figure, subcommand, tell_results
+from impact_rig.cli.terminal import Commands, Console, TextTable, figure, subcommand, tell_results
 from impact_rig.errors import ConfigError
 from impact_rig.states import Regime
 from impact_rig.system import files
@@ -45,7 +45,7 @@ SHOWN = {
 MOST_ROWS = 40
 
 
-def add_map(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_map(commands: Commands) -> None:
     """Register the subcommand."""
     parser = subcommand(
         commands, "map", _map, "map DT and regimes over two or three parameters; run again to resume",
@@ -133,7 +133,7 @@ def _print_optimum(console: Console, best: optimum.Optimum) -> None:
     console.print(table)
 
 
-def add_dynamics(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_dynamics(commands: Commands) -> None:
     """Register the subcommand."""
     parser = subcommand(
         commands, "dynamics", _dynamics, "sections, bifurcations, basins, orbits, branches and exponents of the model",

@@ -132,7 +132,7 @@ def uniform(
     if not LEAST_HZ <= rate <= MOST_HZ:
         raise ConfigError(
             f"{path}: its rate of {rate:.6g} scans per second is outside {LEAST_HZ:g} to {MOST_HZ:g}; "
-            "if the file errs, give the rate (--rate HZ)"
+            "if the file errs, give the rate (--scan-rate HZ)"
         )
     return Grid(rate, index, found, followed)
 
@@ -145,11 +145,11 @@ def _basis(path: Path, abscissa: Abscissa, mapping: Mapping, count: int) -> tupl
         whole = round(mapping.rate_hz)
         return None, whole if whole == mapping.rate_hz else mapping.rate_hz
     if abscissa.kind is AbscissaKind.NONE:
-        raise ConfigError(f"{path} has neither times nor a rate: give the rate (--rate HZ), in scans per second")
+        raise ConfigError(f"{path} has neither times nor a rate: give the rate (--scan-rate HZ), in scans per second")
     if abscissa.kind is not AbscissaKind.TIME:
         raise ConfigError(
             f"{path}: its abscissa [{abscissa.unit or 'no unit'}] is no time{_explained(abscissa)}; "
-            "if it is one, give the rate (--rate HZ), in scans per second"
+            "if it is one, give the rate (--scan-rate HZ), in scans per second"
         )
     times = abscissa.values
     if times is not None and len(times) != count:
@@ -203,7 +203,7 @@ def _measured(path: Path, times: Real, *, resampled: bool) -> tuple[Rate, NDArra
         raise ConfigError(
             f"{path}: not uniform in time: value {scan + 1} is {off[scan]:.2f} of a period off {rate:.7g} "
             f"scans per second; "
-            "resample it (--resample HZ), or give its rate (--rate HZ) if the times are not to be believed"
+            "resample it (--resample HZ), or give its rate (--scan-rate HZ) if the times are not to be believed"
         )
     return rate, index
 

@@ -48,7 +48,7 @@ PEAK_HZ = 0.1  # studies that stay this near to 9.1 Hz are shown as the peaks of
 
 def build_report(
     directory: Path,
-    target: Path | None = None,
+    output: Path | None = None,
     margins: Path | None = None,
     branches: Sequence[Path] = (),
     *,
@@ -60,10 +60,10 @@ def build_report(
 
     Args:
         directory: of the campaign or of the run; an MCAP file is a run.
-        target: the page; `report.html` in the directory if None. `report.json` is written beside it.
+        output: directory of `report.html` and `report.json`; that of the results if None.
         margins: directory of a campaign that varies constants, for the table of what the statements owe to them.
         branches: directories of `impact-rig dynamics continue`, whose motions are drawn beside what was measured.
-        figures: directory of the figures; `figures` in the directory if None.
+        figures: directory of the figures; `figures` in that of the page if None.
         formats: of the figures, some of `impact_rig.names.FIGURE_FORMATS`.
         rig: namespace of the rig, of a recording that holds several.
 
@@ -73,11 +73,11 @@ def build_report(
         RecordingError: nothing was measured yet, or the page cannot be written.
     """
     folder = directory if directory.is_dir() else directory.parent
-    target = target or folder / PAGE_FILE
+    target = (output or folder) / PAGE_FILE
     content = Content()
 
     def write(title: str, html: str) -> Path:
-        return _write(figures or folder / FIGURES_FOLDER, formats, target, content, title, html)
+        return _write(figures or target.parent / FIGURES_FOLDER, formats, target, content, title, html)
 
     is_campaign = (directory / run.CAMPAIGN_FILE).exists()
     if not is_campaign and (directory.is_file() or any(directory.glob("*.mcap*"))):

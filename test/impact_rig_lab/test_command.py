@@ -183,13 +183,13 @@ def test_what_makes_no_sense_is_refused(sample: Path, capsys: pytest.CaptureFixt
     assert "neither a run directory nor an MCAP file" in capsys.readouterr().err
     assert main(["lab", "a", "b", "c"]) == 1
     assert "at most two" in capsys.readouterr().err
-    assert main(["lab", "--rate", "0", "--no-browser", "--port", "0"]) == 1
+    assert main(["lab", "--scan-rate", "0", "--no-browser", "--port", "0"]) == 1
     assert "daq.rate_hz" in capsys.readouterr().err
     for namespace in ("/a b", "/1", "//"):
         assert main(["lab", "--namespace", namespace, "--no-browser", "--port", "0"]) == 1
         assert "letters, digits" in capsys.readouterr().err
     (tmp_path / "file").touch()
-    assert main(["lab", "--record-directory", str(tmp_path / "file" / "runs"), "--no-browser", "--port", "0"]) == 1
+    assert main(["lab", "--output", str(tmp_path / "file" / "runs"), "--no-browser", "--port", "0"]) == 1
     error = capsys.readouterr().err
     assert str(tmp_path / "file" / "runs") in error.replace("\n", "")
     assert "--no-record" in error

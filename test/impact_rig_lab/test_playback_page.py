@@ -360,7 +360,7 @@ def test_the_scope_of_a_rig_driven_by_samples_shows_the_current_it_was_told(
     shown: Callable[..., Server], open_page: Callable[..., Page], tmp_path: Path
 ) -> None:
     np.savez(tmp_path / "wave.npz", drive=0.4 * np.sin(2.0 * np.pi * 9.1 * np.arange(3_000) / 1_000), fs=1_000.0)
-    command = ("play", tmp_path / "wave.npz", "--rate", 2_000, "--output", tmp_path / "run")
+    command = ("drive", "play", tmp_path / "wave.npz", "--scan-rate", 2_000, "--output", tmp_path / "run")
     assert main([str(word) for word in command]) == 0
     page = open_page(shown(tmp_path / "run").address)
     page.wait("lab.now?.playback && lab.drawn.pictures > 2", "the first traces")

@@ -466,7 +466,7 @@ def test_two_files_of_one_name_are_refused_before_one_is_written(
     for file in files:
         file.parent.mkdir()
         np.savez(file, base=1e-3 * np.sin(turn), laser=1e-2 * np.sin(turn))
-    words = ["import", *map(str, files), "--output", str(tmp_path / "out"), "--rate", str(RATE_HZ), *more]
+    words = ["import", *map(str, files), "--output", str(tmp_path / "out"), "--scan-rate", str(RATE_HZ), *more]
     assert main(words) == 1
     assert "two files have one name" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
@@ -476,7 +476,7 @@ def test_what_an_import_leaves_out_is_told(tmp_path: Path, capsys: pytest.Captur
     turn = 2.0 * np.pi * 9.0 * np.arange(20_000) / RATE_HZ
     base, laser = 1e-3 * np.sin(turn), 1e-2 * np.sin(turn)
     np.savez(tmp_path / "own.npz", base=base, laser=laser, fft=np.exp(1j * turn), cube=np.zeros((2, 3, 4)), dt=-1.0)
-    words = ["import", str(tmp_path / "own.npz"), "--output", str(tmp_path / "run"), "--rate", str(RATE_HZ)]
+    words = ["import", str(tmp_path / "own.npz"), "--output", str(tmp_path / "run"), "--scan-rate", str(RATE_HZ)]
     assert main([*words, "--dry-run"]) == 0
     told = capsys.readouterr().out
     for line in (
@@ -493,7 +493,7 @@ def test_sines_without_a_dt_say_so_and_are_no_success(
 ) -> None:
     turn = 2.0 * np.pi * 9.1 * np.arange(round(seconds * RATE_HZ)) / RATE_HZ
     np.savez(tmp_path / "own.npz", base=1e-4 * np.sin(turn), laser=laser * np.sin(turn))
-    words = ["--output", str(tmp_path / "run"), "--rate", str(RATE_HZ), "--frequency", "9.1"]
+    words = ["--output", str(tmp_path / "run"), "--scan-rate", str(RATE_HZ), "--frequency", "9.1"]
     assert main(["import", str(tmp_path / "own.npz"), *words]) == 0
     capsys.readouterr()
     assert main(["analyze", str(tmp_path / "run"), "--sine"]) == 1

@@ -24,13 +24,14 @@ import re
 import shlex
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from kits.recorded_rig import messages, record
 
 from impact_rig.cli import main, terminal
-from impact_rig.cli.main import command_line, commands
+from impact_rig.cli.main import HEADINGS, HIDDEN, command_line, commands
 from impact_rig.cli.terminal import Console, Steps, TextTable, tell_json
 from impact_rig.system.files import config_dir
 
@@ -50,23 +51,48 @@ def terminal_of_80_columns(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
 
 
-def help_of(name: str) -> str:
-    (action,) = (one for one in command_line()._actions if isinstance(one, argparse._SubParsersAction))
-    return str(action.choices[name].format_help())
+def pages(
+    parser: argparse.ArgumentParser, words: tuple[str, ...] = ()
+) -> Iterator[tuple[str, argparse.ArgumentParser]]:
+    """Yield every command and test with its parser."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for name, one in action.choices.items():
+                yield " ".join((*words, name)), one
+                yield from pages(one, (*words, name))
 
 
-@pytest.mark.parametrize("name", commands())
+PAGES = dict(pages(command_line()))
+
+
+def test_the_help_lists_the_commands_under_headings() -> None:
+    page = command_line().format_help()
+    found: dict[str, list[str]] = {}
+    for line in page.splitlines():
+        if re.fullmatch(r"[A-Z].*:", line):
+            found[line[:-1]] = []
+        elif word := re.match(r"  (\w+) ", line):
+            found[list(found)[-1]].append(word[1])
+    found.pop("options", None)
+    expected = {name: [one for one in named if one in commands()] for name, named in HEADINGS.items()}
+    assert found == {name: named for name, named in expected.items() if named}
+    assert {name for named in found.values() for name in named} == {*commands()} - {*HIDDEN}
+
+
+@pytest.mark.parametrize("name", PAGES)
 def test_every_help_page_has_examples_that_can_be_given(name: str) -> None:
-    page = help_of(name)
+    page = PAGES[name].format_help()
     examples = re.findall(r"^  impact-rig (.*)$", page, flags=re.MULTILINE)
     assert examples
     for example in examples:
         words = shlex.split(example.split(">")[0])
-        assert command_line(words[0]).parse_args(words).command == name
+        found = command_line(words[0]).parse_args(words)
+        assert name in (found.command, f"{found.command} {getattr(found, 'test', '')}")
     assert max(map(len, page.splitlines())) <= 80
 
 
 WRONG = [
+    *((words, f"{words[0]!r} is now `impact-rig drive") for words in (["loop", "hold"], ["play", "x"], ["frf"])),
     (["analyse", "x"], "did you mean `impact-rig analyze`?"),
     (["nothing"], f"the commands are {next(iter(commands()))}"),
 ]

@@ -29,7 +29,7 @@ from impact_rig.runs import info, reanalysis
 from impact_rig.runs.verification import verify
 
 PROGRAM = [sys.executable, "-c", "from impact_rig.cli import main; raise SystemExit(main())"]
-RATE = ("--rate", "2000")
+RATE = ("--scan-rate", "2000")
 
 
 def check(directory: Path) -> None:

@@ -102,12 +102,35 @@ def test_a_length_or_the_name_of_a_signal() -> None:
         GAP_LABEL.parse("6")
 
 
+def test_an_option_has_one_meaning_in_every_command() -> None:
+    """The placeholder of its value shows it: one everywhere, but where a signal of a file may be named instead."""
+    values: dict[str, set[str]] = {}
+    for name, action in OPTIONS:
+        assert action.help, f"{name} {action.option_strings or action.dest} has no help"
+        for option in action.option_strings:
+            values.setdefault(option, set()).add(str(action.metavar or action.choices or action.nargs))
+    several = {option: found for option, found in values.items() if len(found) > 1}
+    assert set(several) == {"--frequency", "--gap", "--reference", "--through"}, several
+    assert several["--frequency"] == {"HZ", "HZ|SIGNAL"}
+    assert several["--gap"] == {"LENGTH", "LENGTH|SIGNAL"}
+    assert values["--output"] == values["--figures"] == {"DIR"}
+    assert values["--scan-rate"] == {"HZ"}
+
+
 def test_every_length_of_every_command_needs_a_unit() -> None:
     """Options that carry a length are of the one type, and nothing else takes a length."""
     assert {option for _, action in LENGTHS for option in action.option_strings} == LENGTH_OPTIONS - {"--abort"}
     commands = {name for name, action in OPTIONS if "--gap" in action.option_strings}
     assert commands == {name for name, action in LENGTHS if "--gap" in action.option_strings}
-    assert {"play", "frf", "import", "loop hold", "loop lock", "loop backbone", "loop random"} <= commands
+    assert {
+        "drive play",
+        "drive frf",
+        "import",
+        "drive hold",
+        "drive lock",
+        "drive backbone",
+        "drive random",
+    } <= commands
     for _, action in OPTIONS:
         assert action.metavar not in ("M", "MM", "U_M"), action.option_strings
 
@@ -145,7 +168,7 @@ def test_a_bare_length_is_refused_in_every_command(
 )
 def test_wrong_limits_are_refused(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
-        main(["loop", "shock", "--abort", *words])
+        main(["drive", "shock", "--abort", *words])
     assert message in capsys.readouterr().err
 
 

@@ -271,7 +271,7 @@ def test_table_and_figures_are_written(small):
 def test_points_are_exported(small, tmp_path, capsys):
     parquet = pytest.importorskip("pyarrow.parquet")
     _, directory = small
-    assert main(["export", str(directory), "points", str(tmp_path / "map"), "--format", "parquet"]) == 0
+    assert main(["export", str(directory), "points", str(tmp_path / "map.parquet")]) == 0
     table = parquet.read_table(tmp_path / "map.parquet")
     assert table["dt"].to_numpy()[0] == run.open_map(directory).values[UP]["dt"][0, 0]
     assert table["regime"].to_pylist()[0] == "periodic"

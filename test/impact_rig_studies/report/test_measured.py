@@ -62,7 +62,7 @@ def test_an_imported_campaign_is_reported_without_paper_and_nominal_rig(tmp_path
 @pytest.fixture(scope="module")
 def one_run(tmp_path_factory):
     directory = tmp_path_factory.mktemp("one") / "run"
-    options = ["--gap", "6mm", "--seconds", "30", "--rate", "2000", "--output", str(directory)]
+    options = ["--gap", "6mm", "--seconds", "30", "--scan-rate", "2000", "--output", str(directory)]
     assert main(["record", *options]) == 0
     return directory
 

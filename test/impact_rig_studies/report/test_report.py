@@ -127,7 +127,7 @@ def compared(short, tmp_path_factory):
     continued = ["dynamics", "continue", str(folder / "branches.yaml"), "--workers", "1"]
     assert main([*continued, "--output", str(folder / "branches")]) == 0
     extras = ["--margins", str(folder / "margins"), "--branches", str(folder / "branches")]
-    assert main(["report", str(out), "--output", str(folder / "page.html"), *extras]) == 0
+    assert main(["report", str(out), "--output", str(folder), *extras]) == 0
     return folder
 
 
@@ -190,7 +190,7 @@ continue: {over: gap_m, from: 0.002, to: 0.036, at: [0.010], points: 8}
 
 
 def test_the_page_tells_what_each_verdict_is_worth_and_owes_to_the_choice(reported, compared, capsys):
-    text = Page((compared / "page.html").read_text()).text
+    text = Page((compared / "report.html").read_text()).text
     for verdict in run.open_finished(compared / "out").verdicts():
         assert f"{verdict.word} {verdict.kind.value} {verdict.detail}" in text
     (itself, changed) = variations(run.open_finished(compared / "margins").points)
@@ -211,9 +211,9 @@ def test_continued_motions_are_drawn_beside_what_was_measured(reported, compared
     ours = stable["transmissibility"][stable["gap_m"].index(0.010)]
     at = measured["gap_m"].index(0.010)
     assert ours == pytest.approx(measured["transmissibility"][at], abs=2.0 * measured["expanded_uncertainty"][at])
-    assert "Stable and unstable motions of the model" in Page((compared / "page.html").read_text()).text
+    assert "Stable and unstable motions of the model" in Page((compared / "report.html").read_text()).text
     (tmp_path / "branches.yaml").write_text(f"set: {{sphere.diameter_m: 0.006}}\n{BRANCHES.replace('8}', '2}')}")
-    out, page = str(tmp_path / "out"), str(tmp_path / "page.html")
+    out, page = str(tmp_path / "out"), str(tmp_path / "report.html")
     assert main(["dynamics", "continue", str(tmp_path / "branches.yaml"), "--workers", "1", "--output", out]) == 0
     assert main(["report", str(reported), "--output", page, "--branches", out]) == 1
     assert "the branches are of another rig: sphere.diameter_m" in capsys.readouterr().err

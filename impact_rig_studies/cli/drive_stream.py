@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What drives a rig through its stream: `impact-rig play`, `impact-rig frf`, and `loop` random, replicate and shock."""
+"""Tests of `impact-rig drive` that feed samples to a rig: play, frf, random, replicate and shock."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from impact_rig.analysis.scans import CHANNELS
 from impact_rig.cli.quantities import positive
 from impact_rig.cli.rig_options import RUNNING, add_rig, add_way, open_rig, rig_of, run_directory
-from impact_rig.cli.terminal import Console, add_json, subcommand, tell_results
+from impact_rig.cli.terminal import Commands, Console, add_json, subcommand, tell_results
 from impact_rig.driver.hardware import Hardware
 from impact_rig.errors import CommandError, ConfigError, ImpactRigError
 from impact_rig.names import visible
@@ -40,86 +40,106 @@ from impact_rig.system.endings import unhurried
 
 RATE_HZ, FAST_HZ = 2_000, 10_000  # of samples and scans where nothing else is asked: what 200 Hz and what a shock needs
 P = TypeVar("P", bound=attrs.AttrsInstance)
+PLAN = "settings of the test, e.g. config/excitation/{}.yaml"
+EXCITATION = {name: name for name in ("kind", "frames", "frame_s", "low_hz", "high_hz", "rms")} | {"drive_seed": "seed"}
+"""Option of `frf` -> setting of its excitation."""
 Work = Callable[[Hardware], Iterator[object]]  # drives the rig, and yields what it has reached, again and again
 
 
-def add_play(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_play(tests: Commands) -> None:
     """Register `play`."""
     parser = subcommand(
-        commands, "play", _play, "drive the rig with a signal of a file, or of a run",
+        tests, "play", _play, "drive the rig with a signal of a file or of a run",
         [
-            ("play road.csv --signal drive --scale 0.5", "half of a column, resampled to the rig's rate"),
-            ("play runs/demo/gap_6mm --seconds 30", "the current that a recorded run measured"),
+            ("drive play road.csv --signal drive --scale 0.5", "half of a column, resampled to the rig's rate"),
+            ("drive play runs/demo/gap_6mm --seconds 30", "the current that a recorded run measured"),
         ],
     )  # fmt: skip
-    parser.add_argument("file", type=Path, metavar="FILE", help="CSV, WAV, npz and others, see import; or a run")
+    parser.add_argument("file", type=Path, metavar="FILE", help="signal: a file as of import, or a run")
     _add_signal(parser)
-    parser.add_argument("--seconds", type=positive("s"), metavar="S", help="longest duration (default: all of it)")
+    parser.add_argument("--seconds", type=positive("s"), metavar="S", help="longest rig time (default: all of it)")
     parser.add_argument(
         "--clip", type=positive("A"), metavar="A", help="largest sample (default: a larger one ends the test)"
     )
-    _add_words(parser, "play", FAST_HZ)
+    _add_options(parser, "play", FAST_HZ)
 
 
-def add_frf(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_frf(tests: Commands) -> None:
     """Register `frf`."""
     from impact_rig_studies.excitation.response import BURST, KINDS, Excitation  # noqa: PLC0415  # scipy
 
     default = Excitation()
     parser = subcommand(
-        commands, "frf", _frf, "drive the rig at random or by a chirp and measure its frequency response",
+        tests, "frf", _frf, "measure a frequency response, driven at random or by a chirp",
         [
-            ("frf --gap none", "base over current, by bursts of noise"),
-            ("frf --channel laser --reference base --kind chirp", "structure over base"),
+            ("drive frf --gap none", "base over current, by bursts of noise"),
+            ("drive frf --response laser --reference base --kind chirp", "structure over base"),
         ],
     )  # fmt: skip
-    parser.add_argument("--kind", choices=KINDS, default=BURST)
-    parser.add_argument("--channel", choices=CHANNELS, default="base", help="of the response (default: base)")
-    parser.add_argument("--reference", choices=CHANNELS, default="current", help="(default: current)")
-    for name, metavar, text in (
-        ("frames", "N", "that are averaged"), ("frame_s", "S", "length of a frame"),
-        ("low_hz", "HZ", "edge of the band"), ("high_hz", "HZ", "edge of the band"),
-        ("rms", "A", "of the drive"), ("seed", "N", "of its random numbers"),
+    parser.add_argument("--kind", choices=KINDS, default=BURST, help=f"signal of the drive (default: {BURST})")
+    parser.add_argument("--response", choices=CHANNELS, default="base", help="channel of the response (default: base)")
+    parser.add_argument(
+        "--reference", choices=CHANNELS, default="current", help="channel of the reference (default: current)"
+    )
+    for option, metavar, text in (
+        ("frames", "N", "number of frames to average"), ("frame_s", "S", "length of a frame"),
+        ("low_hz", "HZ", "lower edge of the band"), ("high_hz", "HZ", "upper edge of the band"),
+        ("rms", "A", "RMS current of the drive"), ("drive_seed", "N", "seed of the drive's random numbers"),
     ):  # fmt: skip
-        value = getattr(default, name)
+        value = getattr(default, EXCITATION[option])
         parser.add_argument(
-            f"--{name.replace('_', '-')}", type=type(value), default=value, metavar=metavar,
+            f"--{option.replace('_', '-')}", type=type(value), default=value, metavar=metavar,
             help=f"{text} (default: {value})",
         )  # fmt: skip
-    _add_words(parser, "frf", RATE_HZ)
+    _add_options(parser, "frf", RATE_HZ)
 
 
-def add_kinds(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Register the kinds of `loop` that need a stream."""
-    one = kinds.add_parser("random", help="hold a power spectral density")
-    one.add_argument("plan", nargs="?", type=Path, metavar="FILE", help="e.g. config/excitation/random.yaml")
-    _add_words(one, "random", RATE_HZ)
-    one.set_defaults(run=_random)
-    one = kinds.add_parser("replicate", help="make a response follow a history")
-    one.add_argument("file", type=Path, metavar="FILE", help="with the history: CSV, WAV, npz and others; or a run")
-    _add_signal(one)
-    one.add_argument("--plan", type=Path, metavar="FILE", help="e.g. config/excitation/replicate.yaml")
-    _add_words(one, "replicate", RATE_HZ)
-    one.set_defaults(run=_replicate)
-    one = kinds.add_parser("shock", help="let the base make a half sine, compensated")
-    one.add_argument("plan", nargs="?", type=Path, metavar="FILE", help="e.g. config/excitation/shock.yaml")
-    _add_words(one, "shock", FAST_HZ)
-    one.set_defaults(run=_shock)
+def add_random(tests: Commands) -> None:
+    """Register `random`."""
+    parser = subcommand(
+        tests, "random", _random, "hold a power spectral density",
+        [("drive random --gap none", "a density of the base's acceleration, 5 to 200 Hz")],
+    )  # fmt: skip
+    parser.add_argument("plan", nargs="?", type=Path, metavar="FILE", help=PLAN.format("random"))
+    _add_options(parser, "random", RATE_HZ)
+
+
+def add_replicate(tests: Commands) -> None:
+    """Register `replicate`."""
+    parser = subcommand(
+        tests, "replicate", _replicate, "make a response follow a history",
+        [("drive replicate road.csv --signal base --unit mm", "the base follows a column of a file")],
+    )  # fmt: skip
+    parser.add_argument("file", type=Path, metavar="FILE", help="history: a file as of import, or a run")
+    _add_signal(parser)
+    parser.add_argument("--plan", type=Path, metavar="FILE", help=PLAN.format("replicate"))
+    _add_options(parser, "replicate", RATE_HZ)
+
+
+def add_shock(tests: Commands) -> None:
+    """Register `shock`."""
+    parser = subcommand(
+        tests, "shock", _shock, "make the base follow a compensated half sine",
+        [("drive shock", "20 m/s², 11 ms")],
+    )  # fmt: skip
+    parser.add_argument("plan", nargs="?", type=Path, metavar="FILE", help=PLAN.format("shock"))
+    _add_options(parser, "shock", FAST_HZ)
 
 
 def _add_signal(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--signal", metavar="NAME", help="column of the file, channel of the run")
-    parser.add_argument("--unit", default="", help="of the file's values (default: as it says, else SI)")
-    parser.add_argument("--scale", type=float, default=1.0, metavar="X", help="what values are multiplied by")
-    parser.add_argument("--file-rate", type=float, metavar="HZ", help="of a file that says neither times nor a rate")
+    parser.add_argument("--signal", metavar="NAME", help="column of the file, or channel of the run")
+    parser.add_argument("--unit", default="", metavar="UNIT", help="unit of the values (default: the file's, else SI)")
+    parser.add_argument("--scale", type=float, default=1.0, metavar="X", help="factor of the values (default: 1)")
+    parser.add_argument("--file-rate", type=float, metavar="HZ", help="samples per second of a file without times")
 
 
-def _add_words(parser: argparse.ArgumentParser, what: str, rate_hz: int) -> None:
+def _add_options(parser: argparse.ArgumentParser, test: str, rate_hz: int) -> None:
     add_rig(parser)
     add_way(parser, " (drive.waveform: stream)")
     parser.add_argument(
-        "--rate", type=int, default=rate_hz, metavar="HZ", help=f"of samples and scans (default: {rate_hz})"
-    )
+        "--scan-rate", type=int, default=rate_hz, metavar="HZ",
+        help=f"scans per second, and samples of the drive (default: {rate_hz})",
+    )  # fmt: skip
     parser.add_argument(
         "--abort",
         nargs="+",
@@ -128,7 +148,9 @@ def _add_words(parser: argparse.ArgumentParser, what: str, rate_hz: int) -> None
         metavar="CHANNEL=X",
         help="end the test beyond a reading, e.g. laser=5mm current=2A",
     )
-    parser.add_argument("--output", type=Path, metavar="DIR", help=f"of the run; default: runs/{what}_<time>")
+    parser.add_argument(
+        "--output", type=Path, metavar="DIR", help=f"directory of the results (default: runs/{test}_<time>)"
+    )
     add_json(parser)
 
 
@@ -136,10 +158,10 @@ def _play(arguments: argparse.Namespace) -> int:
     from impact_rig_studies.excitation.history import play  # noqa: PLC0415  # scipy
 
     samples = _history(arguments, "A")
-    if arguments.seconds is not None and arguments.seconds * arguments.rate < len(samples):
-        samples = samples[: round(arguments.seconds * arguments.rate)]
+    if arguments.seconds is not None and arguments.seconds * arguments.scan_rate < len(samples):
+        samples = samples[: round(arguments.seconds * arguments.scan_rate)]
     if not len(samples):
-        raise ConfigError(f"--seconds {arguments.seconds:g} is less than a sample at --rate {arguments.rate}")
+        raise ConfigError(f"--seconds {arguments.seconds:g} is less than a sample at --scan-rate {arguments.scan_rate}")
     _refuse_zeros(arguments, samples)
     return _drive(
         arguments, f"Played: {visible(arguments.file.name)}", "A", lambda rig: play(rig, samples, arguments.clip)
@@ -155,12 +177,11 @@ def _frf(arguments: argparse.Namespace) -> int:
     from impact_rig_studies.excitation.files import read  # noqa: PLC0415  # scipy
     from impact_rig_studies.excitation.response import Excitation, measure  # noqa: PLC0415
 
-    names = ("kind", "frames", "frame_s", "low_hz", "high_hz", "rms", "seed")
-    excitation = read({name: getattr(arguments, name) for name in names}, Excitation)
-    title = f"Frequency response: {arguments.channel} over {arguments.reference}, {arguments.kind.replace('_', ' ')}"
-    unit = f"{SI[arguments.channel]}/{SI[arguments.reference]}"
+    excitation = read({name: getattr(arguments, option) for option, name in EXCITATION.items()}, Excitation)
+    title = f"Frequency response: {arguments.response} over {arguments.reference}, {arguments.kind.replace('_', ' ')}"
+    unit = f"{SI[arguments.response]}/{SI[arguments.reference]}"
     return _drive(
-        arguments, title, unit, lambda rig: measure(rig, excitation, arguments.channel, arguments.reference),
+        arguments, title, unit, lambda rig: measure(rig, excitation, arguments.response, arguments.reference),
         of=f" of {excitation.frames}",
     )  # fmt: skip
 
@@ -205,7 +226,7 @@ def _history(arguments: argparse.Namespace, unit: str, name: str | None = None) 
     from impact_rig_studies.excitation.files import history  # noqa: PLC0415  # scipy
 
     return history(
-        arguments.file, arguments.rate, unit, arguments.signal, name, arguments.unit, arguments.scale,
+        arguments.file, arguments.scan_rate, unit, arguments.signal, name, arguments.unit, arguments.scale,
         arguments.file_rate,
     )  # fmt: skip
 
@@ -214,14 +235,14 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work, of:
     """Drive a rig and write its run with what was reached, however it ends; `of` is the end of what there is to do."""
     from impact_rig_studies.report.excitation import document, tell  # noqa: PLC0415  # matplotlib
 
-    rate = {"drive.stream_rate_hz": arguments.rate, "daq.rate_hz": arguments.rate}
+    rate = {"drive.stream_rate_hz": arguments.scan_rate, "daq.rate_hz": arguments.scan_rate}
     config = from_flat(rig_of(arguments)[0], {"drive.waveform": "stream", **rate})
     if config.drive.kind != "current":
         raise ConfigError(
             f"{arguments.config}: drive.kind must be current, as samples are amperes here, got {config.drive.kind}"
         )
-    what = getattr(arguments, "kind", arguments.command) if arguments.command == "loop" else arguments.command
-    directory = run_directory(arguments.output, what)
+    test: str = arguments.test
+    directory = run_directory(arguments.output, test)
     console, progress = Console(quiet=arguments.json), Console(stderr=True)
     found, early, interrupted = None, "", None
     with contextlib.ExitStack() as writing:  # what follows the drive is not cut short by one more signal
@@ -239,15 +260,15 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work, of:
         if found is None:
             raise interrupted or ImpactRigError(f"{early}; the run so far: {directory}")
         told = tell(found, unit)
-        figures = {"title": title, "unit": unit, "rate_hz": arguments.rate, "ended_early": early, **told.figures}
+        figures = {"title": title, "unit": unit, "rate_hz": arguments.scan_rate, "ended_early": early, **told.figures}
         rig = case_of(config.barriers.gap_m if config.sphere.present else NO_SPHERE)
         about = [
             ("Rig", arguments.namespace if arguments.through == RUNNING else rig), ("Through", arguments.through),
-            ("Rate", f"{arguments.rate} Hz"),
+            ("Rate", f"{arguments.scan_rate} Hz"),
             ("Recording", f"{visible(directory.name)}; impact-rig verify re-simulates it"),
         ]  # fmt: skip
-        files.write_text(directory / f"{what}.json", json.dumps(files.plain(figures), indent=2) + "\n")
-        page = directory / f"{what}.html"
+        files.write_text(directory / f"{test}.json", json.dumps(files.plain(figures), indent=2) + "\n")
+        page = directory / f"{test}.html"
         # an ending that takes too long is cut short: the words first
         files.write_text(page, document(title, about, told, early, drawn=False))
         files.write_text(page, document(title, about, told, early))
@@ -264,7 +285,11 @@ def _connected(arguments: argparse.Namespace, config: RigConfig, directory: Path
     """Give a rig's hardware, recorded into a directory."""
     if arguments.through == RUNNING:
         Console(quiet=arguments.json).print(f"waiting for a rig in {arguments.namespace} ...")
-    required = {"drive.waveform": "stream", "drive.stream_rate_hz": arguments.rate, "daq.rate_hz": arguments.rate}
+    required = {
+        "drive.waveform": "stream",
+        "drive.stream_rate_hz": arguments.scan_rate,
+        "daq.rate_hz": arguments.scan_rate,
+    }
     with open_rig(arguments, config, directory, required) as rig:
         yield Hardware(rig, dict(arguments.abort))
 

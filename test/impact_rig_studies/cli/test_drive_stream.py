@@ -47,7 +47,7 @@ def run(*words):
 def test_a_played_file_is_what_the_current_was(tmp_path, capsys):
     wave = 0.4 * np.sin(2.0 * np.pi * 9.1 * np.arange(3_000) / 1_000) * np.hanning(3_000)
     np.savez(tmp_path / "wave.npz", drive=wave, fs=1_000.0)
-    given = ("play", tmp_path / "wave.npz", "--rate", 2_000, "--clip", 0.3, "--json")
+    given = ("drive", "play", tmp_path / "wave.npz", "--scan-rate", 2_000, "--clip", 0.3, "--json")
     assert run(*given, "--output", tmp_path / "run") == 0
     found, page = told(tmp_path / "run", "play")
     assert json.loads(capsys.readouterr().out)["seconds"] == found["seconds"] == pytest.approx(3.0)
@@ -56,7 +56,7 @@ def test_a_played_file_is_what_the_current_was(tmp_path, capsys):
     assert found["clipped_samples"] > 100
     assert "samples clipped" in page
     # the run's own current, played again, is the current of the run
-    assert run("play", tmp_path / "run", "--rate", 2_000, "--output", tmp_path / "again") == 0
+    assert run("drive", "play", tmp_path / "run", "--scan-rate", 2_000, "--output", tmp_path / "again") == 0
     assert told(tmp_path / "again", "play")[0]["peak_asked"] == pytest.approx(0.3, abs=0.02)
     assert run(*given, "--output", tmp_path / "run") == 1
     assert "nothing is overwritten" in capsys.readouterr().err
@@ -66,14 +66,14 @@ def test_names_that_are_no_text_are_told_on_the_page(tmp_path):
     """The run was driven, and then its page could not be written: a traceback instead of what was found."""
     file, directory = tmp_path / os.fsdecode(b"d\xff.csv"), tmp_path / os.fsdecode(b"run\xff")
     file.write_text("time,current\n0,0\n0.05,0.1\n0.1,0\n")
-    assert run("play", file, "--output", directory) == 0
+    assert run("drive", "play", file, "--output", directory) == 0
     page = (directory / "play.html").read_text()
     assert "Played: d\\udcff.csv" in page
     assert "run\\udcff; impact-rig verify" in page
 
 
 def test_a_frequency_response_is_told_with_its_coherence(tmp_path):
-    words = ("frf", "--gap", "none", "--kind", "chirp", "--frames", 3, "--frame-s", 4, "--high-hz", 30)
+    words = ("drive", "frf", "--gap", "none", "--kind", "chirp", "--frames", 3, "--frame-s", 4, "--high-hz", 30)
     assert run(*words, "--output", tmp_path / "run") == 0
     found, page = told(tmp_path / "run", "frf")
     assert found["coherence_median"] > 0.99
@@ -87,12 +87,12 @@ def test_a_frequency_response_is_told_with_its_coherence(tmp_path):
 def test_random_control_by_a_plan_says_what_was_reached_where_it_was_aborted(tmp_path):
     plan = tmp_path / "plan.yaml"
     plan.write_text("{frame_s: 1, loops: 2, frames: 4, averages: 4}")
-    assert run("loop", "random", plan, "--gap", "none", "--output", tmp_path / "run") == 0
+    assert run("drive", "random", plan, "--gap", "none", "--output", tmp_path / "run") == 0
     found, page = told(tmp_path / "run", "random")
     assert len(found["rms_error_db"]) == 3
     assert found["clipped_samples"] >= 0
     assert "distortion" in page
-    assert run("loop", "random", plan, "--gap", "none", "--abort", "base=0.4mm", "--output", tmp_path / "cut") == 1
+    assert run("drive", "random", plan, "--gap", "none", "--abort", "base=0.4mm", "--output", tmp_path / "cut") == 1
     found, page = told(tmp_path / "cut", "random")
     assert "aborted: base" in found["ended_early"]
     assert "Ended early: aborted" in page
@@ -103,7 +103,7 @@ def test_a_history_and_a_shock_are_told_trial_by_trial(tmp_path):
     np.savez(tmp_path / "hill.npz", base=hill, fs=1_000.0)
     plan = tmp_path / "plan.yaml"
     plan.write_text("{identify_s: 8, rest_s: 1, iterations: 2, high_hz: 60}")
-    words = ("loop", "replicate", tmp_path / "hill.npz", "--plan", plan, "--gap", "none", "--rate", 1_000)
+    words = ("drive", "replicate", tmp_path / "hill.npz", "--plan", plan, "--gap", "none", "--scan-rate", 1_000)
     assert run(*words, "--output", tmp_path / "run") == 0
     found, page = told(tmp_path / "run", "replicate")
     assert found["error"] == pytest.approx(min(found["errors"]))
@@ -115,7 +115,7 @@ def test_an_interrupt_leaves_a_run_that_verifies_and_a_page(tmp_path):
     """A real process, told by SIGINT in the midst of loops that it does not come to the end of meanwhile."""
     (tmp_path / "long.yaml").write_text("{loops: 500}")
     process = subprocess.Popen(
-        [*PROGRAM, "loop", "random", str(tmp_path / "long.yaml"), "--gap", "none", "--output", str(tmp_path / "run")],
+        [*PROGRAM, "drive", "random", str(tmp_path / "long.yaml"), "--gap", "none", "--output", str(tmp_path / "run")],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     assert process.stderr is not None
@@ -134,14 +134,14 @@ def test_an_interrupt_leaves_a_run_that_verifies_and_a_page(tmp_path):
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (("--rate", "0"), "drive.stream_rate_hz"),
+        (("--scan-rate", "0"), "drive.stream_rate_hz"),
         (("--config", "volts.yaml"), "drive.kind must be current"),
     ],
 )
 def test_wrong_words_are_refused_by_name(tmp_path, capsys, words, says):
     (tmp_path / "volts.yaml").write_text("{drive: {kind: voltage}}")
     words = [tmp_path / word if str(word).endswith(".yaml") else word for word in words]
-    assert run("loop", "shock", *words, "--output", tmp_path / "run") == 1
+    assert run("drive", "shock", *words, "--output", tmp_path / "run") == 1
     assert says in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
 
@@ -149,10 +149,13 @@ def test_wrong_words_are_refused_by_name(tmp_path, capsys, words, says):
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (("frf", "--frames", 3, "--frame-s", 1, "--rms", 1e-9), "none of 57 excited lines has a coherence above 0.9"),
-        (("play", "one.csv"), "current error cannot be computed"),
-        (("play", "zeros.csv"), "zeros.csv: the signal is zero throughout"),
-        (("loop", "replicate", "zeros.csv"), "zeros.csv: the signal is zero throughout"),
+        (
+            ("drive", "frf", "--frames", 3, "--frame-s", 1, "--rms", 1e-9),
+            "none of 57 excited lines has a coherence above 0.9",
+        ),
+        (("drive", "play", "one.csv"), "current error cannot be computed"),
+        (("drive", "play", "zeros.csv"), "zeros.csv: the signal is zero throughout"),
+        (("drive", "replicate", "zeros.csv"), "zeros.csv: the signal is zero throughout"),
     ],
 )
 def test_without_enough_data_there_is_no_figure(tmp_path, capsys, words, says):
@@ -168,11 +171,14 @@ def test_without_enough_data_there_is_no_figure(tmp_path, capsys, words, says):
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (("play", "drive.csv", "--rate", "0"), "whole number of Hz above 0, got 0"),
-        (("play", "drive.csv", "--seconds", "1e-5"), "--seconds 1e-05 is less than a sample"),  # an empty reason, once
-        (("frf", "--frames", "1000000000"), "samples of 1000000000 frames"),
-        (("frf", "--frame-s", "1e9"), "samples of 20 frames"),
-        (("frf", "--seed", "-1"), "seed must be"),
+        (("drive", "play", "drive.csv", "--scan-rate", "0"), "whole number of Hz above 0, got 0"),
+        (
+            ("drive", "play", "drive.csv", "--seconds", "1e-5"),
+            "--seconds 1e-05 is less than a sample",
+        ),  # an empty reason, once
+        (("drive", "frf", "--frames", "1000000000"), "samples of 1000000000 frames"),
+        (("drive", "frf", "--frame-s", "1e9"), "samples of 20 frames"),
+        (("drive", "frf", "--drive-seed", "-1"), "seed must be"),
     ],
 )
 def test_what_nobody_can_play_is_refused_before_anything_runs(tmp_path, capsys, words, says):
@@ -183,5 +189,5 @@ def test_what_nobody_can_play_is_refused_before_anything_runs(tmp_path, capsys, 
     for word in ("nan", "inf", "0", "-1"):
         for option in ("--clip", "--seconds"):
             with pytest.raises(SystemExit):
-                run("play", tmp_path / "drive.csv", option, word)
+                run("drive", "play", tmp_path / "drive.csv", option, word)
             assert f"argument {option}: must be" in capsys.readouterr().err

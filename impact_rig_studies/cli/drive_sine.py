@@ -1,0 +1,332 @@
+# Copyright 2026 The impact_rig developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Tests of `impact-rig drive` with a sine: sweep, hold, lock and backbone."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import attrs
+import numpy as np
+
+from impact_rig.cli.quantities import positive
+from impact_rig.cli.rig_options import add_rig, rig_of, run_directory
+from impact_rig.cli.terminal import Commands, Console, TextTable, add_json, figure, subcommand, tell_results
+from impact_rig.driver import LocalRig, RigDriver
+from impact_rig.errors import ConfigError
+from impact_rig.rig.config import RigConfig, differences
+from impact_rig.rig.gaps import NO_SPHERE
+from impact_rig.simtime import NS_PER_S
+from impact_rig.system import files
+from impact_rig_studies.campaign.job import Job
+from impact_rig_studies.campaign.paper import CURRENT_A, FREQUENCIES_HZ
+from impact_rig_studies.closed_loop import with_short_blocks
+from impact_rig_studies.operate.operator import operate
+from impact_rig_studies.operate.phase_lock import (
+    FEWEST,
+    Ladder,
+    LockLoop,
+    LockPlan,
+    Reference,
+    Rung,
+    climb,
+    lock_on,
+    mean,
+)
+from impact_rig_studies.operate.stepped_sine import ControlledSine, Direction, Hold, HoldPlan, SteppedSine, SweepState
+
+HELD_UNITS = {Hold.BASE: "m", Hold.SUPERIOR: "m", Hold.CURRENT: "A"}
+SHOWN = 12  # looks of a lock that are printed; all of them are in the CSV
+
+
+def add_hold(tests: Commands) -> None:
+    """Register `hold`."""
+    parser = subcommand(
+        tests, "hold", _hold, "step the frequency at a controlled amplitude",
+        [("drive hold base 60um --frequencies 8.8 9.1 9.4", "the base at 60 µm, at three frequencies")],
+    )  # fmt: skip
+    parser.add_argument("what", choices=[*Hold], help="controlled amplitude")
+    parser.add_argument("target", metavar="PEAK", help="its peak with the unit, e.g. 60um, or 0.5A for the current")
+    _add_points(parser)
+    parser.add_argument(
+        "--tolerance", type=float, default=2e-3, metavar="X", help="largest relative error (default: 0.002)"
+    )
+    _add_current(parser)
+    _add_options(parser, "hold")
+
+
+def add_sweep(tests: Commands) -> None:
+    """Register `sweep`."""
+    parser = subcommand(
+        tests, "sweep", _sweep, "step the frequency at a constant current",
+        [("drive sweep --gap 6mm --direction up_down", "DT over the frequency, upwards and downwards")],
+    )  # fmt: skip
+    _add_points(parser)
+    _add_current(parser)
+    _add_options(parser, "sweep")
+
+
+def add_lock(tests: Commands) -> None:
+    """Register `lock`."""
+    parser = subcommand(
+        tests, "lock", _lock, "search a resonance, track it, and dwell there",
+        [("drive lock --gap none", "the resonance without a sphere")],
+    )  # fmt: skip
+    parser.add_argument(
+        "--dwell", type=float, default=30.0, metavar="S", help="rig time at the resonance (default: 30)"
+    )
+    _add_search(parser)
+    _add_current(parser)
+    _add_options(parser, "lock")
+
+
+def add_backbone(tests: Commands) -> None:
+    """Register `backbone`."""
+    parser = subcommand(
+        tests, "backbone", _backbone, "follow a resonance over the current, up and down",
+        [("drive backbone --currents 0.1 0.2 0.4", "frequency and amplitude of the resonance at three currents")],
+    )  # fmt: skip
+    parser.add_argument(
+        "--currents", type=float, nargs="+", required=True, metavar="A", help="peak currents in ascending order"
+    )
+    _add_search(parser)
+    _add_options(parser, "backbone")
+
+
+def _add_points(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--frequencies", type=float, nargs="+", default=FREQUENCIES_HZ, metavar="HZ",
+        help=f"drive frequencies (default: {len(FREQUENCIES_HZ)} from {FREQUENCIES_HZ[0]} to {FREQUENCIES_HZ[-1]})",
+    )  # fmt: skip
+    parser.add_argument(
+        "--direction", choices=[*Direction], default=Direction.UP, help="order of the frequencies (default: up)"
+    )
+    parser.add_argument(
+        "--measurements", type=int, default=1, metavar="N", help="measurements at each frequency (default: 1)"
+    )
+
+
+def _add_search(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--start", type=float, default=9.0, metavar="HZ", help="frequency where the search begins (default: 9)"
+    )
+    parser.add_argument(
+        "--reference", choices=[*Reference], default=Reference.BASE, help="reference of the phase (default: base)"
+    )
+
+
+def _add_current(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--current", type=positive("A"), default=CURRENT_A, metavar="A",
+        help=f"peak current, for hold that of the first measurement (default: {CURRENT_A})",
+    )  # fmt: skip
+
+
+def _add_options(parser: argparse.ArgumentParser, test: str) -> None:
+    parser.add_argument(
+        "--through", choices=("process", "ros"), default="process",
+        help="a rig in this process (default), or behind topics",
+    )  # fmt: skip
+    add_rig(parser)
+    add_json(parser)
+    parser.add_argument(
+        "--output", type=Path, metavar="DIR", help=f"directory of the results (default: runs/{test}_<time>)"
+    )
+
+
+@contextlib.contextmanager
+def _results(arguments: argparse.Namespace) -> Iterator[Path]:
+    """Make the directory of the results before anything is measured, and yield it."""
+    directory = run_directory(arguments.output, arguments.test)
+
+    def prepare() -> Path:
+        with files.errors_as(f"cannot write {directory}"):
+            files.make_folder(directory)
+        return directory
+
+    with files.results_in(directory, prepare):
+        yield directory
+
+
+def _job(arguments: argparse.Namespace) -> Job:
+    config, gap_m = rig_of(arguments)
+    return Job(
+        changes=differences(config),
+        gap_m=gap_m,
+        frequencies_hz=tuple(arguments.frequencies),
+        direction=Direction(arguments.direction),
+        current_a=arguments.current,
+        repetitions=arguments.measurements,
+    )
+
+
+def _hold(arguments: argparse.Namespace) -> int:
+    unit = HELD_UNITS[Hold(arguments.what)]
+    try:
+        target = positive(unit).number(arguments.target)
+    except ConfigError as error:
+        raise ConfigError(f"target of {arguments.what}: {error}") from error
+    job = _job(arguments)
+    sweep = ControlledSine(job.plan(), HoldPlan(hold=arguments.what, target=target, tolerance=arguments.tolerance))
+    return _measure_curve(arguments, job, sweep, f"{arguments.what} held at {target:g} {unit}")
+
+
+def _sweep(arguments: argparse.Namespace) -> int:
+    job = _job(arguments)
+    return _measure_curve(arguments, job, SteppedSine(job.plan()), f"Sweep at {job.current_a:g} A")
+
+
+def _measure_curve(arguments: argparse.Namespace, job: Job, sweep: SteppedSine, title: str) -> int:
+    """Measure a curve over the frequency, write and print it; the exit code is 1 unless it is complete."""
+    held = isinstance(sweep, ControlledSine)
+    with _results(arguments) as directory:
+        with _open(arguments.through, job.config(), job.labelled_settings()) as rig:
+            operate(sweep, rig)
+        rows = sweep.held if isinstance(sweep, ControlledSine) else sweep.rows
+        reached = set(rows["frequency"].tolist())
+        missing = [frequency for frequency in job.plan().frequencies_hz if frequency not in reached]
+        ended = f"ended early: {sweep.reason}" if sweep.reason else ""
+        if not ended and missing:
+            ended = f"no measurement was made at {', '.join(f'{frequency:g}' for frequency in missing)} Hz"
+        content = {"rows": rows, "ended_early": sweep.reason, "not_measured_hz": missing}
+        _write(directory, arguments.test, rows.dtype.names or (), map(_texts, rows), content)
+    table = TextTable(
+        title,
+        right=(
+            "f [Hz]",
+            "DT",
+            "± 2u",
+            "base [µm]",
+            "superior [mm]",
+            "current [A]",
+            *(["error [%]", ""] if held else []),
+        ),
+        last=("regime",),
+    )
+    for row in rows:
+        error = [figure(100 * row["error"], "+.2f"), "" if row["held"] else "NOT HELD"] if held else []
+        table.add_row(
+            f"{row['frequency']:g}", figure(row["transmissibility"], ".3f"),
+            figure(2 * row["transmissibility_uncertainty"], ".3f"), figure(row["base_amplitude"] * 1e6, ".2f"),
+            figure(row["laser_amplitude"] * 1e3, ".3f"), figure(row["current_amplitude"], ".4f"),
+            *error, row["regime"].decode(),
+        )  # fmt: skip
+    _tell(arguments, directory, table, ended, content)
+    return 1 if ended or (held and not np.all(rows["held"] == 1.0)) else 0
+
+
+def _texts(row: np.void) -> list[object]:
+    return [cell.decode() if isinstance(cell, bytes) else cell for cell in row.tolist()]
+
+
+def _lock(arguments: argparse.Namespace) -> int:
+    config, _ = rig_of(arguments)
+    plan = LockPlan(
+        start_hz=arguments.start, current_a=arguments.current, reference=arguments.reference, dwell_s=arguments.dwell
+    )
+    with _results(arguments) as directory:
+        with _open(arguments.through, with_short_blocks(config)) as rig:
+            lock = lock_on(plan, LockLoop(rig))
+        locked_s = None if lock.locked_ns is None else lock.locked_ns / NS_PER_S
+        dwelt = lock.rows[lock.rows["time"] >= (math.inf if locked_s is None else locked_s)]
+        early, missing = "" if lock.state is SweepState.FINISHED else lock.reason, ""
+        if not early and len(dwelt) < FEWEST:
+            missing = (
+                f"locked after {locked_s:.1f} s, but {len(dwelt)} readings while locked are too few for a mean with "
+                f"its uncertainty: at least {FEWEST} are needed, use --dwell {FEWEST * lock.look_s:g} or more"
+            )
+        content = {"rows": lock.rows, "locked_ns": lock.locked_ns, "ended_early": early, "missing": missing}
+        _write(directory, arguments.test, lock.rows.dtype.names or (), map(_texts, lock.rows), content)
+    table = TextTable(
+        f"Superior base against {arguments.reference}, −90° sought",
+        right=("t [s]", "f [Hz]", "phase [°]", "DT", "superior [mm]", "locked"),
+    )
+    for row in lock.rows[:: max(1, len(lock.rows) // SHOWN)]:
+        table.add_row(
+            f"{row['time']:.1f}", f"{row['frequency']:.4f}", figure(math.degrees(row["phase"]), ".2f"),
+            figure(row["transmissibility"], ".2f"), figure(row["laser_amplitude"] * 1e3, ".3f"),
+            "yes" if row["locked"] else "",
+        )  # fmt: skip
+    if early or missing:
+        _tell(arguments, directory, table, f"ended early: {early}" if early else missing, content)
+        return 1
+    found = mean(dwelt, lock.u_gain)
+    slopes = [np.polyfit(dwelt["time"], dwelt[name], 1)[0] for name in ("frequency", "transmissibility")]
+    sentence = (
+        f"locked after {locked_s:.1f} s; {found.frequency_hz:.5f} ± "
+        f"{2 * found.u_frequency_hz:.1g} Hz, DT {found.dt:.2f} ± {2 * found.u_dt:.2g} (2u); drift a minute: "
+        f"{slopes[0] * 60e3:+.2f} mHz, DT {slopes[1] * 60:+.3f}"
+    )
+    _tell(arguments, directory, table, sentence, content)
+    return 0
+
+
+def _backbone(arguments: argparse.Namespace) -> int:
+    config, gap_m = rig_of(arguments)
+    currents = tuple(arguments.currents)
+    if list(currents) != sorted(set(currents)) or currents[0] <= 0.0:
+        raise ConfigError(f"--currents must be > 0 and ascending, got {' '.join(map(str, currents))}")
+    plan = LockPlan(start_hz=arguments.start, current_a=currents[0], reference=arguments.reference)
+    with _results(arguments) as directory:
+        with _open(arguments.through, with_short_blocks(config)) as rig:
+            rungs, why = climb(Ladder(currents_a=currents, lock=plan), LockLoop(rig))
+        content = {"rungs": [attrs.asdict(one) for one in rungs], "ended_early": why}
+        names = [field.name for field in attrs.fields(Rung)]
+        _write(directory, arguments.test, names, map(attrs.astuple, rungs), content)
+    headings = ("", "I [A]", "f [Hz]", "± 2u", "DT", "± 2u", "superior [mm]", "g/X", "phase [°]", "")
+    table = TextTable("Backbone", right=headings)
+    for one in rungs:
+        words = [*(["not locked"] if not one.locked else []), *(["JUMP"] if one.jumped else [])]
+        table.add_row(
+            one.direction, f"{one.current_a:.4f}", figure(one.frequency_hz, ".4f"),
+            figure(2 * one.u_frequency_hz, ".1g"), figure(one.dt, ".2f"), figure(2 * one.u_dt, ".2g"),
+            figure(one.superior_m * 1e3, ".3f"), f"{gap_m / one.superior_m:.2f}" if gap_m != NO_SPHERE else "-",
+            figure(one.phase_deg, ".2f"), ", ".join(words),
+        )  # fmt: skip
+    _tell(arguments, directory, table, f"ended early: {why}" if why else "", content)
+    return 1 if why else 0
+
+
+def _open(way: str, config: RigConfig, analysis: Mapping[str, Any] | None = None) -> RigDriver:
+    """Return a rig in this process or, in lockstep, behind topics."""
+    if way == "process":
+        return LocalRig(config, analysis=analysis)
+    from impact_rig.driver.ros_rig import RosRig  # noqa: PLC0415  # needs rclpy
+
+    return RosRig(config, analysis=analysis)
+
+
+def _write(
+    directory: Path, test: str, names: Sequence[str], rows: Iterable[Sequence[object]], content: Mapping[str, object]
+) -> None:
+    """Write the results: the rows as CSV, everything as JSON."""
+    files.write_csv(directory / f"{test}.csv", names, rows)
+    files.write_text(directory / f"{test}.json", json.dumps(files.plain(content), indent=2) + "\n")
+
+
+def _tell(
+    arguments: argparse.Namespace, directory: Path, table: TextTable, sentence: str, content: Mapping[str, object]
+) -> None:
+    """Print the results, and their directory as the last line."""
+    console = Console(quiet=arguments.json)
+    console.print(table)
+    if sentence:
+        console.print(sentence)
+    tell_results(directory, content, as_json=arguments.json)
