@@ -42,6 +42,8 @@ class Sent(NamedTuple):
     stamp_ns: int
     samples: Samples
     received_ns: int = 0
+    is_doubtful: bool = False
+    """Whether a reset may have discarded it: it is used for samples that no other block holds."""
 
 
 def resimulate(
@@ -69,7 +71,8 @@ class RecordedSamples(Buffer):
     """All samples of a recording at once, in the place of a stream's buffer: there is what the journal says was.
 
     Args:
-        waveform: what came, in order; of what came late only that is taken of which nothing came before.
+        waveform: what came, in order, doubtful blocks first; of what came late only that is taken of which nothing
+            came before.
     """
 
     def __init__(self, rig: Rig, entries: Iterable[JournalEntry], waveform: Sequence[Sent]) -> None:
@@ -78,21 +81,21 @@ class RecordedSamples(Buffer):
         most = (
             rig.stream.capacity + 1 + _first_sample_from(rig, max((sent.received_ns for sent in waveform), default=0))
         )
-        for stamp_ns, samples, received_ns in waveform:
+        for stamp_ns, samples, received_ns, is_doubtful in waveform:
             with contextlib.suppress(CommandError):  # what the rig had refused as well
                 check_stream(samples, rig.config.drive, rig.config.shaker)
                 first = rig.sample_at(stamp_ns)
                 if 0 <= first + len(samples) <= most:
-                    parts.append(
-                        (np.arange(first, first + len(samples)), samples, _first_sample_from(rig, received_ns))
-                    )
+                    received = 0 if is_doubtful else _first_sample_from(rig, received_ns)
+                    parts.append((np.arange(first, first + len(samples)), samples, received, is_doubtful))
                     last = max(last, first + len(samples))
-        self._recorded, self._are_there = np.zeros(last), np.zeros(last, np.bool_)
-        for numbers, samples, received in parts:
+        self._recorded, self._are_there, is_certain = np.zeros(last), np.zeros(last, np.bool_), np.zeros(last, np.bool_)
+        for numbers, samples, received, is_doubtful in parts:
             taken = numbers >= 0
-            taken[taken] = (numbers[taken] >= received) | ~self._are_there[numbers[taken]]
+            taken[taken] = (numbers[taken] >= received) | ~is_certain[numbers[taken]]
             self._recorded[numbers[taken]] = samples[taken]
             self._are_there[numbers[taken]] = True
+            is_certain[numbers[taken]] = not is_doubtful
         self._switches = [0]  # samples are in force from each odd one of these to the next
         for entry in entries:
             if entry.kind is InputKind.STREAM and entry.name in (Event.BEGIN, Event.END):

@@ -237,7 +237,23 @@ def _journals(run: Run) -> tuple[list[list[JournalEntry]], list[list[Sent]], int
         found[-1].append(entry)
     if problem is not None and not found:
         raise problem
-    return found, sent, max(0, begun - 1), foreign
+    return found, _overlapping(found, sent), max(0, begun - 1), foreign
+
+
+def _overlapping(journals: list[list[JournalEntry]], sent: list[list[Sent]]) -> list[list[Sent]]:
+    """Return what came on shaker/waveform for each journal, if topics overtake each other where a reset ends one.
+
+    Stamps go on over a reset: a block that was recorded behind it with an earlier stamp belongs to the journal before,
+    and one that was recorded ahead of it with a later stamp may belong to the journal behind.
+    """
+    found = [list(blocks) for blocks in sent]
+    for number, journal in enumerate(journals[1:], start=1):
+        reset_ns = journal[0].stamp_ns
+        if journal[0].kind is InputKind.RESET:
+            found[number - 1] += [one for one in sent[number] if one.stamp_ns < reset_ns]
+            ahead = [one._replace(is_doubtful=True) for one in sent[number - 1] if one.stamp_ns >= reset_ns]
+            found[number] = ahead + found[number]
+    return found
 
 
 def _assigned(scans: Iterable[Table], journals: list[list[JournalEntry]], first: int) -> Iterator[tuple[int, Table]]:
