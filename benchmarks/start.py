@@ -31,6 +31,7 @@ from pathlib import Path
 from benchmarks.cpu import resident_mb
 from benchmarks.live import DRIVE, graph
 from impact_rig import topics
+from impact_rig.cli.main import commands
 from impact_rig.client import Client, Processes, isolated_domain
 
 NOTED = Path("build") / "start"
@@ -40,13 +41,20 @@ from impact_rig.rig import Rig
 assert Rig(RigConfig()).advance(10**9)
 print(next(line.split()[1] for line in open("/proc/self/status") if line.startswith("VmHWM")))
 """
+PROGRAM = "import sys; from impact_rig.cli import main; sys.exit(main())"
 FRESH = 5
 """Processes of which the median is taken."""
 
 
 def run() -> dict[str, float]:
     """Measure what is quick, and read what was noted."""
-    return {**first_block(), **one_second(), **memory(float(os.environ.get("SECONDS", "60"))), **noted()}
+    return {
+        **first_block(),
+        **one_second(),
+        **command_line(),
+        **memory(float(os.environ.get("SECONDS", "60"))),
+        **noted(),
+    }
 
 
 def first_block() -> dict[str, float]:
@@ -85,6 +93,25 @@ def one_second() -> dict[str, float]:
         assert process.returncode == 0
         cpu_s.append(usage.ru_utime + usage.ru_stime)
     return {"one_second_cpu_s": statistics.median(cpu_s), "one_second_rss_mb": statistics.median(rss_mb)}
+
+
+def command_line() -> dict[str, float]:
+    """Processor time of importing the package, and of the slowest help page: of the program, or of a command."""
+    import_cpu_s = _median_cpu_s([sys.executable, "-c", "import impact_rig"])
+    pages = [["--help"], *([name, "--help"] for name in commands())]
+    first_line_cpu_s = max(_median_cpu_s([sys.executable, "-c", PROGRAM, *page]) for page in pages)
+    return {"import_cpu_s": import_cpu_s, "cli_first_line_cpu_s": first_line_cpu_s}
+
+
+def _median_cpu_s(command: list[str]) -> float:
+    cpu_s = []
+    for _ in range(FRESH):
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
+            _, status, usage = os.wait4(process.pid, 0)
+            process.returncode = os.waitstatus_to_exitcode(status)
+        assert process.returncode == 0
+        cpu_s.append(usage.ru_utime + usage.ru_stime)
+    return statistics.median(cpu_s)
 
 
 def memory(seconds: float) -> dict[str, float]:

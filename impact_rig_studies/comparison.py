@@ -32,8 +32,8 @@ from collections.abc import Callable, Iterator
 
 import attrs
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import signal
 
 from impact_rig import topics
 from impact_rig.analysis.calibration import Calibration, Real
@@ -431,7 +431,9 @@ def drawn(found: Comparison, name: str) -> Drawn:
     for y, colour, label in (
         (samples_of(found.excerpt.rows, "laser"), MEASURED, "$x_1$ measured"), (residual, MUTED, "difference"),
     ):  # fmt: skip
-        frequency_hz, power = signal.periodogram(y, rate, window="flattop", scaling="spectrum", detrend="constant")
+        frequency_hz, power = scipy.signal.periodogram(
+            y, rate, window="flattop", scaling="spectrum", detrend="constant"
+        )
         shown = (frequency_hz > 0.0) & (frequency_hz <= min(drawings.HARMONICS * drive or math.inf, rate / 2.0))
         amplitude = 1e3 * np.sqrt(2.0 * power[shown])
         lines.semilogy(frequency_hz[shown], amplitude, color=colour, linewidth=0.8, label=label)

@@ -37,8 +37,8 @@ from typing import Protocol
 
 import attrs
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import fft
 
 from impact_rig.analysis.calibration import Calibration, Complex, Real
 from impact_rig.analysis.impacts import ImpactDetector
@@ -224,7 +224,7 @@ def _start(y: Real, rate_hz: float) -> tuple[float, float] | Status:
     number = np.arange(len(y))
     level = y - np.polyval(np.polyfit(number, y, 1), number)
     padded = 4 * len(y)
-    power = np.abs(fft.rfft(level, padded)) ** 2
+    power = np.abs(scipy.fft.rfft(level, padded)) ** 2
     peak = int(np.argmax(power[1:-1])) + 1
     if peak * len(y) / padded < MIN_CYCLES:
         return Status.TOO_FEW_CYCLES

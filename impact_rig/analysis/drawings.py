@@ -20,8 +20,8 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import signal
 
 from impact_rig.analysis.calibration import Real
 from impact_rig.analysis.frf import Frf
@@ -130,7 +130,7 @@ def phase_plane(displacement: Real, rate_hz: float, smooth_s: float = 0.0, name:
     """
     samples = max(SMOOTHED_SAMPLES, 2 * round(smooth_s * rate_hz / 2.0) + 1)
     samples = min(samples, (len(displacement) - 1) // 2 * 2 + 1)
-    velocity = signal.savgol_filter(displacement, samples, 3, deriv=1, delta=1.0 / rate_hz)
+    velocity = scipy.signal.savgol_filter(displacement, samples, 3, deriv=1, delta=1.0 / rate_hz)
     figure, (axis,) = _axes(1)
     axis.plot(1e3 * displacement, velocity, linewidth=0.6)
     axis.set_xlabel(f"{name} (mm)")
@@ -144,7 +144,7 @@ def spectrum(y: Real, rate_hz: float, unit: str, drive_hz: float | None = None, 
 
     `drive_hz` is marked with its harmonics; the axis ends at `upto_hz`, or rate / 2.
     """
-    frequency, power = signal.periodogram(y, rate_hz, window="flattop", scaling="spectrum", detrend="constant")
+    frequency, power = scipy.signal.periodogram(y, rate_hz, window="flattop", scaling="spectrum", detrend="constant")
     end = upto_hz or rate_hz / 2.0
     shown = frequency <= end  # only these choose the scale of the other axis
     figure, (axis,) = _axes(1)

@@ -35,8 +35,8 @@ from collections.abc import Callable
 
 import attrs
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import signal
 
 from impact_rig.analysis.calibration import Calibration, Complex, Real
 from impact_rig.analysis.scans import BASE, LASER
@@ -124,9 +124,9 @@ def frf(
         raise ValueError("x and y must not be constant")
     shared = int(overlap * segment)
     options = {"fs": rate_hz, "window": window, "nperseg": segment, "noverlap": shared}
-    frequency, s_xx = signal.welch(x, **options)
-    _, s_yy = signal.welch(y, **options)
-    _, s_xy = signal.csd(x, y, **options)
+    frequency, s_xx = scipy.signal.welch(x, **options)
+    _, s_yy = scipy.signal.welch(y, **options)
+    _, s_xy = scipy.signal.csd(x, y, **options)
     with np.errstate(divide="ignore", invalid="ignore"):
         difference = s_yy - noise_ratio * s_xx
         root = np.sqrt(difference**2 + 4.0 * noise_ratio * np.abs(s_xy) ** 2)
@@ -152,7 +152,7 @@ def _excited(s_xx: Real, floor: float, window: str) -> tuple[NDArray[np.intp], b
     power = s_xx[1:]
     peak = int(np.argmax(power))
     lines = np.flatnonzero((power >= EXCITED * power[peak]) & (power >= ABOVE_NOISE * floor))
-    shape, fine = signal.get_window(window, 256), 16
+    shape, fine = scipy.signal.get_window(window, 256), 16
     lobe = np.abs(np.fft.rfft(shape, 256 * fine)) ** 2
     wide = math.ceil((np.flatnonzero(lobe >= EXCITED * lobe[0])[-1] + 1) / fine) + 1
     sine = len(lines) > 0 and int(np.abs(lines - peak).max()) <= wide
@@ -212,7 +212,7 @@ def resolution_bias(window: str, segment: int, decay_per_sample: float) -> float
     in 1/(σ · segment) of an antiresonance of x that the window fills, which under current drive is where y peaks, and
     more than a resonance of y that it flattens. Infinite if the resonance rings longer than a segment.
     """
-    shape = signal.get_window(window, SHAPE)
+    shape = scipy.signal.get_window(window, SHAPE)
     lag = round(min(SHAPE / (decay_per_sample * segment), SHAPE))
     kept = float(shape[lag:] @ shape[: SHAPE - lag]) / float(shape @ shape)
     return max(2.0 / kept - 2.0, 0.0) if kept > 0.0 else math.inf
@@ -304,7 +304,7 @@ def _effective_averages(n: int, segment: int, shared: int, window: str) -> float
     """Return the number of independent averages: overlapping segments are correlated (Welch 1967, Eq. 12)."""
     step = segment - shared
     count = (n - shared) // step
-    shape = signal.get_window(window, segment)
+    shape = scipy.signal.get_window(window, segment)
     power = float(shape @ shape)
     correlation = 0.0
     for lag in range(1, min(count, -(-segment // step))):

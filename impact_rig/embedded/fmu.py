@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+import html
 import os
 import platform
 import shlex
@@ -23,7 +24,6 @@ import tempfile
 import uuid
 import zipfile
 from pathlib import Path
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -152,7 +152,7 @@ def _variable(
     version: str, reference: int, name: str, causality: str, variability: str, about: str, start: float | None = None
 ) -> str:
     head = f'name="{name}" valueReference="{reference}" causality="{causality}" variability="{variability}"'
-    head += f" description={quoteattr(about)}"
+    head += f' description="{html.escape(about)}"'
     value = "" if start is None else f' start="{start!r}"'
     return (
         f"<Float64 {head}{value}/>" if version == "3.0" else f"<ScalarVariable {head}><Real{value}/></ScalarVariable>"

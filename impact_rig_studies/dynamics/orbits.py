@@ -39,8 +39,8 @@ from collections.abc import Callable, Iterator, Sequence
 
 import attrs
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from impact_rig.analysis.calibration import Real
 
@@ -293,7 +293,7 @@ def _zero(f: Map, here: Orbit, new: Orbit, test: Callable[[Orbit, Real], float])
         return test(found, found.towards(whole).tangent)
 
     try:
-        brentq(value, 0.0, 1.0, xtol=_LOCATED)
+        scipy.optimize.brentq(value, 0.0, 1.0, xtol=_LOCATED)
     except (ArithmeticError, ValueError):  # no orbit there, or it only looked as if the sign changed
         return None
     return found

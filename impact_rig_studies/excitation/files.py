@@ -22,8 +22,8 @@ from typing import TypeVar
 
 import attrs
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import signal
 
 from impact_rig import topics
 from impact_rig.errors import ConfigError, RecordingError, did_you_mean
@@ -137,7 +137,7 @@ def history(
     budget.allow(f"samples at {rate_hz} Hz of {path}", int(len(values) * ratio), VALUES)
     if ratio == 1:
         return scale * values
-    return np.asarray(scale * signal.resample_poly(values, ratio.numerator, ratio.denominator), np.float64)
+    return np.asarray(scale * scipy.signal.resample_poly(values, ratio.numerator, ratio.denominator), np.float64)
 
 
 def _of_run(path: Path, name: str) -> tuple[NDArray[np.float64], float]:

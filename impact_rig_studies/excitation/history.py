@@ -32,8 +32,8 @@ from collections.abc import Iterator
 
 import attrs
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import stats
 
 from impact_rig.analysis.calibration import Calibration, Complex, Real
 from impact_rig.driver.hardware import Exchange, Hardware
@@ -205,7 +205,7 @@ class Played:
 
     def kurtosis(self, name: str) -> float:
         """Return that of a channel: 1.5 of a sine, 3 of Gaussian noise."""
-        return float(stats.kurtosis(self.rows[name].astype(float), fisher=False))
+        return float(scipy.stats.kurtosis(self.rows[name].astype(float), fisher=False))
 
 
 def play(hardware: Hardware, samples: Real, limit: float | None = None) -> Iterator[Played]:

@@ -24,7 +24,7 @@ from collections.abc import Iterator
 
 import attrs
 import numpy as np
-from scipy import signal, stats
+import scipy
 
 from impact_rig.analysis.calibration import Calibration, Real
 from impact_rig.driver.hardware import Exchange, Hardware
@@ -163,13 +163,13 @@ def control(hardware: Hardware, plan: RandomPlan) -> Iterator[Reached]:
         settled = slice(4 * (length // 2), None)  # what was before has died away
         y, x = rows[plan.response.channel].astype(float)[settled], played[settled]
         options = {"fs": rate_hz, "nperseg": length, "noverlap": length // 2}
-        reached, sent = signal.welch(y, **options)[1] * scale, signal.welch(x, **options)[1]
+        reached, sent = scipy.signal.welch(y, **options)[1] * scale, scipy.signal.welch(x, **options)[1]
         error = 10.0 * np.log10(np.maximum(reached[band], 1e-30) / asked[band])
         errors.append(float(np.sqrt(np.mean(error**2))))
         yield Reached(
             frequency_hz=lines[band], asked=asked[band], reached=reached[band], noise=noise,
-            coherence=signal.coherence(x, y, **options)[1][band], loops=tuple(errors), drive_rms=drive_rms,
-            kurtosis=float(stats.kurtosis(y, fisher=False)), clipped=clipped,
+            coherence=scipy.signal.coherence(x, y, **options)[1][band], loops=tuple(errors), drive_rms=drive_rms,
+            kurtosis=float(scipy.stats.kurtosis(y, fisher=False)), clipped=clipped,
         )  # fmt: skip
         if loop > 1 and error.max() > plan.abort_db:
             worst = lines[band][np.argmax(error)]

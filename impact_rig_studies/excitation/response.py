@@ -28,8 +28,8 @@ from collections.abc import Iterator
 
 import attrs
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import signal
 
 from impact_rig.analysis.calibration import Calibration, Real
 from impact_rig.analysis.frf import Frf, frf
@@ -144,10 +144,11 @@ class Excitation:
             )
         if self.kind == BURST:
             on = round(self.burst * length)
-            sections = signal.butter(4, (self.low_hz, self.high_hz), "bandpass", fs=rate_hz, output="sos")
-            fade = signal.windows.tukey(on, 0.1)
+            sections = scipy.signal.butter(4, (self.low_hz, self.high_hz), "bandpass", fs=rate_hz, output="sos")
+            fade = scipy.signal.windows.tukey(on, 0.1)
             frames = np.zeros((self.frames, length))
-            frames[:, :on] = fade * signal.sosfilt(sections, random.standard_normal((self.frames, 2 * on)))[:, on:]
+            noise = random.standard_normal((self.frames, 2 * on))
+            frames[:, :on] = fade * scipy.signal.sosfilt(sections, noise)[:, on:]
             frames *= self.rms / np.sqrt(np.mean(frames[:, :on] ** 2))
             return frames.ravel()
         if self.kind == PSEUDO:
@@ -156,7 +157,8 @@ class Excitation:
             frame = np.fft.irfft(inside * np.exp(2j * np.pi * random.random(len(lines))), length)
         else:
             t = np.arange(length) / rate_hz
-            frame = signal.chirp(t, self.low_hz, self.frame_s, self.high_hz) * signal.windows.tukey(length, 0.05)
+            frame = scipy.signal.chirp(t, self.low_hz, self.frame_s, self.high_hz)
+            frame *= scipy.signal.windows.tukey(length, 0.05)
         return np.tile(frame * (self.rms / frame.std()), self.frames + 1)
 
 

@@ -29,7 +29,7 @@ from collections.abc import Iterator, Mapping
 
 import attrs
 import numpy as np
-from scipy import signal
+import scipy
 
 from impact_rig.analysis.calibration import Calibration, Real
 from impact_rig.driver.hardware import Hardware
@@ -83,7 +83,7 @@ def shock_response_spectrum(acceleration: Real, rate_hz: float, frequency_hz: Re
         ratio = s / k
         numerator = (1.0 - ratio, 2.0 * (ratio - c), e * e - ratio)
         ring = np.zeros(math.ceil(rate_hz / natural))  # the residual: a whole period of what rings on
-        response = signal.lfilter(numerator, (1.0, -2.0 * c, e * e), np.concatenate([acceleration, ring]))
+        response = scipy.signal.lfilter(numerator, (1.0, -2.0 * c, e * e), np.concatenate([acceleration, ring]))
         found[i] = np.abs(response).max()
     return found
 

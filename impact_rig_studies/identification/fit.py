@@ -30,9 +30,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import attrs
 import numpy as np
-from scipy import special
-from scipy.interpolate import PchipInterpolator, interp1d
-from scipy.signal import find_peaks
+import scipy
 
 from impact_rig.analysis.calibration import Real
 from impact_rig.analysis.scans import BASE, CURRENT, LASER
@@ -221,7 +219,7 @@ class Identified:
     @property
     def chance(self) -> float:
         """Probability of a fit this bad or worse if model and uncertainties are right; 1 without any freedom."""
-        return float(special.chdtrc(self.freedom, self.chi_square)) if self.freedom > 0 else 1.0
+        return float(scipy.special.chdtrc(self.freedom, self.chi_square)) if self.freedom > 0 else 1.0
 
     @property
     def consistent(self) -> bool:
@@ -555,10 +553,10 @@ def _summary(held: Sequence[_Held]) -> tuple[Real, Real, tuple[Alternative, ...]
         whole[:-1, :-1] = within[0]
         return np.append(theta[0], e), whole, ()
     grid = np.linspace(e[0], e[-1], GRID)
-    cost = PchipInterpolator(e, [one.cost for one in held])(grid)
+    cost = scipy.interpolate.PchipInterpolator(e, [one.cost for one in held])(grid)
     density = np.exp(-0.5 * (cost - cost.min()))
-    values = np.column_stack([interp1d(e, theta, axis=0)(grid), grid])
-    inside = interp1d(e, within, axis=0)(grid)
+    values = np.column_stack([scipy.interpolate.interp1d(e, theta, axis=0)(grid), grid])
+    inside = scipy.interpolate.interp1d(e, within, axis=0)(grid)
 
     def moments(part: slice) -> tuple[Real, Real]:
         weight = density[part] / density[part].sum()
@@ -590,7 +588,7 @@ def _differ(found: Sequence[Alternative]) -> bool:
 def _parts(density: Real) -> Iterator[slice]:
     """Yield the stretches of a density about its peaks, separated where it falls far below both neighbours."""
     level = np.log(np.maximum(density, 1e-300))
-    peaks = find_peaks(np.pad(level, 1, constant_values=-1e9), prominence=-math.log(SEPARATE))[0] - 1
+    peaks = scipy.signal.find_peaks(np.pad(level, 1, constant_values=-1e9), prominence=-math.log(SEPARATE))[0] - 1
     cuts = [first + int(np.argmin(level[first:last])) for first, last in itertools.pairwise(peaks.tolist())]
     for begin, end in itertools.pairwise([0, *cuts, len(density)]):
         yield slice(begin, end)

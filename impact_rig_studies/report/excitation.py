@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
-from scipy import stats
+import scipy
 
 import impact_rig
 from impact_rig.analysis.frf import Frf
@@ -169,8 +169,8 @@ def _replicated(found: Replicated, unit: str) -> ResultSummary:
     figures = {
         "error": error, "error_floor": found.floor, "errors": found.errors, "not_linear_or_noise": bent,
         "drive_peak_a": float(np.abs(found.drive).max()),
-        "kurtosis_asked": float(stats.kurtosis(found.asked, fisher=False)),
-        "kurtosis_reached": float(stats.kurtosis(found.reached, fisher=False)), "clipped_samples": 0,
+        "kurtosis_asked": float(scipy.stats.kurtosis(found.asked, fisher=False)),
+        "kurtosis_reached": float(scipy.stats.kurtosis(found.reached, fisher=False)), "clipped_samples": 0,
     }  # fmt: skip
     sentences = [
         (
