@@ -130,7 +130,7 @@ class Finding:
 # --- Sentences --------------------------------------------------------------------------------------------------------
 def sentences(text: str) -> Iterator[str]:
     """Yield the sentences of prose; inline code counts as one word, indented blocks and lists end a sentence."""
-    text = re.sub(r"``?[^`]+``?", "code", text)
+    text = re.sub(r"``?[^`]+``?", "Code", text)
     for paragraph in re.split(r"\n\s*\n|\n\s*(?:[-*]|\d+\.)\s|\n\s+\w+(?:, \w+)*: ", text):
         yield from (part for part in SENTENCE.split(" ".join(paragraph.split())) if part)
 
@@ -274,7 +274,7 @@ def of_page(file: str, source: str) -> Iterator[Finding]:
         if token.type != "inline" or not token.children:
             continue
         prose = "".join(
-            "code" if child.type == "code_inline" else child.content if child.type == "text" else " "
+            "Code" if child.type == "code_inline" else child.content if child.type == "text" else " "
             for child in token.children
         )
         yield from of_phrases(file, line, prose)
