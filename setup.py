@@ -126,6 +126,7 @@ setup(
         "exchange": ["pyarrow>=14", "pyuff>=2.4"],  # `impact-rig export` to Parquet and universal files
         # `impact-rig import`
         "import": ["h5py>=3.10", "npTDMS>=1.7", "pint>=0.23", "pyarrow>=14", "pyuff>=2.4", "rosbags>=0.10"],
+        "nidaqmx": ["nidaqmx[grpc]>=1.0"],  # `impact-rig daqmx`, and the scripts that it serves
         "tables": ["pandas>=2.1", "xarray>=2024.1"],  # `to_dataframe()` and `to_xarray()`; 2.1 is that of Ubuntu 24.04
         "strategies": ["hypothesis>=6.98"],  # `impact_rig.testing.strategies`; 6.98 is that of Ubuntu 24.04
         "test": ["hypothesis", "pytest", "pytest-timeout"],  # also how `colcon test` knows to run pytest
@@ -137,6 +138,7 @@ setup(
         "impact_rig.commands": [
             "analyze = impact_rig.cli.analyze:add_command",
             "check = impact_rig.cli.check:add_command",
+            "daqmx = impact_rig.cli.daqmx:add_command",
             "export = impact_rig.cli.export:add_command",
             "fmu = impact_rig.cli.fmu:add_command",
             "info = impact_rig.cli.recorded:add_info",

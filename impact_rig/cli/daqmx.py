@@ -1,0 +1,73 @@
+# Copyright 2026 The impact_rig developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""`impact-rig daqmx`: the rig as a board for scripts that use NI's `nidaqmx` package."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+from pathlib import Path
+
+from impact_rig.cli.terminal import Commands, Console, subcommand
+from impact_rig.errors import ImpactRigError
+from impact_rig.rig.config import RigConfig, load_config
+
+PORT = 31763  # of the NI gRPC Device Server
+WAIT_S = 1.0  # between two looks at signals
+
+
+def add_command(commands: Commands) -> None:
+    """Register the subcommand."""
+    parser = subcommand(
+        commands, "daqmx", _run, "serve the rig to scripts that use NI's nidaqmx package",
+        [
+            ("daqmx", "a simulated rig as Dev1, on this machine only"),
+            ("daqmx --config my_rig.yaml --device cDAQ1Mod1 cDAQ1Mod2", "another rig, named as in a script"),
+            ("daqmx --namespace /rig", "a rig that runs already, in real time with drive.waveform: stream"),
+        ],
+    )  # fmt: skip
+    parser.set_defaults(until_told=True)
+    parser.add_argument("--config", type=Path, metavar="FILE", help="rig configuration (default: the paper's rig)")
+    parser.add_argument("--namespace", help="namespace of a rig that runs already (default: a rig is simulated here)")
+    parser.add_argument(
+        "--device", nargs="+", default=["Dev1"], metavar="NAME", help="names of the board (default: Dev1)"
+    )
+    parser.add_argument(
+        "--host",
+        default="127.0.0.1",
+        help="address to serve; others can then drive the rig (default: %(default)s)",
+    )
+    parser.add_argument("--port", type=int, default=PORT, help="port to serve; 0: any free one (default: %(default)s)")
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from impact_rig.driver.daqmx_board import Board  # noqa: PLC0415  # loads compiled code
+    from impact_rig.driver.daqmx_server import serving  # noqa: PLC0415
+
+    if not 0 <= arguments.port <= 65535:
+        raise ImpactRigError(f"--port must be from 0 to 65535, got {arguments.port}")
+    config = load_config(arguments.config) if arguments.config else RigConfig()
+    rig = None
+    if arguments.namespace:
+        from impact_rig.driver.ros_rig import RosRig  # noqa: PLC0415  # needs rclpy
+
+        os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        rig = RosRig({"drive.waveform": "stream", "time.mode": "realtime"}, namespace=arguments.namespace)
+    board = Board(config, rig, tuple(arguments.device))
+    with contextlib.closing(board), serving(board, f"{arguments.host}:{arguments.port}") as (server, port):
+        Console().print(f"nidaqmx server: {arguments.host}:{port}; Ctrl-C ends it", soft_wrap=True)
+        while server.wait_for_termination(WAIT_S):
+            pass
+    return 0

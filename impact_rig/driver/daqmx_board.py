@@ -1,0 +1,697 @@
+# Copyright 2026 The impact_rig developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The rig as a multifunction board with buffered tasks, as NI-DAQmx has them.
+
+`ai0` to `ai3` are the outputs of accelerometer, laser, base sensor and current monitor in volts, `ao0` is the input of
+an amplifier of 1 A/V. One thread lets rig time pass at the speed of wall time and plays what tasks have to play.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+import re
+import threading
+import time
+from collections.abc import Callable
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.driver.driver import RigDriver
+from impact_rig.driver.hardware import Acquisition, AnalogOutput, UnderrunError
+from impact_rig.driver.local_rig import LocalRig
+from impact_rig.errors import CommandError, ConfigError, ImpactRigError
+from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.topics import INFO
+
+INPUTS = ("accelerometer", "laser", "base", "current")
+OUTPUT_RANGE_V = 10.0
+MOST_TASKS = 64
+MOST_SAMPLES = 10_000_000  # of a buffer, and of one finite task
+BUFFER_S = 0.1  # how far the output is written ahead of the rig
+BEHIND_S = 0.5  # a board that was held up longer does not catch up
+BLOCKS_PER_S = 100
+FOREVER = math.inf
+
+
+class Code(enum.IntEnum):
+    """Error codes of NI-DAQmx, by the names of the `nidaqmx` package."""
+
+    TRIGGER_TERMINAL = -89120
+    RESOURCE_RESERVED = -50103
+    DEV_CANNOT_BE_ACCESSED = -201003
+    CANNOT_WRITE_WHEN_AUTO_START_FALSE_AND_TASK_NOT_RUNNING = -200846
+    INVALID_AO_DATA_WRITE = -200561
+    WAIT_UNTIL_DONE_DOES_NOT_INDICATE_DONE = -200560
+    CHAN_ALREADY_IN_TASK = -200489
+    CAN_NOT_PERFORM_OP_WHILE_TASK_RUNNING = -200479
+    CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK = -200478
+    CANNOT_PERFORM_OP_WHEN_TASK_NOT_RUNNING = -200475
+    CANNOT_READ_WHEN_AUTO_START_FALSE_AND_TASK_NOT_RUNNING_OR_COMMITTED = -200473
+    OUTPUT_BUFFER_EMPTY = -200462
+    READ_NO_INPUT_CHANS_IN_TASK = -200460
+    WRITE_NO_OUTPUT_CHANS_IN_TASK = -200459
+    SAMPLES_CAN_NOT_YET_BE_WRITTEN = -200292
+    GEN_STOPPED_TO_PREVENT_REGEN_OF_OLD_SAMPLES = -200290
+    SAMPLES_NOT_YET_AVAILABLE = -200284
+    SAMPLES_NO_LONGER_AVAILABLE = -200279
+    SAMPLES_WILL_NEVER_BE_AVAILABLE = -200278
+    INVALID_DEVICE_ID = -200220
+    ATTR_NOT_SUPPORTED = -200197
+    PHYSICAL_CHAN_DOES_NOT_EXIST = -200170
+    DUPLICATE_TASK = -200089
+    INVALID_TASK = -200088
+    INVALID_ATTRIBUTE_VALUE = -200077
+
+
+class DaqmxError(ImpactRigError):
+    """An error that NI-DAQmx reports by its number.
+
+    Attributes:
+        code: the number.
+    """
+
+    def __init__(self, code: Code, message: str) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+class State(enum.Enum):
+    """State of a task."""
+
+    IDLE = "not started"
+    ARMED = "waits for its start trigger"
+    RUNNING = "running"
+    DONE = "all samples are acquired or generated"
+
+
+@attrs.frozen
+class BoardChannel:
+    """A channel of a task.
+
+    Attributes:
+        name: name within the task.
+        physical: name of the board's channel, without the device.
+        device: name of the device.
+        low: smallest value [unit of the channel].
+        high: largest value.
+        per_volt: value of one volt at the board.
+        is_accelerometer: whether it was created as one.
+    """
+
+    name: str
+    physical: str
+    device: str
+    low: float
+    high: float
+    per_volt: float = 1.0
+    is_accelerometer: bool = False
+
+
+@attrs.define(eq=False)
+class DaqmxTask:
+    """A task and what it has done since its start.
+
+    Attributes:
+        name: name of the task.
+        kind: "ai" or "ao"; empty without channels.
+        rate_hz: samples per second of its clock; 0: on demand.
+        samples: number of samples of a finite task; None: continuous.
+        clock_samples: samples per channel as configured.
+        buffer_samples: size of its buffer as configured; None: as NI-DAQmx chooses it.
+        trigger: kind of the task that starts it; empty: it starts by itself.
+        regenerates: whether an output repeats its buffer.
+        auto_starts: whether a read starts it.
+        run: number of its starts.
+        passed: samples read, of an output those handed to the rig.
+        error: what ended it.
+    """
+
+    name: str
+    kind: str = ""
+    channels: list[BoardChannel] = attrs.field(factory=list)
+    rate_hz: int = 0
+    samples: int | None = None
+    clock_samples: int = 1000
+    buffer_samples: int | None = None
+    trigger: str = ""
+    regenerates: bool = True
+    auto_starts: bool = True
+    state: State = State.IDLE
+    run: int = 0
+    passed: int = 0
+    written: int = 0
+    error: DaqmxError | None = None
+    acquisition: Acquisition | None = None
+    output: AnalogOutput | None = None
+    data: NDArray[np.float64] = attrs.field(factory=lambda: np.empty(0))
+    cleared: bool = False
+
+    @property
+    def is_active(self) -> bool:
+        """Whether it is running or waits for its trigger."""
+        return self.state in {State.ARMED, State.RUNNING}
+
+    @property
+    def available(self) -> int:
+        """Number of samples per channel that can be read now."""
+        if self.acquisition is None:
+            return 0
+        found = self.acquisition.available
+        return found if self.samples is None else min(found, self.samples - self.passed)
+
+    @property
+    def progress(self) -> int:
+        """Number of samples that were acquired or handed to the rig since the start."""
+        return self.passed + self.available
+
+    @property
+    def buffer_size(self) -> int:
+        """Size of the buffer [samples per channel]."""
+        if self.buffer_samples is not None:
+            return self.buffer_samples
+        if self.kind == "ao":
+            return len(self.data)
+        if self.samples is not None:
+            return self.samples
+        usual = 1_000 if self.rate_hz <= 100 else 10_000 if self.rate_hz <= 10_000 else 100_000
+        return max(usual, self.clock_samples)
+
+
+class Board:
+    """The tasks of one rig.
+
+    Args:
+        config: configuration of the rig that is simulated here.
+        rig: a rig that runs by itself, which is used instead of a simulated one; it keeps its rates.
+        devices: names under which the board is known.
+
+    Attributes:
+        changed: lock of everything here, notified when something has changed.
+        tasks: tasks by name.
+    """
+
+    def __init__(self, config: RigConfig, rig: RigDriver | None = None, devices: tuple[str, ...] = ("Dev1",)) -> None:
+        self.changed = threading.Condition()
+        self.tasks: dict[str, DaqmxTask] = {}
+        self.devices = devices
+        self._config = from_flat(config, {"drive.waveform": "stream", "drive.stream_wait": False})
+        self._rig, self._is_fixed = rig, rig is not None
+        self._epoch = 0.0
+        self._ended = False
+        self._named = 0
+        self._thread = threading.Thread(target=self._pump, name="daqmx board", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End all tasks and the rig."""
+        if self._ended:
+            return
+        with self.changed:
+            self._ended = True
+            for task in list(self.tasks.values()):
+                self.clear(task)
+        self._thread.join()
+        if self._rig is not None:
+            self._rig.close()
+
+    # Tasks
+
+    def create(self, name: str) -> DaqmxTask:
+        """Create a task; an empty name becomes a unique one.
+
+        Raises:
+            DaqmxError: the name is taken, or there are too many tasks.
+        """
+        if name in self.tasks:
+            raise DaqmxError(Code.DUPLICATE_TASK, f"a task named {name!r} exists")
+        if len(self.tasks) >= MOST_TASKS:
+            raise DaqmxError(Code.RESOURCE_RESERVED, f"more than {MOST_TASKS} tasks: clear some")
+        while not name or name in self.tasks:
+            name = f"_unnamedTask<{self._named:X}>"
+            self._named += 1
+        self.tasks[name] = DaqmxTask(name)
+        return self.tasks[name]
+
+    def find(self, name: str) -> DaqmxTask:
+        """Return a task by its name.
+
+        Raises:
+            DaqmxError: there is none.
+        """
+        if name not in self.tasks:
+            raise DaqmxError(Code.INVALID_TASK, f"there is no task {name!r}")
+        return self.tasks[name]
+
+    def clear(self, task: DaqmxTask) -> None:
+        """Stop and forget a task."""
+        self.stop(task)
+        task.cleared = True
+        self.tasks.pop(task.name, None)
+        self.changed.notify_all()
+
+    def physical_channels(self, text: str, kind: str) -> list[tuple[str, str]]:
+        """Return device and channel of each channel in a list such as `Dev1/ai0:3, Dev1/ai5`.
+
+        Raises:
+            DaqmxError: unknown device or channel.
+        """
+        found = []
+        for item in filter(None, (part.strip() for part in text.split(","))):
+            device, _, channel = item.lstrip("/").rpartition("/")
+            if device.lower() not in {known.lower() for known in self.devices}:
+                raise DaqmxError(Code.INVALID_DEVICE_ID, f"unknown device {device!r}: use {', '.join(self.devices)}")
+            match = re.fullmatch(rf"{kind}(\d{{1,3}})(?::(?:{kind})?(\d{{1,3}}))?", channel, re.IGNORECASE | re.ASCII)
+            first, last = (int(match[1]), int(match[2] or match[1])) if match else (-1, -1)
+            count = len(INPUTS) if kind == "ai" else 1
+            if not (0 <= first < count and 0 <= last < count):
+                known = f"ai0 to ai{len(INPUTS) - 1}" if kind == "ai" else "ao0"
+                raise DaqmxError(Code.PHYSICAL_CHAN_DOES_NOT_EXIST, f"no channel {channel!r} on {device}: use {known}")
+            step = 1 if last >= first else -1
+            found += [(device, f"{kind}{number}") for number in range(first, last + step, step)]
+        if not found:
+            raise DaqmxError(Code.PHYSICAL_CHAN_DOES_NOT_EXIST, "no physical channel is given")
+        return found
+
+    def add_channels(
+        self, task: DaqmxTask, kind: str, physical: str, name: str, limits: tuple[float, float], per_volt: float = 1.0
+    ) -> None:
+        """Add channels to a task.
+
+        Raises:
+            DaqmxError: unknown channel, or one that the task cannot have.
+        """
+        self._must_be_idle(task)
+        if not limits[0] < limits[1]:
+            raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"the range {limits[0]:g} to {limits[1]:g} is empty")
+        if task.kind not in {"", kind}:
+            raise DaqmxError(Code.INVALID_TASK, "a task has inputs or outputs, not both")
+        found = self.physical_channels(physical, kind)
+        for number, (device, channel) in enumerate(found):
+            if any(one.physical == channel for one in task.channels):
+                raise DaqmxError(Code.CHAN_ALREADY_IN_TASK, f"{device}/{channel} is in the task already")
+            named = f"{name}{number if len(found) > 1 else ''}" if name else f"{device}/{channel}"
+            task.channels.append(BoardChannel(named, channel, device, *limits, per_volt, per_volt != 1.0))
+        task.kind = kind
+
+    def configure_clock(self, task: DaqmxTask, rate_hz: float, samples: int, *, finite: bool) -> None:
+        """Set the sample clock of a task.
+
+        Raises:
+            DaqmxError: invalid rate or number of samples.
+        """
+        self._must_be_idle(task)
+        self._must_have_channels(task)
+        key = "daq.rate_hz" if task.kind == "ai" else "drive.stream_rate_hz"
+        if not (math.isfinite(rate_hz) and rate_hz >= 1.0):
+            raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"SampClk.Rate: must be from 1 Hz on, got {rate_hz:g}")
+        if finite and not 1 < samples <= MOST_SAMPLES:
+            raise DaqmxError(
+                Code.INVALID_ATTRIBUTE_VALUE,
+                f"SampQuant.SampPerChan: must be from 2 to {MOST_SAMPLES}, got {samples}",
+            )
+        rate = round(rate_hz)
+        self._config_for({key: rate})
+        task.rate_hz, task.samples, task.clock_samples = rate, samples if finite else None, samples
+
+    def configure_buffer(self, task: DaqmxTask, samples: int) -> None:
+        """Set the size of a task's buffer.
+
+        Raises:
+            DaqmxError: invalid size.
+        """
+        self._must_be_idle(task)
+        if not 1 <= samples <= MOST_SAMPLES:
+            raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"a buffer has 1 to {MOST_SAMPLES} samples, got {samples}")
+        task.buffer_samples = samples
+
+    def configure_trigger(self, task: DaqmxTask, source: str) -> None:
+        """Start a task with a task of the other kind, whose start trigger is `source`; empty: by itself.
+
+        Raises:
+            DaqmxError: unknown terminal.
+        """
+        self._must_be_idle(task)
+        match = re.fullmatch(r"/?[^/]+/(ai|ao)/StartTrigger", source, re.IGNORECASE)
+        if source and (match is None or match[1].lower() == task.kind):
+            raise DaqmxError(
+                Code.TRIGGER_TERMINAL,
+                f"{source!r} cannot start this task: use /{self.devices[0]}/ai/StartTrigger of an input or "
+                f"/{self.devices[0]}/ao/StartTrigger of an output",
+            )
+        task.trigger = match[1].lower() if match else ""
+
+    def start(self, task: DaqmxTask) -> None:
+        """Start a task, or arm it where it has a start trigger.
+
+        Raises:
+            DaqmxError: it cannot be started.
+        """
+        if task.is_active:
+            return
+        self._must_have_channels(task)
+        if task.kind == "ao" and not len(task.data):
+            raise DaqmxError(Code.OUTPUT_BUFFER_EMPTY, "the output buffer is empty: write before the start")
+        other = next((one for one in self.tasks.values() if one.is_active and one.kind == task.kind), None)
+        if other is not None:
+            raise DaqmxError(Code.RESOURCE_RESERVED, f"the {task.kind} of the board is in use by task {other.name!r}")
+        rig = self._prepare(task)
+        task.run, task.passed, task.error, task.state = task.run + 1, 0, None, State.ARMED
+        if task.kind == "ai":
+            buffered = max(task.buffer_size, rig.block_scans)
+            task.acquisition = Acquisition(rig, buffer_s=buffered / rig.rate_hz)
+        else:
+            task.output = AnalogOutput(rig, buffer_s=BUFFER_S, raise_underrun=not task.regenerates)
+        if not task.trigger:
+            self._trigger(
+                [task, *(one for one in self.tasks.values() if one.state is State.ARMED and one.trigger == task.kind)]
+            )
+
+    def stop(self, task: DaqmxTask) -> None:
+        """Stop a task; what was acquired can no longer be read."""
+        self._end(task, State.IDLE)
+        task.acquisition, task.error, task.passed = None, None, 0
+        if task.kind == "ao" and not task.regenerates:
+            task.data = np.empty(0)
+
+    def is_done(self, task: DaqmxTask) -> bool:
+        """Return whether a task is not running.
+
+        Raises:
+            DaqmxError: it was ended by an error.
+        """
+        self._raise_error(task)
+        return not task.is_active
+
+    # Data
+
+    def read(self, task: DaqmxTask, count: int, timeout_s: float, goes_on: Callable[[], bool]) -> NDArray[np.float64]:
+        """Return the next samples of an input task.
+
+        Args:
+            task: the task; it is started if it is not running.
+            count: samples per channel; negative: all of a finite task, or all available ones.
+            timeout_s: how long to wait for them; negative: forever.
+            goes_on: whether someone still waits.
+
+        Returns:
+            Values in the units of the channels, shape (channels, count).
+
+        Raises:
+            DaqmxError: they are not there in time, or will never be.
+        """
+        if task.kind != "ai":
+            raise DaqmxError(Code.READ_NO_INPUT_CHANS_IN_TASK, "the task has no input channels")
+        if task.acquisition is None:
+            if not task.auto_starts:
+                raise DaqmxError(
+                    Code.CANNOT_READ_WHEN_AUTO_START_FALSE_AND_TASK_NOT_RUNNING_OR_COMMITTED,
+                    "the task is not running and does not start automatically: start it before reading",
+                )
+            self.start(task)
+        deadline = FOREVER if timeout_s < 0.0 else time.monotonic() + timeout_s
+        wanted = count if count >= 0 else (task.samples or 0) - task.passed if task.samples else task.available
+        while task.available < wanted:
+            self._check_read(task, wanted)
+            left = deadline - time.monotonic()
+            if left <= 0.0 or not goes_on():
+                raise DaqmxError(
+                    Code.SAMPLES_NOT_YET_AVAILABLE,
+                    f"{task.available} of {wanted} samples are there after {timeout_s:g} s ({task.state.value})",
+                )
+            self.changed.wait(min(left, 0.1))
+        self._check_read(task, wanted)
+        assert task.acquisition is not None
+        values = self._values(task, task.acquisition.read(wanted))
+        task.passed += wanted
+        if task.rate_hz == 0:
+            self.stop(task)
+        return values
+
+    def write(
+        self,
+        task: DaqmxTask,
+        values: NDArray[np.float64],
+        timeout_s: float,
+        goes_on: Callable[[], bool],
+        *,
+        auto_start: bool,
+    ) -> int:
+        """Write samples of an output task, and return how many were written.
+
+        Args:
+            task: the task.
+            values: volts, shape (n,).
+            timeout_s: how long to wait for room in the buffer; negative: forever.
+            goes_on: whether someone still waits.
+            auto_start: whether the task is started.
+
+        Raises:
+            DaqmxError: they cannot be written, or not in time.
+        """
+        if task.kind != "ao":
+            raise DaqmxError(Code.WRITE_NO_OUTPUT_CHANS_IN_TASK, "the task has no output channels")
+        self._raise_error(task)
+        low, high = max(task.channels[0].low, -OUTPUT_RANGE_V), min(task.channels[0].high, OUTPUT_RANGE_V)
+        if not np.all((values >= low) & (values <= high)):
+            raise DaqmxError(Code.INVALID_AO_DATA_WRITE, f"samples must be from {low:g} to {high:g} V")
+        if len(values) > MOST_SAMPLES:
+            raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"more than {MOST_SAMPLES} samples at once")
+        on_demand = task.rate_hz == 0
+        if on_demand and not (auto_start or task.is_active):
+            raise DaqmxError(
+                Code.CANNOT_WRITE_WHEN_AUTO_START_FALSE_AND_TASK_NOT_RUNNING,
+                "the task is not running and does not start automatically: start it or write with auto_start",
+            )
+        if on_demand:
+            task.data, task.regenerates = values[-1:].copy(), True
+        elif not task.is_active:
+            task.data = np.concatenate([task.data, values]) if task.state is State.IDLE else values.copy()
+            if len(task.data) > (task.buffer_samples or MOST_SAMPLES):
+                task.data = task.data[-(task.buffer_samples or MOST_SAMPLES) :]
+            task.state = State.IDLE
+        elif task.regenerates:
+            at = (task.written + np.arange(len(values))) % len(task.data)
+            task.data[at] = values
+        else:
+            self._append(task, values, timeout_s, goes_on)
+        task.written += len(values)
+        if auto_start or on_demand:
+            self.start(task)
+        return len(values)
+
+    def _append(
+        self, task: DaqmxTask, values: NDArray[np.float64], timeout_s: float, goes_on: Callable[[], bool]
+    ) -> None:
+        deadline = FOREVER if timeout_s < 0.0 else time.monotonic() + timeout_s
+        size = max(task.buffer_samples or 0, task.clock_samples, len(values))
+        while len(task.data) + len(values) > size:
+            self._raise_error(task)
+            left = deadline - time.monotonic()
+            if left <= 0.0 or not goes_on():
+                raise DaqmxError(
+                    Code.SAMPLES_CAN_NOT_YET_BE_WRITTEN,
+                    f"no room for {len(values)} samples after {timeout_s:g} s: {len(task.data)} are still to be played",
+                )
+            self.changed.wait(min(left, 0.1))
+        task.data = np.concatenate([task.data, values])
+
+    def wait_until_done(self, task: DaqmxTask, timeout_s: float, goes_on: Callable[[], bool]) -> None:
+        """Wait until all samples of a task are acquired or generated; negative: forever.
+
+        Raises:
+            DaqmxError: they are not in time, it was not started, or it was ended by an error.
+        """
+        if task.run == 0 or task.state is State.IDLE:
+            raise DaqmxError(Code.CANNOT_PERFORM_OP_WHEN_TASK_NOT_RUNNING, "the task is not running: start it first")
+        deadline = FOREVER if timeout_s < 0.0 else time.monotonic() + timeout_s
+        while not self.is_done(task):
+            left = deadline - time.monotonic()
+            if left <= 0.0 or not goes_on():
+                raise DaqmxError(
+                    Code.WAIT_UNTIL_DONE_DOES_NOT_INDICATE_DONE, f"the task is not done after {timeout_s:g} s"
+                )
+            self.changed.wait(min(left, 0.1))
+
+    # What the thread does
+
+    def _pump(self) -> None:
+        """Let rig time pass as wall time does, and keep the outputs supplied."""
+        while not self._ended:
+            with self.changed:
+                rig = self._rig
+                if rig is not None and rig.runs_by_itself:
+                    rig.poll()
+                    self._after_block(rig)
+                elif rig is not None:
+                    behind_s = time.monotonic() - self._epoch - rig.time_s
+                    if behind_s > BEHIND_S:
+                        self._epoch, behind_s = self._epoch + behind_s, 0.0
+                    for _ in range(int(behind_s * rig.rate_hz / rig.block_scans)):
+                        rig.step()
+                        self._after_block(rig)  # after each, so that a busy machine is no reason for an underrun
+            time.sleep(0.5 / BLOCKS_PER_S)
+
+    def _after_block(self, rig: RigDriver) -> None:
+        rig.clear()
+        for task in list(self.tasks.values()):
+            if task.state is State.RUNNING:
+                self._continue(task, rig)
+        self.changed.notify_all()
+
+    def _continue(self, task: DaqmxTask, rig: RigDriver) -> None:
+        """Do what a running task has to do now."""
+        if task.kind == "ai":
+            if task.samples is not None and task.progress >= task.samples:
+                self._end(task, State.DONE)
+            return
+        try:
+            self._feed(task, rig)
+        except UnderrunError as error:
+            self._fail(task, Code.GEN_STOPPED_TO_PREVENT_REGEN_OF_OLD_SAMPLES, str(error))
+        except CommandError as error:
+            self._fail(task, Code.DEV_CANNOT_BE_ACCESSED, str(error))
+
+    def _feed(self, task: DaqmxTask, rig: RigDriver) -> None:
+        output = task.output
+        assert output is not None
+        left = output.space if task.samples is None else min(output.space, task.samples - task.passed)
+        if task.regenerates:
+            values = task.data[(task.passed + np.arange(left)) % len(task.data)]
+        else:
+            values, task.data = task.data[:left], task.data[left:]
+        if len(values):
+            output.write(values)
+            task.passed += len(values)
+        is_over = task.samples is not None and task.passed >= task.samples
+        if output.buffered == 0 and is_over:
+            self._end(task, State.DONE)
+        elif output.buffered == 0 and not task.regenerates and output.next_sample is not None:
+            lost = rig.stream_level().sample - output.next_sample
+            raise UnderrunError(f"the output ran out of samples after {task.passed}: write earlier", lost)
+
+    def _fail(self, task: DaqmxTask, code: Code, message: str) -> None:
+        task.error = DaqmxError(code, message)
+        self._end(task, State.DONE)
+
+    def _end(self, task: DaqmxTask, state: State) -> None:
+        if task.acquisition is not None:
+            task.acquisition.stop()
+        if task.output is not None:
+            task.output.stop()
+            task.output = None
+        task.state = state
+
+    def _trigger(self, tasks: list[DaqmxTask]) -> None:
+        """Start tasks at the same instant: an output's first sample, or the next block of scans."""
+        scan = None
+        for task in tasks:
+            if task.output is not None:
+                first = task.output.start()
+                assert self._rig is not None
+                scan = -(-first * self._rig.rate_hz // self._rig.stream_rate_hz)
+        for task in tasks:
+            if task.acquisition is not None:
+                task.acquisition.start(scan)
+            task.state = State.RUNNING
+            assert self._rig is not None
+            self._continue(task, self._rig)
+
+    def _prepare(self, task: DaqmxTask) -> RigDriver:
+        """Return the rig, which has the rates that the tasks need.
+
+        Raises:
+            DaqmxError: it cannot have them now.
+        """
+        rates = {}
+        for key, kind in (("daq.rate_hz", "ai"), ("drive.stream_rate_hz", "ao")):
+            clocked = [one for one in self.tasks.values() if one.kind == kind and one.rate_hz]
+            clocked.sort(key=lambda one: (one is not task, not one.is_active))
+            if clocked:
+                rates[key] = clocked[0].rate_hz
+        config = self._config_for(rates)
+        wanted = (config.daq.rate_hz, config.drive.stream_rate_hz)
+        if self._rig is not None and wanted == (self._rig.rate_hz, self._rig.stream_rate_hz):
+            return self._rig
+        if self._is_fixed or any(one.is_active for one in self.tasks.values()):
+            raise DaqmxError(
+                Code.INVALID_ATTRIBUTE_VALUE,
+                f"SampClk.Rate: input and output cannot run at {wanted[0]} and {wanted[1]} Hz while another task runs",
+            )
+        self._config = config
+        self._rig, self._epoch = LocalRig(config), time.monotonic()
+        return self._rig
+
+    def _config_for(self, rates: dict[str, int]) -> RigConfig:
+        """Return the configuration of a rig with other rates, in blocks of 10 ms.
+
+        Raises:
+            DaqmxError: it cannot have them.
+        """
+        if self._is_fixed:
+            assert self._rig is not None
+            known = {"daq.rate_hz": self._rig.rate_hz, "drive.stream_rate_hz": self._rig.stream_rate_hz}
+            for key, rate in rates.items():
+                if rate != known[key]:
+                    raise DaqmxError(
+                        Code.INVALID_ATTRIBUTE_VALUE, f"SampClk.Rate: the running rig has {known[key]} Hz, not {rate}"
+                    )
+            return self._rig.config
+        rate_hz = rates.get("daq.rate_hz", self._config.daq.rate_hz)
+        try:
+            return from_flat(self._config, {**rates, "daq.block_scans": max(1, round(rate_hz / BLOCKS_PER_S))})
+        except ConfigError as error:
+            raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"SampClk.Rate: {error}") from None
+
+    def _values(self, task: DaqmxTask, rows: NDArray[np.void]) -> NDArray[np.float64]:
+        """Return what a task's channels say of scans: the volts of the sensors, scaled as the task wants them."""
+        assert self._rig is not None
+        info = {bytes(row["name"]).rstrip(b"\0").decode(): row for row in self._rig.tables(INFO.name)[-1].rows}
+        found = []
+        for channel in task.channels:
+            name = INPUTS[int(channel.physical[2:])]
+            volts = rows[name] * info[name]["sensitivity"] + info[name]["offset"]
+            found.append(volts * channel.per_volt)
+        return np.array(found, np.float64)
+
+    def _check_read(self, task: DaqmxTask, wanted: int) -> None:
+        self._raise_error(task)
+        if task.acquisition is not None and task.acquisition.lost:
+            raise DaqmxError(
+                Code.SAMPLES_NO_LONGER_AVAILABLE,
+                f"{task.acquisition.lost} samples were overwritten before they were read: read more often or with a "
+                "larger buffer",
+            )
+        if task.samples is not None and wanted > task.samples - task.passed:
+            raise DaqmxError(
+                Code.SAMPLES_WILL_NEVER_BE_AVAILABLE,
+                f"the task acquires {task.samples} samples, of which {task.samples - task.passed} are left",
+            )
+
+    @staticmethod
+    def _raise_error(task: DaqmxTask) -> None:
+        if task.error is not None:
+            raise task.error
+
+    @staticmethod
+    def _must_be_idle(task: DaqmxTask) -> None:
+        if task.is_active:
+            raise DaqmxError(Code.CAN_NOT_PERFORM_OP_WHILE_TASK_RUNNING, "the task is running: stop it first")
+
+    @staticmethod
+    def _must_have_channels(task: DaqmxTask) -> None:
+        if not task.channels:
+            raise DaqmxError(Code.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK, "the task has no channels: add some first")

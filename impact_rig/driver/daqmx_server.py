@@ -1,0 +1,522 @@
+# Copyright 2026 The impact_rig developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""NI's gRPC interface of NI-DAQmx, served by a rig: what buffered analog input and output need.
+
+The messages are those of the `nidaqmx` package. What is not served gets NI's own answer, "not supported": a call that
+is not here is UNIMPLEMENTED, and a property that is not here has the error code -200197.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+from collections.abc import Callable, Iterator, Sequence
+from concurrent import futures
+from typing import Any  # messages of protobuf, whose classes have no static types
+
+import numpy as np
+
+from impact_rig.driver.daqmx_board import Board, Code, DaqmxError, DaqmxTask, State
+from impact_rig.errors import ImpactRigError
+from impact_rig.system import extras
+
+PURPOSE, EXTRA = "impact-rig daqmx", "nidaqmx"
+MOST_MESSAGE_BYTES = 16_000_000
+MOST_EVENTS, MOST_CALLS = 16, 48
+VERSION = {"MAJOR": 23, "MINOR": 8, "UPDATE": 0}  # of the driver whose interface this is
+FINITE, CONTINUOUS = 10178, 10123
+ALLOW_REGENERATION, DONT_ALLOW_REGENERATION = 10097, 10158
+ANALOG_INPUT, ANALOG_OUTPUT = 10100, 10102
+VOLTAGE, ACCELERATION = 10322, 10356
+SAMPLE_CLOCK, ON_DEMAND = 10388, 10390
+DIGITAL_EDGE, NO_TRIGGER = 10150, 10230
+VOLTS = 10348
+NEW_SESSION, ATTACH = 1, 2
+BY_CHANNEL = 0
+ACQUIRED, TRANSFERRED = 1, 2
+TRANSFERRED_KEYS = {"Read": "ni-samps-per-chan-read", "Write": "ni-samps-per-chan-written"}
+"""By the first word of a call, the key of how many samples it has transferred, none where it fails."""
+ABORT, START, STOP = 6, 0, 1
+VOLTS_PER_SENSITIVITY = {12509: 1e-3, 12510: 1.0}  # mV/g, V/g
+ACCELERATIONS = {10186: 1.0, 12470: 9.80665, 12471: 9.80665 / 0.0254}  # g, m/s², in/s²
+
+
+def _served(method: Callable[..., Any]) -> Callable[..., Any]:
+    """Serve a call: one at a time, and errors as the `nidaqmx` package expects them."""
+
+    @functools.wraps(method)
+    def serve(self: Service, request: Any, context: Any) -> Any:
+        try:
+            with self.board.changed:
+                return method(self, request, context)
+        except ImpactRigError as error:
+            code = error.code if isinstance(error, DaqmxError) else Code.DEV_CANNOT_BE_ACCESSED
+            transferred = [(key, "0") for verb, key in TRANSFERRED_KEYS.items() if method.__name__.startswith(verb)]
+            _abort(context, code, str(error), transferred)
+
+    return serve
+
+
+def _abort(context: Any, code: Code, message: str, transferred: Sequence[tuple[str, str]] = ()) -> None:
+    """End a call with an error of NI-DAQmx."""
+    context.set_trailing_metadata((("ni-error", str(int(code))), *transferred))
+    context.abort(extras.load("grpc", PURPOSE, EXTRA).StatusCode.UNKNOWN, message)
+
+
+class Service:
+    """What the service `nidaqmx_grpc.NiDAQmx` does; methods that are missing here are UNIMPLEMENTED.
+
+    Args:
+        board: the rig as a board.
+    """
+
+    def __init__(self, board: Board) -> None:
+        self.board = board
+        self._pb = extras.load("nidaqmx._stubs.nidaqmx_pb2", PURPOSE, EXTRA)
+        self._session = extras.load("session_pb2", PURPOSE, EXTRA).Session
+        self._events = 0
+
+    # Tasks
+
+    @_served
+    def CreateTask(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002  # names of NI's interface
+        """Create a task, or attach to that of this name."""
+        attach, new = request.initialization_behavior == 2, request.initialization_behavior == 1
+        is_new = new or request.session_name not in self.board.tasks
+        task = (
+            self.board.find(request.session_name) if attach or not is_new else self.board.create(request.session_name)
+        )
+        session = self._session(name=task.name)
+        return self._pb.CreateTaskResponse(task=session, new_session_initialized=is_new and not attach)
+
+    @_served
+    def ClearTask(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002
+        """Stop and forget a task."""
+        self.board.clear(self._task(request))
+        return self._pb.ClearTaskResponse()
+
+    @_served
+    def StartTask(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002
+        """Start a task."""
+        self.board.start(self._task(request))
+        return self._pb.StartTaskResponse()
+
+    @_served
+    def StopTask(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002
+        """Stop a task; an error that ended it is reported here."""
+        task = self._task(request)
+        error = task.error
+        self.board.stop(task)
+        if error is not None:
+            raise error
+        return self._pb.StopTaskResponse()
+
+    @_served
+    def TaskControl(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002
+        """Move a task to another state: only start, stop and abort have something to do."""
+        task, action = self._task(request), _value(request, "action")
+        if action == START:
+            self.board.start(task)
+        elif action in {STOP, ABORT}:
+            self.board.stop(task)
+        return self._pb.TaskControlResponse()
+
+    @_served
+    def IsTaskDone(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002
+        """Return whether a task is done."""
+        return self._pb.IsTaskDoneResponse(is_task_done=self.board.is_done(self._task(request)))
+
+    @_served
+    def WaitUntilTaskDone(self, request: Any, context: Any) -> Any:  # noqa: N802
+        """Wait until a task is done."""
+        self.board.wait_until_done(self._task(request), request.time_to_wait, context.is_active)
+        return self._pb.WaitUntilTaskDoneResponse()
+
+    @_served
+    def ResetDevice(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002
+        """Stop all tasks."""
+        self.board.physical_channels(f"{request.device_name}/ai0", "ai")
+        for task in self.board.tasks.values():
+            self.board.stop(task)
+        return self._pb.ResetDeviceResponse()
+
+    # Channels, clock, trigger, buffers
+
+    @_served
+    def CreateAIVoltageChan(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002
+        """Add inputs that are read in volts."""
+        self._must_be(request, "units", {VOLTS})
+        self._add(request, "ai")
+        return self._pb.CreateAIVoltageChanResponse()
+
+    @_served
+    def CreateAIAccelChan(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002
+        """Add inputs that are read as acceleration, by the sensitivity that the caller states."""
+        units = self._must_be(request, "units", set(ACCELERATIONS))
+        kind = self._must_be(request, "sensitivity_units", set(VOLTS_PER_SENSITIVITY))
+        if not request.sensitivity > 0.0:
+            raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"sensitivity must be > 0, got {request.sensitivity:g}")
+        self._add(request, "ai", ACCELERATIONS[units] / (request.sensitivity * VOLTS_PER_SENSITIVITY[kind]))
+        return self._pb.CreateAIAccelChanResponse()
+
+    @_served
+    def CreateAOVoltageChan(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002
+        """Add the output."""
+        self._must_be(request, "units", {VOLTS})
+        self._add(request, "ao")
+        return self._pb.CreateAOVoltageChanResponse()
+
+    @_served
+    def CfgSampClkTiming(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002
+        """Set the sample clock."""
+        finite = self._must_be(request, "sample_mode", {FINITE, CONTINUOUS}) == FINITE
+        if request.source.rpartition("/")[2] not in {"", "OnboardClock"}:
+            raise DaqmxError(Code.TRIGGER_TERMINAL, f"no clock {request.source!r}: use the onboard clock")
+        self.board.configure_clock(self._task(request), request.rate, request.samps_per_chan, finite=finite)
+        return self._pb.CfgSampClkTimingResponse()
+
+    @_served
+    def CfgDigEdgeStartTrig(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002
+        """Start with another task."""
+        self.board.configure_trigger(self._task(request), request.trigger_source)
+        return self._pb.CfgDigEdgeStartTrigResponse()
+
+    @_served
+    def DisableStartTrig(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002
+        """Start by itself."""
+        self.board.configure_trigger(self._task(request), "")
+        return self._pb.DisableStartTrigResponse()
+
+    @_served
+    def CfgInputBuffer(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002
+        """Set the size of the input buffer."""
+        self.board.configure_buffer(self._task(request), request.num_samps_per_chan)
+        return self._pb.CfgInputBufferResponse()
+
+    @_served
+    def CfgOutputBuffer(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002
+        """Set the size of the output buffer."""
+        self.board.configure_buffer(self._task(request), request.num_samps_per_chan)
+        return self._pb.CfgOutputBufferResponse()
+
+    # Data
+
+    @_served
+    def ReadAnalogF64(self, request: Any, context: Any) -> Any:  # noqa: N802
+        """Read samples."""
+        task, count = self._task(request), request.num_samps_per_chan
+        most = min(request.array_size_in_samps, MOST_MESSAGE_BYTES // 9) // max(1, len(task.channels))
+        if count > most:
+            raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"at most {most} samples per channel at once, got {count}")
+        if count < 0:
+            self.board.start(task) if task.acquisition is None else None
+            count = min(most, task.samples - task.passed if task.samples else task.available)
+        values = self.board.read(task, count, request.timeout, context.is_active)
+        by_channel = _value(request, "fill_mode") == BY_CHANNEL
+        flat = (values if by_channel else values.T).ravel()
+        return self._pb.ReadAnalogF64Response(read_array=flat, samps_per_chan_read=count)
+
+    @_served
+    def ReadAnalogScalarF64(self, request: Any, context: Any) -> Any:  # noqa: N802
+        """Read one sample of one channel."""
+        values = self.board.read(self._task(request), 1, request.timeout, context.is_active)
+        return self._pb.ReadAnalogScalarF64Response(value=values[0, 0])
+
+    @_served
+    def WriteAnalogF64(self, request: Any, context: Any) -> Any:  # noqa: N802
+        """Write samples."""
+        values = np.array(request.write_array, np.float64)
+        if len(values) == 0 or len(values) != request.num_samps_per_chan:
+            raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"{len(values)} values, not {request.num_samps_per_chan}")
+        written = self.board.write(
+            self._task(request), values, request.timeout, context.is_active, auto_start=request.auto_start
+        )
+        return self._pb.WriteAnalogF64Response(samps_per_chan_written=written)
+
+    @_served
+    def WriteAnalogScalarF64(self, request: Any, context: Any) -> Any:  # noqa: N802
+        """Write one sample."""
+        value = np.array([request.value])
+        self.board.write(self._task(request), value, request.timeout, context.is_active, auto_start=request.auto_start)
+        return self._pb.WriteAnalogScalarF64Response()
+
+    # Events
+
+    def RegisterEveryNSamplesEvent(self, request: Any, context: Any) -> Iterator[Any]:  # noqa: N802
+        """Report each time that so many samples were acquired or played."""
+        wanted = ACQUIRED if request.task and self._kind(request) == "ai" else TRANSFERRED
+
+        def check(_task: DaqmxTask) -> None:
+            self._must_be(request, "every_n_samples_event_type", {wanted})
+            if request.n_samples < 1:
+                raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, "n_samples must be at least 1")
+
+        def pending(task: DaqmxTask, reported: int) -> int:
+            return max(0, task.progress // int(request.n_samples) - reported)
+
+        response = self._pb.RegisterEveryNSamplesEventResponse(
+            every_n_samples_event_type_raw=wanted, n_samples=request.n_samples
+        )
+        return self._follow(request, context, check, pending, lambda _: response)
+
+    def RegisterDoneEvent(self, request: Any, context: Any) -> Iterator[Any]:  # noqa: N802
+        """Report that a task is done."""
+
+        def pending(task: DaqmxTask, reported: int) -> int:
+            return int(task.state is State.DONE and not reported)
+
+        def response(task: DaqmxTask) -> Any:
+            return self._pb.RegisterDoneEventResponse(status=task.error.code if task.error else 0)
+
+        return self._follow(request, context, lambda _: None, pending, response)
+
+    def _follow(
+        self, request: Any, context: Any, check: Callable[[DaqmxTask], None], pending: Callable[[DaqmxTask, int], int],
+        response: Callable[[DaqmxTask], Any],
+    ) -> Iterator[Any]:  # fmt: skip
+        """Yield responses for a task until it is cleared or the client leaves; each run counts from zero."""
+        board = self.board
+        try:
+            with board.changed:
+                task = self._task(request)
+                check(task)
+                self._count_event()
+        except DaqmxError as error:
+            _abort(context, error.code, str(error))
+            return
+        try:
+            context.send_initial_metadata(())
+            run, reported = task.run, 0
+            while context.is_active() and not task.cleared:
+                with board.changed:
+                    if task.run != run:
+                        run, reported = task.run, 0
+                    count = pending(task, reported)
+                    if not count:
+                        board.changed.wait(0.1)
+                for _ in range(count):
+                    yield response(task)
+                reported += count
+        finally:
+            with board.changed:
+                self._events -= 1
+
+    def _count_event(self) -> None:
+        if self._events >= MOST_EVENTS:
+            raise DaqmxError(Code.RESOURCE_RESERVED, f"more than {MOST_EVENTS} events are registered")
+        self._events += 1
+
+    # Properties
+
+    def get_property(self, name: str, request: Any) -> Any:
+        """Return a property by the kind and the number of the request.
+
+        Raises:
+            DaqmxError: it is not served.
+        """
+        attribute = request.attribute_raw or request.attribute
+        if name.startswith("SystemInfo"):
+            found = self._system_properties()
+        elif name.startswith("Device"):
+            self.board.physical_channels(f"{request.device_name}/ai0", "ai")
+            found = self._device_properties(request.device_name)
+        elif name.startswith("Chan"):
+            found = self._channel_properties(self._task(request), request.channel)
+        else:
+            found = self._task_properties(self._task(request))
+        if attribute not in found:
+            raise DaqmxError(Code.ATTR_NOT_SUPPORTED, f"property {attribute} is not supported by this board")
+        return found[attribute]
+
+    def _system_properties(self) -> dict[int, Any]:
+        pb = self._pb
+        return {
+            pb.SYSTEM_ATTRIBUTE_NIDAQ_MAJOR_VERSION: VERSION["MAJOR"],
+            pb.SYSTEM_ATTRIBUTE_NIDAQ_MINOR_VERSION: VERSION["MINOR"],
+            pb.SYSTEM_ATTRIBUTE_NIDAQ_UPDATE_VERSION: VERSION["UPDATE"],
+            pb.SYSTEM_ATTRIBUTE_DEV_NAMES: ", ".join(self.board.devices),
+            pb.SYSTEM_ATTRIBUTE_TASKS: "", pb.SYSTEM_ATTRIBUTE_GLOBAL_CHANS: "", pb.SYSTEM_ATTRIBUTE_SCALES: "",
+        }  # fmt: skip
+
+    def _device_properties(self, device: str) -> dict[int, Any]:
+        pb = self._pb
+        return {
+            pb.DEVICE_ATTRIBUTE_PRODUCT_TYPE: "impact_rig",
+            pb.DEVICE_ATTRIBUTE_IS_SIMULATED: True,
+            pb.DEVICE_ATTRIBUTE_SERIAL_NUM: 0,
+            pb.DEVICE_ATTRIBUTE_AI_PHYSICAL_CHANS: ", ".join(f"{device}/ai{number}" for number in range(4)),
+            pb.DEVICE_ATTRIBUTE_AO_PHYSICAL_CHANS: f"{device}/ao0",
+        }
+
+    def _channel_properties(self, task: DaqmxTask, name: str) -> dict[int, Any]:
+        pb = self._pb
+        channel = next((one for one in task.channels if one.name == name.partition(",")[0].strip()), None)
+        if channel is None and task.channels and not name:
+            channel = task.channels[0]
+        if channel is None:
+            raise DaqmxError(Code.PHYSICAL_CHAN_DOES_NOT_EXIST, f"the task has no channel {name!r}")
+        measured = ACCELERATION if channel.is_accelerometer else VOLTAGE
+        return {
+            pb.CHANNEL_ATTRIBUTE_CHAN_TYPE: ANALOG_INPUT if task.kind == "ai" else ANALOG_OUTPUT,
+            pb.CHANNEL_ATTRIBUTE_AI_MEAS_TYPE: measured, pb.CHANNEL_ATTRIBUTE_AO_OUTPUT_TYPE: VOLTAGE,
+            pb.CHANNEL_ATTRIBUTE_PHYSICAL_CHAN_NAME: f"{channel.device}/{channel.physical}",
+            pb.CHANNEL_ATTRIBUTE_AI_MIN: channel.low, pb.CHANNEL_ATTRIBUTE_AI_MAX: channel.high,
+            pb.CHANNEL_ATTRIBUTE_AO_MIN: channel.low, pb.CHANNEL_ATTRIBUTE_AO_MAX: channel.high,
+        }  # fmt: skip
+
+    def _task_properties(self, task: DaqmxTask) -> dict[int, Any]:
+        pb = self._pb
+        channels = ", ".join(channel.name for channel in task.channels)
+        devices = list(dict.fromkeys(channel.device for channel in task.channels))
+        finite = task.samples is not None
+        return {
+            pb.TASK_ATTRIBUTE_NAME: task.name, pb.TASK_ATTRIBUTE_CHANNELS: channels,
+            pb.TASK_ATTRIBUTE_NUM_CHANS: len(task.channels), pb.TASK_ATTRIBUTE_COMPLETE: not task.is_active,
+            pb.TASK_ATTRIBUTE_DEVICES: ", ".join(devices), pb.TASK_ATTRIBUTE_NUM_DEVICES: len(devices),
+            pb.READ_ATTRIBUTE_CHANNELS_TO_READ: channels, pb.READ_ATTRIBUTE_NUM_CHANS: len(task.channels),
+            pb.READ_ATTRIBUTE_AVAIL_SAMP_PER_CHAN: task.available, pb.READ_ATTRIBUTE_AUTO_START: task.auto_starts,
+            pb.READ_ATTRIBUTE_CURR_READ_POS: task.passed, pb.READ_ATTRIBUTE_READ_ALL_AVAIL_SAMP: False,
+            pb.READ_ATTRIBUTE_TOTAL_SAMP_PER_CHAN_ACQUIRED: task.progress,
+            pb.WRITE_ATTRIBUTE_NUM_CHANS: len(task.channels), pb.WRITE_ATTRIBUTE_CURR_WRITE_POS: task.written,
+            pb.WRITE_ATTRIBUTE_TOTAL_SAMP_PER_CHAN_GENERATED: task.passed,
+            pb.WRITE_ATTRIBUTE_SPACE_AVAIL: max(0, max(task.buffer_size, task.clock_samples) - len(task.data)),
+            pb.WRITE_ATTRIBUTE_REGEN_MODE: ALLOW_REGENERATION if task.regenerates else DONT_ALLOW_REGENERATION,
+            pb.BUFFER_ATTRIBUTE_INPUT_BUF_SIZE: task.buffer_size,
+            pb.BUFFER_ATTRIBUTE_OUTPUT_BUF_SIZE: task.buffer_size,
+            pb.TIMING_ATTRIBUTE_SAMP_CLK_RATE: float(task.rate_hz),
+            pb.TIMING_ATTRIBUTE_SAMP_QUANT_SAMP_MODE: FINITE if finite else CONTINUOUS,
+            pb.TIMING_ATTRIBUTE_SAMP_QUANT_SAMP_PER_CHAN: task.clock_samples,
+            pb.TIMING_ATTRIBUTE_SAMP_TIMING_TYPE: SAMPLE_CLOCK if task.rate_hz else ON_DEMAND,
+            pb.TRIGGER_ATTRIBUTE_START_TRIG_TYPE: DIGITAL_EDGE if task.trigger else NO_TRIGGER,
+            pb.TRIGGER_ATTRIBUTE_START_TRIG_TERM: f"/{self.board.devices[0]}/{task.kind}/StartTrigger",
+        }  # fmt: skip
+
+    def set_property(self, request: Any) -> None:
+        """Set a property of a task.
+
+        Raises:
+            DaqmxError: it cannot be set, or not to this value.
+        """
+        pb, task, attribute = self._pb, self._task(request), request.attribute_raw or request.attribute
+        value = _value(request, "value")
+        if attribute == pb.WRITE_ATTRIBUTE_REGEN_MODE and not task.is_active:
+            task.regenerates = self._must_be(request, "value", {ALLOW_REGENERATION, DONT_ALLOW_REGENERATION}) == 10097
+        elif attribute == pb.READ_ATTRIBUTE_AUTO_START:
+            task.auto_starts = bool(value)
+        elif attribute in {pb.BUFFER_ATTRIBUTE_INPUT_BUF_SIZE, pb.BUFFER_ATTRIBUTE_OUTPUT_BUF_SIZE}:
+            self.board.configure_buffer(task, value)
+        elif attribute == pb.TIMING_ATTRIBUTE_SAMP_CLK_RATE:
+            self.board.configure_clock(task, value, task.clock_samples, finite=task.samples is not None)
+        else:
+            raise DaqmxError(Code.ATTR_NOT_SUPPORTED, f"property {attribute} of this board cannot be set now")
+
+    @_served
+    def GetErrorString(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002
+        """Return the name of an error."""
+        with contextlib.suppress(ValueError):
+            text = Code(request.error_code).name.replace("_", " ").capitalize()
+            return self._pb.GetErrorStringResponse(error_string=text)
+        return self._pb.GetErrorStringResponse()
+
+    # Helpers
+
+    def _task(self, request: Any) -> DaqmxTask:
+        return self.board.find(request.task.name)
+
+    def _kind(self, request: Any) -> str:
+        task = self.board.tasks.get(request.task.name)
+        return task.kind if task else ""
+
+    def _add(self, request: Any, kind: str, per_volt: float = 1.0) -> None:
+        if request.custom_scale_name:
+            raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, "custom scales are not supported by this board")
+        self.board.add_channels(
+            self._task(request), kind, request.physical_channel, request.name_to_assign_to_channel,
+            (request.min_val, request.max_val), per_volt,
+        )  # fmt: skip
+
+    @staticmethod
+    def _must_be(request: Any, field: str, allowed: set[int]) -> int:
+        value = _value(request, field)
+        if value not in allowed:
+            known = ", ".join(map(str, sorted(allowed)))
+            raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"{field}: this board supports {known}, got {value}")
+        return int(value)
+
+
+def _value(request: Any, field: str) -> Any:
+    """Return a field that may be given as an enumerator or as a number."""
+    raw = f"{field}_raw"
+    if raw in request.DESCRIPTOR.fields_by_name and not request.HasField(field):
+        return getattr(request, raw)
+    return getattr(request, field)
+
+
+def _properties(servicer: type) -> dict[str, Callable[..., Any]]:
+    """Return the methods that get and set properties, of each type that NI's interface has."""
+    methods: dict[str, Callable[..., Any]] = {}
+    for name in dir(servicer):
+        for verb in ("Get", "Set"):
+            if name.startswith(verb) and "Attribute" in name:
+                methods[name] = _property_method(name, verb)
+    return methods
+
+
+def _property_method(name: str, verb: str) -> Callable[..., Any]:
+    @_served
+    def method(self: Service, request: Any, context: Any) -> Any:  # noqa: ARG001
+        response = getattr(self._pb, f"{name}Response")
+        if verb == "Set":
+            self.set_property(request)
+            return response()
+        field = "value_raw" if "value_raw" in response.DESCRIPTOR.fields_by_name else "value"
+        return response(**{field: self.get_property(name.removeprefix("Get"), request)})
+
+    return method
+
+
+@contextlib.contextmanager
+def serving(board: Board, address: str) -> Iterator[tuple[Any, int]]:
+    """Serve a board until the end of the block; yields the server and its port.
+
+    Args:
+        board: the rig as a board.
+        address: host and port to listen on.
+
+    Raises:
+        ImpactRigError: the extra is not installed, or the address cannot be used.
+    """
+    grpc = extras.load("grpc", PURPOSE, EXTRA)
+    stubs = extras.load("nidaqmx._stubs.nidaqmx_pb2_grpc", PURPOSE, EXTRA)
+    servicer = type("Servicer", (Service, stubs.NiDAQmxServicer), _properties(stubs.NiDAQmxServicer))
+    with futures.ThreadPoolExecutor(MOST_CALLS) as pool:
+        server = grpc.server(
+            pool, maximum_concurrent_rpcs=MOST_CALLS,
+            options=[
+                ("grpc.max_receive_message_length", MOST_MESSAGE_BYTES),
+                ("grpc.max_send_message_length", MOST_MESSAGE_BYTES),
+                ("grpc.so_reuseport", 0),
+            ],
+        )  # fmt: skip
+        stubs.add_NiDAQmxServicer_to_server(servicer(board), server)
+        try:
+            port = server.add_insecure_port(address)
+        except RuntimeError as error:
+            raise ImpactRigError(f"cannot listen on {address}: is the port in use?") from error
+        server.start()
+        try:
+            yield server, port
+        finally:
+            board.close()  # calls that wait end with it
+            server.stop(0).wait()

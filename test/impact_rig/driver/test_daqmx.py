@@ -1,0 +1,279 @@
+# Copyright 2026 The impact_rig developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Scripts for NI's `nidaqmx` package, the real one, on the rig."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("nidaqmx", reason="the extra nidaqmx is not installed")
+
+import grpc
+import nidaqmx
+from nidaqmx.constants import AcquisitionType, RegenerationMode
+from nidaqmx.error_codes import DAQmxErrors
+from nidaqmx.stream_readers import AnalogMultiChannelReader
+
+from impact_rig.driver.daqmx_board import MOST_TASKS, Board, DaqmxError
+from impact_rig.driver.daqmx_server import MOST_MESSAGE_BYTES, serving
+from impact_rig.rig.config import RigConfig, from_flat
+
+IDEAL = {"instruments.ideal": True, "sphere.present": False}
+RATE_HZ = 2000
+WAVE = 0.3 * np.sin(2.0 * np.pi * 9.0 * np.arange(RATE_HZ) / RATE_HZ)
+PAGE = Path(__file__).parents[3] / "docs" / "how-to" / "daqmx.md"
+MakeTask = Callable[[], Any]
+
+
+@pytest.fixture
+def address() -> Iterator[str]:
+    """Host and port of a board of ideal instruments."""
+    with serving(Board(from_flat(RigConfig(), IDEAL)), "127.0.0.1:0") as (_, port):
+        yield f"127.0.0.1:{port}"
+
+
+@pytest.fixture
+def task(address: str) -> Iterator[MakeTask]:
+    """A function that makes a task; all are closed after the test."""
+    with grpc.insecure_channel(address) as channel:
+        made: list[Any] = []
+
+        def make() -> Any:
+            made.append(nidaqmx.Task(grpc_options=nidaqmx.GrpcSessionOptions(channel, "")))
+            return made[-1]
+
+        yield make
+        for one in made:
+            one.close()
+
+
+def inputs(task: Any, channels: str = "Dev1/ai3", samples: int = RATE_HZ, *, finite: bool = False) -> Any:
+    task.ai_channels.add_ai_voltage_chan(channels)
+    mode = AcquisitionType.FINITE if finite else AcquisitionType.CONTINUOUS
+    task.timing.cfg_samp_clk_timing(RATE_HZ, sample_mode=mode, samps_per_chan=samples)
+    return task
+
+
+def output(task: Any, samples: int = RATE_HZ, *, finite: bool = False, repeat: bool = True) -> Any:
+    task.ao_channels.add_ao_voltage_chan("Dev1/ao0")
+    mode = AcquisitionType.FINITE if finite else AcquisitionType.CONTINUOUS
+    task.timing.cfg_samp_clk_timing(RATE_HZ, sample_mode=mode, samps_per_chan=samples)
+    if not repeat:
+        task.out_stream.regen_mode = RegenerationMode.DONT_ALLOW_REGENERATION
+    return task
+
+
+def code(raised: Any) -> Any:
+    return raised.value.error_type
+
+
+def test_finite_input_of_all_channels(task: MakeTask) -> None:
+    found = np.array(inputs(task(), "Dev1/ai0:3", 500, finite=True).read(-1))
+    assert found.shape == (4, 500)
+    assert np.isfinite(found).all()
+
+
+def test_an_output_is_repeated_and_an_input_starts_with_it(task: MakeTask) -> None:
+    ai, ao = inputs(task()), output(task())
+    ai.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ao/StartTrigger")
+    assert ao.write(WAVE) == RATE_HZ
+    ai.start()
+    assert not ai.is_task_done()
+    ao.start()
+    found = np.array([ai.read(500) for _ in range(6)])
+    assert np.abs(found.ravel() - np.resize(WAVE, 3000)).max() < 1e-9
+    assert ao.timing.samp_clk_rate == RATE_HZ
+
+
+def test_an_output_is_written_while_an_input_is_read(task: MakeTask) -> None:
+    ai, ao = inputs(task()), output(task(), 1000, repeat=False)
+    ao.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ai/StartTrigger")
+    ao.write(WAVE[:1000])
+    ao.start()
+    ai.start()
+    samples = np.concatenate([np.full(500, value) for value in (0.1, -0.1, 0.2, 0.0)])
+    parts = []
+    for part in np.split(samples, 4):
+        parts.append(ai.read(500))
+        ao.write(part)
+    parts.append(ai.read(1000))
+    assert np.abs(np.concatenate(parts) - np.concatenate([WAVE[:1000], samples])[:3000]).max() < 1e-9
+
+
+def test_a_finite_output_ends(task: MakeTask) -> None:
+    ao = output(task(), 400, finite=True)
+    done = threading.Event()
+    ao.register_done_event(lambda *_: done.set() or 0)
+    ao.write(WAVE[:400])
+    ao.start()
+    ao.wait_until_done(timeout=20.0)
+    assert ao.is_task_done()
+    assert done.wait(20.0)
+    ao.stop()
+
+
+def test_events_report_samples_that_a_reader_then_reads(task: MakeTask) -> None:
+    ai = inputs(task(), "Dev1/ai1, Dev1/ai2")
+    parts: list[np.ndarray] = []
+    enough = threading.Event()
+    reader = AnalogMultiChannelReader(ai.in_stream)
+
+    def on_samples(_task: object, _kind: object, count: int, _data: object) -> int:
+        values = np.empty((2, count))
+        assert reader.read_many_sample(values, count) == count
+        parts.append(values)
+        if len(parts) == 5:
+            enough.set()
+        return 0
+
+    ai.register_every_n_samples_acquired_into_buffer_event(200, on_samples)
+    ai.start()
+    assert enough.wait(20.0)
+    ai.stop()
+
+
+def test_values_on_demand(task: MakeTask) -> None:
+    ao, ai = task(), task()
+    ao.ao_channels.add_ao_voltage_chan("Dev1/ao0")
+    ao.write(0.25)
+    ai.ai_channels.add_ai_voltage_chan("Dev1/ai3")
+    while abs(ai.read() - 0.25) > 1e-9:  # the amplifier is on its way there
+        pass
+    ao.stop()
+
+
+def test_acceleration_is_scaled_by_the_sensitivity_that_the_script_states(task: MakeTask) -> None:
+    one, other = task(), task()
+    one.ai_channels.add_ai_accel_chan("Dev1/ai0", sensitivity=100.0)
+    other.ai_channels.add_ai_accel_chan("Dev1/ai0", sensitivity=200.0)
+    for ai in (one, other):
+        ai.timing.cfg_samp_clk_timing(RATE_HZ, samps_per_chan=10)
+    assert np.array(one.read(10)) == pytest.approx(2.0 * np.array(other.read(10)), abs=1e-3)
+
+
+def test_time_out(task: MakeTask) -> None:
+    with pytest.raises(nidaqmx.errors.DaqReadError) as raised:
+        inputs(task()).read(RATE_HZ, timeout=0.05)
+    assert code(raised) is DAQmxErrors.SAMPLES_NOT_YET_AVAILABLE
+
+
+def fall_behind(ai: Any) -> None:
+    while True:
+        ai.in_stream.avail_samp_per_chan  # noqa: B018  # takes longer than a sample
+        ai.read(1)
+
+
+def test_overwrite(task: MakeTask) -> None:
+    ai = inputs(task())
+    ai.in_stream.input_buf_size = 100
+    ai.start()
+    with pytest.raises(nidaqmx.errors.DaqReadError) as raised:
+        fall_behind(ai)
+    assert code(raised) is DAQmxErrors.SAMPLES_NO_LONGER_AVAILABLE
+
+
+@pytest.mark.parametrize("ask", ["write", "is_task_done", "wait_until_done", "stop"])
+def test_underrun(task: MakeTask, ask: str) -> None:
+    ao = output(task(), 400, repeat=False)
+    done = threading.Event()
+    ao.register_done_event(lambda *_: done.set() or 0)
+    ao.write(WAVE[:400])
+    ao.start()
+    assert done.wait(20.0)
+    with pytest.raises(nidaqmx.errors.DaqError) as raised:
+        ao.write(WAVE[:400]) if ask == "write" else getattr(ao, ask)()
+    assert code(raised) is DAQmxErrors.GEN_STOPPED_TO_PREVENT_REGEN_OF_OLD_SAMPLES
+
+
+@pytest.mark.parametrize(
+    ("channel", "expected"),
+    [
+        ("Dev1/ai4", DAQmxErrors.PHYSICAL_CHAN_DOES_NOT_EXIST),
+        ("Dev1/ai2:9", DAQmxErrors.PHYSICAL_CHAN_DOES_NOT_EXIST),
+        ("Dev1/ao0", DAQmxErrors.PHYSICAL_CHAN_DOES_NOT_EXIST),
+        ("Dev2/ai0", DAQmxErrors.INVALID_DEVICE_ID),
+    ],
+)
+def test_invalid_channel(task: MakeTask, channel: str, expected: DAQmxErrors) -> None:
+    with pytest.raises(nidaqmx.errors.DaqError) as raised:
+        task().ai_channels.add_ai_voltage_chan(channel)
+    assert code(raised) is expected
+
+
+@pytest.mark.parametrize("rate_hz", [1e9, 250_001.0, 99.0, 0.0, -5.0, float("nan"), float("inf")])
+def test_invalid_rate(task: MakeTask, rate_hz: float) -> None:
+    ai = inputs(task())
+    with pytest.raises(nidaqmx.errors.DaqError) as raised:
+        ai.timing.cfg_samp_clk_timing(rate_hz)
+    assert code(raised) is DAQmxErrors.INVALID_ATTRIBUTE_VALUE
+
+
+def test_not_started(task: MakeTask) -> None:
+    ai = inputs(task())
+    ai.in_stream.auto_start = False
+    with pytest.raises(nidaqmx.errors.DaqReadError) as raised:
+        ai.read(10)
+    assert code(raised) is DAQmxErrors.CANNOT_READ_WHEN_AUTO_START_FALSE_AND_TASK_NOT_RUNNING_OR_COMMITTED
+    with pytest.raises(nidaqmx.errors.DaqError) as raised:
+        ai.wait_until_done()
+    assert code(raised) is DAQmxErrors.CANNOT_PERFORM_OP_WHEN_TASK_NOT_RUNNING
+    with pytest.raises(nidaqmx.errors.DaqError) as raised:
+        output(task()).start()
+    assert code(raised) is DAQmxErrors.OUTPUT_BUFFER_EMPTY
+
+
+def test_what_is_not_served_is_not_supported(task: MakeTask) -> None:
+    with pytest.raises(nidaqmx.errors.RpcError, match="not supported by the NI gRPC Device Server"):
+        task().di_channels.add_di_chan("Dev1/port0/line0")
+    ai = inputs(task())
+    with pytest.raises(nidaqmx.errors.DaqError) as raised:
+        ai.timing.samp_clk_dig_fltr_enable  # noqa: B018  # asks the server
+    assert code(raised) is DAQmxErrors.ATTR_NOT_SUPPORTED
+
+
+def test_a_message_beyond_the_limit_is_refused(task: MakeTask) -> None:
+    ao = output(task())
+    with pytest.raises(nidaqmx.errors.RpcError, match="larger than max"):
+        ao.write(np.zeros(MOST_MESSAGE_BYTES // 8 + 1000))
+
+
+def test_the_number_of_tasks_is_bounded() -> None:
+    board = Board(RigConfig())
+    for _ in range(MOST_TASKS):
+        board.create("")
+    with pytest.raises(DaqmxError, match="more than 64 tasks: clear some"):
+        board.create("")
+    board.close()
+
+
+def test_the_script_of_the_page_runs(address: str, tmp_path: Path) -> None:
+    script = re.search(r"```python[^\n]*\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    assert script is not None
+    text = script[1].replace("localhost:31763", address)
+    assert text != script[1]
+    (tmp_path / "script.py").write_text(text)
+    done = subprocess.run(
+        [sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert re.fullmatch(r"9\.1 Hz: DT \d+\.\d\n", done.stdout), done.stdout
