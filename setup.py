@@ -166,7 +166,6 @@ setup(
         "impact_rig.exporters": [
             "map = impact_rig_studies.exporters:map_points",
             "campaign = impact_rig_studies.exporters:campaign_points",
-            "drive = impact_rig_studies.cli.drive:add_command",
             "dynamics = impact_rig_studies.exporters:study_rows",
         ],
         "console_scripts": [
