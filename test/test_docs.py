@@ -226,7 +226,7 @@ def test_what_is_right_is_not():
         "```sh\nmake bench ONLY=physics; make  # all\nmake figures ARGS='paper.svg lab_pictures'\n```\n\n"
         "`build/bench.json`, `test_codec.py`, "
         "`impact-rig recover`, `rig/start`, `analysis/settings`, `impact-rig campaign FILE`, "
-        "`~/stop`, `daq.rate_hz`, `analysis.tracker.Tracker`, `e.g.`, [x](explanation/physics.md#numerics)\n"
+        "`~/stop`, `daq.rate_hz`, `analysis.tracker.Tracker`, `e.g.`, [x](explanation/physics.md#equations)\n"
     )
     assert list(TOOL["faults"](TOOL["Page"].parse("docs/page.md", text))) == []
 
