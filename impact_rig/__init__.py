@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The test rig of an impact damper as virtual hardware for ROS 2.
+"""Virtual test rig of an impact damper, for ROS 2 and Python.
 
     import impact_rig
 

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The one style of all drawings: colours by meaning, type and lines, legends, light and dark.
+"""Common style of all drawings: colours by meaning, type and lines, legends, light and dark themes.
 
-A figure is drawn once and given as PNG, as SVG, and as SVG for a page; matplotlib is imported when one is drawn. It is
-drawn in the light colours; on a page each is a variable that follows the theme. The series are those of Okabe & Ito,
-told apart by people with any colour vision, darkened where white needs it.
+A figure is drawn once and exported as PNG, as SVG, and as SVG for a page. matplotlib is imported when one is drawn. It
+is drawn in the light colours; on a page each colour is a variable that follows the theme. The series colours are those
+of Okabe & Ito, which people with any colour vision can distinguish, darkened for a white background.
 """
 
 from __future__ import annotations
@@ -45,14 +45,14 @@ SERIES = ("#0072b2", "#00845f", "#c75000", "#b0558f", "#8a6a00", "#3b8fc2", "#5b
 PERIODIC, MODULATED, CHAOTIC, QUIET = "#cfe6f5", "#f6e3b4", "#f3c6bd", "#eceff2"
 
 MEASURED, PREDICTED, TRUTH = SERIES[0], SERIES[4], SERIES[2]
-"""By meaning, where a drawing is of one case: what instruments saw, what theory says, what really happened."""
+"""Colours by meaning, for drawings of a single case: instrument readings, theory, and truth."""
 
 NAMES: Mapping[str, str] = {
     INK: "ink", MUTED: "muted", GRID: "grid", PAPER_RED: "paper",
     **{colour: f"s{number}" for number, colour in enumerate(SERIES)}, PERIODIC: "periodic", MODULATED: "modulated",
     CHAOTIC: "chaotic", QUIET: "quiet",
 }  # fmt: skip
-"""Light colour to the name of its variable."""
+"""Name of the variable of each light colour."""
 
 DARK: Mapping[str, str] = {
     "ink": "#e6e9ed",
@@ -76,17 +76,20 @@ DARK: Mapping[str, str] = {
 TAG = re.compile("<[^>]*>")
 """A tag of an SVG by matplotlib, which escapes angle brackets everywhere else."""
 WIDTH_INCH = 4.4
-"""About as wide as a phone: shown there at its own size, its 9 pt stay legible; wide pages show several abreast."""
-WIDE_INCH = 7.2  # a drawing that has a page, or a file, to itself
+"""Width of about a phone: shown there at its own size, text of 9 pt stays legible.
+
+Wide pages show several next to each other.
+"""
+WIDE_INCH = 7.2  # width of a drawing with a page, or a file, of its own
 PIXELS_PER_INCH = 160
-DIGITS = 9  # of numbers in the CSV of a drawing: more than any screen shows
-POINTS_PER_INCH, CHARACTER = 72.0, 0.55  # width of a character in type sizes, about
-LABELS_INCH = 0.48  # height of the numbers and the name beneath an axis
+DIGITS = 9  # digits of numbers in the CSV of a drawing: more than any screen shows
+POINTS_PER_INCH, CHARACTER = 72.0, 0.55  # width of a character in type sizes, approximate
+LABELS_INCH = 0.48  # height of the numbers and the name below an axis
 STYLE: dict[str, object] = {
     "font.size": 9.0,
     "axes.titlesize": 9.5,
     "legend.fontsize": 8.0,
-    "svg.fonttype": "none",  # text stays text: it can be searched, and is drawn as sharp as the page
+    "svg.fonttype": "none",  # text stays text: it is searchable and sharp
     "axes.edgecolor": MUTED,
     "axes.labelcolor": INK,
     "text.color": INK,
@@ -106,12 +109,12 @@ STYLE: dict[str, object] = {
 
 @contextlib.contextmanager
 def style() -> Iterator[None]:
-    """Apply the one style to everything that is drawn within, also as a decorator."""
-    from cycler import cycler  # noqa: PLC0415  # a second of import: only when something is drawn
+    """Apply the common style within a block or, as a decorator, a function."""
+    from cycler import cycler  # noqa: PLC0415  # a second of import: only for drawing
     from matplotlib import rc_context  # noqa: PLC0415  # as above
 
     lines = cycler(linestyle=["-", "--"]) * cycler(color=SERIES)  # the second half is dashed
-    settings: dict[Any, Any] = {**STYLE, "axes.prop_cycle": lines}  # their key type is a literal of all
+    settings: dict[Any, Any] = {**STYLE, "axes.prop_cycle": lines}  # its key type is a literal of all settings
     with rc_context(settings):
         yield
 
@@ -119,13 +122,13 @@ def style() -> Iterator[None]:
 def new_axes(
     height_inch: float = 3.0, ratios: Sequence[float] = (1.0,), width_inch: float = WIDTH_INCH, *, share: bool = True
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure, free of pyplot's global state, and its axes above one another; to be called within `style`.
+    """Return a figure, free of pyplot's global state, and its axes one above the other; call this within `style`.
 
     Args:
-        height_inch: of the figure.
-        ratios: of the heights of the axes.
-        width_inch: of the figure.
-        share: whether the axes have one scale across.
+        height_inch: height of the figure.
+        ratios: ratios of the heights of the axes.
+        width_inch: width of the figure.
+        share: whether the axes share one horizontal scale.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415  # as above
     from matplotlib.figure import Figure as MatplotlibFigure  # noqa: PLC0415  # as above
@@ -137,7 +140,7 @@ def new_axes(
 
 
 def legend_below(axis: Axes, columns: int, *others: Axes) -> None:
-    """Put a legend beneath the lowest axes of a figure, where it hides nothing; entries of `others` come first."""
+    """Place a legend below the lowest axes of a figure, where it hides nothing; entries of `others` come first."""
     from matplotlib.transforms import ScaledTranslation  # noqa: PLC0415  # as above
 
     handles, labels = [], []
@@ -145,7 +148,7 @@ def legend_below(axis: Axes, columns: int, *others: Axes) -> None:
         found = one.get_legend_handles_labels()
         handles += found[0]
         labels += found[1]
-    # of the axes, not of the figure: only that leaves room for it in matplotlib 3.6, which Ubuntu 24.04 has
+    # of the axes, not of the figure: only this reserves room for it in matplotlib 3.6, which Ubuntu 24.04 has
     figure = axis.get_figure()
     assert figure is not None
     below = axis.transAxes + ScaledTranslation(0.0, -LABELS_INCH, figure.dpi_scale_trans)
@@ -157,20 +160,20 @@ def legend_below(axis: Axes, columns: int, *others: Axes) -> None:
 
 @attrs.frozen(eq=False)
 class Line:
-    """What a drawing shows of one case, for who wants its numbers."""
+    """Data of one case in a drawing, for readers who need the numbers."""
 
-    label: str  # of the case, as in the legend
+    label: str  # label of the case in the legend
     columns: Mapping[str, Sequence[float] | NDArray[Any]]  # name with unit -> values, all of one length
 
 
 class Drawn:
-    """A figure for a page and for files.
+    """Figure for a page and for files.
 
     Args:
-        name: any text; a file name is made of it.
-        figure: what is drawn; its texts become plain ones, see `plain_texts`.
-        caption: sentence(s) below it, also read aloud in its place.
-        lines: the numbers behind it.
+        name: any text; a file name is derived from it.
+        figure: the drawing; its texts become plain ones, see `plain_texts`.
+        caption: sentence(s) below it, which also serve as alternative text.
+        lines: the numbers in it.
     """
 
     def __init__(self, name: str, figure: Figure, caption: str, lines: Sequence[Line] = ()) -> None:
@@ -178,7 +181,7 @@ class Drawn:
         self._figure = figure
         plain_texts(figure)
         self.svg = rendered(figure, "svg", self.name).decode()
-        figure.set_layout_engine("none")  # it has found its places, and finding them is half the work
+        figure.set_layout_engine("none")  # its layout is done, which is half the work
 
     def content(self, kind: str) -> bytes:
         """Return the figure as the content of a file of one format."""
@@ -186,21 +189,21 @@ class Drawn:
 
     @property
     def identifier(self) -> str:
-        """The drawing's identifier in a page."""
+        """Identifier of the drawing in a page."""
         return f"f-{names.identifier(self.name)}"
 
     def inline(self) -> str:
-        """Return the drawing as an element of the page: its colours are variables, its identifiers its own."""
+        """Return the drawing as an element of a page, with colours as variables and unique identifiers."""
         body = re.sub(r"<metadata>.*?</metadata>", "", self.svg[self.svg.index("<svg") :], flags=re.DOTALL)
         body = TAG.sub(self._of_page, body)
         return re.sub(r'<svg height="[^"]*"', "<svg", body, count=1).replace(' width="', ' data-width="', 1)
 
     def _of_page(self, tag: re.Match[str]) -> str:
-        """Return a tag as a page has it: several drawings share it, and their identifiers must not."""
+        """Return a tag for use in a page: several drawings share the page, but not their identifiers."""
         return re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{self.identifier}-", themed(tag[0]))
 
     def csv(self) -> str:
-        """Return the numbers as CSV, a row a value; empty if there are none."""
+        """Return the numbers as CSV, one value per row; empty if there are none."""
         columns = list(dict.fromkeys(name for line in self.lines for name in line.columns))
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
@@ -215,7 +218,7 @@ class Drawn:
         return text.getvalue()
 
     def save(self, folder: Path, formats: Sequence[str] = names.FIGURE_FORMATS) -> None:
-        """Write the figure in some formats and, where there are numbers, as CSV."""
+        """Write the figure in some formats and, if it has numbers, as CSV."""
         for kind in formats:
             with files.written_whole(folder / f"{self.name}.{kind}") as file:
                 file.write(self.content(kind))
@@ -224,9 +227,9 @@ class Drawn:
 
 
 def rendered(figure: Figure, kind: str, name: str) -> bytes:
-    """Return a figure as the content of a file, of one of `names.FIGURE_FORMATS`.
+    """Return a figure as the content of a file, in one of `names.FIGURE_FORMATS`.
 
-    The same drawing and name give the same bytes.
+    Equal drawings and names give equal bytes.
     """
     from matplotlib import rc_context  # noqa: PLC0415  # as above
 
@@ -236,16 +239,16 @@ def rendered(figure: Figure, kind: str, name: str) -> bytes:
         "pdf": {"facecolor": "white", "metadata": {"CreationDate": None}},
     }
     content = io.BytesIO()
-    texts: dict[Any, Any] = {"svg.fonttype": STYLE["svg.fonttype"], "pdf.fonttype": 42}  # also where `style` has ended
+    texts: dict[Any, Any] = {"svg.fonttype": STYLE["svg.fonttype"], "pdf.fonttype": 42}  # also after `style` has ended
     with any_glyph(), rc_context({**texts, "svg.hashsalt": name}):
         figure.savefig(content, format=kind, **options[kind])
     return content.getvalue()
 
 
 def plain_texts(figure: Figure) -> None:
-    """Let no text of a figure be a formula, a command or wider than the figure; to be called before it is laid out.
+    """Make sure that no text of a figure is a formula, a command or wider than the figure; call this before layout.
 
-    Titles, labels and legends hold names from outside. Numbers at the axes are matplotlib's own.
+    Titles, labels and legends contain names from outside. Numbers at the axes are matplotlib's own.
     """
     titles, labels, legends = [*figure.texts], [], [*figure.legends]
     for axis in figure.axes:
@@ -263,7 +266,7 @@ def plain_texts(figure: Figure) -> None:
 
 @contextlib.contextmanager
 def any_glyph() -> Iterator[None]:
-    """Accept names in scripts that the font lacks: a PNG shows boxes, an SVG holds the text."""
+    """Accept names in scripts that the font lacks: a PNG shows boxes, an SVG contains the text."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
         yield
@@ -275,7 +278,7 @@ def variables(dark: bool) -> str:
 
 
 def themed(svg: str) -> str:
-    """Return a drawing whose colours are variables of the page."""
+    """Return a drawing with colours as variables of the page."""
     for light, name in NAMES.items():
         svg = svg.replace(light, f"var(--{name})")
     return svg

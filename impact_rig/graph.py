@@ -45,11 +45,11 @@ def resolve(name: str, namespace: str = "/", node: str = "") -> str:
 
 
 def frame_prefix(namespace: str, given: str = "") -> str:
-    """Return the text in front of the frames of a rig, which keeps those of two rigs apart.
+    """Return the prefix of a rig's frames, which keeps those of two rigs apart.
 
     Args:
         namespace: namespace of the node; `/left/rig` gives `left/rig/`.
-        given: `output.frame_prefix`, which replaces it unless empty; `/` gives none, as tf2 takes no leading slash.
+        given: `output.frame_prefix`, which replaces it unless empty; `/` gives none, as tf2 accepts no leading slash.
     """
     if given:
         return given.lstrip("/")
@@ -60,7 +60,7 @@ def frame_prefix(namespace: str, given: str = "") -> str:
 def clock_remapping(clock: str) -> tuple[str, str]:
     """Return the remapping that gives a node its clock.
 
-    ROS has one global `/clock`; the rig time of two rigs is two times. A relative name gives each namespace its own.
+    ROS has one global `/clock`, but the rig times of two rigs differ. A relative name gives each namespace its own.
     """
     return topics.CLOCK.name, clock
 
@@ -74,7 +74,7 @@ STATE_PUBLISHER_REMAPPINGS = (
 
 
 class Situation(enum.StrEnum):
-    """What a node can be in the middle of: a lifecycle state, and within `active` what matters to its inputs."""
+    """Situation of a node: a lifecycle state, and within `active` the differences that matter to its inputs."""
 
     UNCONFIGURED = "unconfigured"
     INACTIVE = "inactive"
@@ -91,14 +91,14 @@ _ANY = frozenset(Situation)
 
 @attrs.frozen
 class Input:
-    """One row: a service, or the topic of a command."""
+    """Service or command topic of a node."""
 
     name: str  # topic, or private service name
     type_name: str  # ROS interface; empty for a topic, whose type the table of topics has
-    node: str  # node that takes it
-    doc: str  # what it does
+    node: str  # node that accepts it
+    doc: str  # its effect
     taken: frozenset[Situation]
-    """The situations in which it is taken; in the others it is refused with a message and counted."""
+    """Situations in which it is accepted; in others it is rejected with a message and counted."""
 
 
 COMMANDS = (
@@ -111,30 +111,32 @@ SERVICES = (
         "~/pause",
         SET_BOOL,
         "rig",
-        "true: hold rig time; answered when the peers have processed all that is out. false: go on, without what a "
-        "silent peer missed, and where others are followed without that peer until it acknowledges again.",
+        "true: pause rig time; answered when the peers have processed all published blocks. false: continue, "
+        "without the blocks that a silent peer missed; if there are other peers, without that peer until it "
+        "acknowledges again.",
         _ACTIVE,
     ),
     Input(
         "~/step",
         TRIGGER,
         "rig",
-        "Advance by `step.blocks`, while paused or with `time.mode: lockstep`; answered when the last block is out and "
-        "acknowledged by all `time.peers`. A paused rig stays paused.",
+        "Advance by `step.blocks`, while paused or with `time.mode: lockstep`; answered when the last block is "
+        "published and acknowledged by all `time.peers`. A paused rig stays paused.",
         _ACTIVE,
     ),
     Input(
         "~/reset",
         TRIGGER,
         "rig",
-        "Begin again with the present configuration: scan 0, everything at rest; stamps go on, a new journal begins.",
+        "Start again with the present configuration: scan 0, everything at rest; stamps continue, a new journal "
+        "begins.",
         _ACTIVE - {Situation.LATCHED},
     ),
     Input(
         "~/stop",
         TRIGGER,
         "rig",
-        "Emergency stop: ramp to zero within `shaker.stop_ramp_s`, and latch until `~/clear_trip`, also across "
+        "Emergency stop: ramp to zero within `shaker.stop_ramp_s`, and latch until `~/clear_trip`, even across "
         "deactivation.",
         _ACTIVE,
     ),
@@ -156,22 +158,22 @@ SERVICES = (
         "~/start",
         TRIGGER,
         "recorder",
-        "Start a recording; answered with its directory once it holds calibration, configuration, present command and "
-        "journal. Refused while there is one.",
+        "Start a recording; answered with its directory once it contains calibration, configuration, present "
+        "command and journal. Rejected while one is running.",
         frozenset({Situation.RUNNING}),
     ),
     Input(
         "~/start",
         TRIGGER,
         "stepped_sine",
-        "Begin a sweep, or the search for a resonance. Refused while one is under way, or while rig or analysis are "
-        "not there.",
+        "Start a sweep, or the search for a resonance. Rejected while one is running, or while rig or analysis "
+        "are absent.",
         frozenset({Situation.RUNNING}),
     ),
-    Input("~/stop", TRIGGER, "stepped_sine", "Abort the sweep or the lock, the shaker at rest.", _ANY),
+    Input("~/stop", TRIGGER, "stepped_sine", "Abort the sweep or the lock, and ramp the shaker to rest.", _ANY),
     Input("~/stop", TRIGGER, "recorder", "Finish the recording; answered with its directory.", _ANY),
 )
-"""Every service besides those of ROS itself (parameters, lifecycle)."""
+"""All services except those of ROS itself (parameters, lifecycle)."""
 
 SIMULATION_PACKAGE = "simulation_interfaces"
 SIMULATION_SERVICES = {
@@ -181,7 +183,7 @@ SIMULATION_SERVICES = {
     "StepSimulation": "~/step_simulation",
     "ResetSimulation": "~/reset_simulation",
 }
-"""Services that the rig offers where the package `simulation_interfaces` is installed: type and name."""
+"""Services that the rig offers if the package `simulation_interfaces` is installed: type and name."""
 
 ROS_SERVICES = (
     "~/change_state", "~/describe_parameters", "~/get_available_states", "~/get_available_transitions",
@@ -199,24 +201,24 @@ class Node:
 
     name: str
     program: str
-    publishes: tuple[str, ...] = ()  # in addition to the topics whose publisher it is
+    publishes: tuple[str, ...] = ()  # in addition to the topics that name it as publisher
     subscribes: tuple[str, ...] = ()
-    subscribes_recorded: bool = False  # every topic that belongs into a run
-    makes_time: bool = False  # publishes the clock; other nodes follow it where rig time is not the system time
+    subscribes_recorded: bool = False  # all topics that belong to every run
+    makes_time: bool = False  # publishes the clock; other nodes follow it if rig time is not the system time
 
     def published(self, table: Iterable[topics.Topic]) -> list[str]:
-        """Return the topics that it publishes, relative names, without those of ROS itself."""
+        """Return the topics that it publishes, as relative names, without those of ROS itself."""
         own = [topic.name for topic in table if topic.publisher in (self.name, topics.DIAGNOSTICS.publisher)]
         return [*own, *self.publishes]
 
     def subscribed(self, table: Iterable[topics.Topic]) -> list[str]:
-        """Return the topics that it subscribes to, relative names; the clock where it follows it."""
+        """Return the topics that it subscribes to, as relative names, including the clock if it follows one."""
         recorded = [topic.name for topic in table if topic.recorded] if self.subscribes_recorded else []
         clock = [] if self.makes_time else [topics.CLOCK.name]
         return list(dict.fromkeys((*self.subscribes, *recorded, *clock)))
 
     def services(self) -> list[str]:
-        """Return its services, private names, without those of ROS itself."""
+        """Return its services, as private names, without those of ROS itself."""
         own = [service.name for service in SERVICES if service.node == self.name]
         return [*own, *(SIMULATION_SERVICES.values() if self.makes_time else ())]
 
@@ -250,4 +252,4 @@ NODES = (
         ),
     ),
 )  # fmt: skip
-"""The nodes whose interface is described; the page of the lab is a client like a user's own node."""
+"""Nodes whose interface is described; the page of the lab is a client like a user's own node."""

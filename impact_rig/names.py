@@ -11,14 +11,14 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Names from outside as data: what a study, run, channel, note, node or column is called commands nothing.
+"""External names as plain data: the name of a study, run, channel, node or column never acts as a command.
 
-Such a name comes from a file, the network or another program and may hold anything. Each place that it is written to
-has one function here; HTML is escaped by the template engine of `report.page`.
+Such a name comes from a file, the network or another program and may contain anything. Each kind of output has one
+function here; the template engine of `report.page` escapes HTML.
 
-| place | function |
+| output | function |
 |---|---|
-| file name | `file_name`; `FILE_NAME` is the pattern of names that are refused instead |
+| file name | `file_name`; `FILE_NAME` is the pattern of names that are rejected otherwise |
 | identifier in HTML | `identifier` |
 | text of a drawing | `plot_text`, applied to every text of a figure by `drawing` |
 | cell of a CSV file | `csv_cell` |
@@ -32,17 +32,19 @@ import hashlib
 import re
 
 FILE_NAME = r"\w[\w .+=,@()-]{0,150}"
-"""Pattern of a name that is one file name everywhere: no separator, no leading point, nothing invisible."""
+"""Pattern of a name that is a file name on every system: no separator, no leading point, no invisible character."""
 FILE_NAME_MEANS = "a file name: letters, digits, blanks and . + = , @ ( ) _ -, first a letter, a digit or _"
 LONGEST_FILE_NAME = (
-    100  # characters: with the suffix of a file, also of a temporary one, far from the limit of 255 bytes
+    # maximum number of characters: with the suffix of a file, also of a temporary one, far below the limit of 255 bytes
+    100
 )
-LONGEST_LINE = 2000  # characters of a log line or an error
-LONGEST_QUOTE = 200  # characters of a value that an error quotes
+LONGEST_LINE = 2000  # maximum number of characters of a log line or an error
+LONGEST_QUOTE = 200  # maximum number of characters of a value quoted in an error
 FIGURE_FORMATS = ("png", "svg", "pdf")  # suffixes of files with figures
-LONGEST_TITLE, LONGEST_LABEL = 200, 50  # characters of a text in a drawing, and of one at an axis or in a legend
-LARGEST_INTEGER = 10**30  # no configuration holds as large a one, and Python refuses to write out some of them
-DIGEST = 8  # hexadecimal digits that tell names apart that became one
+# maximum number of characters of a text in a drawing, and of one at an axis or in a legend
+LONGEST_TITLE, LONGEST_LABEL = 200, 50
+LARGEST_INTEGER = 10**30  # above every number in a configuration; Python refuses to print some larger ones
+DIGEST = 8  # hexadecimal digits that distinguish names with the same file name
 
 _SYMBOLS = re.compile(r"(?:[A-Za-z](?:_[A-Za-z0-9])?|[0-9|/+, ]|\\ )+")
 _DOLLAR = re.compile(r"(?<!\\)\$")
@@ -50,11 +52,11 @@ _FORMULA = re.compile(r"(?:^|(?<=[;\t\r\n]))(?=\s*[=+\-@\uff1d\uff0b\uff0d\uff20
 
 
 def visible(text: str, *, lines: bool = False) -> str:
-    r"""Return a text with everything that would command a terminal written as an escape, ESC as `\x1b`.
+    r"""Return a text with every control character escaped, for example ESC as `\x1b`.
 
     Args:
-        text: from anywhere: files, their names, the network.
-        lines: leave line ends as they are.
+        text: text of any origin: files, their names, the network.
+        lines: whether to keep line ends.
     """
     return "".join(c if c.isprintable() or (lines and c == "\n") else c.encode("unicode_escape").decode() for c in text)
 
@@ -63,9 +65,9 @@ def one_line(text: str, limit: int = LONGEST_LINE, *, lines: bool = False) -> st
     """Return a text as a log line: visible characters only, at most about `limit` of them.
 
     Args:
-        text: from anywhere.
-        limit: characters that are kept of a longer text, half of them from its end.
-        lines: leave line ends as they are.
+        text: text of any origin.
+        limit: number of characters kept of a longer text, half of them from its end.
+        lines: whether to keep line ends.
     """
     if len(text) > limit:
         half = limit // 2
@@ -74,7 +76,7 @@ def one_line(text: str, limit: int = LONGEST_LINE, *, lines: bool = False) -> st
 
 
 def quoted(value: object) -> str:
-    """Return a value as an error quotes it: as Python writes it, numbers of NumPy like any others, shortened."""
+    """Return a value for an error message: as Python writes it, NumPy numbers like any others, shortened."""
     if isinstance(value, int) and abs(value) >= LARGEST_INTEGER:
         return "a number too large to represent"
     shown = repr(_plain(value))
@@ -82,7 +84,7 @@ def quoted(value: object) -> str:
 
 
 def _plain(value: object) -> object:
-    """Return what NumPy holds as the value of Python that it stands for."""
+    """Convert a NumPy value to the corresponding Python value."""
     if isinstance(value, (list, tuple)) and type(value) in (list, tuple):
         return type(value)(map(_plain, value))
     convert = getattr(value, "item", None) if getattr(value, "shape", None) == () else None
@@ -90,7 +92,7 @@ def _plain(value: object) -> object:
 
 
 def file_name(text: str) -> str:
-    """Return a file name for a name; of a name that is changed a digest keeps it apart from others.
+    """Return a file name for a name; if the name must be changed, a digest keeps it unique.
 
     Args:
         text: any name.
@@ -105,7 +107,7 @@ def file_name(text: str) -> str:
 
 
 def identifier(text: str) -> str:
-    """Return an identifier for HTML and SVG: ASCII letters, digits and `-`, first a letter."""
+    """Return an identifier for HTML and SVG: ASCII letters, digits and `-`, starting with a letter."""
     plain = re.sub(r"[^A-Za-z0-9]+", "-", text).strip("-")
     if plain.replace("-", "_") == text.replace("-", "_") and plain[:1].isalpha():
         return plain
@@ -115,7 +117,8 @@ def identifier(text: str) -> str:
 def plot_text(text: str, limit: int = LONGEST_TITLE) -> str:
     r"""Return a text for a drawing, in which only the symbols of this project are set as formulas.
 
-    Our own labels hold symbols such as `$x_1$`, which cannot fail. Any other dollar sign is a dollar sign.
+    The project's own labels contain symbols such as `$x_1$`, which cannot fail. Any other dollar sign stays a dollar
+    sign.
     """
     text = visible(text if len(text) <= limit else f"{text[: limit - 1]}…", lines=True)
     parts = _DOLLAR.split(text)
@@ -125,9 +128,9 @@ def plot_text(text: str, limit: int = LONGEST_TITLE) -> str:
 
 
 def csv_cell(value: object) -> object:
-    """Return a cell for a CSV file that no spreadsheet takes for a formula: an apostrophe is put before such a text.
+    """Return a cell for a CSV file that no spreadsheet takes for a formula: such a text gets a leading apostrophe.
 
-    Numbers stay what they are, also as texts.
+    Numbers stay unchanged, also as texts.
     """
     if not isinstance(value, str):
         return value

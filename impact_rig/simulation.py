@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The first look, without ROS: simulate the rig, read its instruments, measure DT, draw it.
+"""First simulation without ROS: simulate the rig, read its instruments, measure DT, draw it.
 
-What the analysis sees is what the rig publishes: calibration, accepted commands and scans; never the truth.
+The analysis uses only what the rig publishes (calibration, accepted commands and scans), never the truth.
 """
 
 from __future__ import annotations
@@ -46,15 +46,15 @@ DRIVE_A = 0.52  # peak, as in the paper's measurements
 
 @attrs.frozen(eq=False, repr=False)
 class Record:
-    """What the instruments of a simulated rig read, and what follows from it.
+    """Readings of a simulated rig, and the results derived from them.
 
     Attributes:
-        scans: columns of `daq/scan`, docs/reference/interface.md, SI; `time` [s] since the start; shape (n,). Those
-            that a `lost_block` fault withholds are missing.
-        state: of the measurement at the end: settling, measuring, ...
+        scans: columns of `daq/scan` (docs/reference/interface.md) in SI units, `time` [s] since the start; shape (n,).
+            Scans withheld by a `lost_block` fault are missing.
+        state: state of the measurement at the end: settling, measuring, ...
         measurements: rows of `transmissibility/table`, the newest last; empty before the first window is full.
-        impact_times: when the analysis found impacts in the acceleration [s], shape (k,).
-        truth: rows of `truth/impacts`, `time` [s] since the start: what really happened.
+        impact_times: times of the impacts that the analysis found in the acceleration [s], shape (k,).
+        truth: rows of `truth/impacts`, `time` [s] since the start: the true impacts.
     """
 
     config: RigConfig
@@ -66,7 +66,7 @@ class Record:
 
     @property
     def transmissibility(self) -> tuple[float, float]:
-        """DT and its standard uncertainty u, of the newest window; NaN while it cannot be measured."""
+        """DT and its standard uncertainty u, from the newest window; NaN while it cannot be measured."""
         row = self.measurements[-1] if len(self.measurements) else np.full((), np.nan, TRANSMISSIBILITY)
         return float(row["transmissibility"]), float(row["transmissibility_uncertainty"])
 
@@ -77,7 +77,7 @@ class Record:
         return f"DT {value:.2f} ± {COVERAGE * u:.2f} (2u) at {self.measurements[-1]['frequency']:g} Hz"
 
     def plot(self, path: Path | str | None = None) -> Figure:
-        """Draw the newest half second of base, structure and acceleration; write it where a path is given."""
+        """Draw the newest half second of base, structure and acceleration; write it to `path` if given."""
         times = self.scans["time"]
         rows = (
             self.scans[times > times[-1] - DRAWN_S] if len(times) else self.scans
@@ -124,7 +124,7 @@ def simulate(seconds: float, parameters: Mapping[str, object] | None = None) -> 
 
 
 def _since_start(rig: LocalRig, topic: topics.Topic) -> NDArray[np.void]:
-    """Return the rows of a topic, `time` from the start of the rig."""
+    """Return the rows of a topic, with `time` from the start of the rig."""
     rows = rig.rows(topic.name)
     tables = rig.tables(topic.name)
     rows["time"] += np.repeat([table.stamp_ns / NS_PER_S for table in tables], [len(table.rows) for table in tables])

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The live laboratory: one page in the browser that shows what a rig does, or did, and turns its knobs.
+"""Live laboratory: one page in the browser that shows a live or recorded rig and controls it.
 
     browser ◄─ WebSocket ─► server, sessions ─► source: live (gateway, subscriptions) or playback (run players)
 
-A source fills rings of scans and of true motion and keeps a snapshot of the state as data; a session draws from them
-what its browser asked for, never faster than that browser draws it. Nobody waits for a browser.
+A source fills ring buffers of scans and of true motion, and keeps a snapshot of the state as data. A session draws from
+them what its browser requests, never faster than that browser draws it. No source waits for a browser.
 """

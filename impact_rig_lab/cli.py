@@ -34,7 +34,7 @@ from impact_rig.system import files
 SAMPLE = "lab_sample"
 FOUND = "?"
 LOOK_MS = 1000
-"""Time between two looks at signals: one that comes in the very moment when a wait begins does not interrupt it."""
+"""Interval between two checks for signals: a signal at the very start of a wait does not interrupt it."""
 
 
 def add_command(commands: Commands) -> None:
@@ -44,7 +44,7 @@ def add_command(commands: Commands) -> None:
         [
             ("lab", "starts a rig and opens its page"),
             ("lab --sample", "plays back a short run; needs no ROS 2"),
-            ("lab --branches runs/dynamics_over_frequency", "draws continued motions beside what is measured"),
+            ("lab --branches runs/dynamics_over_frequency", "draws continued motions next to the measurements"),
             ("lab runs/demo/gap_2mm runs/demo/gap_10mm", "two recorded runs side by side"),
         ],
     )  # fmt: skip
@@ -55,23 +55,21 @@ def add_command(commands: Commands) -> None:
     )
     parser.add_argument("--namespace", default="/rig", help="namespace of the rig (default: /rig)")
     parser.add_argument("--sample", action="store_true", help="play back a short run, recorded for this on first use")
-    parser.add_argument("--port", type=int, default=8765, help="of the page; 0: any (default: 8765)")
-    parser.add_argument(
-        "--host", default="127.0.0.1", help="address to serve; others than this machine may then look in"
-    )
-    parser.add_argument("--no-browser", action="store_true", help="only print the address")
+    parser.add_argument("--port", type=int, default=8765, help="port of the page; 0: any free one (default: 8765)")
+    parser.add_argument("--host", default="127.0.0.1", help="address to serve; other machines may then open the page")
+    parser.add_argument("--no-browser", action="store_true", help="print the address only")
     parser.add_argument("--scan-rate", type=int, default=10_000, metavar="HZ", help="scans per second (default: 10000)")
     parser.add_argument(
         "--mode",
         choices=("realtime", "free_running"),
         default="realtime",
-        help="how rig time passes (default: realtime)",
+        help="time mode of the rig (default: realtime)",
     )
     parser.add_argument(
         "--branches", type=Path, metavar="DIR", nargs="+", default=(),
-        help="motions that `dynamics continue` has found over the frequency: drawn where they exist",
+        help="folder with motions over frequency of `dynamics continue`, drawn where they exist",
     )  # fmt: skip
-    parser.add_argument("--no-record", action="store_true", help="record only when told to on the page")
+    parser.add_argument("--no-record", action="store_true", help="record only on request from the page")
     parser.add_argument(
         "--output",
         type=Path,
@@ -82,12 +80,12 @@ def add_command(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Serve the page until Ctrl-C, or until nobody reads what is printed any more."""
+    """Serve the page until Ctrl-C, or until the reader of its output is gone."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if len(arguments.runs) > 2:
         raise ImpactRigError("at most two runs are shown side by side")
     if (arguments.runs or arguments.sample) and arguments.attach:
-        raise ImpactRigError("a run is played back, or a rig is attached to, not both")
+        raise ImpactRigError("choose one: play back a run, or attach to a rig")
     try:
         from impact_rig_lab.server import Server, check_port, kept_token  # noqa: PLC0415  # an extra
         from impact_rig_lab.theory import continued  # noqa: PLC0415
@@ -99,7 +97,7 @@ def run(arguments: argparse.Namespace) -> int:
     runs = arguments.runs[0].resolve().parent if arguments.runs else arguments.output
     with contextlib.ExitStack() as stack:
         source: Any = None
-        stack.callback(lambda: _say_where(source))  # last of all: the recorder has finished then
+        stack.callback(lambda: _say_where(source))  # last of all: the recorder has finished by then
         source = _source(arguments, stack)
         source.theory.beside = branches
         server = stack.enter_context(Server(source, arguments.host, arguments.port, kept_token(), runs))
@@ -110,14 +108,14 @@ def run(arguments: argparse.Namespace) -> int:
             with contextlib.suppress(webbrowser.Error):
                 webbrowser.open(server.address)
         reader = select.poll()
-        reader.register(sys.stdout.fileno(), 0)  # only an end of who reads it is told
+        reader.register(sys.stdout.fileno(), 0)  # reports only the end of the reader
         while not reader.poll(LOOK_MS):
             pass
     return 128 + signal.SIGPIPE
 
 
 def _say_where(source: Any) -> None:
-    """Print where the last recording lies."""
+    """Print the path of the last recording."""
     directory = getattr(source, "directory", None)
     if directory is not None:
         with contextlib.suppress(OSError):
@@ -144,9 +142,9 @@ def _source(arguments: argparse.Namespace, stack: contextlib.ExitStack) -> Any:
 
     namespace = f"/{arguments.namespace.strip('/')}"
     if not re.fullmatch(r"(/[A-Za-z_][A-Za-z0-9_]*)+", namespace):
-        raise ImpactRigError(f"a namespace is letters, digits and _ between slashes, got {arguments.namespace!r}")
+        raise ImpactRigError(f"a namespace must be letters, digits and _ between slashes, got {arguments.namespace!r}")
     parameters = node_parameters(arguments)
-    from_flat(RigConfig(), parameters["rig"])  # what a rig refuses is refused here, where somebody reads it
+    from_flat(RigConfig(), parameters["rig"])  # report values that the rig rejects here, where the user sees it
     if not arguments.no_record:
         _check_writable(arguments.output)
     _take_place(domain, namespace, stack)
@@ -156,7 +154,7 @@ def _source(arguments: argparse.Namespace, stack: contextlib.ExitStack) -> Any:
 
 
 def _check_writable(directory: Path) -> None:
-    """Refuse a directory into which the recorder, later and in its log, could not record."""
+    """Reject a directory that the recorder could not write to later."""
     with files.errors_as(f"nothing can be recorded into {directory}; choose --output DIR or --no-record"):
         files.make_folder(directory)
         if not os.access(directory, os.W_OK | os.X_OK):
@@ -164,13 +162,13 @@ def _check_writable(directory: Path) -> None:
 
 
 def _take_place(domain: int, namespace: str, stack: contextlib.ExitStack) -> None:
-    """Take a namespace for the rig of this lab."""
+    """Reserve a namespace for the rig of this lab."""
     name = files.place(domain, namespace)
-    advice = f"look at it with --attach {namespace}, or give this one another --namespace"
+    advice = f"open its page with --attach {namespace}, or choose another --namespace"
     try:
         held = files.hold(files.PLACES, f"{name}.lab")
     except OSError:
-        return  # there is no telling on this machine
+        return  # the locks of this machine do not tell
     if held is None and files.is_held_by_others(files.PLACES, f"{name}.lab"):
         return
     if held is None:
@@ -183,7 +181,7 @@ def _take_place(domain: int, namespace: str, stack: contextlib.ExitStack) -> Non
         return
     if rig is None:
         raise ImpactRigError(f"the rig of process {files.holder(files.PLACES, name)} is in {namespace}: {advice}")
-    os.close(rig)  # for the rig that is started now
+    os.close(rig)  # released for the rig that is started now
 
 
 def node_parameters(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:

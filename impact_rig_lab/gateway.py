@@ -11,13 +11,13 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The way to one rig of the graph: what is heard of it, and what pages ask of it, in one event loop.
+"""Connection to one rig of the graph: subscriptions, and the actions requested by pages, in one event loop.
 
-Actions are coroutines of that loop: whatever one waits for, STOP is sent meanwhile. An action belongs to the activation
-of the rig that it was asked of; when that is gone, it is refused and never reaches a later one.
+Actions are coroutines of that loop: STOP is sent even while another action waits. An action belongs to the activation
+of the rig for which it was requested. If that rig is gone, the action is rejected and never reaches a later one.
 
-Blocks and joint states come by the hundred per second: nobody is woken for them. They are taken in their bytes, some
-at a time, by whoever draws, and only while somebody looks. A queue that overflows meanwhile loses pictures only.
+Blocks and joint states arrive by the hundred per second, without waking the loop for each. The drawing code takes them
+as bytes in batches, and only while a page is open. If a queue overflows meanwhile, only pictures are lost.
 """
 
 from __future__ import annotations
@@ -54,53 +54,54 @@ from impact_rig_lab.protocol import Request
 from impact_rig_lab.record import RigView
 from impact_rig_lab.state import DEAD_S, Answer, Seen
 
-ANSWER_S = 30.0  # a busy machine answers late: the knob stays pending until then
-TOLD_S = 1.5  # how long what a rig has done may need to be told by its diagnostics
-ECHO_S = 5.0  # how long a parameter that was taken may need to be told as in force
+ANSWER_S = 30.0  # a busy machine answers late: the control stays pending until then
+TOLD_S = 1.5  # time after which diagnostics must report an action of the rig
+ECHO_S = 5.0  # time after which an accepted parameter must be reported as active
 START_S = 60.0
-AGAIN_S, ATTEMPTS = 0.5, 20  # how often a node that has just been started is asked to begin
+AGAIN_S, ATTEMPTS = 0.5, 20  # interval and number of requests to a node that has just been started
 MOST_FAULTS = 16
 SWEEPER = "stepped_sine"
 PROGRAMS = {SWEEPER: "impact_rig_studies"}
 """Modules that run a node of another package, by node."""
 FREE = frozenset({"stop", "sweep_stop", "note", "record", "restart", "recover"})
-"""Requests that belong to no activation of the rig: those that make safe, and those about something else."""
+"""Requests that belong to no activation of the rig: those that make it safe, and those that concern something else."""
 COMMANDS = {"frequency": topics.FREQUENCY, "current": topics.CURRENT}
-"""Commands, and the columns of `shaker/applied` that tell them back."""
+"""Commands, and the columns of `shaker/applied` that confirm them."""
 TRIGGERS = {"reset": "rig/reset", "clear_trip": "rig/clear_trip", "sweep_stop": f"{SWEEPER}/stop"}
 PARAMETERS = {
     "start": ("sphere.start", "sphere at {}"),
     "law": ("contact.law", "law {}"),
     "restitution": ("contact.restitution", "restitution {:g}"),
 }
-"""Requests that set one parameter of the rig, and what is answered."""
+"""Requests that set one parameter of the rig, and their answers."""
 PREPARED = (*TRIGGERS.values(), "rig/stop", "rig/pluck", "recorder/start", "recorder/stop")
-"""Services whose clients are made early: they have been discovered when they are used."""
+"""Services whose clients are created early, so that they are discovered by the time they are used."""
 KEPT = (
     topics.INFO, topics.APPLIED, topics.JOURNAL, topics.FAULTS, topics.TRANSMISSIBILITY_TABLE, topics.CONFIGURATION,
     topics.NOTES,
 )  # fmt: skip
-"""What is rare and must not be lost."""
+"""Rare topics of which no message may be lost."""
 SCANS = (topics.STREAM, topics.WAVEFORM, topics.SCAN, topics.IMPACTS)
-TRUTH = (topics.JOINT_STATES, topics.IMPACTS_TRUTH)  # what is drawn; what a scan was told is taken before it
-MOST_PER_LOOK = 300  # messages taken of one topic at once: a picture must come out between
+TRUTH = (topics.JOINT_STATES, topics.IMPACTS_TRUTH)  # drawn topics; the commands of a scan are processed before it
+MOST_PER_LOOK = 300  # maximum number of messages processed per topic at once, so that pictures are drawn in between
 PICTURES = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=256, reliability=ReliabilityPolicy.BEST_EFFORT,
     durability=DurabilityPolicy.VOLATILE,
 )  # fmt: skip
 
 
-class Refused(ImpactRigError):  # noqa: N818  # a fact about a request, not a mistake of ours
-    """What was asked is not done; the message is for the page."""
+class Refused(ImpactRigError):  # noqa: N818  # a property of a request, not an internal error
+    """Rejection of a request; the message is for the page."""
 
 
 class Own:
-    """The nodes that the lab itself has started, or is to start."""
+    """Nodes started by the lab itself."""
 
     def __init__(self, processes: Any, parameters: Mapping[str, Mapping[str, Any]]) -> None:
         self.processes, self.parameters = processes, parameters
         self._starter = ThreadPoolExecutor(1, thread_name_prefix="lab-starter")
-        self._starter.submit(time.monotonic).result()  # its thread is not as gentle as those begun later, nor are nodes
+        # its thread does not have the lower priority of those started later; nor do nodes
+        self._starter.submit(time.monotonic).result()
 
     def start(self, node: str) -> None:
         """Start a node."""
@@ -108,11 +109,11 @@ class Own:
         self._starter.submit(self.processes.start, program, parameters, name=node).result()
 
     def close(self) -> None:
-        """Start nothing more."""
+        """Stop starting nodes."""
         self._starter.shutdown()
 
     def ended(self, node: str) -> str:
-        """Return how the process of a node has ended; empty: it runs, or is not ours."""
+        """Return how the process of a node has ended; empty if it is running, or is not one of the lab."""
         process = self.processes.running.get(node)
         code = None if process is None else process.exit_code
         return "" if code is None else f"its process ended with code {code}"
@@ -120,7 +121,7 @@ class Own:
 
 @attrs.define(eq=False)
 class _Running:
-    """An action under way."""
+    """Action in progress."""
 
     answer: Answer
     instance: str | None
@@ -129,7 +130,10 @@ class _Running:
 
 
 class Gateway:
-    """Hears one rig and does what pages ask for, in the event loop that creates it; without `own` it only looks."""
+    """Subscriptions to one rig and actions on it, in the event loop that creates it.
+
+    Without `own`, only subscriptions.
+    """
 
     def __init__(self, client: Client, record: RigView, own: Own | None) -> None:
         self.client, self.record, self._own = client, record, own
@@ -150,22 +154,22 @@ class Gateway:
             client.publisher(topic)
         for topic in KEPT:
             client.subscribe(topic, lambda data, _info, topic=topic: record.take(topic, data), raw=True)
-        self._view = Node(  # spun by nobody
+        self._view = Node(  # not spun
             "lab_view", namespace=client.node.get_namespace(), context=client.context,
             use_global_arguments=False, enable_rosout=False, start_parameter_services=False,
         )  # fmt: skip
         self._looks: dict[topics.Topic, Any] = {}
 
     async def close(self, why: str) -> None:
-        """Break off everything under way, and hear nothing more."""
+        """Cancel all actions in progress, and unsubscribe."""
         self.end(why)
         await asyncio.sleep(0)
         self._view.destroy_node()
 
-    # What is heard
+    # Subscriptions
 
     def listen(self, scans: bool, motion: bool) -> None:
-        """Hear from now on scans and motion, or not; without `motion`, what was known of that is forgotten."""
+        """Subscribe to scans and motion, or unsubscribe; without `motion`, drop the known motion."""
         wanted = {*(SCANS if scans else ()), *(TRUTH if scans and motion else ())}
         for topic in self._looks.keys() - wanted:
             self._view.destroy_subscription(self._looks.pop(topic))
@@ -173,24 +177,24 @@ class Gateway:
                 with self.record.lock:
                     self.record.forget_motion()
         for topic in [topic for topic in (*SCANS, *TRUTH) if topic in wanted and topic not in self._looks]:
-            kind, never = messages.class_of(topic), lambda _message: None  # nobody spins its node
+            kind, never = messages.class_of(topic), lambda _message: None  # its node is not spun
             self._looks[topic] = self._view.create_subscription(kind, topic.name, never, PICTURES, raw=True)
 
     def take(self) -> bool:
-        """Take what has come since the last time; return whether anything has."""
+        """Process the messages received since the last call; return whether there were any."""
         came = False
         for topic, subscription in self._looks.items():
             found = list(itertools.islice(take_messages(subscription, raw=True), MOST_PER_LOOK))
             came = came or bool(found)
             if self.record.since_ns() > self.record.start_ns:
-                continue  # of a rig whose scan 0 is not known yet: it would go on where the one before has ended
+                continue  # scan 0 of this rig is unknown: it would continue where the previous rig ended
             with self.record.lock:
                 for data in found:
                     self.record.take(topic, data)
         return came
 
     def seen(self, node: str) -> Seen:
-        """Return what a node has said last, and how long ago."""
+        """Return the last report of a node, and its age."""
         status = self.client.diagnostics.get(node)
         ended = self._own.ended(node) if self._own is not None else ""
         if status is None:
@@ -203,7 +207,7 @@ class Gateway:
     # Actions
 
     def begin(self, request: Request, answer: Answer) -> None:
-        """Begin an action; one for a rig that is gone is refused at once."""
+        """Start an action; reject it at once if its rig is gone."""
         action = self._actions.get(request.do)
         instance = None
         if request.do not in FREE:
@@ -214,35 +218,35 @@ class Gateway:
             answer(False, f"{why}: not sent")
         else:
             if request.do == "stop":
-                self.end("the emergency stop came first", bound=True)
+                self.end("an emergency stop was requested meanwhile", bound=True)
             running = _Running(answer, instance, asyncio.ensure_future(action(**request.values)))
             self._running.add(running)
             running.task.add_done_callback(lambda _task: self._done(running))
 
     def _done(self, running: _Running) -> None:
-        """Tell the page how an action has ended."""
+        """Report the result of an action to the page."""
         self._running.discard(running)
         error = None if running.task.cancelled() else running.task.exception()
         if running.task.cancelled():
             running.answer(False, running.why)
         elif error is None:
             running.answer(True, running.task.result())
-        else:  # of whatever kind: the others go on, and so does the page
+        else:  # any exception: other actions and the page continue
             running.answer(False, in_words(error))
 
     @property
     def is_busy(self) -> bool:
-        """Whether an action is under way."""
+        """Whether an action is in progress."""
         return bool(self._running)
 
     def watch(self) -> None:
-        """Refuse what waits for a rig that is gone."""
+        """Reject the actions that wait for a rig that is gone."""
         for running in list(self._running):
             if why := self._gone(running.instance):
-                self._break_off(running, f"{why}: it did not take this")
+                self._break_off(running, f"{why}: it did not accept this")
 
     def end(self, why: str, *, bound: bool = False) -> None:
-        """Break off everything under way, or what belongs to a rig."""
+        """Cancel all actions in progress, or those that belong to a rig."""
         for running in list(self._running):
             if not bound or running.instance is not None:
                 self._break_off(running, why)
@@ -252,38 +256,38 @@ class Gateway:
         running.task.cancel()
 
     def _gone(self, instance: str | None) -> str:
-        """Return why the rig of an action is gone; empty: it is there, or the action belongs to none."""
+        """Return why the rig of an action is gone; empty if it exists, or if the action belongs to none."""
         if instance is None:
             return ""
         rig = self.seen("rig")
-        # of our own it is known whether its process has ended, and on a busy machine it may be late
+        # for a process of this lab, its end is known; on a busy machine it may report late
         silent_s = DEAD_S if self._own is not None and "rig" in self._own.processes.running else EXPIRES_S
         if rig.ended:
-            return f"the rig is gone, {rig.ended}"
+            return f"the rig is gone: {rig.ended}"
         if rig.age_s is None:
             return "there is no rig yet"
         if rig.age_s > silent_s:
-            return f"nothing was heard of the rig for {rig.age_s:.1f} s"
-        return "" if rig.instance == instance else "another rig has begun since"
+            return f"no report from the rig for {rig.age_s:.1f} s"
+        return "" if rig.instance == instance else "another rig has started since"
 
-    # Ways to the graph
+    # Access to the graph
 
     async def until(self, check: Callable[[], Any], what: str, timeout_s: float) -> Any:
-        """Return what a check gives as soon as it is true; it is asked once a turn of the loop.
+        """Return the value of a check as soon as it is true; it is evaluated once per turn of the loop.
 
         Raises:
-            Refused: it did not become true in time; names `what`.
+            Refused: it did not become true in time; the message names `what`.
         """
         deadline = time.monotonic() + timeout_s
         while not (found := check()):
             if time.monotonic() > deadline:
-                raise Refused(f"waited {timeout_s:g} s in vain for {what}")
+                raise Refused(f"timeout after {timeout_s:g} s: waiting for {what}")
             await asyncio.sleep(0)
         return found
 
     async def _call(self, service_type: Any, name: str, request: Any, timeout_s: float = ANSWER_S) -> str:
         client = self.client.prepare(service_type, name)
-        await self.until(client.service_is_ready, f"the service {name}: is its node there?", timeout_s)
+        await self.until(client.service_is_ready, f"the service {name}; is its node running?", timeout_s)
         future = client.call_async(request)
         try:
             await self.until(future.done, f"an answer of {name}", timeout_s)
@@ -291,7 +295,7 @@ class Gateway:
             if not future.done():
                 client.remove_pending_request(future)
         response = future.result()
-        result = getattr(response, "result", None)  # of parameters that were set
+        result = getattr(response, "result", None)  # for set parameters
         done, words = (result.successful, result.reason) if result else (response.success, response.message)
         if not done:
             raise Refused(words)
@@ -301,7 +305,7 @@ class Gateway:
         return await self._call(Trigger, name, Trigger.Request(), timeout_s)
 
     async def _set(self, node: str, values: Mapping[str, Any]) -> None:
-        """Set parameters of a node; those of the rig are in force when this returns."""
+        """Set parameters of a node; those of the rig are active when this returns."""
         request = SetParametersAtomically.Request(parameters=[one.to_parameter_msg() for one in ros_parameters(values)])
         await self._call(SetParametersAtomically, f"{node}/set_parameters_atomically", request)
         if node == "rig":
@@ -319,11 +323,11 @@ class Gateway:
     def _publish(self, topic: topics.Topic, value: Any) -> None:
         publisher = self.client.publisher(topic)
         if not publisher.get_subscription_count():
-            raise Refused(f"nobody listens to {topic.name}: is the rig there?")
+            raise Refused(f"no subscriber on {topic.name}; is the rig running?")
         publisher.publish(publisher.msg_type(data=value))
 
     async def _command(self, column: str, value: float) -> str:
-        """Publish a command and wait for its row in shaker/applied, or for the refusal."""
+        """Publish a command and wait for its row in shaker/applied, or for the rejection."""
         record, topic = self.record, COMMANDS[column]
         before, refusal = record.changes, self.client.refusal(topic.name, "inactive")
         self._publish(topic, value)
@@ -342,9 +346,9 @@ class Gateway:
     # The rig
 
     async def do_stop(self) -> str:
-        """Ramp the current to zero and latch it, whatever is known of the rig."""
+        """Ramp the current to zero and latch it, in any state of the rig."""
         if gone := self.seen("rig").ended:
-            raise Refused(f"there is no rig to stop, {gone}")
+            raise Refused(f"there is no rig to stop: {gone}")
         asked_at = time.monotonic()
 
         def is_latched() -> bool:
@@ -353,10 +357,10 @@ class Gateway:
 
         try:
             return await self._trigger("rig/stop")
-        except Refused:  # where two rigs are in the namespace, the one that has not begun may answer first
+        except Refused:  # with two rigs in the namespace, the one that has not started may answer first
             with contextlib.suppress(Refused):
                 await self.until(is_latched, "the latch", TOLD_S)
-                return "stopped, as the rig says"
+                return "stopped; the rig confirms it"
             raise
 
     async def do_pluck(self, value: float) -> str:
@@ -364,26 +368,26 @@ class Gateway:
         await self._set("rig", {"pluck.displacement_m": value})
         return await self._trigger("rig/pluck")
 
-    async def do_pause(self, value: bool) -> str:  # as the request has it
-        """Let rig time stand still, or go on."""
+    async def do_pause(self, value: bool) -> str:  # value of the request
+        """Stop rig time, or resume it."""
         return await self._call(SetBool, "rig/pause", SetBool.Request(data=value))
 
     async def do_gap(self, value: float) -> str:
-        """Set the gap of the rig and the label of the analysis together [m]; 0 takes the sphere away."""
+        """Set the gap of the rig and the label of the analysis together [m]; 0 removes the sphere."""
         if value < 0.0:
             raise Refused(f"a gap is 0 (no sphere) or more, got {value * 1e3:g} mm")
         await self._set("rig", gap_values(value))
         return case_of(value) + await self._label(value)
 
     async def _label(self, gap_m: float) -> str:
-        """Tell the analysis the gap; return what to add to an answer."""
+        """Send the gap to the analysis; return a remark to add to the answer."""
         if not self.seen("analysis").lives:
-            return "; there is no analysis to be told"
+            return "; no analysis is running to be labelled"
         await self._set("analysis", {"gap_m": gap_m})
         return ""
 
     async def do_load(self, value: str) -> str:
-        """Put a ROS 2 parameter file in force: what differs from now, all of it or nothing."""
+        """Apply a ROS 2 parameter file: all its differences from the present values, or nothing."""
         wanted = to_flat(from_flat(RigConfig(), parameters_in(value)))
         present = to_flat(from_flat(RigConfig(), self.record.knobs))
         changes = {name: found for name, found in wanted.items() if found != present[name]}
@@ -391,13 +395,13 @@ class Gateway:
         changes = {name: found for name, found in changes.items() if name not in fixed}
         if changes:
             await self._set("rig", changes)
-        words = f"{len(changes)} settings changed" if changes else "these settings are in force already"
+        words = f"{len(changes)} settings changed" if changes else "these settings are active already"
         if {"barriers.gap_m", "sphere.present"} & changes.keys():
             words += await self._label(float(str(wanted["barriers.gap_m"])) if wanted["sphere.present"] else 0.0)
         return f"{words}; fixed while the rig runs: {', '.join(fixed)}" if fixed else words
 
     async def do_fault(self, kind: str, channel: str, value: float, duration: float, rate: float) -> str:
-        """Add a line to the planned faults: a new one begins now."""
+        """Add a line to the planned faults: a new fault starts now."""
         if kind not in FAULT_KINDS:
             raise Refused(f"there is no fault {kind!r}")
         added = fault_line(kind, channel, duration_s=duration, value=value, rate_hz=rate)
@@ -413,7 +417,7 @@ class Gateway:
     # Other nodes
 
     async def do_sweep(self, frequencies: tuple[float, ...], direction: str, hold: str, target: float) -> str:
-        """Start a stepped sine, and its node if it is not there."""
+        """Start a stepped sine, and its node if it is absent."""
         was_there = self.seen(SWEEPER).lives
         if not was_there:
             self._start(SWEEPER)
@@ -429,7 +433,7 @@ class Gateway:
             attempts -= 1
             try:
                 return await self._trigger(f"{SWEEPER}/start")
-            except Refused:  # a node that has just begun has not heard of the rig yet, or of its scans
+            except Refused:  # a node that has just started may not have discovered the rig or its scans yet
                 if not attempts:
                     raise
             await asyncio.sleep(AGAIN_S)
@@ -438,19 +442,19 @@ class Gateway:
         """Record a remark."""
         recorder = self.seen("recorder")
         if not value.strip():
-            raise Refused("a remark has words")
+            raise Refused("a remark must not be empty")
         if not recorder.lives:
-            raise Refused(f"there is no recorder to keep it{f', {recorder.gone}' if recorder.gone else ''}")
+            raise Refused(f"no recorder is running to keep it{f', {recorder.gone}' if recorder.gone else ''}")
         self._publish(topics.NOTES, value)
         records = recorder.state not in (
             states.RecorderWord.INACTIVE,
             states.RecorderWord.FAILED,
             states.RecorderWord.IDLE,
         )
-        return "noted" if records else "noted on the page; nothing is being recorded"
+        return "noted" if records else "shown on the page; no recording is running"
 
-    async def do_record(self, value: bool) -> str:  # as the request has it
-        """Begin or end a recording."""
+    async def do_record(self, value: bool) -> str:  # value of the request
+        """Start or stop a recording."""
         return await self._trigger("recorder/start" if value else "recorder/stop", 20.0)
 
     async def do_recover(self) -> str:
@@ -458,19 +462,19 @@ class Gateway:
         recorder = self.seen("recorder")
         directory = recorder.figures.get("directory", "")
         if recorder.lives or not directory:
-            raise Refused("the recorder is there: nothing needs to be recovered")
+            raise Refused("the recorder is running: nothing to recover")
         target = Path(f"{directory}_recovered")
         report = await asyncio.to_thread(recover, directory, target)
         return f"recovered into {report.out.name if hasattr(report, 'out') else target.name}"
 
     async def do_restart(self) -> str:
-        """Start again what has ended; a new rig is at rest, and the analysis is told its gap."""
+        """Restart the nodes that have ended; a new rig is at rest, and the analysis receives its gap."""
         own = self._own
         if own is None:
-            raise Refused("this lab has not started the rig: start it where it was started")
+            raise Refused("this lab did not start the rig: restart it where it was started")
         ended = [name for name in own.processes.running if own.ended(name)]
         if not ended:
-            raise Refused("every process runs")
+            raise Refused("all processes are running")
         if "rig" in ended:
             self.record.knobs, self.record.configuration = {}, ""
         for name in ended:
@@ -479,12 +483,14 @@ class Gateway:
             await self.until(lambda name=name: self.seen(name).lives, f"the node {name}", START_S)  # type: ignore[misc]
         knobs = await self.until(lambda: self.record.knobs, "rig/configuration", START_S)
         await self._label(knobs["barriers.gap_m"] if knobs["sphere.present"] else 0.0)
-        return f"started again: {', '.join(ended)}"
+        return f"restarted: {', '.join(ended)}"
 
     def _start(self, node: str) -> None:
-        """Start a node of this lab; what its last process said is forgotten."""
+        """Start a node of this lab; drop the last report of its previous process."""
         if self._own is None:
-            raise Refused(f"there is no node {node}: start it beside the rig (ros2 run impact_rig {node}_node)")
+            raise Refused(
+                f"the node {node} is not running: start it in the rig's namespace (ros2 run impact_rig {node}_node)"
+            )
         if node in self._own.processes.running:
             self._own.processes.stop(node)
         self.client.diagnostics.pop(node, None)

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The live source: a client of the graph in one event loop, that fills rings and snapshot and does what pages ask.
+"""Live source: a client of the graph in one event loop that fills ring buffers and snapshot and runs actions of pages.
 
-The loop waits for the graph, looks at the data when a picture is due, and never waits for an answer: a service that
-hangs does not keep STOP from being sent, nor does a message without sense.
+The loop waits for the graph, processes data when a picture is due, and never waits for an answer. STOP is sent even if
+a service hangs or an invalid message arrives.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any  # what goes to JSON
+from typing import TYPE_CHECKING, Any  # values for JSON
 
 from impact_rig import states, topics
 from impact_rig.instruments.section import CHANNELS
@@ -40,39 +40,39 @@ if TYPE_CHECKING:
     from impact_rig.client.client import Client
     from impact_rig_lab.gateway import Gateway, Own
 
-LOOK_S = 0.02  # between two looks at the data while a page is open
-GLANCE_S = 0.5  # the same while rig time runs ahead of ours
-PEEK_S, DEAF_S = 0.1, 1.4  # where nobody can follow: so long it listens to scans, and then so long not
-TURN_S = 0.05  # the longest turn of the loop while a page is open: what it asks for waits no longer
+LOOK_S = 0.02  # interval between two checks for data while a page is open
+GLANCE_S = 0.5  # the same while rig time runs faster than real time
+PEEK_S, DEAF_S = 0.1, 1.4  # if the rig is too fast to follow: durations of listening and of not listening to scans
+TURN_S = 0.05  # longest turn of the loop while a page is open, which delays its requests
 IDLE_S = 0.2
-LATE_S = 5.0  # by so much the first diagnostics of a rig may come after what else it says
-STATE_S = 0.1  # between two words to the page
-SLOW_S = 0.5  # the same while rig time runs ahead of ours, and where nobody looks
-SLOWEST_S = 1.0  # the same where nobody can follow
+LATE_S = 5.0  # longest delay of a rig's first diagnostics after its other messages
+STATE_S = 0.1  # interval between two state updates of the page
+SLOW_S = 0.5  # the same while rig time runs faster than real time, and without an open page
+SLOWEST_S = 1.0  # the same if the rig is too fast to follow
 
 
 class LiveSource(Source):
-    """A rig of the graph.
+    """Rig of the graph.
 
     Args:
-        namespace: of the rig; None: look for one.
-        own: to start nodes with; None: those of others are only looked at.
+        namespace: namespace of the rig; None searches for one.
+        own: nodes that the lab may start; None means that other programs run the rig.
     """
 
     def __init__(self, domain_id: int, namespace: str | None, own: Own | None = None) -> None:
         super().__init__("live", RigView())
-        self.directory: Path | None = None  # where the recorder has written last
+        self.directory: Path | None = None  # directory of the recorder's last run
         self._domain_id, self._namespace, self._own = domain_id, namespace, own
         self._client: Client
         self._gateway: Gateway | None = None
         self._pace = Pace()
-        self._instance = ""  # of the rig that is there
-        self._listens = True  # to scans; while rig time runs ahead of ours only now and then
-        self.snapshot.put(rig={"word": "starting", "text": "The lab starts.", "name": namespace or ""})
+        self._instance = ""  # instance of the present rig
+        self._listens = True  # whether it listens to scans; only at times while rig time runs faster than real time
+        self.snapshot.put(rig={"word": "starting", "text": "The lab is starting.", "name": namespace or ""})
 
     @property
     def now_s(self) -> float:
-        """The end of the newest scan."""
+        """End of the newest scan."""
         return self.record.scope.end_s if self.record.scope is not None else 0.0
 
     def close(self) -> None:
@@ -90,7 +90,7 @@ class LiveSource(Source):
                     self._own.start(node)
             be_gentle()
             asyncio.run(self._serve_rigs())
-        except Exception as error:  # without its source the page must say so, not stand still
+        except Exception as error:  # without its source the page must report it, not freeze
             self.snapshot.put(rig={"word": "dead", "text": f"The lab has failed: {error}", "name": ""})
             raise
 
@@ -106,13 +106,13 @@ class LiveSource(Source):
             try:
                 await self._serve()
             finally:
-                self.guard("state", self._tell)  # the last words of the recorder say where it has written
+                self.guard("state", self._tell)  # the recorder's last report contains its directory
                 if self._gateway is not None:
-                    await self._gateway.close("the lab looks elsewhere now")
+                    await self._gateway.close("the lab shows another rig now")
                 self._client.close()
 
     async def _serve(self) -> None:
-        """Wait for the graph until the next look is due, and so on."""
+        """Wait for the graph until the next check is due, repeatedly."""
         look_at = state_at = slow_at = 0.0
         namespace = self._namespace
         while not self.end.is_set() and self._namespace == namespace:
@@ -127,14 +127,17 @@ class LiveSource(Source):
             if self._gateway is None and now >= slow_at:
                 slow_at = now + SLOW_S
                 self.guard("discovery", self._discover)
-            # little comes here; spinning for longer than one message leaks 32 bytes a turn in rclpy, and we turn often
+            # few messages use this path; spinning for longer than one message leaks 32 bytes a turn in rclpy
             wait_s = max(0.0, min(look_at, state_at) - time.monotonic())
             wait_s = min(wait_s, TURN_S) if self.watchers else wait_s
             self.guard("/diagnostics", functools.partial(self._client.executor.spin_once, timeout_sec=wait_s))
-            await asyncio.sleep(0)  # every action looks whether what it waits for has come
+            await asyncio.sleep(0)  # every action checks its condition
 
     def _look(self) -> None:
-        """Take what has come; where nobody can follow, most is not even sent: that costs the rig as much as us."""
+        """Process new messages.
+
+        If the rig is too fast to follow, most are not even sent, which relieves the rig as well.
+        """
         if self._gateway is None:
             return
         came = self._gateway.take()
@@ -181,13 +184,13 @@ class LiveSource(Source):
         if len(found) == 1:
             self._namespace = found[0]
             return
-        words = "Several rigs are running: choose one." if found else "No rig is running yet: looking for one."
+        words = "Several rigs are running: choose one." if found else "No rig is running yet; searching."
         self.snapshot.put(rigs=found, rig={"word": "choose" if found else "starting", "text": words, "name": ""})
 
-    # What the page is told
+    # State for the page
 
     def _tell(self) -> None:
-        """Bring the snapshot up to date."""
+        """Update the snapshot."""
         gateway, record = self._gateway, self.record
         if gateway is None:
             return
@@ -198,7 +201,7 @@ class LiveSource(Source):
         record.told_start_ns = LAST_NS if _waits(rig) else _stamp(rig.figures.get("start_ns", ""))
         doubts = self.guard("doubts", record.doubts)
         if doubts is None:
-            doubts = ["what speaks against it cannot be told"]
+            doubts = ["the doubts about it could not be determined"]
         parts: dict[str, Callable[[], Any]] = {
             "sources": lambda: {node: one.part() for node, one in seen.items()},
             "rig": lambda: self._rig(seen, doubts),
@@ -249,17 +252,17 @@ class LiveSource(Source):
 
 
 def _waits(rig: Seen) -> bool:
-    """Whether a rig is there that has not begun: all that is known is of the one before."""
+    """Return whether a rig exists that has not started: all known data belong to the previous one."""
     return rig.lives and "rig_time_s" not in rig.figures
 
 
 def _stamp(told: str) -> int:
-    """Return a stamp of the diagnostics [ns]; 0: it is none."""
+    """Return a stamp of the diagnostics [ns], or 0 if it is invalid."""
     return int(told) if re.fullmatch("[0-9]{1,19}", told) else 0
 
 
 def _lost(seen: Mapping[str, Seen]) -> dict[str, float] | None:
-    """Return what was lost and where, in words; None where nobody counts any more."""
+    """Return the losses and their places, as text; None if no node counts them now."""
     found = {
         "blocks withheld by a fault": seen["rig"].figures.get("lost_blocks"),
         "scans missed by the analysis": seen["analysis"].figures.get("lost_scans"),

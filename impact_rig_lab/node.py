@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`ros2 run impact_rig lab_node`: the page for a rig of the same namespace that runs already.
+"""Node for a running rig: `ros2 run impact_rig lab_node` serves the page of the rig in the same namespace.
 
-Light on purpose: signals and the end of the parent are taken care of before anything heavy is imported.
+Imports are light: signal handlers and the watch on the parent process are set up before anything heavy is imported.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from impact_rig.system.endings import Ending
 
 WATCH_S = 0.2
 USE = (
-    "The laboratory's page, for a rig of the same namespace that runs already; it prints its address.",
+    "Page of the laboratory for a running rig in the same namespace; prints its address.",
     "port:=8765",
     "`impact-rig lab` starts a rig as well.",
 )
 
 
 def main() -> None:
-    """Serve until told to end."""
+    """Serve until the process is asked to end."""
     begin("lab", USE, lambda ending: sys.exit(ending.run(lambda: _serve(ending), interrupting=False)))
 
 
@@ -46,7 +46,7 @@ def _serve(ending: Ending) -> int:
     try:
         source = LiveSource(domain_id, namespace)
         with Server(source, host, port, kept_token()) as server, source:
-            print(f"lab: {server.address}", flush=True)  # noqa: T201  # the one thing it is started for
+            print(f"lab: {server.address}", flush=True)  # noqa: T201  # the address is the purpose of this program
             while not ending.told:
                 time.sleep(WATCH_S)
     except ImpactRigError as error:
@@ -56,7 +56,7 @@ def _serve(ending: Ending) -> int:
 
 
 def _settings() -> tuple[int, str, str, int]:
-    """Return domain, namespace, and the parameters `host` and `port`, as ROS arguments give them."""
+    """Return domain, namespace, and the parameters `host` and `port`, from the ROS arguments."""
     from rclpy.context import Context  # noqa: PLC0415
     from rclpy.node import Node  # noqa: PLC0415
 

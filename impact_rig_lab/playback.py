@@ -11,10 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Recorded runs on the page: one, or two side by side, each played into rings, its rare messages read as marks.
+"""Recorded runs on the page: one, or two side by side, each played into ring buffers, with its rare messages as marks.
 
-What a recording does not say is not shown: a measurement counts only until the next change, and a message that makes no
-sense costs itself alone.
+Only recorded facts are shown: a measurement counts only until the next change. An invalid message affects nothing else.
 """
 
 from __future__ import annotations
@@ -51,41 +50,41 @@ RARE = (
     topics.JOURNAL, topics.APPLIED, topics.TRANSMISSIBILITY_TABLE, topics.FAULTS, topics.IMPACTS_TRUTH, topics.NOTES,
     topics.SCAN,
 )  # fmt: skip
-"""What the marks are made of."""
-MOST_FILLED = 250_000  # scans read before the instant that is jumped to
+"""Topics that become marks."""
+MOST_FILLED = 250_000  # maximum number of scans read before the time of a jump
 BINS = 400
 TICK_S = 0.025
 TELL_S = 0.1
 MARKS_S = 1.0
-PEEK_S = 0.05  # an impact that is jumped to stands this much before the end of the picture
+PEEK_S = 0.05  # distance of a jumped-to impact from the end of the picture
 AT_REST = {"frequency": 0.0, "current": 0.0}
 
 
 @attrs.frozen
 class Instant:
-    """What a rig was at an instant, as its recording says."""
+    """State of a rig at a time, according to its recording."""
 
     values: Mapping[str, Any]
     applied: Mapping[str, float]
-    latched: str  # by what the shaker was; empty: it was free
+    latched: str  # reason why the shaker was latched; empty if it was free
     plucked: bool  # whether the base was locked
-    changed_ns: int  # when the last of all this came into force
+    changed_ns: int  # time of the last change of these values
 
 
 class RunPlayer:
-    """One run.
+    """Player of one run.
 
     Args:
-        path: a run directory or an MCAP file; one that was cut short is recovered into a temporary directory first.
+        path: a run directory or an MCAP file; a truncated one is first recovered into a temporary directory.
 
     Raises:
-        RecordingError: nothing whole is in it, no scans, or a calibration that no board can have.
+        RecordingError: it contains nothing intact, no scans, or an impossible calibration.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.recovered = False
-        self.offset_s = 0.0  # what is to be added to the time of the page for that of this run
+        self.offset_s = 0.0  # offset from the time of the page to the time of this run
         self._stack = contextlib.ExitStack()
         with contextlib.ExitStack() as stack:
             self._run = stack.enter_context(self._open(path, stack))
@@ -107,7 +106,7 @@ class RunPlayer:
             self._stack = stack.pop_all()
         self.record = RigView(most=None)
         self.record.scope, self.record.start_ns = Scope(self.rate_hz), self.start_ns
-        self.read_s = 0.0  # how far the marks are read [s since scan 0]
+        self.read_s = 0.0  # end of the marks read so far [s since scan 0]
         self.whole = False
         self._impacts: list[float] = []
         self._lost: list[tuple[int, int]] = []
@@ -135,11 +134,11 @@ class RunPlayer:
         return iter(self._run.messages(names, start_ns=from_ns)) if names else iter(())
 
     def start(self) -> None:
-        """Begin to read the marks."""
+        """Start reading the marks."""
         self._marker.start()
 
     def close(self) -> None:
-        """End."""
+        """Stop."""
         self._end.set()
         if self._marker.is_alive():
             self._marker.join()
@@ -157,13 +156,13 @@ class RunPlayer:
         return (self.end_ns - self.start_ns) / NS_PER_S
 
     def instant_ns(self, page_s: float) -> int:
-        """Return the stamp that belongs to an instant of the page."""
+        """Return the stamp of a time of the page."""
         return self.start_ns + round((page_s + self.offset_s) * NS_PER_S)
 
     # Playing
 
     def jump(self, page_s: float) -> None:
-        """Fill the rings with what came before an instant."""
+        """Fill the ring buffers with the data before a time."""
         self._quiet.clear()
         try:
             self._stop_reading()
@@ -178,7 +177,7 @@ class RunPlayer:
             self._quiet.set()
 
     def play(self, page_s: float) -> None:
-        """Read on to an instant."""
+        """Read on to a time."""
         until = self.instant_ns(page_s)
         while self._next is not None and self._next.log_time <= until:
             self.record.take(self._topics[self._next.topic], bytes(self._next.data))
@@ -194,13 +193,13 @@ class RunPlayer:
     def _mark(self) -> None:
         try:
             for message in self._messages(RARE):
-                self._quiet.wait()  # a jump comes first
+                self._quiet.wait()  # a jump has priority
                 if self._end.is_set():
                     return
                 self._note(self._topics[message.topic], message)
                 self.read_s = (message.log_time - self.start_ns) / NS_PER_S
         except RecordingError as error:
-            self.record.refused["the file"] = [1, str(error)]  # what was read before is right
+            self.record.refused["the file"] = [1, str(error)]  # the data read before are valid
             return
         self.whole = True
 
@@ -222,12 +221,12 @@ class RunPlayer:
         self._impacts += [begin + float(time) for time in table.rows["time"]]
 
     def _count_lost(self, table: Table) -> None:
-        """Count the blocks, as long as this one, between the end of the one before and this one."""
+        """Count the missing blocks, as long as this one, since the end of the previous block."""
         length_ns = round(len(table.rows) * NS_PER_S / self.rate_hz)
         if not length_ns:
             return
         expected_ns = self._expected_ns
-        if table.stamp_ns > expected_ns:  # between two rigs nothing is missing
+        if table.stamp_ns > expected_ns:  # nothing is missing between two rigs
             expected_ns = max(expected_ns, self.record.since_ns(table.stamp_ns))
         lost = round((table.stamp_ns - expected_ns) / length_ns)
         if lost > 0:
@@ -235,12 +234,12 @@ class RunPlayer:
         self._expected_ns = table.stamp_ns + length_ns
 
     def lost_blocks(self, page_s: float) -> int:
-        """Return how many blocks were missing before an instant, as far as was read."""
+        """Return the number of blocks missing before a time, as far as the run has been read."""
         at = self.instant_ns(page_s)
         return sum(count for stamp, count in list(self._lost) if stamp <= at)
 
     def at(self, page_s: float) -> Instant:
-        """Return what the rig was at an instant of the page."""
+        """Return the state of the rig at a time of the page."""
         at_ns = self.instant_ns(page_s)
         view, change = self.record.journal.at(at_ns)
         changed_ns = 0 if change is None else change.stamp_ns
@@ -252,9 +251,9 @@ class RunPlayer:
         return Instant(values, drives[-1][1], latched, view.plucked, max(changed_ns, drives[-1][0]))
 
     def present(self, page_s: float, then: Instant) -> dict[str, Any]:
-        """Return whether the newest measurement before an instant held then; as `state.present`.
+        """Return whether the newest measurement before a time applied then; as `state.present`.
 
-        It did where the shaker drove, nothing had changed since it began, and nothing spoke against it.
+        It applied if the shaker drove, nothing had changed since it began, and there were no doubts about it.
         """
         at_ns = self.instant_ns(page_s)
         judged = [row for row in list(self.record.curve.judged) if row.end_ns <= at_ns]
@@ -270,12 +269,12 @@ class RunPlayer:
         }  # fmt: skip
 
     def rows(self, page_s: float) -> list[dict[str, Any]]:
-        """Return the measurements before an instant of the page, the newest if there are many."""
+        """Return the measurements before a time of the page, only the newest if there are many."""
         at_s = page_s + self.offset_s
         return [row for row in self.record.curve.part(self.start_ns) if row["t"] <= at_s][-MOST_ROWS:]
 
     def impact_after(self, page_s: float, direction: float) -> float | None:
-        """Return the next impact after an instant of the page, or the last one before it; None: there is none."""
+        """Return the next impact after a time of the page, or the last one before it; None if there is none."""
         times, time_s = sorted(self._impacts), page_s + self.offset_s
         if direction > 0:
             place = bisect.bisect_right(times, time_s + 1e-6)
@@ -284,16 +283,16 @@ class RunPlayer:
         return times[place - 1] - self.offset_s if place else None
 
     def histogram(self) -> list[int]:
-        """Return how many impacts there are in every four hundredth of the run."""
+        """Return the number of impacts in each of 400 equal parts of the run."""
         times: NDArray[np.float64] = np.array(list(self._impacts))
         return [int(n) for n in np.histogram(times, BINS, (self.begin_s, max(self.end_s, self.begin_s + 1e-3)))[0]]
 
 
 class PlaybackSource(Source):
-    """Plays runs.
+    """Source that plays runs.
 
     Args:
-        paths: of one run, or of two: the second is drawn beside the first.
+        paths: path of one run, or of two; the second is drawn next to the first.
     """
 
     def __init__(self, paths: Sequence[Path]) -> None:
@@ -309,7 +308,7 @@ class PlaybackSource(Source):
         self._now_s, self._begin_s, self._end_s = 0.0, first.begin_s, first.end_s
         self._playing, self._speed, self._aligned = True, 1.0, "start"
         self._impact_s = self._jumped_s = math.nan
-        """The impact that was jumped to, and the instant then: less than `PEEK_S` after it at the end of the run."""
+        """The impact of the last jump, and the time shown: less than `PEEK_S` after it at the end of the run."""
         for run in self._runs[1:]:
             run.offset_s = run.begin_s - first.begin_s
         super().__init__("playback", first.record)
@@ -317,7 +316,7 @@ class PlaybackSource(Source):
 
     @property
     def other(self) -> Scope | None:
-        """The scans of the second run; None where it has none at this instant."""
+        """Scans of the second run; None if it has none at this time."""
         if len(self._runs) < 2:
             return None
         run = self._runs[1]
@@ -325,17 +324,17 @@ class PlaybackSource(Source):
 
     @property
     def now_s(self) -> float:
-        """The instant played."""
+        """Time shown."""
         return self._now_s
 
     def start(self) -> None:
-        """Begin."""
+        """Start."""
         for run in self._runs:
             run.start()
         super().start()
 
     def close(self) -> None:
-        """End."""
+        """Stop."""
         super().close()
         for run in self._runs:
             run.close()
@@ -374,10 +373,10 @@ class PlaybackSource(Source):
             for run in self._runs:
                 run.jump(self.now_s)
 
-    # What pages ask for
+    # Requests of pages
 
     def _obey(self) -> None:
-        """Do what is asked; of several jumps that wait only the last one."""
+        """Process the requests; of several waiting jumps only the last one."""
         asked: list[tuple[Request, Answer]] = []
         while not self._asked.empty():
             asked.append(self._asked.get())
@@ -390,11 +389,11 @@ class PlaybackSource(Source):
                 done = True, self._do(request)
             except ImpactRigError as error:
                 done = False, str(error)
-            self.guard("state", self._tell)  # what is shown now comes before the answer
+            self.guard("state", self._tell)  # the present state precedes the answer
             answer(*done)
 
     def _do(self, request: Request) -> str:
-        value: Any = request.values.get("value")  # of the type that the protocol has checked
+        value: Any = request.values.get("value")  # its type has been checked by the protocol
         match request.do:
             case "play":
                 if value and self.now_s >= self._end_s:
@@ -410,7 +409,7 @@ class PlaybackSource(Source):
                 shown_s = self._impact_s if self.now_s == self._jumped_s else self.now_s - PEEK_S
                 found = self._runs[0].impact_after(shown_s, value or 1.0)
                 if found is None:
-                    raise RecordingError("there is no further impact in what was read so far")
+                    raise RecordingError("no further impact in the part read so far")
                 self._playing = False
                 self._move(found + PEEK_S)
                 self._impact_s, self._jumped_s = found, self.now_s
@@ -421,15 +420,15 @@ class PlaybackSource(Source):
         return ""
 
     def _align(self, by: str, at_s: float) -> str:
-        """Lay the second run beside the first.
+        """Align the second run with the first.
 
         Args:
-            by: `start`: both begin together; `time`: by the time since scan 0; `change`: the first run's change nearest
-                to an instant lies beside the same one of the second.
-            at_s: that instant.
+            by: `start` (both begin together), `time` (by the time since scan 0) or `change` (the first run's change
+                nearest to a time is aligned with the same change of the second).
+            at_s: that time.
         """
         if len(self._runs) < 2:
-            raise RecordingError("one run is shown: there is nothing to align")
+            raise RecordingError("only one run is shown: there is nothing to align")
         first, second = self._runs
         words = {"start": "both runs begin together", "time": "both runs by their time since scan 0"}.get(by, "")
         offset_s = second.begin_s - first.begin_s if by == "start" else 0.0
@@ -447,7 +446,7 @@ class PlaybackSource(Source):
         self._move(self.now_s)
         return words
 
-    # What pages are told
+    # State for pages
 
     def _tell(self) -> None:
         run, record = self._runs[0], self.record
@@ -481,11 +480,11 @@ class PlaybackSource(Source):
         }, then.values)  # fmt: skip
 
     def _words(self, run: RunPlayer) -> str:
-        """Return what a run does now."""
+        """Return a sentence on the present state of a run."""
         then = run.at(self.now_s)
-        name = f"{run.path.name} (cut short: what is whole is shown)" if run.recovered else run.path.name
+        name = f"{run.path.name} (truncated; its intact part is shown)" if run.recovered else run.path.name
         if not run.begin_s <= self.now_s + run.offset_s <= run.end_s:
-            found = "nothing was recorded now"
+            found = "nothing was recorded at this time"
         elif then.latched:
             found = f"the shaker was latched by {then.latched}"
         elif then.plucked:

@@ -11,12 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What travels over the WebSocket: requests of the page, checked before anybody looks at them, and frames to the page.
+"""Protocol of the WebSocket: validated requests of the page, and frames to the page.
 
-A request is a text of JSON: `{"id": 7, "do": "frequency", "value": 9.1}`; `REQUESTS` lists what can be asked. Each is
-answered by a frame REPLY with its id, `ok` and words; `ack` and `view` are not answered.
+A request is a JSON text: `{"id": 7, "do": "frequency", "value": 9.1}`; `REQUESTS` lists all requests. Each is answered
+by a frame REPLY with its id, `ok` and a text; `ack` and `view` are not answered.
 
-A frame is binary, little-endian: kind u1, 3 bytes of padding, number u4, then by kind
+A frame is binary, little-endian: kind u1, 3 bytes of padding, number u4, then depending on the kind
 
     STATE   JSON: the parts of the snapshot that have changed
     REPLY   JSON: id, ok, text
@@ -34,7 +34,7 @@ import json
 import math
 import struct
 from collections.abc import Callable, Mapping
-from typing import Any  # what JSON may hold
+from typing import Any  # values of JSON
 
 import attrs
 import numpy as np
@@ -45,7 +45,7 @@ from impact_rig.instruments.section import CHANNELS
 from impact_rig.system.files import plain
 from impact_rig_lab.scope import LONGEST_S, Trace
 
-LONGEST_REQUEST = 65536  # bytes; longer ones are refused, and the connection is closed
+LONGEST_REQUEST = 65536  # limit in bytes; a longer one is rejected and the connection is closed
 LONGEST_TEXT = 500
 MOST_COLUMNS = 4000
 MOST_FREQUENCIES = 200
@@ -53,7 +53,7 @@ LARGEST_ID = 2**53
 
 
 class RequestError(ImpactRigError, ValueError):
-    """A request that makes no sense; the message says why."""
+    """Rejection of an invalid request; the message says why."""
 
 
 class FrameKind(enum.IntEnum):
@@ -71,12 +71,12 @@ class FrameKind(enum.IntEnum):
 
 @attrs.frozen
 class Request:
-    """One request."""
+    """Request of a page."""
 
     id: int
     do: str
     values: Mapping[str, Any]
-    rig: str | None = None  # instance of the rig that its page showed; None: the page did not say
+    rig: str | None = None  # instance of the rig that the page showed; None if the page did not name one
 
 
 Check = Callable[[str, object], Any]
@@ -107,7 +107,7 @@ def flag(name: str, value: object) -> bool:
 
 
 def word(*known: str) -> Check:
-    """Return a check for one of some words."""
+    """Return a check for one of several words."""
 
     def check(name: str, value: object) -> str:
         if not isinstance(value, str) or value not in known:
@@ -118,7 +118,7 @@ def word(*known: str) -> Check:
 
 
 def text(name: str, value: object) -> str:
-    """Check for a text that can be published: no control characters, not too long."""
+    """Check for a text that can be published: no control characters, and not too long."""
     if not isinstance(value, str) or len(value) > LONGEST_TEXT or not value.isprintable():
         raise RequestError(f"{name} must be a printable text of at most {LONGEST_TEXT} characters, got {_short(value)}")
     return value
@@ -142,7 +142,7 @@ def _short(value: object) -> str:
     return repr(value)[:80]
 
 
-_ANY = number(-1e300, 1e300)  # the rig itself says what it takes, in its own words
+_ANY = number(-1e300, 1e300)  # the rig itself checks the range and gives the message
 REQUESTS: Mapping[str, Mapping[str, Check]] = {
     "ack": {"frame": number(0, LARGEST_ID)},
     "view": {
@@ -184,29 +184,29 @@ REQUESTS: Mapping[str, Mapping[str, Check]] = {
     "next_impact": {"value": number(-1, 1)},
     "align": {"value": number(-1e9, 1e9), "by": word("start", "time", "change")},
 }
-"""What can be asked: name -> values with their checks; all of them must be there. `rig` may be there as well."""
+"""Names of requests, with the required values and their checks. `rig` is optional in all of them."""
 
 
 def parse(raw: str | bytes) -> Request:
-    """Return a request.
+    """Parse a request.
 
     Raises:
-        RequestError: it is too long, no JSON object, asks for what is not there, or a value is not what it should be.
+        RequestError: it is too long, not a JSON object, or unknown, or a value is invalid.
     """
     if len(raw) > LONGEST_REQUEST:
-        raise RequestError(f"a request has at most {LONGEST_REQUEST} bytes, got {len(raw)}")
+        raise RequestError(f"a request must have at most {LONGEST_REQUEST} bytes, got {len(raw)}")
     try:
         found = json.loads(raw)
-    except (ValueError, RecursionError) as error:  # no JSON, no UTF-8, nested without end
-        raise RequestError(f"a request is JSON: {type(error).__name__}") from error
+    except (ValueError, RecursionError) as error:  # not JSON, not UTF-8, or nested too deeply
+        raise RequestError(f"a request must be JSON: {type(error).__name__}") from error
     if not isinstance(found, dict):
-        raise RequestError(f"a request is a JSON object, got {_short(found)}")
+        raise RequestError(f"a request must be a JSON object, got {_short(found)}")
     do = found.pop("do", None)
     if not isinstance(do, str) or do not in REQUESTS:
         raise RequestError(f"there is no request {_short(do)}")
     identity = number(0, LARGEST_ID)("id", found.pop("id", 0))
     if identity != int(identity):
-        raise RequestError(f"id must be whole, got {identity:g}")
+        raise RequestError(f"id must be a whole number, got {identity:g}")
     rig = found.pop("rig", None)
     if rig is not None:
         rig = text("rig", rig)

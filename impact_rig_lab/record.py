@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What is known of one rig, live or recorded: its messages, into rings for pictures and lines and rows for the page.
+"""State of one rig, live or recorded: its messages as ring buffers for pictures, and as lines and rows for the page.
 
-A message that makes no sense costs that message: it is counted under its topic. Times are seconds since scan 0; what
-came before it is negative.
+An invalid message affects nothing else: it is counted under its topic. Times are seconds since scan 0; earlier ones are
+negative.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from typing import Any, TypeVar  # Any: what goes to JSON
+from typing import Any, TypeVar  # Any: values for JSON
 
 import attrs
 import numpy as np
@@ -51,20 +51,20 @@ ABOUT = {
     Status.ACCELEROMETER_OVER_RANGE.value: "accelerometer", Status.ACCELEROMETER_UNSOUND.value: "accelerometer",
     Status.CURRENT_UNSOUND.value: "current",
 }  # fmt: skip
-"""Statuses of sound rows that name a channel themselves: the column `channel` tells what contributes most to u."""
+"""Statuses of sound rows that concern a channel: the column `channel` names the largest contribution to u instead."""
 NO_CHANGE = (
     InputKind.FAULT,
     InputKind.CLEAR_FAULT,
     InputKind.STREAM,
-)  # a measurement holds on; `truth/faults` tells of faults
+)  # a measurement continues; `truth/faults` reports faults
 LAST_NS = 2**63
-SAME_M = 1e-9  # gaps nearer to each other are one
+SAME_M = 1e-9  # gaps closer to each other count as equal
 HIGHEST_RATE_HZ = 1e7
 LONGEST_RUN_S = 1e9
 STREAM = ("buffered", "capacity", "playing", "late", "refused", "missing", "rate")
 UNITS = {"frequency": "Hz", "current": "A", "over_travel": "m", "over_current": "A"}
 SHOWN_UNITS = {"m": ("mm", 1e-3), "-": ("", 1.0)}
-"""Units that the page shows another way, with their size in the unit of the rig."""
+"""Units that the page shows differently, with their size in the unit of the rig."""
 
 
 def text(raw: Any) -> str:
@@ -73,7 +73,7 @@ def text(raw: Any) -> str:
 
 
 def fault_unit(kind: str, channel: str) -> str:
-    """Return the unit of the size of a fault; empty: it has none."""
+    """Return the unit of the size of a fault; empty if it has none."""
     if kind == "clock_drift":
         return "ppm"
     has_unit = "[unit" in FAULT_KINDS.get(kind, "") and channel in INSTRUMENTS
@@ -81,22 +81,22 @@ def fault_unit(kind: str, channel: str) -> str:
 
 
 def amount(value: float, unit: str) -> str:
-    """Return a value of the rig as the page shows it, lengths in mm."""
+    """Format a value of the rig for the page, lengths in mm."""
     shown, size = SHOWN_UNITS.get(unit, (unit, 1.0))
     return f"{value / size:.6g} {shown}".strip()
 
 
 def plain(word: str) -> str:
-    """Return a key as people write it."""
+    """Return a key in readable form."""
     return word.replace("_", " ")
 
 
 class Rows:
-    """A ring of rows of numbers, the first the time [s]; each reader takes those that are new to it."""
+    """Ring buffer of rows of numbers, the first the time [s]; each reader gets its new rows."""
 
     def __init__(self, size: int, columns: int) -> None:
         self._rows = np.zeros((size, columns))
-        self.count = 0  # rows ever added
+        self.count = 0  # number of rows ever added
 
     def add(self, row: tuple[float, ...]) -> None:
         """Append one row."""
@@ -104,13 +104,13 @@ class Rows:
         self.count += 1
 
     def since(self, number: int, most: int = 2000) -> NDArray[np.float64]:
-        """Return the rows from a number on, the newest if there are more than are kept or asked for; shape (n, …)."""
+        """Return the rows from a number on, only the newest if more are requested than kept; shape (n, …)."""
         first = max(number, self.count - min(len(self._rows), most), 0)
         return self._rows[np.arange(first, self.count) % len(self._rows)]
 
 
 class MotionBuffer:
-    """The last seconds of true motion.
+    """Last seconds of true motion.
 
     Attributes:
         states: time, x_b, x_1, x_2, v_b, v_1, v_2.
@@ -124,10 +124,10 @@ class MotionBuffer:
         self.detected = Rows(4096, 3)
 
     def add_state(self, data: bytes, start_ns: int) -> None:
-        """Take a message of `truth/joint_states`.
+        """Add a message of `truth/joint_states`.
 
         Raises:
-            CodecError: it is none, or of another number of bodies.
+            CodecError: it is invalid, or has another number of bodies.
         """
         stamp, (positions, velocities, _efforts) = codec.joint_state(data)
         if not len(positions) == len(velocities) == BODIES:
@@ -135,7 +135,7 @@ class MotionBuffer:
         self.states.add(((stamp - start_ns) / NS_PER_S, *positions, *velocities))
 
     def add_rows(self, table: Table, start_ns: int) -> None:
-        """Take a table of `truth/impacts`, or of `impacts`."""
+        """Add a table of `truth/impacts`, or of `impacts`."""
         true = ("wall", "approach_speed", "separation_speed", "peak_force")
         is_true = "wall" in (table.rows.dtype.names or ())
         ring, names = (self.impacts, true) if is_true else (self.detected, ("peak", "sign"))
@@ -145,10 +145,10 @@ class MotionBuffer:
 
 
 class RigHistory:
-    """The journal, faults and remarks, as lines for people; and what the rig is by the journal, at any instant.
+    """Journal, faults and remarks as readable lines, and the state of the rig at any time according to the journal.
 
     Args:
-        most: changes that are kept; None: all, and all lines.
+        most: number of changes kept; None means all, and all lines.
     """
 
     def __init__(self, most: int | None = MOST_APPLIED) -> None:
@@ -158,7 +158,7 @@ class RigHistory:
         self._part: tuple[int, list[list[Any]]] | None = None
 
     def add(self, entry: JournalEntry) -> None:
-        """Take an entry of `rig/journal`."""
+        """Add an entry of `rig/journal`."""
         self._view.follow(entry)
         self._changes.append(entry)
         if entry.kind is InputKind.PARAMETER:
@@ -174,15 +174,15 @@ class RigHistory:
 
     @property
     def configuration(self) -> Mapping[str, Any]:
-        """Return the parameters that are in force, by name."""
+        """Return the active parameters by name."""
         return self._view.configuration
 
     def remark(self, words: str, stamp_ns: int) -> None:
-        """Take an operator's remark."""
+        """Add an operator's remark."""
         self._add(stamp_ns, "note", "", words[:200])
 
     def fault(self, table: Table) -> None:
-        """Take a table of `truth/faults`."""
+        """Add a table of `truth/faults`."""
         for row in table.rows:
             what = f"{text(row['kind'])} {text(row['channel'])}".strip()
             self._add(table.stamp_ns, "fault", "begins" if row["active"] else "ends", what)
@@ -192,14 +192,14 @@ class RigHistory:
         self._lines.append([*line])
 
     def part(self, start_ns: int) -> list[list[Any]]:
-        """Return time, kind, key, words of every line, in order; the same list while nothing is new."""
+        """Return time, kind, key and text of every line, in order; the same list as before if nothing is new."""
         if self._part is None or self._part[0] != start_ns:
             found = sorted(self._lines, key=lambda line: line[0])
             self._part = start_ns, [[round((stamp - start_ns) / NS_PER_S, 3), *words] for stamp, *words in found]
         return self._part[1]
 
     def at(self, instant_ns: int) -> tuple[JournalView, JournalEntry | None]:
-        """Return what the rig was at an instant, and what had changed it last."""
+        """Return the state of the rig at a time, and the last change of it."""
         view, newest = JournalView(), None
         for change in list(self._changes):
             if change.stamp_ns <= instant_ns:
@@ -216,17 +216,17 @@ def _value(entry: JournalEntry) -> str:
 
 
 class Faults:
-    """Instrument faults, of `truth/faults`: which are in force, now or at an instant.
+    """Instrument faults from `truth/faults`, with those active now or at a time.
 
     Args:
-        most: begins and ends that are kept; None: all.
+        most: number of starts and ends kept; None means all.
     """
 
     def __init__(self, most: int | None = MOST_ENTRIES) -> None:
         self._rows: deque[tuple[int, int, bool, str]] = deque(maxlen=most)
 
     def add(self, table: Table) -> None:
-        """Take a table of `truth/faults`."""
+        """Add a table of `truth/faults`."""
         for row in table.rows:
             kind, channel = text(row["kind"]), text(row["channel"])
             size = (
@@ -239,17 +239,17 @@ class Faults:
             self._rows.append((stamp, int(row["id"]), bool(row["active"]), what))
 
     def in_force(self, start_ns: int, at_ns: int | None = None) -> list[str]:
-        """Return the faults that are in force at an instant (None: after everything that was heard), in words.
+        """Return the faults active at a time (None: after everything received), as text.
 
         Args:
-            start_ns: stamp of scan 0; a fault of before belongs to another record.
-            at_ns: the instant.
+            start_ns: stamp of scan 0; earlier faults belong to another record.
+            at_ns: the time.
         """
         now_ns = LAST_NS if at_ns is None else at_ns
         return self.acting(start_ns, now_ns, now_ns)
 
     def acting(self, start_ns: int, begin_ns: int, end_ns: int) -> list[str]:
-        """Return the faults that were in force at any instant of a stretch, in words."""
+        """Return the faults active at any time within a stretch, as text."""
         found: dict[int, str] = {}
         for stamp, number, begins, words in self._rows:
             if begins and start_ns <= stamp <= end_ns:
@@ -261,30 +261,30 @@ class Faults:
 
 @attrs.frozen
 class Judged:
-    """A row of `transmissibility/table`: first and last scan [ns], status, the channel that it is about, its label."""
+    """Row of `transmissibility/table`: first and last scan [ns], status, the channel it concerns, its label."""
 
     begin_ns: int
     end_ns: int
     status: str
     channel: str
-    gap_m: float  # as the operator has told the analysis; NaN: he has not
+    gap_m: float  # operator's label; NaN without one
 
 
 class Curve:
-    """The measurements of the transmissibility.
+    """Measurements of the transmissibility.
 
     Args:
-        most: rows that are kept; None: all.
+        most: number of rows kept; None means all.
     """
 
     def __init__(self, most: int | None = MOST_ROWS) -> None:
         self._rows: deque[tuple[int, dict[str, Any]]] = deque(maxlen=most)
         self.judged: deque[Judged] = deque(maxlen=most)
-        """Every row, those without numbers too."""
+        """All rows, including those without numbers."""
         self._part: tuple[int, list[dict[str, Any]]] | None = None
 
     def add(self, table: Table) -> None:
-        """Take a table of `transmissibility/table`."""
+        """Add a table of `transmissibility/table`."""
         for row in table.rows:
             status = text(row["status"])
             channel = text(row["channel"]) if "channel" in row.dtype.names else ""
@@ -299,14 +299,14 @@ class Curve:
                 self._part = None
 
     def newest(self, at_ns: int | None = None) -> Judged | None:
-        """Return the newest row, or that of an instant."""
+        """Return the newest row, or that of a time."""
         rows = [row for row in list(self.judged) if at_ns is None or row.end_ns <= at_ns]
         return rows[-1] if rows else None
 
     def health(self, at_ns: int | None = None) -> dict[str, str] | None:
-        """Return what the newest row, or that of an instant, says against a channel, in words.
+        """Return the problems of channels according to the newest row, or that of a time, as text.
 
-        None: there is no row, or it judges no channel, so nothing is known; empty: it says nothing against any.
+        None if there is no row, or if it judges no channel; empty if it finds no problem.
         """
         row = self.newest(at_ns)
         if row is None or not (row.channel or row.status in MEASURED):
@@ -314,7 +314,7 @@ class Curve:
         return {row.channel: plain(row.status)} if row.channel else {}
 
     def part(self, start_ns: int) -> list[dict[str, Any]]:
-        """Return the rows, oldest first; the same list while nothing is new."""
+        """Return the rows, oldest first; the same list as before if nothing is new."""
         if self._part is None or self._part[0] != start_ns:
             found = [{"t": round((stamp - start_ns) / NS_PER_S, 3), **row} for stamp, row in self._rows]
             self._part = start_ns, found
@@ -334,64 +334,71 @@ def _measurement(row: NDArray[np.void]) -> dict[str, Any]:
 
 
 class RigView:
-    """One rig: every message of it comes through `take`, from the graph or from a file.
+    """State of one rig: all its messages pass through `take`, from the graph or from a file.
 
     Args:
-        most: changes of rig and drive that are kept; None: all, and every row and fault: one goes back to any instant.
+        most: number of changes of rig and drive kept; None means all, and every row and fault, so that any time can be
+            shown.
     """
 
     def __init__(self, most: int | None = MOST_APPLIED) -> None:
         self.scope: Scope | None = None
-        """The newest scans; None before the calibration has said how many there are a second."""
+        """Newest scans; None before the calibration has given the scan rate."""
         self.motion = MotionBuffer()
         self.journal = RigHistory(most)
         self.faults = Faults(None if most is None else MOST_ENTRIES)
         self.curve = Curve(None if most is None else MOST_ROWS)
-        self.epoch = 0  # counts resets and jumps: what was drawn before belongs to another record
+        self.epoch = 0  # counts resets and jumps: earlier pictures belong to another record
         self.start_ns = self.newest_ns = 0
         self.told_start_ns = 0
-        """Stamp of scan 0 by the rig's diagnostics: where it is later than `start_ns`, the `daq/info` of a rig that has
-        just begun has not come, and all that is known is of the one before."""
-        self.configuration = ""  # what is in force, as a ROS 2 parameter file
+        """Stamp of scan 0 by the rig's diagnostics.
+
+        If it is later than `start_ns`, the `daq/info` of a new rig has not arrived, and all known data belong to the
+        previous one.
+        """
+        self.configuration = ""  # active configuration, as a ROS 2 parameter file
         self.knobs: dict[str, Any] = {}  # the same by name
         self.applied: deque[tuple[int, dict[str, float]]] = deque(maxlen=most)
-        """The newest changes of the drive, and when they came into force."""
-        self.changes = 0  # how many there were
-        self.changed_at_s = 0.0  # when the newest was heard, by our clock
+        """The newest changes of the drive, and their times."""
+        self.changes = 0  # number of changes
+        self.changed_at_s = 0.0  # time of reception of the newest one, by our clock
         self.begun_at_s = 0.0
-        """What was heard before is of another rig: one that runs faster than our time stamps ahead of its successor."""
-        self.refused: dict[str, list[Any]] = {}  # messages that made no sense, by topic: how many, and the last reason
+        """Messages received earlier belong to another rig.
+
+        A rig that runs faster than real time stamps ahead of its successor.
+        """
+        self.refused: dict[str, list[Any]] = {}  # invalid messages by topic: their number, and the last reason
         self.stream: dict[str, float] | None = None
-        """The newest of `shaker/stream`; None: the rig is driven by no stream."""
-        self.lock = threading.Lock()  # held while rings are written or read
+        """Newest `shaker/stream`; None if the drive is not a stream."""
+        self.lock = threading.Lock()  # held while ring buffers are written or read
 
     def since_ns(self, at_ns: int | None = None) -> int:
-        """Return the stamp of scan 0 of the rig that is there, now or at an instant: what is older is of another."""
+        """Return the stamp of scan 0 of the present rig, now or at a time: older data belong to another rig."""
         if at_ns is None:
             return max(self.start_ns, self.told_start_ns)
         return max(self.start_ns, self.journal.at(at_ns)[0].start_ns or 0)
 
     def doubts(self, at_ns: int | None = None) -> list[str]:
-        """Return what speaks against the newest measurement, now or at an instant, in words."""
+        """Return the doubts about the newest measurement, now or at a time, as text."""
         since_ns, row = self.since_ns(at_ns), self.curve.newest(at_ns)
         faults = self.faults.in_force(since_ns, at_ns)
-        found = [f"{fault} is in force (truth)" for fault in faults]
+        found = [f"{fault} is active (truth)" for fault in faults]
         found += [f"{channel}: {word}" for channel, word in (self.curve.health(at_ns) or {}).items()]
         if row is None:
             return found
         over = [fault for fault in self.faults.acting(since_ns, row.begin_ns, row.end_ns) if fault not in faults]
-        found += [f"{fault} was in force while it was made (truth)" for fault in over]
+        found += [f"{fault} was active during the measurement (truth)" for fault in over]
         view, change = self.journal.at(LAST_NS if at_ns is None else at_ns)
         if change is not None and not came_before(change.stamp_ns, row):
             found.append(f"{plain(change.name or change.kind.value)} was changed after it began")
         configuration = self.journal.configuration if at_ns is None else view.configuration
         gap_m: Any = configuration["barriers.gap_m"] if configuration["sphere.present"] else 0.0
-        if abs(row.gap_m - gap_m) > SAME_M:  # not where it has no label
+        if abs(row.gap_m - gap_m) > SAME_M:  # not without a label
             found.append(f"its label says a gap of {row.gap_m * 1e3:g} mm, the rig has {gap_m * 1e3:g} mm")
         return found
 
     def health(self, at_ns: int | None = None) -> dict[str, str] | None:
-        """Return what `Curve.health` does, of the drive that is in force now, or at an instant.
+        """Return the result of `Curve.health` for the present drive, or that of a time.
 
         None as well at rest, where no measurement is made (a pluck looks like spikes and a silent base), and until the
         first row after a change of the drive.
@@ -402,7 +409,7 @@ class RigView:
         return self.curve.health(at_ns)
 
     def take(self, topic: topics.Topic, data: bytes, at_ns: int | None = None) -> None:
-        """Take a message that came at `at_ns` (None: now); where that fails, count it."""
+        """Process a message received at `at_ns` (None: now); count it if that fails."""
         guard(self.refused, topic.name, lambda: self._take(topic, data, at_ns))
 
     def _take(self, topic: topics.Topic, data: bytes, at_ns: int | None) -> None:
@@ -452,12 +459,12 @@ class RigView:
                 self.forget_motion()
 
     def forget_motion(self) -> None:
-        """Begin the pictures of the motion anew."""
+        """Restart the pictures of the motion."""
         self.motion = MotionBuffer()
         self.epoch += 1
 
     def stream_part(self) -> dict[str, float] | None:
-        """Return how full the stream's buffer is [s], and what went wrong; None: the rig is driven by none."""
+        """Return the level of the stream's buffer [s], and its errors; None if the drive is not a stream."""
         if self.stream is None:
             return None
         found = {name: self.stream[name] / self.stream["rate"] for name in ("buffered", "capacity", "missing", "late")}
@@ -465,12 +472,12 @@ class RigView:
 
     @property
     def drive(self) -> dict[str, float] | None:
-        """Frequency [Hz] and current [A] in force; None: the rig that is there has not told them."""
+        """Active frequency [Hz] and current [A]; None if the present rig has not published them."""
         change = self._change()
         return None if change is None else change[1]
 
     def _change(self, at_ns: int | None = None) -> tuple[int, dict[str, float]] | None:
-        """Return when the drive was changed last, and to what, before an instant; of the rig there is now, if None."""
+        """Return the time and value of the last change of the drive before a time; of the present rig, if None."""
         if at_ns is not None:
             return next((one for one in reversed(list(self.applied)) if one[0] <= at_ns), None)
         newest = self.applied[-1] if self.applied else None
@@ -479,7 +486,7 @@ class RigView:
 
 
 def guard(refused: dict[str, list[Any]], what: str, work: Callable[[], T]) -> T | None:
-    """Return what is made of what others have published, or None where that fails: it is counted, the rest goes on."""
+    """Process external data; if that fails, count it and return None, so that everything else continues."""
     try:
         return work()
     except Exception as error:
@@ -490,27 +497,27 @@ def guard(refused: dict[str, list[Any]], what: str, work: Callable[[], T]) -> T 
 
 
 def came_before(changed_ns: int, row: Judged) -> bool:
-    """Return whether what changed at an instant was in force when a row began, to the grid of commands."""
+    """Return whether a change preceded the start of a row, within the grid of commands."""
     return changed_ns < row.end_ns and changed_ns <= row.begin_ns + COMMAND_GRID_NS
 
 
 def start_ns(info: Table) -> int:
-    """Return the stamp of scan 0, of a table of `daq/info`.
+    """Return the stamp of scan 0 from a table of `daq/info`.
 
     Raises:
-        RecordingError: it does not say when that was.
+        RecordingError: the table does not state it.
     """
     since_s = float(info.rows["since_start"][0]) if len(info.rows) else math.nan
     if not 0.0 <= since_s < LONGEST_RUN_S:
-        raise RecordingError(f"daq/info says that scan 0 was {since_s:g} s before it")
+        raise RecordingError(f"daq/info states an invalid time of scan 0: {since_s:g} s before it")
     return info.stamp_ns - round(since_s * NS_PER_S)
 
 
 def scan_rate(info: Table) -> float:
-    """Return the scans per second, of a table of `daq/info`.
+    """Return the scans per second from a table of `daq/info`.
 
     Raises:
-        RecordingError: it is no rate that a board can have: rings are as long as the rate says.
+        RecordingError: no board has this rate, which determines the length of the ring buffers.
     """
     rate_hz = float(info.rows["rate"][0]) if len(info.rows) else math.nan
     if not 1.0 <= rate_hz <= HIGHEST_RATE_HZ:

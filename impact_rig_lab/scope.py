@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What the scope draws: the newest scans in a ring, and any window of them as minimum and maximum per picture column.
+"""Data of the scope: the newest scans in a ring buffer, and any window as minimum and maximum per picture column.
 
-Every scan is in the pair of exactly one column, so a pulse of one scan is seen at any zoom.
+Every scan is in the pair of exactly one column, so a pulse of one scan is visible at any zoom.
 """
 
 from __future__ import annotations
@@ -32,60 +32,62 @@ from impact_rig.errors import CodecError
 from impact_rig.instruments.section import CHANNELS, channels_of
 from impact_rig.simtime import NS_PER_S
 
-LONGEST_S = 10.0  # the longest window that can be drawn
-HELD_S = 12.0  # scans kept: the longest window, and some to find a trigger in
+LONGEST_S = 10.0  # longest window that can be drawn
+HELD_S = 12.0  # duration of the scans kept: the longest window, and a margin to find a trigger
 COARSE_S = 0.002
 FINER = 10
-"""Beside the scans, pairs over this long are kept, and over a tenth of it, so that no window looks at every scan."""
+"""Pairs over this duration are kept as well, and over a tenth of it, so that no window needs every scan."""
 MOST_SCANS = 4_000_000
 CURRENT = CHANNELS.index("current")
 
 
 @attrs.frozen(eq=False)
 class Trace:
-    """One window of the scope."""
+    """Window of the scope."""
 
-    begin_s: float  # time of the first column's begin [s]
+    begin_s: float  # start time of the first column [s]
     column_s: float  # length of a column [s]
     low: NDArray[np.float32]
-    """Minima per channel and column, NaN where there is no scan, shape (4, n); of a rig that is driven by a stream also
-    of the current it was told, shape (5, n)."""
+    """Minima per channel and column, NaN without a scan, shape (4, n).
+
+    If a stream drives the rig, also of its commanded current, shape (5, n).
+    """
     high: NDArray[np.float32]  # maxima, of the same shape
     status: NDArray[np.uint8]  # bits of all scans of a column, shape (n,)
-    trigger_s: float  # the instant the window is aligned to; NaN where there is none
+    trigger_s: float  # time to which the window is aligned; NaN if there is none
 
 
 class ScopeLevel:
-    """A ring of pairs, each over some scans; over one scan, it is the ring of the scans themselves."""
+    """Ring buffer of pairs, each over several scans; over one scan, it is the ring of the scans themselves."""
 
     def __init__(self, fine: int, size: int) -> None:
         self.fine, self.size = fine, size
         self.low = np.full((len(CHANNELS), size), np.nan, np.float32)
         self.high = self.low if fine == 1 else self.low.copy()
         self.status = np.zeros(size, np.uint8)
-        self.end = 0  # number of the pair after the last whole one
+        self.end = 0  # number of the pair after the last complete one
 
     def widen(self) -> None:
-        """Make room for one more row."""
+        """Add space for one more row."""
         same = self.high is self.low
         self.low = np.vstack([self.low, np.full((1, self.size), np.nan, np.float32)])
         self.high = self.low if same else np.vstack([self.high, np.full((1, self.size), np.nan, np.float32)])
 
     def places(self, begin: int, end: int) -> list[slice]:
-        """Return where pairs are in the ring: one stretch, or two around its end."""
+        """Return the positions of pairs in the ring: one stretch, or two around its end."""
         if end <= begin:
             return []
         first, last = begin % self.size, (end - 1) % self.size + 1
         return [slice(first, last)] if first < last else [slice(first, self.size), slice(0, last)]
 
     def blank(self, begin: int, end: int) -> None:
-        """Forget some pairs."""
+        """Erase some pairs."""
         for place in self.places(begin, end):
             self.low[:, place] = self.high[:, place] = np.nan
             self.status[place] = 0
 
     def gather(self, below: ScopeLevel, end: int) -> None:
-        """Make the pairs that are whole now, of those of the level below."""
+        """Compute the newly complete pairs from those of the level below."""
         ratio, whole = self.fine // below.fine, end // self.fine
         for place in self.places(max(self.end, whole - self.size), whole):
             source = slice(place.start * ratio, place.stop * ratio)
@@ -96,7 +98,7 @@ class ScopeLevel:
 
 
 class Scope:
-    """A ring of scans of contiguous numbers; scans that never came are NaN."""
+    """Ring buffer of consecutive scans; missing scans are NaN."""
 
     def __init__(self, rate_hz: float) -> None:
         self.rate_hz = rate_hz
@@ -106,8 +108,8 @@ class Scope:
         self._size = blocks * coarse
         self._levels = [ScopeLevel(fine, self._size // fine) for fine in sorted({1, finer, coarse})]
         self._scans = self._levels[0]
-        self._commanded: NDArray[np.float32] | None = None  # for scans that are to come; None: nothing ever was
-        self.begin = self.end = 0  # numbers of the first scan held, and of the one after the last
+        self._commanded: NDArray[np.float32] | None = None  # for future scans; None if there were never any
+        self.begin = self.end = 0  # numbers of the first scan kept, and of the one after the last
 
     @property
     def end_s(self) -> float:
@@ -115,14 +117,14 @@ class Scope:
         return self.end / self.rate_hz
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Erase everything."""
         self.begin = self.end = 0
 
     def add(self, table: Table, start_ns: int) -> None:
-        """Take a block of `daq/scan`."""
+        """Add a block of `daq/scan`."""
         rows = table.rows[-self._size :]
         if any(rows.dtype[name].kind not in "fiu" for name in channels_of(rows)):
-            raise CodecError("daq/scan has a channel that is no number")
+            raise CodecError("daq/scan has a channel that is not numeric")
         first = round((table.stamp_ns - start_ns) * self.rate_hz / NS_PER_S) + len(table.rows) - len(rows)
         if first < 0 or not len(rows):
             return
@@ -138,7 +140,7 @@ class Scope:
         self.begin = max(self.begin, self.end - self._size)
 
     def command(self, table: Table, rate_hz: float, start_ns: int) -> None:
-        """Take a block of `shaker/waveform`, of samples at a rate: they are drawn with the scans they act on."""
+        """Add a block of `shaker/waveform` with its sample rate: the samples are drawn with the scans they act on."""
         if self._commanded is None:
             self._commanded = np.full(self._size, np.nan, np.float32)
             for level in self._levels:
@@ -158,7 +160,7 @@ class Scope:
             there = channels_of(rows)
             for number, name in enumerate(CHANNELS):
                 self._scans.low[number, place] = part[name] if name in there else np.nan
-                if name in there:  # bits are in the order of the channels that are there
+                if name in there:  # bits are in the order of the existing channels
                     self._scans.status[place] |= (part["status"] >> there.index(name) & 1) << number
             if self._commanded is not None:
                 self._scans.low[len(CHANNELS), place] = self._commanded[place]
@@ -166,12 +168,12 @@ class Scope:
             done += len(part)
 
     def window(self, span_s: float, columns: int, *, trigger: bool = False) -> Trace | None:
-        """Return the newest window of a length; None: there is nothing.
+        """Return the newest window of a length; None without data.
 
         Args:
             span_s: its length [s].
-            columns: of the picture; there may be fewer, or up to half as many more.
-            trigger: move the window back, until it begins where the current passes zero upwards.
+            columns: columns of the picture; there may be fewer, or up to half as many more.
+            trigger: whether to move the window back until it begins where the current crosses zero upwards.
         """
         if self.end <= self.begin:
             return None
@@ -181,18 +183,18 @@ class Scope:
         if not math.isnan(crossing):
             begin = int(crossing)
         step = max(1, count // columns)
-        for below, upper in itertools.pairwise(self._levels):  # now: nobody looks at every block
+        for below, upper in itertools.pairwise(self._levels):  # only now, because not every block is drawn
             upper.gather(below, self.end)
         level = next(level for level in reversed(self._levels) if level.fine == 1 or step >= 2 * level.fine)
         return self._trace(level, begin // level.fine, count // level.fine, step // level.fine, crossing)
 
     def _crossing(self, begin: int) -> float:
-        """Return the last scan before `begin` at which the current passes zero upwards; NaN: there is none."""
+        """Return the last scan before `begin` at which the current crosses zero upwards; NaN if there is none."""
         low = max(self.begin, begin - round(0.25 * self.rate_hz), 0)
         found = self._read(low, begin + 1)[CURRENT]
         if not len(found):
             return math.nan
-        # the noise of the monitor crosses zero many times: take means over a millisecond, and ask for some amplitude
+        # the noise of the monitor crosses zero many times: use means over a millisecond, and require some amplitude
         width = max(1, round(1e-3 * self.rate_hz))
         rest = len(found) % width
         means = np.nan_to_num(found[rest:]).reshape(-1, width).mean(axis=1)
@@ -209,11 +211,11 @@ class Scope:
         return np.concatenate(parts, axis=1) if parts else self._scans.low[:, :0]
 
     def stretch(self, span_s: float) -> NDArray[np.float32]:
-        """Return the newest scans, of the shape of a `Trace`'s minima."""
+        """Return the newest scans, in the shape of a `Trace`'s minima."""
         return self._read(self.end - round(span_s * self.rate_hz), self.end)
 
     def _trace(self, level: ScopeLevel, begin: int, count: int, step: int, crossing: float) -> Trace:
-        """Make columns of `step` pairs of a level each; a coarse one begins up to a pair earlier than asked."""
+        """Build columns of `step` pairs of a level each; a coarse one begins up to one pair early."""
         columns = count // step
         low, high = np.full((2, len(level.low), columns * step), np.nan, np.float32)
         status = np.zeros(columns * step, np.uint8)
@@ -234,7 +236,7 @@ class Scope:
 
 
 def _columns(values: NDArray[Any], step: int) -> NDArray[Any]:
-    """Return values in columns of so many: shape (…, n * step) becomes (step, …, n), in a copy.
+    """Rearrange values into columns: shape (…, n * step) becomes (step, …, n), in a copy.
 
     NumPy reduces a long first axis up to forty times as fast as a short last one.
     """
@@ -251,8 +253,8 @@ def spectrum(values: NDArray[np.float32], rate_hz: float, top_hz: float) -> tupl
     return rate_hz / count, np.abs(lines).astype(np.float32)
 
 
-@functools.lru_cache(maxsize=4)  # every page asks four times a second, most for the same length
+@functools.lru_cache(maxsize=4)  # every page requests it four times a second, usually with the same length
 def _hann(count: int) -> NDArray[np.float64]:
-    """Return a Hann window that keeps peak values: of a sine in the middle of a line."""
+    """Return a Hann window that preserves peak values of a sine in the middle of a line."""
     window = np.hanning(count)
     return window * (2.0 / window.sum())

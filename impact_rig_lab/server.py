@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The web server: the page and its one WebSocket, for whoever has the token, on the loopback unless told otherwise.
+"""Web server: the page and its one WebSocket, for clients with the token, on the loopback interface by default.
 
-Nothing is fetched from elsewhere, and the page may fetch nothing from elsewhere: the content security policy says so.
-Each open page is a `PageSession`, which draws what it asked for, one picture at a time: a page that does not draw costs
-nothing. A page may ask for recorded runs (`?run=NAME`); it gets a player of its own.
+Nothing is fetched from other sites, and the content security policy forbids the page to do so. Each open page is a
+`PageSession`, which draws what the page requests, one picture at a time: a page that does not draw costs nothing. A
+page may request recorded runs (`?run=NAME`) and gets its own player.
 """
 
 from __future__ import annotations
@@ -55,16 +55,17 @@ PORT = 8765
 HIGHEST_PORT = 65535
 HTTP_PORT = 80
 MOST_PAGES = 16
-FASTEST_HZ = 60.0  # pictures per second, at most
-MOST_UNDRAWN = 2  # pictures on their way to a page: one is drawn while the next travels
-SPECTRUM_S = 0.25  # between two spectra
+FASTEST_HZ = 60.0  # maximum number of pictures per second
+MOST_UNDRAWN = 2  # maximum number of pictures on their way to a page: one is drawn while the next travels
+SPECTRUM_S = 0.25  # interval between two spectra
 SPECTRUM_SPAN_S = 2.0
 STATE_S = 0.1
-PATIENCE_S = 2.0  # a page that has not drawn the last picture after this long is away, and gets one now and then
-MOST_BAD = 20  # requests without sense after which a connection is closed
-HEADERS_S = 10.0  # a connection that has asked for nothing whole after this long is closed
-MOST_CONNECTIONS = 64  # far fewer than a process may have descriptors; whoever comes after them is turned away
-NO_DESCRIPTOR_S = 0.1  # until the next connection is taken after one could not be
+# a page that has not drawn the last picture after this time is inactive, and gets a picture occasionally
+PATIENCE_S = 2.0
+MOST_BAD = 20  # number of invalid requests after which a connection is closed
+HEADERS_S = 10.0  # time after which a connection without a complete request is closed
+MOST_CONNECTIONS = 64  # far below the limit of descriptors of a process; further connections are rejected
+NO_DESCRIPTOR_S = 0.1  # delay until the next connection is accepted after a failure
 MOST_RUNS = 200
 MOST_AT_ONCE = 2
 TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
@@ -83,17 +84,17 @@ HEADERS = {
 
 
 def check_port(port: int) -> None:
-    """Refuse a port that there is not.
+    """Reject a port number that does not exist.
 
     Raises:
-        ImpactRigError: names what there is.
+        ImpactRigError: names the valid range.
     """
     if not 0 <= port <= HIGHEST_PORT:
-        raise ImpactRigError(f"a port is 0 (any) to {HIGHEST_PORT}, got {port}")
+        raise ImpactRigError(f"a port must be 0 (any) to {HIGHEST_PORT}, got {port}")
 
 
 def plotter_files() -> Path:
-    """Return the folder with uPlot, of the package `uplot-python`; nothing of that package is imported.
+    """Return the folder with uPlot, from the package `uplot-python`, without importing that package.
 
     Raises:
         ImpactRigError: it is not installed.
@@ -105,14 +106,14 @@ def plotter_files() -> Path:
 
 
 def kept_token() -> str:
-    """Return this user's token, made once: an open page finds its lab again after it was started anew."""
+    """Return this user's token, created once: an open page reconnects to its lab after a restart."""
     path = files.state_dir("") / "lab_token"
     with contextlib.suppress(OSError, UnicodeDecodeError):
         found = path.read_text(encoding="ascii").strip()
         if len(found) >= 32 and found.isalnum() and path.stat().st_mode & 0o077 == 0:
             return found
     token = secrets.token_hex(24)
-    with contextlib.suppress(OSError):  # then it holds for this start only
+    with contextlib.suppress(OSError):  # otherwise it is valid for this start only
         path.unlink(missing_ok=True)
         handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         with os.fdopen(handle, "w", encoding="ascii") as file:
@@ -121,7 +122,7 @@ def kept_token() -> str:
 
 
 class PageSession:
-    """Serves one WebSocket."""
+    """Session of one WebSocket."""
 
     def __init__(self, socket: web.WebSocketResponse, source: Source, refused: Counter[str]) -> None:
         self._socket = socket
@@ -139,7 +140,7 @@ class PageSession:
         self._loop = asyncio.get_running_loop()
 
     async def run(self) -> None:
-        """Serve until the page goes."""
+        """Serve until the page disconnects."""
         sender = asyncio.create_task(self._send())
         try:
             await self._listen()
@@ -152,7 +153,7 @@ class PageSession:
         bad = 0
         async for message in self._socket:
             if message.type is WSMsgType.ERROR:
-                return  # too long, or no WebSocket's: the connection is closed
+                return  # too long, or not a WebSocket message: the connection is closed
             if message.type is not WSMsgType.TEXT:
                 self._refused["binary"] += 1
                 bad += 1
@@ -192,7 +193,7 @@ class PageSession:
                 await asyncio.wait_for(self._answered.wait(), 1.0 / FASTEST_HZ)
             self._answered.clear()
             while self._replies:
-                await self._send_state()  # what is in force now comes before the answer
+                await self._send_state()  # the present state precedes the answer
                 await self._socket.send_bytes(self._replies.popleft())
             now = time.monotonic()
             if now - self._state_at >= STATE_S:
@@ -202,7 +203,7 @@ class PageSession:
                 continue
             try:
                 frames = self._picture(now)
-            except Exception:  # one that cannot be drawn costs itself: STOP is asked for here
+            except Exception:  # a failed picture must not prevent STOP, which is requested here
                 self._refused["pictures"] += 1
                 continue
             if frames:
@@ -217,7 +218,7 @@ class PageSession:
             await self._socket.send_bytes(protocol.json_frame(FrameKind.STATE, 0, parts))
 
     def _picture(self, now: float) -> list[bytes]:
-        """Return the frames of one picture; the trace comes last, and is the one that is acknowledged."""
+        """Return the frames of one picture; the trace is last, and is the acknowledged one."""
         source, record, view = self._source, self._source.record, self._view
         with record.lock:
             if record.epoch != self._epoch:
@@ -258,7 +259,7 @@ class PageSession:
 
 
 class _Counting(logging.Handler):
-    """Counts what aiohttp would print: requests that are no HTTP, connections that end in the middle."""
+    """Log handler that counts what aiohttp would print: invalid HTTP requests, connections that end in the middle."""
 
     def __init__(self, counts: Counter[str]) -> None:
         super().__init__()
@@ -270,12 +271,12 @@ class _Counting(logging.Handler):
 
 
 class Server:
-    """Serves a source, in an event loop and a thread of its own.
+    """Server of a source, in its own event loop and thread.
 
     Args:
-        port: 0: any that is free.
-        token: that the address of the page must carry.
-        runs: directory whose runs a page may play; None: none.
+        port: port number; 0 means any free one.
+        token: token that the address of the page must contain.
+        runs: directory whose runs a page may play; None means no runs.
 
     Raises:
         ImpactRigError: there is no such port.
@@ -291,7 +292,7 @@ class Server:
         self.token = token or secrets.token_hex(24)
         self.port = 0
         self.refused: Counter[str] = Counter()
-        """What was refused so far, by reason: token, origin, host, binary, malformed, too many pages, …"""
+        """Number of rejections by reason: token, origin, host, binary, malformed, too many pages, …"""
         self._logger = logging.Logger("impact_rig_lab.server")
         self._logger.addHandler(_Counting(self.refused))
         self._joining: set[asyncio.Task[None]] = set()
@@ -299,7 +300,7 @@ class Server:
         self._unserved: set[Any] = set()
         self._folders = {"": STATIC, "uplot": plotter_files()}
         self._sockets: dict[web.WebSocketResponse, Source] = {}
-        self._pages = 0  # open, or about to be: a player takes a while to find its run
+        self._pages = 0  # open or about to open: a player takes a while to find its run
         self._thread = threading.Thread(target=self._run, name="lab-server", daemon=True)
         self._ready = threading.Event()
         self._failure: OSError | None = None
@@ -313,10 +314,10 @@ class Server:
 
     @property
     def _name(self) -> str:
-        return f"[{self._host}]" if ":" in self._host else self._host  # of IPv6
+        return f"[{self._host}]" if ":" in self._host else self._host  # IPv6
 
     def start(self) -> None:
-        """Begin to serve.
+        """Start serving.
 
         Raises:
             ImpactRigError: the address cannot be bound.
@@ -327,11 +328,11 @@ class Server:
             self._thread.join()
             reason = self._failure.strerror or str(self._failure)
             raise ImpactRigError(
-                f"{self._host}:{self._wanted_port} cannot be served: {reason}; choose another --port"
+                f"cannot serve {self._host}:{self._wanted_port}: {reason}; choose another --port"
             ) from self._failure
 
     def close(self) -> None:
-        """Close every page and end."""
+        """Close every page and stop."""
         loop, end = self._loop, self._end
         if loop is not None and end is not None and self._thread.is_alive():
             with contextlib.suppress(RuntimeError):
@@ -353,7 +354,8 @@ class Server:
     async def _serve(self) -> None:
         loop = self._loop = asyncio.get_running_loop()
         self._end = asyncio.Event()
-        loop.set_exception_handler(lambda _loop, _context: self._count("connections"))  # no descriptors left, for one
+        # for example, no descriptors left
+        loop.set_exception_handler(lambda _loop, _context: self._count("connections"))
         runner = web.AppRunner(
             self._application(), access_log=None, handle_signals=False, shutdown_timeout=2.0, logger=self._logger
         )
@@ -363,7 +365,7 @@ class Server:
             listener = socket.create_server((self._host, self._wanted_port), family=family)
             listener.setblocking(False)
             address, self.port = listener.getsockname()[:2]
-            self._is_local = ipaddress.ip_address(address).is_loopback  # by whatever name it was asked for
+            self._is_local = ipaddress.ip_address(address).is_loopback  # under any name
         except OSError as error:
             self._failure = error
             await runner.cleanup()
@@ -379,7 +381,7 @@ class Server:
         for page in list(self._sockets):
             await page.close(code=1001, message=b"the lab has ended")
         await runner.cleanup()
-        for transport in self._transports:  # one that still has to send would outlive the loop
+        for transport in self._transports:  # a transport with unsent data would outlive the loop
             transport.abort()
         await asyncio.sleep(0)
 
@@ -389,16 +391,16 @@ class Server:
             self._loop.add_reader(listener, self._accept, listener, server)
 
     def _accept(self, listener: socket.socket, server: web.Server) -> None:
-        """Connect whoever comes, and nobody where there are too many.
+        """Accept connections, up to the limit.
 
-        Not by `sock_accept`: cancelled at the wrong moment, it loses the connection that it has just accepted.
+        `sock_accept` is not used: cancelled at the wrong moment, it loses the connection that it has just accepted.
         """
         assert self._loop is not None
         try:
             connection, _ = listener.accept()
-        except BlockingIOError:  # who knocked has gone
+        except BlockingIOError:  # the client has disconnected
             return
-        except OSError:  # no descriptors left, for one
+        except OSError:  # for example, no descriptors left
             self._count("connections")
             self._loop.remove_reader(listener)
             self._loop.call_later(NO_DESCRIPTOR_S, self._listen, listener, server)
@@ -421,7 +423,7 @@ class Server:
 
     def _close_unless_served(self, handler: Any) -> None:
         if handler in self._unserved and handler.transport is not None:
-            self._count("half requests")
+            self._count("incomplete requests")
             handler.transport.close()
         self._unserved.discard(handler)
 
@@ -437,7 +439,7 @@ class Server:
         application.router.add_get("/uplot/{name:[a-zA-Z_.-]+}", self._file("uplot"))
         return application
 
-    # Who may come in
+    # Access control
 
     def _refuse(self, reason: str, text: str, status: int = 403) -> web.Response:
         self._count(reason)
@@ -446,11 +448,11 @@ class Server:
     def _hosts(self) -> set[str]:
         names = {self._name.lower(), "localhost", LOOPBACK} if self._is_local else {self._name.lower()}
         known = {f"{name}:{self.port}" for name in names}
-        return known | names if self.port == HTTP_PORT else known  # browsers leave that one out
+        return known | names if self.port == HTTP_PORT else known  # browsers omit the default port
 
     @web.middleware
     async def _guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        """Refuse who asks for another host (DNS rebinding) or comes from another page."""
+        """Reject requests for another host (DNS rebinding) or from another page."""
         self._unserved.discard(request.protocol)
         response: web.StreamResponse | None = self._turned_away(request)
         try:
@@ -465,25 +467,27 @@ class Server:
 
     def _turned_away(self, request: web.Request) -> web.Response | None:
         if self._is_local and request.host.lower() not in self._hosts():
-            return self._refuse("host", "this lab has another name")
+            return self._refuse("host", "wrong host name for this lab")
         origin = request.headers.get("Origin")
         allowed = {f"http://{host}" for host in self._hosts()} | {f"http://{request.host}"}
         if origin is not None and origin not in allowed:
-            return self._refuse("origin", "pages of others may not look into this lab")
+            return self._refuse("origin", "pages of other origins may not access this lab")
         return None
 
     def _close_after(self, response: web.StreamResponse) -> None:
         response.headers.update(HEADERS)
-        response.force_close()  # a connection is for one request: none is held open for a second one
+        response.force_close()  # one request per connection: none is kept open
 
     def _known(self, request: web.Request) -> bool:
         return hmac.compare_digest(request.query.get("token", "").encode(), self.token.encode())
 
-    # What there is
+    # Resources
 
     async def _page(self, request: web.Request) -> web.Response:
         if not self._known(request):
-            return self._refuse("token", "The address of a lab ends with ?token=…: take it from where it was started.")
+            return self._refuse(
+                "token", "The address of a lab ends with ?token=…: copy it from the terminal where the lab was started."
+            )
         return self._answer(STATIC / "index.html")
 
     def _file(self, folder: str) -> Handler:
@@ -502,7 +506,7 @@ class Server:
         if not self._known(request):
             return self._refuse("token", "the token is missing or wrong")
         if request.headers.get("Origin") is None:
-            return self._refuse("origin", "a page says where it comes from")
+            return self._refuse("origin", "the origin of the page is missing")
         if self._pages >= MOST_PAGES:
             return self._refuse("too many pages", f"{MOST_PAGES} pages are open already", 503)
         self._pages += 1
@@ -519,7 +523,7 @@ class Server:
             return self._refuse("run", str(error), 404)
         page = web.WebSocketResponse(max_msg_size=protocol.LONGEST_REQUEST, heartbeat=20.0, compress=False)
         try:
-            await page.prepare(request)  # raises where no WebSocket is asked for, or the page has gone
+            await page.prepare(request)  # raises if the request is not for a WebSocket, or the page has disconnected
             self._sockets[page] = source
             self._watched(source)
             await PageSession(page, source, self.refused).run()
@@ -558,17 +562,19 @@ class Server:
     def _described_runs(self) -> list[dict[str, Any]]:
         found = []
         for path in self.runs():
-            with contextlib.suppress(OSError):  # a run that is being removed, or whose file is elsewhere and gone
+            with contextlib.suppress(OSError):  # a run that is being deleted, or a dangling link
                 size = sum(one.stat().st_size for one in path.glob("*.mcap"))
                 found.append({"name": path.name, "megabytes": round(size / 1e6, 1)})
         return found
 
     def _player(self, names: Sequence[str]) -> Source:
-        """Return a player of runs for a page of its own."""
+        """Return a player of runs for one page."""
         known = {path.name: path for path in self.runs()}
         unknown = [name for name in names if name not in known]
         if unknown or len(names) > MOST_AT_ONCE:
-            raise ImpactRigError(f"there is no run {unknown[0]!r}" if unknown else "at most two runs are shown at once")
+            raise ImpactRigError(
+                f"there is no run {unknown[0]!r}" if unknown else ("at most two runs can be shown at once")
+            )
         source = PlaybackSource([known[name] for name in names])
         source.start()
         return source

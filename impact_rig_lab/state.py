@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What pages are told, live and in playback alike, and the `Source` that tells it.
+"""State for pages, live and in playback alike, and the `Source` that provides it.
 
-How all is stands in one word and one sentence: `judge`. States come from the keys of `impact_rig.states`
-alone: no sentence is read. What was never said, or too long ago, is not shown as present. Times are seconds since scan
-0; what came before it is negative.
+`judge` summarises the state in one word and one sentence. It uses only the keys of `impact_rig.states`; no sentence is
+parsed. Data that were never reported, or too long ago, are not shown as present. Times are seconds since scan 0;
+earlier ones are negative.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Self, TypeVar  # Any: what goes to JSON
+from typing import Any, Self, TypeVar  # Any: values for JSON
 
 import attrs
 
@@ -45,14 +45,20 @@ from impact_rig_lab.scope import Scope
 from impact_rig_lab.theory import Theory, contradiction
 
 HURRIED = 1.5
-"""Speed from which on pictures come now and then: nobody sees every cycle, and rig and analysis need the machine."""
+"""Speed from which pictures are drawn only occasionally.
+
+Individual cycles are invisible, and rig and analysis need the machine.
+"""
 FOLLOWED = 4.5
-"""Speed up to which the motion is drawn: beyond it nobody can follow, and publishing it costs the rig a tenth."""
+"""Speed up to which the motion is drawn.
+
+Beyond it the motion is too fast to follow, and publishing it slows the rig by a tenth.
+"""
 T = TypeVar("T")
-STALE_S = 3.0  # rig time that has not moved for so long stands still
+STALE_S = 3.0  # time after which unchanged rig time counts as standing still
 STANDING = (states.RigWord.INACTIVE, states.RigWord.NO_PEER, states.RigWord.SILENT_PEER, states.RigWord.PAUSED)
-"""States in which rig time stands still, or has not begun."""
-GAP_S = 10.0  # two readings further apart say nothing about the speed between them
+"""States in which rig time stands still, or has not started."""
+GAP_S = 10.0  # largest interval between two readings from which a speed is computed
 KNOBS = (
     "barriers.gap_m", "sphere.present", "sphere.start", "contact.law", "contact.restitution", "pluck.displacement_m",
     "shaker.frequency_min_hz", "shaker.frequency_max_hz", "shaker.current_limit_a_rms", "shaker.travel_limit_m",
@@ -60,24 +66,24 @@ KNOBS = (
 )  # fmt: skip
 """Parameters of the rig that the page shows."""
 Answer = Callable[[bool, str], None]
-"""Tells the page whether what it asked for was done, and in which words; may be called from any thread, once."""
-DEAD_S = 4.0  # a node that has said nothing for so long is not there
+"""Function that reports the result of a request to the page, with a text; called once, from any thread."""
+DEAD_S = 4.0  # time after which a silent node counts as absent
 
 
 @attrs.frozen
 class Seen:
-    """What a node has said of itself last, and how long ago."""
+    """Last report of a node, and its age."""
 
-    state: str = ""  # word of its table in `impact_rig.states`; empty: it said none of them
+    state: str = ""  # word of its table in `impact_rig.states`; empty if it reported none
     reason: str = ""
-    instance: str = ""  # which activation of the node said it
-    age_s: float | None = None  # since it was heard [s]; None: it never was
-    ended: str = ""  # how its process ended; empty: it runs, or is not ours
-    figures: Mapping[str, str] = attrs.field(factory=dict)  # all keys it publishes
+    instance: str = ""  # activation of the node that reported it
+    age_s: float | None = None  # age of the report [s]; None if there was none
+    ended: str = ""  # how its process ended; empty if it is running, or is not one of the lab
+    figures: Mapping[str, str] = attrs.field(factory=dict)  # all keys in its diagnostics
 
     @classmethod
     def of(cls, node: str, figures: Mapping[str, str], age_s: float | None, ended: str = "") -> Seen:
-        """Return what the keys of a node say; a word that is not of its table counts as none."""
+        """Parse the keys of a node's diagnostics; an unknown word counts as none."""
         state = figures.get("state", "")
         known = {one.value for one in states.BY_NODE[node]} if node in states.BY_NODE else set()
         word = state if state in known else ""
@@ -85,11 +91,11 @@ class Seen:
 
     @property
     def lives(self) -> bool:
-        """Whether it was heard of a short while ago, and its process has not ended."""
+        """Whether it reported recently, and its process has not ended."""
         return not self.ended and self.age_s is not None and self.age_s <= DEAD_S
 
     def part(self) -> dict[str, Any]:
-        """Return it for the page."""
+        """Return the report for the page."""
         return {
             "state": self.state, "reason": self.reason, "instance": self.instance, "lives": self.lives,
             "age": None if self.age_s is None else round(self.age_s), "gone": self.gone,
@@ -97,7 +103,7 @@ class Seen:
 
     @property
     def gone(self) -> str:
-        """Return how a node that was there has gone; empty: it lives, or never was."""
+        """Reason why a known node is gone; empty if it is alive, or was never seen."""
         if self.ended:
             return self.ended
         return "" if self.age_s is None or self.lives else f"silent for {self.age_s:.0f} s"
@@ -111,77 +117,81 @@ SENTENCES = {
     states.RigWord.TRIPPED: "The shaker is latched by {reason}; its current is zero.",
     states.RigWord.PAUSED: "Rig time stands still.",
     states.RigWord.PLUCKED: "Base locked, structure swings freely; reset unlocks it.",
-    states.RigWord.AT_REST: "The shaker is at rest: press R for 9.1 Hz, 0.52 A.",
+    states.RigWord.AT_REST: "The shaker is at rest. Press R for 9.1 Hz, 0.52 A.",
 }
 MEASURING = {
     states.AnalysisWord.INACTIVE: "the analysis is not active",
-    states.AnalysisWord.NO_SCANS: "the analysis gets no scans",
-    states.AnalysisWord.LOST_SCANS: "the analysis has lost scans and begins anew",
+    states.AnalysisWord.NO_SCANS: "the analysis receives no scans",
+    states.AnalysisWord.LOST_SCANS: "the analysis has lost scans and restarts",
     states.AnalysisWord.UNABLE: "DT cannot be measured now: {reason}",
-    states.AnalysisWord.AT_REST: "the analysis has not seen the drive yet",
+    states.AnalysisWord.AT_REST: "the analysis has not received the drive yet",
 }
 
 
 def judge(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> tuple[str, str]:
-    """Return the state of the whole in one word and one sentence.
+    """Return the overall state in one word and one sentence.
 
-    The word is `measured`, the only one that says that a measurement holds, where the analysis says so and nothing
-    speaks against it: `doubts` are faults in force, channels that are not well, changes since it began.
+    Only the word `measured` means that a measurement applies: the analysis reports it and there are no doubts. `doubts`
+    are active faults, unsound channels, and changes since it began.
     """
     if rig.ended:
         return "dead", f"The rig is gone: {rig.ended}."
     if rig.age_s is None:
         return "starting", "Waiting for the rig."
     if not rig.lives:
-        return "dead", f"Nothing was heard of the rig for {rig.age_s:.0f} s."
+        return "dead", f"No report from the rig for {rig.age_s:.0f} s."
     if not rig.state:
-        return "unknown", "The rig does not say its state: is it of another version?"
+        return "unknown", "The rig does not report its state; is it of another version?"
     if rig.state != states.RigWord.DRIVING:
-        sentence = SENTENCES[states.RigWord(rig.state)].format(reason=plain(rig.reason) or "it does not say why")
+        sentence = SENTENCES[states.RigWord(rig.state)].format(reason=plain(rig.reason) or "no reason given")
         return plain(rig.state), sentence
     if not analysis.lives:
         why = f"the analysis is gone ({analysis.gone})" if analysis.gone else "there is no analysis"
-        return "driving", f"Nobody measures: {why}."
+        return "driving", f"No measurement: {why}."
     if analysis.state == states.AnalysisWord.SETTLING:
         waits = bool(figure(analysis.figures.get("no_impact_limit_s")))  # for a sphere: the reason says so
         return "settling", f"{capitalised(analysis.reason if waits else 'waiting until the transient has died')}."
     if analysis.state != states.AnalysisWord.MEASURING:
-        why = MEASURING.get(states.AnalysisWord(analysis.state), "") if analysis.state else "the analysis says no state"
-        why = why.format(reason=plain(analysis.reason) or "it does not say why")
+        why = (
+            MEASURING.get(states.AnalysisWord(analysis.state), "")
+            if analysis.state
+            else ("the analysis reports no state")
+        )
+        why = why.format(reason=plain(analysis.reason) or "no reason given")
         return "driving", f"{capitalised(why)}."
     if doubts:
-        return "driving", f"The analysis calls it measured, but {'; '.join(doubts)}."
-    return "measured", "The measurement holds."
+        return "driving", f"The analysis reports a measurement, but {'; '.join(doubts)}."
+    return "measured", "The measurement applies to the present drive."
 
 
 def capitalised(text: str) -> str:
-    """Return a text with its first letter as a capital and the others as they are."""
+    """Return a text with its first letter capitalised and the others unchanged."""
     return text[:1].upper() + text[1:]
 
 
 class Pace:
-    """Seconds of rig time per second, from readings that come once or twice a second."""
+    """Speed of rig time, from readings that arrive once or twice a second."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self.speed = 0.0  # at the last two different readings
+        self.speed = 0.0  # from the last two different readings
         self._read_at = self._rig_s = 0.0
         self._instance = ""
 
     @property
     def is_hurried(self) -> bool:
-        """Whether rig time runs ahead of ours."""
+        """Whether rig time runs faster than real time."""
         return self.speed > HURRIED
 
     @property
     def is_followed(self) -> bool:
-        """Whether somebody could follow the motion."""
+        """Whether the motion is slow enough to follow."""
         return self.speed <= FOLLOWED
 
     def read(self, rig_s: float, instance: str = "", *, stands: bool = False) -> float:
-        """Take a reading of the time of a rig [s]; return the speed, 0 where it stands still, or says so.
+        """Add a reading of the rig time [s]; return the speed, 0 if it stands still or is reported to.
 
-        Of two activations, or two rigs in one namespace, the times have nothing to do with each other.
+        Times of two activations, or of two rigs in one namespace, are unrelated.
         """
         now = self._clock()
         if instance != self._instance or stands:
@@ -195,7 +205,10 @@ class Pace:
 
 
 def choices() -> dict[str, Any]:
-    """Return what can be chosen: laws, starts, faults with their words and whether they concern the whole board."""
+    """Return the available choices.
+
+    Laws, starts, and faults with their descriptions and whether they concern the whole board.
+    """
     about = {name: info for name, info, _ in fields()}
     return {
         "law": list(about["contact.law"].choices),
@@ -206,8 +219,8 @@ def choices() -> dict[str, Any]:
 
 
 SIZES = {"accelerometer": 5.0, "laser": 1e-3, "base": 1e-4, "current": 0.1}
-"""Proposals of the fault form for a fault on a channel, in the unit of the channel: it is seen, and trips nothing."""
-NOISE = 0.1  # the same for the rms of noise, as a part of that
+"""Suggested fault sizes by channel unit: visible, but without a trip."""
+NOISE = 0.1  # the same for the rms of noise, as a fraction of that
 SIZE_NAMES = {
     "gain_error": "fraction",
     "added_noise": "rms",
@@ -218,7 +231,7 @@ SIZE_NAMES = {
 
 
 def _fault_form(kind: str) -> dict[str, Any]:
-    """Return what the form asks for a fault of a kind: words, whether it has a channel, a rate, and a size by channel.
+    """Return the form for a kind of fault: description, whether it has a channel, a rate, and a size by channel.
 
     A kind without `value` has no sizes; the channel of a fault of the whole board is empty. A size is shown in `unit`,
     which is `scale` units of the rig.
@@ -237,7 +250,7 @@ def _fault_form(kind: str) -> dict[str, Any]:
 
 
 def figure(value: str | None) -> float | None:
-    """Return a figure of the diagnostics as a number; None: it is none."""
+    """Return a figure of the diagnostics as a number; None if it is invalid."""
     try:
         return None if value is None else float(value)
     except ValueError:
@@ -245,9 +258,9 @@ def figure(value: str | None) -> float | None:
 
 
 def present(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> dict[str, Any]:
-    """Return whether the newest measurement holds now, and how far the next one is.
+    """Return whether the newest measurement applies now, and the progress of the next one.
 
-    It holds where `judge` says `measured` of the same arguments, and while such a rig is paused.
+    It applies if `judge` returns `measured` for the same arguments, and while such a rig is paused.
     """
     moves = rig.lives and rig.state in (states.RigWord.DRIVING, states.RigWord.PAUSED)
     known = analysis.state if analysis.lives and moves else ""
@@ -261,7 +274,7 @@ def present(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> dict[str, 
 
 
 class Snapshot:
-    """The state of things in named parts, each with a version: a session sends the parts that are new to it."""
+    """State in named parts, each with a version: a session sends the parts that are new to it."""
 
     def __init__(self) -> None:
         self._parts: dict[str, Any] = {}
@@ -270,7 +283,7 @@ class Snapshot:
         self.version = 0
 
     def put(self, **parts: Any) -> None:
-        """Set parts, all at once: no session sees one without the others. The same again is nothing new."""
+        """Set parts, all at once: a session sees all of them or none. An equal value is not new."""
         with self._lock:
             new = {name: part for name, part in parts.items() if name not in self._parts or self._parts[name] != part}
             if new:
@@ -279,17 +292,17 @@ class Snapshot:
                 self._versions.update(dict.fromkeys(new, self.version))
 
     def get(self, name: str) -> Any:
-        """Return a part, None where there is none yet."""
+        """Return a part, or None if it does not exist yet."""
         return self._parts.get(name)
 
     def since(self, version: int) -> tuple[int, Mapping[str, Any]]:
-        """Return the present version, and the parts that have changed after an earlier one."""
+        """Return the present version, and the parts changed after an earlier one."""
         with self._lock:
             return self.version, {name: self._parts[name] for name, at in self._versions.items() if at > version}
 
 
 class Source(abc.ABC):
-    """A rig, or runs: a thread that does what pages ask for and keeps a snapshot and a record up to date.
+    """Rig or runs as the source of pages: a thread that runs their requests and updates snapshot and record.
 
     Args:
         mode: `live` or `playback`.
@@ -298,8 +311,8 @@ class Source(abc.ABC):
     def __init__(self, mode: str, record: RigView) -> None:
         self.record = record
         self.snapshot = Snapshot()
-        self.failures: dict[str, list[Any]] = {}  # parts of the work that failed: how often, and the last reason
-        self.watchers = 0  # how many pages look
+        self.failures: dict[str, list[Any]] = {}  # failed parts of the work: their number, and the last reason
+        self.watchers = 0  # number of open pages
         self._asked: queue.SimpleQueue[tuple[Request, Answer]] = queue.SimpleQueue()
         self.end = threading.Event()
         self.theory = Theory(lambda found: self.snapshot.put(prediction=found))
@@ -308,24 +321,24 @@ class Source(abc.ABC):
 
     @property
     def other(self) -> Scope | None:
-        """The scans of a second run, shown beside the first."""
+        """Scans of a second run, shown next to the first."""
         return None
 
     @property
     @abc.abstractmethod
     def now_s(self) -> float:
-        """Instant the page shows [s since scan 0]."""
+        """Time that the page shows [s since scan 0]."""
 
     @abc.abstractmethod
     def _run(self) -> None:
         """Work until `end` is set, in the thread of this source."""
 
     def ask(self, request: Request, answer: Answer) -> None:
-        """Do what a page asks for, in the thread of this source."""
+        """Run the request of a page, in the thread of this source."""
         self._asked.put((request, answer))
 
     def start(self) -> None:
-        """Begin."""
+        """Start."""
         self._thread.start()
 
     def __enter__(self) -> Self:
@@ -336,22 +349,22 @@ class Source(abc.ABC):
         self.close()
 
     def close(self) -> None:
-        """End."""
+        """Stop."""
         self.end.set()
-        if self._thread.is_alive():  # else what kept it from starting is the error to be seen
+        if self._thread.is_alive():  # otherwise the cause of the failed start must be raised
             self._thread.join()
         self.theory.close()
 
     def guard(self, what: str, work: Callable[[], T]) -> T | None:
-        """Do a part of a turn; where it fails that is counted, and the rest goes on: STOP is sent from here."""
+        """Run a part of a turn; if it fails, count that and continue: STOP is sent from here."""
         return guard(self.failures, what, work)
 
     def tell(self, parts: Mapping[str, Callable[[], Any]], values: Mapping[str, Any]) -> None:
-        """Bring the snapshot up to date: a part that cannot be told does not keep the others back.
+        """Update the snapshot: a part that fails does not prevent the others.
 
         Args:
-            parts: what makes each; `applied`, `dt` and `dt_now` are among them.
-            values: the rig's parameters by name, for what theory says of them; empty: they are not known.
+            parts: functions that return the parts; `applied`, `dt` and `dt_now` are among them.
+            values: the rig's parameters by name, for the theory; empty if unknown.
         """
         told: dict[str, Any] = {}
         for name, make in parts.items():
@@ -370,7 +383,7 @@ class Source(abc.ABC):
 
 
 def glossary() -> dict[str, str]:
-    """Return what each word means that a page may show: states, statuses, regimes, laws, faults, figures."""
+    """Return the meaning of each word that a page may show: states, statuses, regimes, laws, faults, figures."""
     laws = {plain(name): f"Contact law. {(law.__doc__ or '').splitlines()[0]}" for name, law in LAWS.items()}
     faults = {plain(kind): f"Fault of an instrument: {words}." for kind, words in FAULT_KINDS.items()}
     words: dict[str, str] = {}

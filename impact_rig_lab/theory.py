@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What theory says of the rig as its knobs are now: lines for the curve, computed aside, the newest wish alone.
+"""Theory of the rig at its present settings: lines for the curve, computed in the background.
 
-A prediction takes some tenths of a second: a thread of its own, as gentle as the others of the lab, computes it when
-gap, current, sphere, law or anything else it depends on has changed; what was overtaken meanwhile is left out.
+A prediction takes some tenths of a second. A thread with low priority computes it when gap, current, sphere, law or
+another relevant value has changed; outdated requests are skipped.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import os
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple  # values of parameters, and what goes to JSON
+from typing import Any, NamedTuple  # values of parameters and JSON
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,16 +40,16 @@ DECIDING = (*(name for name, _, _ in fields() if is_mechanics(name)), KIND, WAVE
 FREQUENCIES_HZ: NDArray[np.float64] = np.unique(
     np.concatenate([np.linspace(7.0, 11.0, 81), np.linspace(8.6, 9.6, 101)]).round(6)
 )
-"""Where it is computed: as wide as the page's axis is at first, closer near the resonance."""
+"""Frequencies of the prediction: the initial range of the page's axis, denser near the resonance."""
 IMPACTS_PER_CYCLE = 2
 OTHER_MOTION = 0.05
-"""Difference of impacts per cycle from which on a motion is another one; an impact missed now and then is less."""
+"""Difference of impacts per cycle from which a motion is a different one; an occasionally missed impact makes less."""
 HELD = {"current": (1.0, "A"), "prescribed": (1e6, "µm")}
-"""Kinds of drive that keep current or base constant, and in what that is told."""
+"""Kinds of drive that keep current or base constant, and the unit and factor for display."""
 
 
 def be_gentle() -> None:
-    """Lower the priority of the calling thread, and of those it will begin."""
+    """Lower the priority of the calling thread, and of the threads it starts."""
     thread = threading.get_native_id()
     os.setpriority(os.PRIO_PROCESS, thread, max(GENTLE, os.getpriority(os.PRIO_PROCESS, thread)))
 
@@ -70,16 +70,16 @@ def predicted(values: Mapping[str, Any], amplitude: float) -> dict[str, Any]:
     """Return the motions with two symmetric impacts per cycle over the frequency.
 
     Args:
-        values: configuration values by name; those of `DECIDING` count, others are left out.
-        amplitude: of the drive, peak; A or m by `drive.kind`.
+        values: configuration values by name; those of `DECIDING` count, others are ignored.
+        amplitude: amplitude of the drive, peak; A or m by `drive.kind`.
 
     Returns:
-        `lines`: [whether it lasts, [[frequency, DT], ...]]; `words`: what they are of, or why there are none;
-        `impacts`: per cycle of the predicted motion, where there is one.
+        `lines`: [whether it is stable, [[frequency, DT], ...]], `words`: description of the motions, or the reason why
+            there are none, and `impacts` per cycle of the predicted motion, if there is one.
     """
     kind, waveform = str(values.get(KIND, "current")), values.get(WAVEFORM, "sine")
     if not values.get("sphere.present", True):
-        return {"lines": [], "words": "Without a sphere the closed form (thin line) is what theory says."}
+        return {"lines": [], "words": "Without a sphere, the closed form (thin line) is the theory."}
     if kind not in HELD:
         return {"lines": [], "words": f"No prediction for a drive of constant {kind}."}
     if waveform != "sine":
@@ -96,7 +96,7 @@ def predicted(values: Mapping[str, Any], amplitude: float) -> dict[str, Any]:
         gap_m = rig.barriers.gap_m
         held = [amplitude if kind == one else None for one in HELD]
         branches = prediction.curves(rig, FREQUENCIES_HZ, gap_m, current_a=held[0], base_m=held[1])
-    except ConfigError as error:  # friction, no loss, ...: theory does not hold there
+    except ConfigError as error:  # friction, no loss, ...: the theory does not apply there
         return {"lines": [], "words": str(error)}
     lines = [line for one in branches for line in _parts(one.frequency_hz, one.dt, one.stable)]
     factor, unit = HELD[kind]
@@ -109,7 +109,7 @@ def predicted(values: Mapping[str, Any], amplitude: float) -> dict[str, Any]:
 
 
 def contradiction(prediction: Mapping[str, Any], impacts_per_cycle: float) -> str:
-    """Return in which the measured motion is not the predicted one; empty: it may be."""
+    """Return how the measured motion differs from the predicted one; empty if it may be the same."""
     wanted = prediction.get("impacts")
     if wanted is None or not abs(impacts_per_cycle - wanted) > OTHER_MOTION:
         return ""
@@ -122,23 +122,23 @@ def contradiction(prediction: Mapping[str, Any], impacts_per_cycle: float) -> st
 class Continued(NamedTuple):
     """Motions of the model over the frequency."""
 
-    values: Mapping[str, Any]  # configuration values of `DECIDING` at which they exist, wherever the sphere begins
-    amplitude: float  # of the drive, peak
-    lines: list[list[Any]]  # as from `predicted`
-    title: str  # of the study
+    values: Mapping[str, Any]  # configuration values of `DECIDING` at which they exist, for any start of the sphere
+    amplitude: float  # amplitude of the drive, peak
+    lines: list[list[Any]]  # as returned by `predicted`
+    title: str  # title of the study
 
     def exists(self, values: Mapping[str, Any], amplitude: float) -> bool:
-        """Return whether the motions are of a rig with these values."""
+        """Return whether the motions belong to a rig with these values."""
         return math.isclose(amplitude, self.amplitude, rel_tol=1e-6) and all(
             values.get(name, value) == value for name, value in self.values.items()
         )
 
 
 def continued(directory: Path) -> Continued:
-    """Return what `impact-rig dynamics continue` has found.
+    """Read the results of `impact-rig dynamics continue`.
 
     Raises:
-        ConfigError: it has not, or not over the frequency, or studies are not installed.
+        ConfigError: they are missing, or not over the frequency, or studies are not installed.
     """
     from impact_rig_studies.dynamics import figures, plan  # noqa: PLC0415
 
@@ -164,7 +164,7 @@ def continued(directory: Path) -> Continued:
 def _parts(
     frequency_hz: NDArray[np.float64], dt: NDArray[np.float64], stable: NDArray[np.bool_]
 ) -> Iterator[list[Any]]:
-    """Yield the stretches of a branch that last or do not; neighbours share a point, so that the line is whole."""
+    """Yield the stable and unstable stretches of a branch; neighbours share a point, so that the line is continuous."""
     points = [[round(float(f), 4), round(float(value), 4)] for f, value in zip(frequency_hz, dt, strict=True)]
     turns = (np.flatnonzero(np.diff(stable)) + 1).tolist()
     for first, end in zip([0, *turns], [*turns, len(points)], strict=True):
@@ -174,14 +174,14 @@ def _parts(
 
 
 class Theory:
-    """Computes predictions, the newest wish alone.
+    """Background computation of predictions; only the newest request counts.
 
     Args:
         told: called with every prediction, in a thread of this object.
     """
 
     def __init__(self, told: Callable[[dict[str, Any]], None]) -> None:
-        self.beside: Sequence[Continued] = ()  # drawn too, where they exist
+        self.beside: Sequence[Continued] = ()  # drawn as well, where they exist
         self._told = told
         self._lock = threading.Lock()
         self._wish: tuple[dict[str, Any], float] | None = None
@@ -190,7 +190,7 @@ class Theory:
         self._thread: threading.Thread | None = None
 
     def want(self, values: Mapping[str, Any], amplitude: float) -> None:
-        """Ask for the prediction of these values; nothing happens where it was asked for last."""
+        """Request the prediction of these values; a repeated request has no effect."""
         wish = {name: values[name] for name in DECIDING if name in values}, amplitude
         with self._lock:
             if self._ended or wish == self._known:
@@ -201,7 +201,7 @@ class Theory:
                 self._thread.start()
 
     def close(self) -> None:
-        """End."""
+        """Stop."""
         with self._lock:
             self._ended = True
             thread = self._thread
@@ -209,7 +209,7 @@ class Theory:
             thread.join()
 
     def _run(self) -> None:
-        """Compute until nothing is wished for."""
+        """Compute until there is no request left."""
         be_gentle()
         while True:
             with self._lock:
@@ -219,7 +219,7 @@ class Theory:
                     return
             try:
                 found = predicted(*wish)
-            except Exception as error:  # values of anybody: the next wish is another one
+            except Exception as error:  # values of any origin: the next request may differ
                 found = {"lines": [], "words": f"No prediction: {error}"}
             for one in self.beside:
                 if one.exists(*wish):

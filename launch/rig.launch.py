@@ -285,7 +285,7 @@ def generate_launch_description() -> LaunchDescription:
                 description="Record from the start; otherwise when the recorder's service ~/start is called.",
             ),
             DeclareLaunchArgument(
-                "record_directory", default_value="runs", description="Where run directories are made."
+                "record_directory", default_value="runs", description="Directory in which run directories are created."
             ),
             DeclareLaunchArgument(
                 "plot",

@@ -73,7 +73,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "record_directory",
                 default_value="runs",
-                description="Where run directories are made, in a folder for each rig.",
+                description="Directory in which run directories are created, with a folder for each rig.",
             ),
             DeclareLaunchArgument("log_level", default_value="info", description="As in rig.launch.py, for both."),
             DeclareLaunchArgument("discovery", default_value="LOCALHOST", description="As in rig.launch.py."),

@@ -83,9 +83,9 @@ PRIVATE = words("be come go hear look rest say speak tell")
 PHRASES = [
     "anew", "nobody", "somebody", "whoever", "anybody", "everybody", "in force", "in words",
     "(?:is|are|was|were|be) (?:told|said)", "told of", "told about", "what is none", "what is not one",
-    r"is none\b(?! of)", r"freewheel\w*", "beyond all measure", "(?:is|are|written) whole", "(?:goes|go|went) out",
-    "stands there", r"dents?\b(?! of)", "unhurried", "heard of", "(?:is|are) heard", "hears", "amid", "albeit", "hence",
-    "hitherto", "lest", "thence", "thereby", "thereof", "therein", "whence", "whereof",
+    r"(?<!there )is none\b(?! of)", r"freewheel\w*", "beyond all measure", "(?:is|are|written) whole",
+    "(?:goes|go|went) out", "stands there", r"dents?\b(?! of)", "unhurried", "heard of", "(?:is|are) heard", "hears",
+    "amid", "albeit", "hence", "hitherto", "lest", "thence", "thereby", "thereof", "therein", "whence", "whereof",
 ]  # fmt: skip
 HISTORY = [
     "no longer", "used to", "formerly", "(?:first|earlier|previous) version", "originally", "until now", "any ?more",
@@ -100,7 +100,7 @@ PAST = re.compile(rf"\b(?:{'|'.join(HISTORY)})\b", re.IGNORECASE)
 
 MARKDOWN = MarkdownIt("commonmark").enable("table")
 WORD = re.compile(r"[^\W_][\w'’.-]*")
-SENTENCE = re.compile(r"(?<=[.!?])[\"')\]]*\s+(?=[A-Z`*\[\"'(])")
+SENTENCE = re.compile(r"(?<=[.!?])[\"')\]]*\s+(?=[^\W\d_]|[`*\[\"'(])")
 OF_CODE = (
     "impact_rig",
     "impact_rig_lab",
@@ -130,8 +130,9 @@ class Finding:
 # --- Sentences --------------------------------------------------------------------------------------------------------
 def sentences(text: str) -> Iterator[str]:
     """Yield the sentences of prose; inline code counts as one word, indented blocks and lists end a sentence."""
+    text = re.sub(r"\n\n(?: {4}.*\n?)+", "\n\n", text)  # without literal blocks
     text = re.sub(r"``?[^`]+``?", "Code", text)
-    for paragraph in re.split(r"\n\s*\n|\n\s*(?:[-*]|\d+\.)\s|\n\s+\w+(?:, \w+)*: ", text):
+    for paragraph in re.split(r"\n\s*\n|\n\s*(?:[-*|]|\d+\.)\s|\n\s+\w+(?:, \w+)*: ", text):
         yield from (part for part in SENTENCE.split(" ".join(paragraph.split())) if part)
 
 
@@ -164,7 +165,7 @@ def is_imperative(line: str) -> bool:
     first, second = ([*(word.lower() for word in re.findall(r"[\w'’-]+", line)), "", ""])[:2]
     if first in HEADLESS - {"do"} | DETERMINERS | PRIVATE:
         return False
-    return not (first == "return" and second in RELATIVES - {"that"} and not line.lower().startswith("return how many"))
+    return first != "return" or second not in {"what", "who", "where"}
 
 
 def of_docstrings(file: str, tree: ast.Module, *, heads: bool) -> Iterator[Finding]:
@@ -181,7 +182,7 @@ def of_docstrings(file: str, tree: ast.Module, *, heads: bool) -> Iterator[Findi
         if isinstance(node, ast.Module | ast.ClassDef) or "property" in decorators:
             good = (
                 is_noun_phrase(first)
-                or ("property" in decorators and is_imperative(first))
+                or ("property" in decorators and (first.startswith("Whether ") or is_imperative(first)))
                 or first.startswith("`python")
             )
         else:

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Figures of what is measured in a run, one function each; matplotlib is imported when one is drawn."""
+"""Figures of the measurements of a run, one function each; matplotlib is imported when one is drawn."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COVERAGE = 2.0  # error bars are this many standard uncertainties long, either way
+COVERAGE = 2.0  # length of error bars either way, in standard uncertainties
 HEIGHT_INCH = 4.5
-MARK_ABOVE = 1.04  # height of the marks of impacts over an axis, 1 being its upper edge: there they hide no pulse
+MARK_ABOVE = 1.04  # height of the impact marks over an axis; 1 is its upper edge, so they hide no pulse
 SMOOTHED_SAMPLES = 11
 
 
 @style()
 def transmissibility_curves(curves: Mapping[str, NDArray[np.void]]) -> Figure:
-    """Draw DT over frequency with ±2u, the phase beneath, of rows by label; those without numbers are left out."""
-    from matplotlib.ticker import LogFormatter  # noqa: PLC0415  # heavy: only when something is drawn
+    """Draw DT over frequency with ±2u, and the phase below, for rows by label; rows without numbers are left out."""
+    from matplotlib.ticker import LogFormatter  # noqa: PLC0415  # heavy: imported only for drawing
 
     figure, (upper, lower) = _axes(2)
     for label, rows in curves.items():
@@ -54,7 +54,7 @@ def transmissibility_curves(curves: Mapping[str, NDArray[np.void]]) -> Figure:
             axis.errorbar(frequency, factor * sound[name], bars, marker="o", markersize=3.0, capsize=2.0, label=shown)
     upper.set_yscale("log")
     upper.yaxis.set_major_formatter("{x:g}")
-    upper.yaxis.set_minor_formatter(LogFormatter())  # labels where there is less than a decade
+    upper.yaxis.set_minor_formatter(LogFormatter())  # labels on an axis of less than a decade
     upper.set_ylabel("transmissibility $|X_1|/|X_b|$")
     lower.set_ylabel("phase of $x_1$ to $x_b$ (°)")
     lower.set_xlabel("frequency (Hz)")
@@ -64,7 +64,7 @@ def transmissibility_curves(curves: Mapping[str, NDArray[np.void]]) -> Figure:
 
 
 def amplitudes(values: NDArray[np.float64], unit: str) -> str:
-    """Return the range of measured amplitudes, for a legend; empty where none was measured."""
+    """Return the range of measured amplitudes for a legend; empty if none was measured."""
     known = values[np.isfinite(values) & (values > 0.0)]
     if not len(known):
         return ""
@@ -73,9 +73,9 @@ def amplitudes(values: NDArray[np.float64], unit: str) -> str:
 
 
 TRACES = (("base", "b"), ("laser", "1"), ("accelerometer", "1"))
-"""Channels that are drawn of scans, as far as they were measured, and the index of their symbol."""
+"""Channels of scans to draw, if they were measured, and the index of their symbol."""
 MOTIONS = {"m": (1e3, "x", "mm"), "m/s": (1e3, "v", "mm/s"), "m/s^2": (1.0, "a", "m/s²"), "A": (1.0, "i", "A")}
-"""Factor, symbol and unit in which a quantity is drawn, by its SI unit."""
+"""Factor, symbol and unit for drawing a quantity, by its SI unit."""
 SI = {"accelerometer": "m/s^2", "laser": "m", "base": "m", "current": "A"}
 
 
@@ -91,10 +91,10 @@ def time_traces(
     remark: str = "",
     units: Mapping[str, str] = SI,
 ) -> Figure:
-    """Draw base, superior base and acceleration over time; impacts are marked above the axes, where no pulse is hidden.
+    """Draw base, superior base and acceleration over time; impacts are marked above the axes, where they hide no pulse.
 
-    `impact_times` are on the time of the scans [s], shape (k,); `remark` is written above the acceleration; `units` are
-    the SI units of the channels.
+    `impact_times` are on the time axis of the scans [s], shape (k,). `remark` is written above the acceleration.
+    `units` are the SI units of the channels.
     """
     shown = [one for one in TRACES if one[0] in (rows.dtype.names or ())] or [("current", "")]
     figure, axes = _axes(len(shown))
@@ -102,7 +102,7 @@ def time_traces(
         factor, _, unit = MOTIONS[units[name]]
         axis.plot(rows["time"], factor * rows[name], linewidth=0.8)
         axis.set_ylabel(f"{symbol(index, units[name]) if index else name} ({unit})")
-        if impact_times is not None and len(impact_times):  # marks of no impacts would take all room
+        if impact_times is not None and len(impact_times):  # marks of no impacts would take up the whole axis
             above = axis.get_xaxis_transform()
             axis.plot(
                 impact_times, np.full(len(impact_times), MARK_ABOVE), "v",
@@ -124,9 +124,10 @@ def time_traces(
 
 @style()
 def phase_plane(displacement: Real, rate_hz: float, smooth_s: float = 0.0, name: str = "$x_1$") -> Figure:
-    """Draw velocity over displacement; the velocity is the derivative of a cubic fitted to the samples around.
+    """Draw velocity over displacement; the velocity is the derivative of a cubic fitted to the neighbouring samples.
 
-    `smooth_s`, the span of the fit, is at least 11 samples and at most all: what is faster is lost, with the noise.
+    `smooth_s`, the span of the fit, is at least 11 samples and at most all. Faster motion is lost together with the
+    noise.
     """
     samples = max(SMOOTHED_SAMPLES, 2 * round(smooth_s * rate_hz / 2.0) + 1)
     samples = min(samples, (len(displacement) - 1) // 2 * 2 + 1)
@@ -140,13 +141,13 @@ def phase_plane(displacement: Real, rate_hz: float, smooth_s: float = 0.0, name:
 
 @style()
 def spectrum(y: Real, rate_hz: float, unit: str, drive_hz: float | None = None, upto_hz: float | None = None) -> Figure:
-    """Draw the amplitude spectrum: a sine of amplitude A stands A high (flat-top window).
+    """Draw the amplitude spectrum: a sine of amplitude A has a line of height A (flat-top window).
 
-    `drive_hz` is marked with its harmonics; the axis ends at `upto_hz`, or rate / 2.
+    `drive_hz` is marked with its harmonics; the axis ends at `upto_hz`, or at rate / 2.
     """
     frequency, power = scipy.signal.periodogram(y, rate_hz, window="flattop", scaling="spectrum", detrend="constant")
     end = upto_hz or rate_hz / 2.0
-    shown = frequency <= end  # only these choose the scale of the other axis
+    shown = frequency <= end  # only these determine the scale of the other axis
     figure, (axis,) = _axes(1)
     axis.semilogy(frequency[shown], np.sqrt(2.0 * power[shown]), linewidth=0.8)
     if drive_hz is not None and drive_hz > 0.0:
@@ -179,16 +180,16 @@ def frequency_response(found: Frf, from_hz: float, upto_hz: float) -> Figure:
 
 @style()
 def sine_fits(rows: NDArray[np.void], fits: Mapping[str, SineFit], units: Mapping[str, str], rate_hz: float) -> Figure:
-    """Draw the samples of every channel and the sine that was fitted to them, the residual's rms beside it.
+    """Draw the samples of every channel with the fitted sine, and the rms of the residual.
 
-    `rows` are the first of the scans that were fitted; fits and units go by channel.
+    `rows` are the first of the fitted scans; fits and units are by channel.
     """
     figure, axes = _axes(len(fits))
     for axis, (name, fit) in zip(axes, fits.items(), strict=True):
         axis.plot(rows["time"], rows[name], linewidth=0.8, label="samples")
         axis.plot(rows["time"], fit.values(np.arange(len(rows)) / rate_hz), "--", linewidth=0.8, label="sine")
         axis.set_ylabel(f"{name} ({units[name]})", fontsize="small")
-        axis.set_title(f"left over: {fit.residual_rms:.2g} {units[name]} rms", fontsize="small", loc="right")
+        axis.set_title(f"residual: {fit.residual_rms:.2g} {units[name]} rms", fontsize="small", loc="right")
     axes[0].legend(loc="upper left", fontsize="small")
     axes[-1].set_xlabel("time (s)")
     return figure
@@ -200,7 +201,7 @@ def restitution_by_drop(each: Real, mean: float, u_mean: float) -> Figure:
 
     `each` is √(h1/h0), shape (n,).
     """
-    from matplotlib.ticker import MaxNLocator  # noqa: PLC0415  # heavy: only when something is drawn
+    from matplotlib.ticker import MaxNLocator  # noqa: PLC0415  # heavy: imported only for drawing
 
     figure, (axis,) = _axes(1)
     axis.plot(np.arange(1, len(each) + 1), each, "o", markersize=4.0)

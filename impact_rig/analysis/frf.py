@@ -18,14 +18,15 @@
     Hv = [S_yy − κS_xx + √((S_yy − κS_xx)² + 4κ|S_xy|²)] / (2 S_yx)      total least squares, κ = S_noise,y / S_noise,x
     γ² = |S_xy|² / (S_xx S_yy),   u(|H|)/|H| = u(arg H) = √((1 − γ²) / (2 (n_d − 2) γ²))
 
-S_xy = E[X* Y] by Welch's method (scipy.signal). Shin & Hammond (2008), Fundamentals of Signal Processing, 9.3;
-Bendat & Piersol (2010), Random Data, 9.3 for the uncertainty; 2 (n_d − 1) degrees of freedom are left to estimate it,
-so its variance is that of Student's t (GUM Supplement 1, 6.4.9). Of two averages or fewer it is not known: infinite.
+S_xy = E[X* Y] by Welch's method (scipy.signal). Source: Shin & Hammond (2008), Fundamentals of Signal Processing, 9.3;
+for the uncertainty Bendat & Piersol (2010), Random Data, 9.3. Its estimate has 2 (n_d − 1) degrees of freedom, so its
+variance is that of Student's t (GUM Supplement 1, 6.4.9). With two averages or fewer it is unknown, and given as
+infinite.
 
-A segment shorter than the resonance rings makes |H1| too small at its peak. With σ = ζω_n and r(τ) the autocorrelation
-of the window over that at 0, the truth lies above the estimate by the share `resolution_bias` at most, which falls
-off as σ²/(σ² + (ω − ω_n)²) beside the peak and is part of the uncertainty, as a rectangular limit. The resonance is
-found from the record itself (`find_resonance`), whatever the resolution.
+If a segment is shorter than the ringing of the resonance, |H1| is too small at its peak. With σ = ζω_n and r(τ) the
+normalised autocorrelation of the window, the true value exceeds the estimate by at most the share `resolution_bias`.
+This bias decreases as σ²/(σ² + (ω − ω_n)²) away from the peak and is part of the uncertainty, as a rectangular limit.
+The resonance is found from the record itself (`find_resonance`) at any resolution.
 """
 
 from __future__ import annotations
@@ -42,32 +43,32 @@ from impact_rig.analysis.calibration import Calibration, Complex, Real
 from impact_rig.analysis.scans import BASE, LASER
 
 OVERLAP = 0.5
-RESOLVED = 0.02  # `resolution_bias` that is aimed at: segments of 100 s for 9.1 Hz and a damping ratio of 0.0045
-SEGMENTS = 2.5  # a record holds at least so many segments by choice: four of them, with half an overlap
+RESOLVED = 0.02  # target of `resolution_bias`: segments of 100 s for 9.1 Hz and a damping ratio of 0.0045
+SEGMENTS = 2.5  # minimum number of segments in a record, by default: four with half an overlap
 EXCITED = 1e-3  # share of the strongest line's power from which a line counts as excited
-ABOVE_NOISE = 10.0  # times the sensor's own density that an excited line has at least
+ABOVE_NOISE = 10.0  # minimum power of an excited line, in multiples of the sensor's noise density
 REPEATS = 0.01
-"""Relative rms change from segment to segment up to which an excitation is periodic in the segment: nothing leaks."""
-FITS = 0.05  # relative residual up to which a record is that of one resonance
+"""Relative rms change between segments up to which an excitation is periodic in the segment: nothing leaks."""
+FITS = 0.05  # relative residual up to which a single resonance describes a record
 AROUND = 0.1  # relative half width of the band in which a resonance is refined
 SHAPE = 8192  # points of a window of which only the shape matters
 
 
 @attrs.frozen
 class Resonance:
-    """One mode of a base-excited structure."""
+    """Mode of a base-excited structure."""
 
     frequency_hz: float
     damping_ratio: float
 
     @property
     def width_hz(self) -> float:
-        """Half-power width."""
+        """Half-power width [Hz]."""
         return 2.0 * self.damping_ratio * self.frequency_hz
 
     @property
     def decay_per_s(self) -> float:
-        """σ = ζω_n."""
+        """Decay rate σ = ζω_n [1/s]."""
         return math.pi * self.width_hz
 
 
@@ -76,9 +77,9 @@ class Frf:
     """Frequency response function of one pair of channels.
 
     Attributes:
-        u_relative: standard uncertainty of |H1| relative to it, and of its phase [rad], shape (n,): by noise alone
-            from `frf`, with calibration and resolution from `transmissibility_frf`.
-        resonance: what was found in the excited band, None if no single one fits; from `transmissibility_frf` alone.
+        u_relative: standard uncertainty of |H1| relative to it, and of its phase [rad], shape (n,); from `frf` by noise
+            alone, from `transmissibility_frf` with calibration and resolution.
+        resonance: the resonance in the excited band, None if no single one fits; from `transmissibility_frf` alone.
     """
 
     frequency_hz: Real  # shape (n,)
@@ -89,10 +90,10 @@ class Frf:
     u_relative: Real
     averages: float  # n_d, effective number of independent averages
     excitation: Real  # S_xx, shape (n,)
-    excited: NDArray[np.intp]  # indices of the lines that the excitation reaches, shape (k,); of a sine its one line
-    sine: bool  # whether the excitation is one
+    excited: NDArray[np.intp]  # indices of the excited lines, shape (k,); for a sine, its single line
+    sine: bool  # whether the excitation is a sine
     resonance: Resonance | None = None
-    bias: float = 0.0  # `resolution_bias` at the peak, 0 if there is no resonance
+    bias: float = 0.0  # `resolution_bias` at the peak; 0 without a resonance
 
 
 def frf(
@@ -108,8 +109,9 @@ def frf(
 ) -> Frf:
     """Estimate y / x.
 
-    x and y have shape (n,), a segment so many samples (for a periodic chirp one period, boxcar), of which the share
-    `overlap` is also in the next; `noise_ratio` is κ of Hv, `x_noise` the rms of the noise of x, which is white.
+    x and y have shape (n,). `segment` is a number of samples (for a periodic chirp one period, with boxcar), of which
+    the share `overlap` is also in the next segment. `noise_ratio` is κ of Hv. `x_noise` is the rms of the noise of x,
+    which is white.
 
     Raises:
         ValueError: lengths differ, values are not finite, a channel is constant, or the record is too short.
@@ -148,7 +150,7 @@ def frf(
 
 
 def _excited(s_xx: Real, floor: float, window: str) -> tuple[NDArray[np.intp], bool]:
-    """Return the lines an excitation reaches, the mean left out, and whether they are one that the window widens."""
+    """Return the excited lines without the mean, and whether they are a single line widened by the window."""
     power = s_xx[1:]
     peak = int(np.argmax(power))
     lines = np.flatnonzero((power >= EXCITED * power[peak]) & (power >= ABOVE_NOISE * floor))
@@ -171,15 +173,17 @@ def find_resonance(
 
         (s² + 2ζω_n s + ω_n²) Y − (2ζω_n s + ω_n²) X = a + b s,   s = iω
 
-    over the lines of the whole record: a and b are what its two ends contribute, so nothing leaks, and the resonance
-    may be narrower than a line of the estimators. Pintelon & Schoukens (2012), System Identification, 2.6. `x` is the
-    displacement of the base and `y` what it causes, shape (n,), in a band that x excites; Y is multiplied by
+    The fit uses the lines of the whole record. a and b describe the two ends of the record, so nothing leaks, and the
+    resonance may be narrower than a line of the estimators. Source: Pintelon & Schoukens (2012), System Identification,
+    2.6.
+
+    `x` is the displacement of the base and `y` its effect, shape (n,), in a band that x excites. Y is multiplied by
     `corrected` of a frequency [Hz], for the sensors' lag and skew.
     """
     frequency = np.asarray(np.fft.rfftfreq(len(x), 1.0 / rate_hz), dtype=np.float64)
     moved, stirred = np.fft.rfft(y - y.mean()), np.fft.rfft(x - x.mean())
     found: Resonance | None = None
-    for _ in range(2):  # the whole band, then around what was found: there the noise counts least
+    for _ in range(2):  # the whole band, then the neighbourhood of the result, where noise matters least
         if found is not None:
             low_hz = max(low_hz, found.frequency_hz * (1.0 - AROUND))
             high_hz = min(high_hz, found.frequency_hz * (1.0 + AROUND))
@@ -206,11 +210,14 @@ def find_resonance(
 
 
 def resolution_bias(window: str, segment: int, decay_per_sample: float) -> float:
-    """Return by what share of the estimate the truth may lie above it at the peak of a resonance; `segment` in samples.
+    """Return the largest share by which the true value may exceed the estimate at a resonance peak.
 
-    2 (1/r − 1), r the autocorrelation of the window at the resonance's decay time 1/σ, over that at 0: the first term
-    in 1/(σ · segment) of an antiresonance of x that the window fills, which under current drive is where y peaks, and
-    more than a resonance of y that it flattens. Infinite if the resonance rings longer than a segment.
+    `segment` in samples.
+
+    The bound is 2 (1/r − 1), with r the normalised autocorrelation of the window at the resonance's decay time 1/σ. It
+    is the first term in 1/(σ · segment) for an antiresonance of x that the window fills, which under current drive is
+    at the peak of y. It exceeds the bias of a resonance of y that the window flattens. Infinite if the resonance rings
+    longer than a segment.
     """
     shape = scipy.signal.get_window(window, SHAPE)
     lag = round(min(SHAPE / (decay_per_sample * segment), SHAPE))
@@ -219,8 +226,8 @@ def resolution_bias(window: str, segment: int, decay_per_sample: float) -> float
 
 
 def resolving_s(resonance: Resonance, window: str) -> float:
-    """Return the length of a segment [s] from which a resonance is resolved: its `resolution_bias` is `RESOLVED`."""
-    low, high = 1.0, 1e4  # decay times
+    """Return the segment length [s] that resolves a resonance: its `resolution_bias` is `RESOLVED`."""
+    low, high = 1.0, 1e4  # in decay times
     while high - low > 0.01 * low:
         middle = math.sqrt(low * high)
         low, high = (low, middle) if resolution_bias(window, 1, middle) <= RESOLVED else (middle, high)
@@ -236,17 +243,15 @@ def transmissibility_frf(
     window: str = "hann",
     damping_ratio: float | None = None,
 ) -> Frf:
-    """Return x_1 / x_b of a sweep or random record, skew and lag corrected.
+    """Return x_1 / x_b of a sweep or random record, corrected for skew and lag.
 
-    u_relative includes calibration and resolution.
-
-    The scans are consecutive. Without `segment` [samples] it is what resolves the resonance that is found; without
-    `overlap` a half, or none with `boxcar`, which is for an excitation that repeats from segment to segment;
-    `damping_ratio` stands in for that of the resonance.
+    u_relative includes calibration and resolution. The scans are consecutive. The default `segment` [samples] resolves
+    the resonance that is found. The default `overlap` is a half, or none with `boxcar`, which is for an excitation that
+    repeats from segment to segment. `damping_ratio` replaces the estimate for the resonance.
 
     Raises:
         ConfigError: `info` does not describe the channels.
-        ValueError: as `frf`.
+        ValueError: as for `frf`.
     """
     calibration = Calibration.from_info(info)
     rate_hz = calibration.rate_hz
@@ -259,7 +264,7 @@ def transmissibility_frf(
     def corrected(frequency_hz: Real) -> Complex:
         with np.errstate(
             divide="ignore", invalid="ignore"
-        ):  # the mean of a velocity or acceleration is no displacement
+        ):  # the mean of a velocity or acceleration is not that of a displacement
             return calibration.response(BASE, frequency_hz) / calibration.response(LASER, frequency_hz)
 
     resonance = None

@@ -11,15 +11,20 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Is what a channel says believable? Judged by its own samples, by the other channels, and by what it said before.
+"""Plausibility of channels, judged by their own samples, by the other channels, and by earlier values.
 
-By itself: not finite, at the end of its range, constant, jumps between two scans that neither the vibration nor its
-noise makes (spikes, a step of the zero), noise far above that of the calibration. By the others: the accelerometer
-sits where the laser looks, so its amplitude is ω² times the laser's, whatever the motion; a passive structure cannot
-lead its base. By before: while the drive stays as it is, a sensor that changes alone has changed its gain, as laser and
+By itself a channel is unsound if it is not finite, at the end of its range, or constant; if it jumps between two scans
+by more than vibration and noise allow (spikes, a step of the zero); or if its noise is far above that of the
+calibration.
+
+Compared with the others: the accelerometer is mounted where the laser measures, so its amplitude is ω² times the
+laser's for any motion. A passive structure cannot lead its base.
+
+Compared with earlier values: while the drive is unchanged, a sensor that changes alone has changed its gain. Laser and
 accelerometer see one motion, and the base follows from coil current and superior base.
 
-A gain that was wrong from the first row of a setting on, by less than the accelerometer can tell, shows in no reading.
+A gain error that exists from the first row of a setting, and is smaller than the accelerometer can detect, shows in no
+reading.
 """
 
 from __future__ import annotations
@@ -36,32 +41,40 @@ from impact_rig.analysis.scans import ACCELEROMETER, BASE, CHANNELS, CURRENT, LA
 from impact_rig.states import Status
 
 DISPLACEMENTS = (LASER, BASE, CURRENT)
-CONSTANT_FACTOR = 1e-13  # variance over squared mean that rounding of the sums alone can leave of a constant
-SIGNAL_FACTOR = 5.0  # an amplitude below this many standard uncertainties is silence
+CONSTANT_FACTOR = 1e-13  # variance over squared mean of a constant, caused by rounding of the sums alone
+SIGNAL_FACTOR = 5.0  # an amplitude below this many standard uncertainties counts as no signal
 SMOOTH_FACTOR = 2.0
-"""The largest change from scan to scan of the fitted sine and its overtones, times this, is vibration."""
+"""Multiple of the largest scan-to-scan change of the fitted sine and its overtones that still counts as vibration."""
 PEAK_FACTOR = 9.0  # noise changes by less from scan to scan than this many times its rms: 6.4 σ√2, once in 10^10
-NOISE_FACTOR = 10.0  # noise of this many times the calibration's is another channel's than the calibration is of
+# noise of this many times the calibration's indicates that the calibration belongs to another channel
+NOISE_FACTOR = 10.0
 REFERENCE_FACTOR = 20.0
-"""A channel's amplitude per cycle, in standard uncertainties, from which its phase can serve as reference."""
+"""Amplitude per cycle, in standard uncertainties, from which a channel's phase can serve as reference."""
 SWAP_MATCH, SWAP_MISMATCH = 1.25, 1.5
-"""Acceleration over ω² must match the base within the first factor and miss the laser by the second to call a swap."""
+"""Factors for detecting a swap.
+
+Acceleration over ω² matches the base within the first and misses the laser by the second.
+"""
 LEAD_LIMIT_RAD = math.radians(0.5)
-CERTAIN = 0.1  # relative uncertainty of DT up to which wiring is judged from it: 1.25 and 1.5 are then told apart
+CERTAIN = 0.1  # relative uncertainty of DT up to which wiring is judged from it: 1.25 and 1.5 can then be distinguished
 ACCELERATION_LIMIT = 0.04
-"""Relative departure of the acceleration from ω² times the laser's amplitude that is always allowed: mounting and
-transverse sensitivity stand in no calibration."""
-ACCELEROMETER_HIGH_PASS_HZ = 1.0  # corner that a charge amplifier may have and `daq/info` does not tell
-ALONE = 0.003  # relative change of an amplitude that counts, beyond its noise
+"""Relative deviation of the acceleration from ω² times the laser's amplitude that is always allowed.
+
+No calibration contains mounting and transverse sensitivity.
+"""
+ACCELEROMETER_HIGH_PASS_HZ = 1.0  # corner frequency that a charge amplifier may have, which `daq/info` does not contain
+ALONE = 0.003  # smallest relevant relative change of an amplitude, in addition to its noise
 NOISES = 5.0  # standard uncertainties of a change that may be chance
 FOLLOWS = 50.0
-"""The base may change by this many times the relative change of current and superior base: at resonance it is what two
-almost equal forces leave."""
+"""Multiple of the relative change of current and superior base by which the base may change.
+
+At resonance it is the difference of two almost equal forces.
+"""
 
 
 @attrs.frozen
 class Rejection:
-    """What is wrong, and with which channel, if with one in particular."""
+    """Reason for a rejection, and the channel concerned, if it is a single one."""
 
     status: Status
     channel: str = ""
@@ -90,16 +103,16 @@ def unsound(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> Re
 
 
 def silent(amplitudes: tuple[float, float], floors: tuple[float, float]) -> Rejection | None:
-    """Return whether laser and base, in this order, show no vibration: neither (silence), or one of them alone.
+    """Return a rejection if laser and base, in this order, show no vibration: both (silence), or one of them alone.
 
-    A channel that falls silent while it is measured is found earlier: `settling`.
+    A channel that falls silent during a measurement is found earlier: see `settling`.
     """
     still = [amplitude <= SIGNAL_FACTOR * floor for amplitude, floor in zip(amplitudes, floors, strict=True)]
     return _still(still, Status.NO_SIGNAL)
 
 
 def _still(still: list[bool], alone: Status) -> Rejection | None:
-    """Return silence where laser and base, in this order, are both still, and `alone` where one of them is."""
+    """Return silence if laser and base, in this order, are both still, and `alone` if one of them is."""
     if all(still):
         return Rejection(Status.SILENCE)
     return Rejection(alone, CHANNELS[(LASER, BASE)[still.index(True)]]) if any(still) else None
@@ -112,7 +125,7 @@ def _constant(cycles: Cycles) -> NDArray[np.bool_]:
 
 
 def _medians(values: Real) -> list[float]:
-    """Return what `numpy.median` does for each column, which takes ten times longer for the cycles of a window."""
+    """Return `numpy.median` of each column, computed ten times faster for the cycles of a window."""
     ordered = np.sort(values, axis=0)  # NaN last
     middle = 0.5 * (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
     medians: list[float] = np.where(np.isnan(ordered[-1]), np.nan, middle).tolist()
@@ -120,10 +133,10 @@ def _medians(values: Real) -> list[float]:
 
 
 def _rough(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> list[Status | None]:
-    """Return what the largest change from scan to scan of each channel gives away, or None."""
+    """Return the fault indicated by the largest scan-to-scan change of each channel, or None."""
     harmonics = np.arange(1.0, cycles.phasors.shape[2] + 1.0)
     turn = 2.0 * np.pi * frequency_hz / calibration.rate_hz
-    with np.errstate(over="ignore", invalid="ignore"):  # an accelerometer may say anything
+    with np.errstate(over="ignore", invalid="ignore"):  # an accelerometer may read anything
         smooth = SMOOTH_FACTOR * turn * (np.abs(cycles.phasors) @ harmonics).max(axis=0)
     limits = (smooth + 2.0 * (calibration.output_step + calibration.converter_step)).tolist()
     freedom = np.maximum(cycles.samples - 2 * cycles.phasors.shape[2] - 1, 1)
@@ -145,20 +158,20 @@ def _rough(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> lis
 
 @attrs.frozen(eq=False)
 class Amplitudes:
-    """Amplitudes of a measurement with the standard uncertainty that scatter, noise and steps give each.
+    """Amplitudes of a measurement, each with the standard uncertainty due to scatter, noise and steps.
 
     Attributes:
-        calibrated: relative departure of acceleration over ω² from X_1 that the calibrations allow.
+        calibrated: relative deviation of acceleration over ω² from X_1 that the calibrations allow.
     """
 
     size: Real  # by `scans.CHANNELS`; acceleration over ω² [m], X_1 [m], X_b [m], current [A]
-    u: Real  # of each, in its unit
-    frequency_hz: float  # of the drive
+    u: Real  # standard uncertainty of each, in its unit
+    frequency_hz: float  # drive frequency
     calibrated: float = ACCELERATION_LIMIT
 
     @property
     def relative(self) -> Real:
-        """Relative u, infinite where there is no signal."""
+        """Relative u; infinite without a signal."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.size > 0.0, self.u / self.size, np.inf)
 
@@ -168,10 +181,10 @@ def amplitudes(
 ) -> Amplitudes:
     """Return the amplitudes of a measurement.
 
-    An acceleration of less than a step of the converter may come out as anything from none to several times its size.
-    What the steps do is told of the amplitude that the laser says: of a reading of 0 they would do nothing. `true` are
-    the corrected phasors of the cycles by channel, shape (n, H) each; `noise` the variance per scan in their units,
-    shape (4,).
+    An acceleration of less than a step of the converter may be read as anything from zero to several times its size.
+    The effect of the steps is therefore computed for the amplitude that the laser measures: for a reading of 0 it would
+    be zero. `true` are the corrected phasors of the cycles by channel, shape (n, H) each; `noise` is the variance per
+    scan in their units, shape (4,).
     """
     square = (2.0 * math.pi * frequency_hz) ** 2
     size, u = np.zeros(4), np.zeros(4)
@@ -192,9 +205,10 @@ def amplitudes(
 
 
 def misplaced(found: Amplitudes, u_relative: float, phase_rad: float, u_phase_rad: float) -> Rejection | None:
-    """Tell whether laser and base have changed places, or one of them is wired the wrong way round.
+    """Return whether laser and base are exchanged, or one of them has the wrong polarity.
 
-    Of a DT uncertain by more than `CERTAIN` nothing is told. The phase is that of X_1 / X_b, ± π far above resonance.
+    Nothing is concluded from a DT more uncertain than `CERTAIN`. The phase is that of X_1 / X_b, ± π far above
+    resonance.
     """
     if u_relative > CERTAIN:
         return None
@@ -212,16 +226,16 @@ def misplaced(found: Amplitudes, u_relative: float, phase_rad: float, u_phase_ra
 
 
 def contradiction(found: Amplitudes, before: Amplitudes | None = None) -> Rejection | None:
-    """Return whether the accelerometer contradicts the laser, or is dead: then impacts cannot be believed, or DT.
+    """Return whether the accelerometer contradicts the laser, or is dead: then impacts or DT are unreliable.
 
-    A dead accelerometer leaves the displacements sound; of one that moves, but not as the laser says, it is not known
-    which of the two is wrong, unless the laser says what it did before.
+    A dead accelerometer does not affect the displacements. If it moves, but not as the laser does, either of the two
+    may be wrong, unless the laser still agrees with its earlier value.
     """
     u, expected = found.u, found.size[LASER]
     if not math.isfinite(found.size[ACCELEROMETER]):
         return Rejection(Status.ACCELEROMETER_UNSOUND, CHANNELS[ACCELEROMETER])
     if found.size[ACCELEROMETER] <= SIGNAL_FACTOR * u[ACCELEROMETER]:
-        dead = expected > REFERENCE_FACTOR * u[ACCELEROMETER]  # the motion is one that it would show
+        dead = expected > REFERENCE_FACTOR * u[ACCELEROMETER]  # a motion that it would show
         return Rejection(Status.ACCELEROMETER_UNSOUND, CHANNELS[ACCELEROMETER]) if dead else None
     low = expected / math.hypot(1.0, ACCELEROMETER_HIGH_PASS_HZ / found.frequency_hz)
     allowed = found.calibrated * expected + 3.0 * math.hypot(u[ACCELEROMETER], u[LASER])
@@ -240,10 +254,10 @@ def contradiction(found: Amplitudes, before: Amplitudes | None = None) -> Reject
 def current_unsound(
     cycles: Cycles, calibration: Calibration, found: Amplitudes, before: Amplitudes | None = None
 ) -> bool:
-    """Return whether the coil current is not to be believed: stuck, disturbed, or changed alone; DT is sound without.
+    """Return whether the coil current is unreliable: stuck, disturbed, or changed alone. DT does not depend on it.
 
-    Stuck is what varies less than its own noise. A current that is there from the start is not held against the
-    command: of a prescribed base or a voltage there need be none.
+    A current that varies less than its own noise is stuck. A constant current from the start is not compared with the
+    command: a prescribed base or a voltage drive may have none.
     """
     stuck = calibration.noise[CURRENT] > calibration.converter_step[CURRENT] and _constant(cycles)[CURRENT]
     if stuck or _rough(cycles, calibration, found.frequency_hz)[CURRENT]:
@@ -256,13 +270,13 @@ def current_unsound(
 
 
 def _changes(before: Amplitudes, now: Amplitudes) -> tuple[Real, Real]:
-    """Return the logarithms of the ratios of the amplitudes to those of an earlier row, and how much may be chance."""
+    """Return the logarithms of the ratios of the amplitudes to those of an earlier row, and their possible scatter."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.log(now.size / before.size), NOISES * np.hypot(before.relative, now.relative)
 
 
 def changed_alone(before: Amplitudes, now: Amplitudes) -> Rejection | None:
-    """Return which channel has changed by itself since an earlier row of the same setting, or None."""
+    """Return the channel that alone has changed since an earlier row of the same setting, or None."""
     change, noise = _changes(before, now)
     size = np.nan_to_num(np.abs(change), posinf=math.inf)
     least = np.maximum(ALONE, noise)

@@ -11,28 +11,28 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Decides, window by window, when the response of one drive setting has settled, and measures it.
+"""Detection of settling: it decides, window by window, when the response to one drive setting has settled.
 
-A dying transient adds a term c·q^w to the complex transmissibility of window w, q complex (decay and beat of the free
-vibration against the drive). Its sum beyond the last window follows from the differences of the windows (Aitken), which
-gives the bias of a mean *including* the part that differences of neighbours cannot show.
+A dying transient adds a term c·q^w to the complex transmissibility of window w, with q complex (decay and beat of the
+free vibration against the drive). Its sum beyond the last window follows from the differences of the windows (Aitken).
+This gives the bias of a mean *including* the part that differences of neighbours cannot show.
 
-Three ways to a row, tried in this order after each window once enough windows have passed since the last row:
+After each window, once enough windows have passed since the last row, three conditions for a row are tried in this
+order:
 
 1. steady: the bias that a transient leaves in the last `windows` windows is below `settle_tolerance` or twice the
-   noise, and the amplitude repeats from cycle to cycle (or after a few). The first row after a change would carry a
-   bias just below the limit, the same in every run; so it waits until, at the pace of the transient so far, the bias
-   is `REMNANT` of the limit;
-2. stationary: the last `long_windows` windows have neither trend nor changing fluctuation: modulated or chaotic. What
-   makes a motion irregular are impacts, so they hold `FEW` of them at least: without, what fluctuates is the end of a
-   transient, and with a few, the sphere has hardly struck so far and will strike more often;
-3. the bound `wait_limit_s` is reached: numbers as they are, status `not_settled`.
+  noise, and the amplitude repeats from cycle to cycle (or after a few). The first row after a change would always have
+  a bias just below the limit. It therefore waits until, at the pace of the transient so far, the bias is `REMNANT` of
+  the limit;
+2. stationary: the last `long_windows` windows have neither trend nor changing fluctuation: modulated or chaotic.
+  Impacts make a motion irregular, so these windows contain at least `FEW` of them. Without impacts, a fluctuation is
+  the end of a transient; with a few, the sphere has only started to strike;
+3. the bound `wait_limit_s` is reached: the row has the present numbers and the status `not_settled`.
 
-A sphere that drifts from wall to wall leaves the structure as steady as if there were none, for as long as it takes. So
-a row without impacts is held back until none has come for as long as the slowest sphere that is waited for takes across
-the gap, or for `wait_limit_s` where that is less (`Quiet`). Silence does not prove that the sphere never strikes, so
-that row has the status `no_impacts`. A motion with few impacts, whose instants do not repeat, is measured over the long
-record.
+A sphere that drifts from wall to wall leaves the structure as steady as if there were none, for as long as it drifts. A
+row without impacts is therefore delayed until there has been no impact for the time in which the slowest sphere
+considered crosses the gap, or for `wait_limit_s` if that is shorter (`Quiet`). Even then the sphere may still strike,
+so that row has the status `no_impacts`. A motion with few impacts at irregular times is measured over the long record.
 """
 
 from __future__ import annotations
@@ -53,16 +53,16 @@ from impact_rig.analysis.transmissibility import Measurement, complex_transmissi
 from impact_rig.states import MEASURED, Regime, Status
 
 SLOWEST_RATIO = 0.97
-"""|q| is bounded here: slower transients than 33 window pairs per time constant are beyond what a fit can tell."""
+"""Bound of |q|: a fit cannot resolve transients slower than 33 window pairs per time constant."""
 TREND_LIMIT = 3.0  # difference of the halves, in standard deviations, that still counts as no trend
 POWER_LIMIT = 4.0  # ratio of the fluctuation power of the halves that still counts as stationary
 
 
 def transient_bias(windows: Complex, measured: int) -> complex:
-    """Return the bias that a dying transient leaves in the mean of the newest windows; noise-sized where there is none.
+    """Return the bias that a dying transient leaves in the mean of the newest windows; of noise size without one.
 
-    The limit is extrapolated from the newest 8 windows and, where there are as many, from the newest 16: the longer
-    record sees slow transients below the noise of the shorter one. The larger bias counts.
+    The limit is extrapolated from the newest 8 windows and, if available, from the newest 16: the longer record detects
+    slow transients below the noise of the shorter one. The larger bias counts.
 
     `windows` is the value in successive windows, oldest first, shape (n,), of which the newest are `measured`.
 
@@ -77,18 +77,19 @@ def transient_bias(windows: Complex, measured: int) -> complex:
 
 
 def more_windows(taken: int, reached: float, share: float) -> int:
-    """Return for how many more windows a dying transient must be waited for, at the pace it has died so far.
+    """Return the number of further windows until a dying transient is small enough, at its pace so far.
 
-    One that began as large as the response itself and took n windows to fall to a part ε of it takes
-    n ln(s) / ln(ε) more to fall by another factor s. A transient below the noise cannot be followed, its pace can.
+    A transient that began as large as the response itself and took n windows to fall to a fraction ε takes n ln(s) /
+    ln(ε) more to fall by another factor s. A transient below the noise cannot be followed, but its pace can.
 
-    `taken` is n, from the change of the drive to the first window that is measured; `reached` ε; `share` s, 0 < s < 1.
+    `taken` is n, from the change of the drive to the first window that is measured; `reached` is ε; `share` is s, 0 < s
+    < 1.
     """
     return math.ceil(taken * math.log(share) / math.log(reached)) if 0.0 < reached < 1.0 else 0
 
 
 def _limit(quarters: Complex) -> complex:
-    """Return where four successive values tend to: Aitken, with q from both pairs of differences."""
+    """Return the limit of four successive values: Aitken, with q from both pairs of differences."""
     steps = np.diff(quarters)
     power = float(np.sum(np.abs(steps[:-1]) ** 2))
     if power == 0.0:
@@ -100,10 +101,12 @@ def _limit(quarters: Complex) -> complex:
 
 
 def is_stationary(windows: Complex) -> bool:
-    """Return whether a fluctuating value has neither trend nor growing or dying fluctuation: settled, if not constant.
+    """Return whether a fluctuating value has neither trend nor growing or decaying fluctuation.
 
-    The means of the halves may differ by `TREND_LIMIT` standard deviations (correlation between windows included) in
-    either component; the fluctuation powers of the halves by a factor `POWER_LIMIT`. The windows have shape (n,), n >=
+    Settled, if not constant.
+
+    The means of the halves may differ by `TREND_LIMIT` standard deviations (including correlation between windows) in
+    either component, the fluctuation powers of the halves by a factor `POWER_LIMIT`. The windows have shape (n,), n >=
     16.
     """
     half = len(windows) // 2
@@ -117,54 +120,58 @@ def is_stationary(windows: Complex) -> bool:
 
 
 CYCLE_MULTIPLE = 6
-"""Windows hold a multiple of 6 cycles: orbits of period 2, 3 and 6 close in each, those of period 4 and 8 in pairs."""
+"""Number of cycles of which a window holds a multiple.
+
+Orbits of period 2, 3 and 6 close in each window, those of period 4 and 8 in pairs.
+"""
 NOISE_FACTOR = 2.0
-FEW = 20  # impacts in a long record below which it does not tell what an irregular motion is on average
-SPARSE = 0.5  # impacts per cycle below which a motion whose impacts do not repeat is looked at for long
-REMNANT = 0.02  # share of the limit on the bias that a transient may leave in the first measurement after a change
+FEW = 20  # number of impacts in a long record below which it does not represent the average of an irregular motion
+SPARSE = 0.5  # impacts per cycle below which a motion with irregular impacts is measured over a long record
+REMNANT = 0.02  # fraction of the bias limit that a transient may leave in the first measurement after a change
 
 
 def window_cycles(frequency_hz: float, settings: TrackerSettings) -> int:
-    """Return the whole drive cycles per window."""
+    """Return the number of whole drive cycles per window."""
     return CYCLE_MULTIPLE * max(1, math.ceil(settings.window_s * frequency_hz / CYCLE_MULTIPLE))
 
 
 NOTICED_S, NOTICED_CYCLES = 0.5, 2.0
-"""Time without impacts, in seconds and in cycles, from which on the next impact is waited for."""
+"""Time without impacts, in seconds and in cycles, after which the next impact is waited for."""
 
 
 @attrs.frozen
 class Quiet:
-    """How long there has been no impact, and how long a row without impacts is held back."""
+    """Time without impacts so far, and the time for which a row without impacts is delayed."""
 
-    since_s: float = 0.0  # since the last impact under drive, or since the gap was set or the drive began
-    bound_s: float = 0.0  # time without impacts from which on a row is given; 0: no sphere, or none was ever noticed
+    since_s: float = 0.0  # time since the last impact under drive, or since the gap was set or the drive started
+    # time without impacts after which a row is given; 0 without a sphere, or if none was ever noticed
+    bound_s: float = 0.0
 
     @property
     def is_waiting(self) -> bool:
-        """Whether the sphere may still strike within the time that it is waited for."""
+        """Whether the sphere may still strike within the waiting time."""
         return self.since_s < self.bound_s
 
 
 @attrs.frozen
 class Progress:
-    """How far a first measurement is."""
+    """Progress of a first measurement."""
 
-    windows: int  # taken since the last change; at most `needed`
-    needed: int  # how many it takes, as far as that is known: the count grows while no row can be given
-    remnant: float  # of the transient, over the transmissibility; NaN: not known yet
-    quiet: Quiet = Quiet()  # of a sphere that is waited for; without a bound if there is none
+    windows: int  # number since the last change; at most `needed`
+    needed: int  # estimated number required: it grows while no row can be given
+    remnant: float  # remnant of the transient, relative to the transmissibility; NaN if not known yet
+    quiet: Quiet = Quiet()  # wait for a sphere; without a bound if there is none
 
     @property
     def reason(self) -> str:
-        """Why there is no row yet, beyond the transient: a sphere that is waited for; otherwise empty."""
+        """Reason why there is no row yet, other than the transient: a sphere that may still strike; otherwise empty."""
         if not self.quiet.is_waiting:
             return ""
         return f"waiting up to {self.quiet.bound_s:.3g} s for a sphere that may still strike"
 
 
 class Judge:
-    """Collects the windows of one drive setting, at most `long_windows` of them."""
+    """Collection of the windows of one drive setting, at most `long_windows` of them."""
 
     def __init__(self, calibration: Calibration, frequency_hz: float, settings: TrackerSettings) -> None:
         self._calibration = calibration
@@ -173,26 +180,26 @@ class Judge:
         self._windows: deque[Cycles] = deque(maxlen=settings.long_windows)
         self._ratios: deque[complex] = deque(maxlen=settings.long_windows)
         self._since_row = 0
-        self._span = 0  # windows from the newest row to the next of a response that stays as it is
+        self._span = 0  # number of windows from the newest row to the next one, for an unchanged response
         self._reported = False
         self._waited_windows = 0
         self._crowding = calibration.noise_crowding()
-        self._noise_per_scan = np.zeros(len(CHANNELS))  # in the newest window: variance near the drive
+        self._noise_per_scan = np.zeros(len(CHANNELS))  # variance near the drive in the newest window
         self._window_s = window_cycles(frequency_hz, settings) / frequency_hz
         self._broken: Status | None = None
         self._quiet = Quiet()
         self._held: Measurement | None = None  # the row of the newest windows, while the sphere may still strike
-        self._stayed_away = False  # whether a row since the newest was held back because the sphere may still strike
-        self._whole = 0  # windows since the change of the drive, or since the last broken one
-        self._reference: Amplitudes | None = None  # of the newest good row of this setting
-        self._due: int | None = None  # of them, before the first measurement
-        self._remnant = math.nan  # of the transient, over the newest transmissibility
+        self._stayed_away = False  # whether a row since the newest was delayed because the sphere may still strike
+        self._whole = 0  # number of windows since the change of the drive, or since the last broken one
+        self._reference: Amplitudes | None = None  # amplitudes of the newest good row of this setting
+        self._due: int | None = None  # number of windows before the first measurement
+        self._remnant = math.nan  # remnant of the transient, relative to the newest transmissibility
 
     def add(self, window: Cycles, quiet: Quiet = Quiet()) -> Measurement | None:
-        """Take the next window; return a measurement if one is due.
+        """Add the next window; return a measurement if one is due.
 
-        A window with lost, over-range or non-finite values is thrown away with all before it; it is reported when it
-        begins a spell of such windows and every `windows` windows thereafter.
+        A window with lost, over-range or non-finite values is discarded with all before it. It is reported when it is
+        the first of several such windows, and every `windows` windows thereafter.
         """
         self._quiet = quiet
         self._since_row += 1
@@ -218,14 +225,13 @@ class Judge:
         return self._given(found or self._overdue())
 
     def finish(self) -> Measurement | None:
-        """End the record: return the row that was held back for a sphere that has not struck, if there is one."""
+        """End the record: return the row that was delayed for a sphere that has not struck, if there is one."""
         return self._given(self._held)
 
     def unsettled(self, rest: Cycles | None) -> Measurement | None:
-        """Return all cycles of a record that ends before a row was due, as they are; None: a row was given.
+        """Return a measurement of all cycles of a record that ends before a row was due; None if a row was given.
 
-        `rest` are the cycles after the last window. The status is `not_settled`: nothing tells how much of a transient
-        is left in them.
+        `rest` are the cycles after the last window. The status is `not_settled`: the remaining transient is unknown.
         """
         if self._reported:
             return None
@@ -237,7 +243,7 @@ class Judge:
         return attrs.evolve(found, status=Status.NOT_SETTLED) if found.status in MEASURED else found
 
     def _given(self, found: Measurement | None) -> Measurement | None:
-        """Return a measurement as the next row; None: there is none."""
+        """Register a measurement as the next row and return it; None if there is none."""
         self._held = None
         if found:
             silent = found.status is Status.OK and found.impacts_per_cycle == 0.0 and self._quiet.bound_s > 0.0
@@ -250,17 +256,17 @@ class Judge:
 
     @property
     def late(self) -> bool:
-        """Whether the row after the newest should have come: the response is no longer what that row says."""
+        """Whether the next row is overdue: the response no longer agrees with the newest row."""
         return self._reported and self._since_row > self._span
 
     @property
     def pending(self) -> bool:
-        """Whether windows have been taken that no row has told of."""
+        """Whether windows have been added since the newest row."""
         return self._since_row > 0
 
     @property
     def progress(self) -> Progress:
-        """How far the first measurement of this setting is."""
+        """Progress of the first measurement of this setting."""
         needed = max(self._settings.windows, self._due or 0)
         if self.late:
             return Progress(self._since_row, self._since_row + 1, self._remnant)
@@ -269,7 +275,7 @@ class Judge:
         return Progress(self._whole, max(needed, self._whole + 1), self._remnant)  # no row yet: at least one more
 
     def _compared(self, found: Measurement) -> Measurement:
-        """Refuse a measurement in which one channel has changed by itself since the last good one of this setting."""
+        """Reject a measurement in which one channel alone has changed since the last good one of this setting."""
         if found.amplitudes is None or found.status is Status.NOT_SETTLED:
             return found
         alone = changed_alone(self._reference, found.amplitudes) if self._reference else None
@@ -277,14 +283,14 @@ class Judge:
             return Measurement(
                 status=alone.status, channel=alone.channel, frequency_hz=self._frequency_hz, cycles=found.cycles
             )
-        if found.status is not Status.CURRENT_UNSOUND:  # else the current would seem to change when it comes back
+        if found.status is not Status.CURRENT_UNSOUND:  # otherwise the current would seem to change when it returns
             self._reference = found.amplitudes
         return found
 
     def _lost_signal(self, window: Cycles) -> Rejection | None:
-        """Return whether a channel that had a signal in the windows before shows none in the newest.
+        """Return a rejection if a channel that had a signal in earlier windows has none in the newest.
 
-        What is so small that only many windows show it, is left to them.
+        Signals that only many windows can detect are not considered.
         """
         if not self._windows:
             return None
@@ -327,11 +333,11 @@ class Judge:
         return found if found.steady and not self._sparse(found) else None
 
     def _struck(self) -> bool:
-        """Return whether the newest windows hold an impact."""
+        """Return whether the newest windows contain an impact."""
         return any(np.nansum(window.impacts) > 0 for window in list(self._windows)[-self._settings.windows :])
 
     def _sparse(self, found: Measurement) -> bool:
-        """Return whether impacts are few and do not repeat: then more of the motion must be seen."""
+        """Return whether impacts are few and irregular, so that a longer record is needed."""
         return found.regime is not Regime.PERIODIC and 0.0 < found.impacts_per_cycle < SPARSE
 
     def _stationary(self) -> Measurement | None:
@@ -347,7 +353,7 @@ class Judge:
     def _overdue(self) -> Measurement | None:
         limit_s = self._settings.wait_limit_s
         if self._stayed_away and not self._struck():
-            limit_s *= 2.0  # it was only the sphere that was waited for, which takes `limit_s` more at most
+            limit_s *= 2.0  # only the sphere was waited for, which takes at most `limit_s` more
         if self._waited_windows * self._window_s < limit_s:
             return None
         found = self._measure(self._settings.windows, self._bias(), worst=math.inf)
@@ -365,7 +371,7 @@ class Judge:
         return measure(cycles, self._calibration, self._frequency_hz, self._settings, bias, self._reference, worst)
 
     def _noise(self, ratio: float) -> float:
-        """Return the standard uncertainty of X_1 / X_b by noise in `windows` windows, from the newest one."""
+        """Return the standard uncertainty of X_1 / X_b due to noise in `windows` windows, from the newest one."""
         window = self._windows[-1]
         per_channel = self._noise_per_scan
         base = abs(complex(window.phasors[:, BASE, 0].mean()))

@@ -15,8 +15,9 @@
 
     y_k = C + Σ_h (A_h cos hωt_k + B_h sin hωt_k) = C + Re Σ_h Y_h e^{ihωt_k},   t_k = k / rate,   Y_h = A_h − iB_h
 
-Standard uncertainties follow from the residual's spectral density *near each harmonic* times the inverse normal matrix:
-for white noise that is the usual formula, for coloured noise it is the right one, as the fit only sees what is near.
+Standard uncertainties follow from the residual's spectral density *near each harmonic* times the inverse normal matrix.
+For white noise this is the usual formula. It is also right for coloured noise, because the fit is only sensitive to
+noise near the harmonic.
 """
 
 from __future__ import annotations
@@ -30,23 +31,23 @@ from numpy.typing import NDArray
 from impact_rig.analysis.calibration import Complex, Real
 from impact_rig.states import Status
 
-MIN_CYCLES = 1.5  # below this offset, amplitude and phase cannot be told apart in noise
+MIN_CYCLES = 1.5  # below this number of cycles, noise prevents the separation of offset, amplitude and phase
 MIN_POINTS = 8
 NEAR_BINS = 16  # spectral lines of the residual on either side of a harmonic that give its noise density
 SKIP_BINS = 2  # lines next to the harmonic that the fit itself has emptied
 ITERATIONS = 30
-CONVERGED_RAD = 1e-10  # phase by which the last frequency step would turn the end of the record
+CONVERGED_RAD = 1e-10  # phase change at the end of the record by the last frequency step, at convergence
 
 
 @attrs.frozen(eq=False)
 class SineFit:
-    """A fitted sine; everything but `status` and `frequency_hz` is NaN where there is no fit."""
+    """Fitted sine; without a fit, everything except `status` and `frequency_hz` is NaN."""
 
     status: Status  # `ok`, or why there is no fit
     frequency_hz: float  # given or refined
     offset: float  # C [unit of y]
     phasors: Complex  # Y_h, shape (H,)
-    residual_rms: float  # root mean square of what the fit leaves, per degree of freedom
+    residual_rms: float  # root mean square of the residual, per degree of freedom
     u_offset: float  # standard uncertainty of C
     u_amplitudes: Real  # of |Y_h|, shape (H,)
     u_phases_rad: Real  # of arg Y_h, shape (H,)
@@ -72,7 +73,7 @@ class SineFit:
 def fit_sine(y: Real, rate_hz: float, frequency_hz: float, harmonics: int = 1) -> SineFit:
     """Fit offset and harmonics at a known frequency: three parameters for harmonics = 1.
 
-    `y` has shape (n,); H harmonics, the fundamental included, must lie below rate / 2.
+    `y` has shape (n,); the H harmonics, including the fundamental, must be below rate / 2.
     """
     refusal = _refusal(y, rate_hz, frequency_hz, harmonics)
     if refusal:
@@ -85,22 +86,22 @@ def fit_sine(y: Real, rate_hz: float, frequency_hz: float, harmonics: int = 1) -
 def fit_sine_frequency(y: Real, rate_hz: float, frequency_hz: float, harmonics: int = 1) -> SineFit:
     """Fit offset, harmonics and the frequency: four parameters for harmonics = 1.
 
-    Gauss–Newton from the given frequency, which must be right to within about half a cycle over the record; `no_fit` if
-    it does not converge.
+    Gauss–Newton iteration from the given frequency, which must be right to within about half a cycle over the record;
+    the status is `no_fit` if it does not converge.
     """
     refusal = _refusal(y, rate_hz, frequency_hz, harmonics)
     if refusal:
         return _no_fit(refusal, frequency_hz, harmonics)
     time = np.arange(len(y)) / rate_hz
     middle = time[-1] / 2.0
-    scale = float(np.ptp(y)) / 2.0  # so that all columns of the fit are of like size
+    scale = float(np.ptp(y)) / 2.0  # scales all columns of the fit to similar size
     y = y / scale
     frequency = frequency_hz
     for _ in range(ITERATIONS):
         design = _design(len(y), rate_hz, frequency, harmonics)
         linear = least_squares(design, y)[0]
         order = np.repeat(np.arange(1, harmonics + 1), 2)
-        # d/dω of A cos + B sin is t (B cos − A sin); from the middle it is nearly orthogonal to the rest
+        # d/dω of A cos + B sin is t (B cos − A sin); relative to the middle it is nearly orthogonal to the rest
         turned = np.stack([linear[2::2], -linear[1::2]], axis=1).reshape(-1)
         slope = (time - middle) * (design[:, 1:] @ (turned * order))
         full = np.column_stack([design, slope])
@@ -115,9 +116,9 @@ def fit_sine_frequency(y: Real, rate_hz: float, frequency_hz: float, harmonics: 
 
 
 def least_squares(design: Real, y: Real) -> tuple[Real, Real]:
-    """Return the solution and the inverse normal matrix, columns brought to one size first; fast for tall designs.
+    """Return the solution and the inverse normal matrix, with columns scaled to one size; fast for tall designs.
 
-    The design, shape (n, p), has independent columns, none of them zero; y has shape (n,).
+    The design, shape (n, p), has independent, non-zero columns; y has shape (n,).
     """
     normal = design.T @ design
     size = np.sqrt(np.diagonal(normal))
@@ -126,7 +127,7 @@ def least_squares(design: Real, y: Real) -> tuple[Real, Real]:
 
 
 def noise_density(residual: Real, frequency_hz: float, rate_hz: float) -> float:
-    """Return the residual's variance per sample as its spectrum near a frequency has it: the variance if white."""
+    """Return the residual's variance per sample according to its spectrum near a frequency: the variance if white."""
     power = np.abs(np.fft.rfft(residual)) ** 2 / len(residual)
     middle = round(frequency_hz / rate_hz * len(residual))
     apart = np.arange(SKIP_BINS + 1, SKIP_BINS + NEAR_BINS + 1)
@@ -161,9 +162,9 @@ def _finished(
     y: Real, rate_hz: float, frequency_hz: float, design: Real, normal: Real, solution: Real, harmonics: int,
     scale: float, middle_s: float | None = None,
 ) -> SineFit:  # fmt: skip
-    """Turn a solution into values with uncertainties; y was divided by `scale`.
+    """Convert a solution to values with uncertainties; y was divided by `scale`.
 
-    `middle_s` is given when the last column is the frequency's.
+    `middle_s` is given if the last column is that of the frequency.
     """
     residual = y - design @ solution
     freedom = len(y) - design.shape[1]
@@ -184,7 +185,7 @@ def _finished(
             density = inflation * noise_density(residual, frequency_hz, rate_hz)
             u_omega = math.sqrt(density * normal[-1, -1])
             u_frequency = u_omega / (2.0 * math.pi)
-            # the phase is that of t = 0, the frequency turns about the middle of the record
+            # the phase is that at t = 0, but the frequency is relative to the middle of the record
             u_phase = np.hypot(u_phase, np.arange(1, harmonics + 1) * middle_s * u_omega)
     return SineFit(
         status=Status.OK,

@@ -11,13 +11,15 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What the cycles do one after the other: periodic, modulated or chaotic; and how uncertain their mean is.
+"""Regime of successive cycles (periodic, modulated or chaotic), and the uncertainty of their mean.
 
-Judged on ε_k, the relative deviation of the fundamental of x_1 fitted cycle by cycle. A subharmonic orbit (2.5 impacts
-per cycle: five impacts in two cycles) repeats after p cycles: the deviation from the mean of each class k mod p must
-vanish within noise, or within a tolerance that does not matter, and so must that of the phases of the impacts. (A light
-sphere can strike irregularly while the amplitude stands still.) What does not repeat is told apart by its spectrum: a
-few lines (modulated) or a continuum (chaotic); that boundary is a convention, as for any finite record.
+The regime is judged on ε_k, the relative deviation of the fundamental of x_1 fitted cycle by cycle. A subharmonic orbit
+(2.5 impacts per cycle: five impacts in two cycles) repeats after p cycles. The deviation from the mean of each class k
+mod p must then vanish within noise, or within a negligible tolerance, and so must that of the phases of the impacts. (A
+light sphere can strike irregularly while the amplitude is constant.)
+
+If the response does not repeat, its spectrum decides: a few lines (modulated) or a continuum (chaotic). That boundary
+is a convention, as for any finite record.
 """
 
 from __future__ import annotations
@@ -31,7 +33,7 @@ from impact_rig.states import Regime
 
 
 def variance_of_mean(values: Real) -> float:
-    """Return the variance of the mean of a stationary series, correlation up to n^(1/3) lags included.
+    """Return the variance of the mean of a stationary series, including correlation up to n^(1/3) lags.
 
         S = γ_0 + 2 Σ_{l<=L} (1 − l/(L+1)) γ_l,   var = S / (n − L − 1),   L = ⌊n^(1/3)⌋
 
@@ -48,7 +50,7 @@ def variance_of_mean(values: Real) -> float:
 
 
 def student_factor(n: int) -> float:
-    """Return ν/(ν − 2): the variance of a mean whose own variance is known from `variance_of_mean` of n values only.
+    """Return ν/(ν − 2), the factor for a mean whose variance is an estimate by `variance_of_mean` of n values.
 
     ν = 3n / (2(L + 1)) degrees of freedom; the variance of Student's t instead of the normal (GUM Supplement 1, 6.4.9).
     """
@@ -63,7 +65,7 @@ def _longest_lag(n: int) -> int:
 def student_2u(freedom: float) -> float:
     """Return the factor by which a standard uncertainty must grow so that ±2u covers 95.45 % of Student's t.
 
-    The quantile by the expansion of Abramowitz & Stegun (1964), 26.7.5, at the normal quantile 2: within 0.3 % of
+    The quantile follows the expansion of Abramowitz & Stegun (1964), 26.7.5, at the normal quantile 2: within 0.3 % of
     the true one from 4 degrees of freedom on; fewer than 2 count as 2.
     """
     inverse = 1.0 / max(freedom, 2.0)
@@ -73,9 +75,9 @@ def student_2u(freedom: float) -> float:
 def batch_variance(values: Complex, batches: int) -> Real:
     """Return the variances (real, imaginary) of the mean of a series from the scatter of the means of a few batches.
 
-    Batches much longer than the correlation are as good as independent, however it decays (Schmeiser 1982, Operations
-    Research 30, 556–568). Where they are not, what a variance from b batches lacks is in proportion to b: 2V_b − V_2b
-    has none of it (Vats & Flegal 2022, Biometrika 109, 735–750). That they are few is in `student_2u`.
+    Batches much longer than the correlation are practically independent, however it decays (Schmeiser 1982, Operations
+    Research 30, 556–568). For shorter ones, the variance from b batches is too small in proportion to b. 2V_b − V_2b is
+    free of this error (Vats & Flegal 2022, Biometrika 109, 735–750). `student_2u` accounts for their small number.
     """
     coarse = _scatter_of_batches(values, batches)
     fine = _scatter_of_batches(values, 2 * batches) if len(values) >= 2 * batches else coarse
@@ -89,7 +91,10 @@ def _scatter_of_batches(values: Complex, batches: int) -> Real:
 
 
 def by_class_removed(values: Complex, period: int) -> Complex:
-    """Return values less the mean of all values at the same place of the period: what a periodic orbit leaves over."""
+    """Return values minus the mean of all values at the same position in the period.
+
+    The residual of a periodic orbit.
+    """
     place: NDArray[np.int64] = np.arange(len(values)) % period
     whole = len(values) - len(values) % period
     sums = values[:whole].reshape(-1, period).sum(axis=0)
@@ -103,25 +108,26 @@ NOISE_FACTOR = 2.0
 SUPPORT = 0.6  # share of the cycles of a class that strike at a phase which belongs to the orbit
 REGULAR_SHARE = 0.85  # share of the impacts at such phases from which the impacts repeat
 LINES = 3
-"""A response is modulated when this many spectral lines, each as wide as the window's main lobe, hold LINE_SHARE."""
+"""A response is modulated if this many spectral lines, each as wide as the window's main lobe, hold LINE_SHARE."""
 LINE_SHARE = 0.8
 
 
 @attrs.frozen
 class Behaviour:
-    """What a response does."""
+    """Behaviour of a response from cycle to cycle."""
 
-    regime: Regime  # the word for it
-    period: float  # drive cycles after which it repeats, NaN if never
-    spread: float  # relative cycle-to-cycle rms of the fundamental, noise included
-    steady: bool  # the amplitude repeats, though perhaps the impacts do not
+    regime: Regime  # its regime
+    period: float  # drive cycles after which it repeats; NaN if never
+    spread: float  # relative cycle-to-cycle rms of the fundamental, including noise
+    steady: bool  # whether the amplitude repeats, possibly with irregular impacts
 
 
 def classify(deviation: Complex, noise_variance: float, tolerance: float, strikes: NDArray[np.uint8]) -> Behaviour:
-    """Return what a response does.
+    """Classify a response.
 
-    `deviation` is ε_k per cycle, shape (n,), of which noise explains E|ε|² = `noise_variance`; rms `tolerance` is none;
-    `strikes` are the phases of the impacts (`Cycles.strikes`). `unknown` for n < 4 or what is not finite.
+    `deviation` is ε_k per cycle, shape (n,), of which noise explains E|ε|² = `noise_variance`; an rms up to `tolerance`
+    is negligible. `strikes` are the phases of the impacts (`Cycles.strikes`). The regime is `unknown` for n < 4 or
+    values that are not finite.
     """
     n = len(deviation)
     if n < 4 or not np.all(np.isfinite(deviation)):
@@ -143,9 +149,9 @@ def classify(deviation: Complex, noise_variance: float, tolerance: float, strike
 
 
 def _strikes_repeat(strikes: NDArray[np.uint8], period: int) -> bool:
-    """Return whether nearly all impacts fall where most cycles of their class have one, give or take a bin.
+    """Return whether nearly all impacts occur at phases where most cycles of their class have one, within one bin.
 
-    Weak impacts may be missed in some cycles, so a cycle without one proves nothing; one out of place does.
+    Weak impacts may be missed in some cycles, so a cycle without one proves nothing; an impact at another phase does.
     """
     regular, near = 0, strikes | np.roll(strikes, 1, axis=1) | np.roll(strikes, -1, axis=1)
     for place in range(period):

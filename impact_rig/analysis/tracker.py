@@ -11,12 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`Tracker`: the transmissibility of a running rig, from its blocks, in constant memory.
+"""`Tracker`: the transmissibility of a running rig, computed from its blocks in constant memory.
 
-Feed it what the rig publishes; it measures when the response has settled and says by name why it does not. Whatever
-the cut into blocks, and in whatever order topics are delivered within `hold_s`, the rows are the same bit for bit:
-scans are held back, cycles and windows are counted from the last change of drive, gap label or calibration (`_apply`),
-sums run scan by scan.
+Feed it the messages of the rig. It measures when the response has settled, and names the reason if it cannot. The rows
+are the same bit for bit for any block length, and for any order in which topics are delivered within `hold_s`: scans
+are delayed, cycles and windows are counted from the last change of drive, gap label or calibration (`_apply`), and sums
+run scan by scan.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from impact_rig.states import MEASURED, SETTLED, AnalysisWord, Status
 
 @attrs.define
 class Counters:
-    """What a tracker has seen so far; for diagnostics."""
+    """Counters of a tracker, for diagnostics."""
 
     scans: int = 0
     lost_scans: int = 0
@@ -60,23 +60,23 @@ class Counters:
 
 @attrs.frozen
 class TrackerState:
-    """What a measurement does now, decided from scans and commands alone: the same live and from a recorded run."""
+    """State of a measurement, decided from scans and commands alone: the same live and from a recorded run."""
 
     word: str  # of `states.AnalysisWord`
-    reason: str = ""  # a status of `transmissibility/table`; empty where the word says it all
+    reason: str = ""  # a status of `transmissibility/table`; empty if the word says enough
     since_ns: int | None = None  # rig time at which it began; None before the first scan
 
 
 @attrs.frozen(eq=False)
 class Findings:
-    """What one call found: `transmissibility/table` tables of one row each, and tables of detected impacts."""
+    """Results of one call: `transmissibility/table` tables of one row each, and tables of detected impacts."""
 
     measurements: tuple[Table, ...] = ()
     impacts: tuple[Table, ...] = ()
 
 
-ADD_S = 0.05  # scans are added to their cycle this late at most: in few steps, without a long buffer
-MIN_HOLD_SCANS = 16  # cycles are closed no earlier than this, nor before all impacts in them are known
+ADD_S = 0.05  # longest delay before scans are added to their cycle: few steps without a long buffer
+MIN_HOLD_SCANS = 16  # shortest delay before cycles are closed; all impacts in them must be known as well
 
 
 class _Command(NamedTuple):
@@ -85,7 +85,7 @@ class _Command(NamedTuple):
 
 
 class _Reset(NamedTuple):
-    """The rig began again: a new scan 0."""
+    """Reset of the rig: a new scan 0."""
 
     start_ns: int
     calibration: Calibration
@@ -93,12 +93,12 @@ class _Reset(NamedTuple):
 
 _Event = _Command | GapLabel | Calibration
 _KINDS = (GapLabel, Calibration, _Command)
-"""In this order what acts at one instant is applied: which of two topics is delivered first, is chance."""
+"""Order in which simultaneous events are applied: which of two topics is delivered first is random."""
 NOTHING = Findings()
 
 
 class Tracker:
-    """Measures the transmissibility and detects impacts in a stream of scans."""
+    """Streaming measurement of transmissibility and impacts."""
 
     def __init__(self, settings: TrackerSettings | None = None, impact_settings: ImpactSettings | None = None) -> None:
         self.counters = Counters()
@@ -111,35 +111,35 @@ class Tracker:
         self._rate = 0.0  # scans per second of the calibration
         self._hold = 0
         self._buffer = ScanBuffer()
-        self._added = 0  # index of the next scan to add to the accumulator
-        self._due = 0  # index of the scan before which all must have been added
+        self._added = 0  # index of the scan before which all must have been added
+        self._due = 0  # row type of the newest block, and the channels it may lack
         self._taken: tuple[object, ...] = ()  # type of the rows of the newest block, and the channels it may lack
         self._started = False
         self._last_block = -1
         self._judged = 0  # last scan of the newest window
         self._measured = 0  # index of the next scan to measure
         self._changed = 0  # index of the last change of the drive
-        self._events: list[tuple[int, int, int, _Event]] = []  # instant, place among the kinds, number, what
+        self._events: list[tuple[int, int, int, _Event]] = []  # time, order of the kind, number, event
         self._event_count = 0
         self._command: _Command | None = None
         self._gap_m = math.nan
         self._accumulator: Accumulator | None = None
         self._window = 0
-        self._impacts_ahead: list[NDArray[np.void]] = []  # as `ImpactDetector.find` returns them
-        self._struck = math.nan  # scan of the last impact before what was reported last
-        self._placed = 0  # scan from which the label holds, or the present drive began
+        self._impacts_ahead: list[NDArray[np.void]] = []  # as returned by `ImpactDetector.find`
+        self._struck = math.nan  # scan of the last impact before the last reported scan
+        self._placed = 0  # scan from which the label applies, or the present drive started
         self._rows: list[Table] = []
         self._state = TrackerState(AnalysisWord.NO_SCANS)
 
     @property
     def is_calibrated(self) -> bool:
-        """Whether `daq/info` has come, without which no scan can be measured."""
+        """Whether `daq/info` has arrived; without it no scan can be measured."""
         return self._calibration is not None
 
     def configure(self, info: Table) -> None:
-        """Take `daq/info`: a calibration, which acts from its stamp on, and where scan 0 is.
+        """Apply `daq/info`: a calibration, which acts from its stamp on, and the time of scan 0.
 
-        Another scan 0 is a reset of the rig: from its first block on everything is measured as in a new record.
+        Another scan 0 means a reset of the rig: from its first block on everything is measured as in a new record.
 
         Raises:
             ConfigError: the table describes none of the four channels, or one twice.
@@ -162,7 +162,7 @@ class Tracker:
             return
         newest = self._resets[-1] if self._resets else _Reset(self._start_ns, self._calibration)
         same_rate = calibration.rate_hz == newest.calibration.rate_hz
-        # months after scan 0 the seconds since then are no longer exact to the nanosecond
+        # months after scan 0, the seconds since then are not exact to the nanosecond
         if same_rate and scan_index(start_ns, calibration.rate_hz, newest.start_ns) == 0:
             self._schedule(info.stamp_ns, calibration)
             if not self._resets:
@@ -171,10 +171,10 @@ class Tracker:
             self._resets.append(_Reset(start_ns, calibration))
 
     def on_applied(self, applied: Table) -> None:
-        """Take `shaker/applied`: each row acts from its stamp plus time.
+        """Apply `shaker/applied`: each row acts from its stamp plus time.
 
         Raises:
-            ConfigError: the table is no such table, or its times are no numbers.
+            ConfigError: the table is invalid, or its times are not numbers.
         """
         need_columns(applied, APPLIED, topics.APPLIED.name)
         if not (np.abs(applied.rows["time"]) <= LONGEST_S).all():
@@ -184,14 +184,14 @@ class Tracker:
             self._schedule(instant, _Command(float(row["frequency"]), float(row["current"])))
 
     def label(self, gap_m: float, stamp_ns: int) -> None:
-        """Take the operator's word for the gap [m] from an instant on: 0 = no sphere, NaN = unknown."""
+        """Apply the operator's label of the gap [m] from a time on: 0 = no sphere, NaN = unknown."""
         self._schedule(stamp_ns, GapLabel(gap_m, stamp_ns))
 
     def feed(self, scan: Table) -> Findings:
-        """Take a block of `daq/scan`; blocks come in the order of their stamps.
+        """Process a block of `daq/scan`; blocks arrive in the order of their stamps.
 
         Raises:
-            ConfigError: the table is no such table.
+            ConfigError: the table is invalid.
         """
         absent = () if self._calibration is None else self._calibration.absent
         rows = scan.rows
@@ -236,7 +236,7 @@ class Tracker:
 
     @property
     def progress(self) -> Progress | None:
-        """How far the first measurement since the last change is; None: nothing is measured."""
+        """Progress of the first measurement since the last change; None if nothing is measured."""
         if self._accumulator is None:
             return None
         progress, quiet = self._judge.progress, self._quiet(self._measured - 1)
@@ -247,13 +247,13 @@ class Tracker:
 
     @property
     def state(self) -> TrackerState:
-        """What the measurement does now, and since when."""
+        """State of the measurement, and since when."""
         return self._state
 
     def flush(self, *, take_unsettled: bool = False) -> Findings:
-        """Measure what is still held back, and no longer wait for a sphere that may still strike: the record ends.
+        """Measure all delayed scans, without further waiting for a sphere: the record ends.
 
-        With `take_unsettled` a record that is too short for any row gives one of all its cycles.
+        With `take_unsettled`, a record that is too short for any row gives one row of all its cycles.
         """
         if self._started:
             self._advance(self._buffer.end)
@@ -280,9 +280,9 @@ class Tracker:
             self._emit(found, self._buffer.end - 1)
 
     def _feed_broken(self, scan: Table, numbers: NDArray[np.float64]) -> Findings:
-        """Feed a block with scans missing at its beginning or inside it as the whole runs it consists of.
+        """Split a block with missing scans at its beginning or inside it into contiguous runs, and process them.
 
-        Scans whose times are no such runs (another rate than `daq/info` says, or no numbers) count as lost.
+        Scans whose times do not form such runs (another rate than in `daq/info`, or not numbers) count as lost.
         """
         rate = self._rate
         if not ((np.abs(numbers) <= LONGEST_S * rate).all() and (np.diff(numbers) > 0).all()):
@@ -301,7 +301,7 @@ class Tracker:
         )
 
     def _schedule(self, time_ns: int, event: _Event) -> None:
-        """Queue an event at the scan it acts on; before the time base is known the instant itself is kept."""
+        """Queue an event at the scan it acts on; before the time base is known, keep its time."""
         self._event_count += 1
         entry = time_ns, _KINDS.index(type(event)), self._event_count, event
         bisect.insort(self._events, entry, key=lambda entry: entry[:3])
@@ -317,17 +317,17 @@ class Tracker:
                 self._prepare_detector(time_ns, event)
 
     def _prepare_detector(self, time_ns: int, calibration: Calibration) -> None:
-        """Time impacts by a calibration from its instant on: the detector reaches that before `_apply` does."""
+        """Time impacts with a calibration from its time on: the detector reaches that time before `_apply` does."""
         self._detector.recalibrate(first_scan_at(time_ns, calibration.rate_hz, self._start_ns), calibration)
         self._hold = max(self._hold, self._detector.behind)
 
     def _begin_again(self, reset: _Reset) -> None:
-        """Measure what came before a reset, and start anew with the scans after it that are held back already."""
+        """Measure everything before a reset, and start again with the delayed scans after it."""
         buffer, end = self._buffer, self._buffer.end
         cut = scan_index(reset.start_ns, self._rate, self._start_ns)
         if cut > end or not self._started:
             cut = end
-        first = max(cut, self._measured)  # of the scans after the reset that are not measured yet
+        first = max(cut, self._measured)  # first of the scans after the reset that are not measured yet
         if self._started:
             if first > cut:
                 self.counters.late_events += 1
@@ -370,7 +370,7 @@ class Tracker:
             self._enter(AnalysisWord.LOST_SCANS, Status.LOST_BLOCKS, index)
 
     def _advance(self, until: int) -> None:
-        """Measure the scans before `until`, events at their scans."""
+        """Measure the scans before `until`, with events at their scans."""
         rate = self._rate
         while self._events:
             at = first_scan_at(self._events[0][0], rate, self._start_ns)
@@ -390,14 +390,14 @@ class Tracker:
                     return
                 self._interrupt(Status.COMMAND_CHANGED)
                 if self._command is None or self._command.current == 0.0:
-                    self._placed = index  # silence at rest tells nothing: slow impacts are not heard
+                    self._placed = index  # silence at rest proves nothing: slow impacts are not detected
                 self._command = event
             case GapLabel(gap_m):
                 if gap_m == self._gap_m or (math.isnan(gap_m) and math.isnan(self._gap_m)):
                     return
                 self._interrupt(Status.LABEL_CHANGED)
                 self._gap_m = gap_m
-                self._take_impacts(index)  # of the window that is broken off: they were of another gap
+                self._take_impacts(index)  # of the interrupted window, which had another gap
                 self._struck, self._placed = math.nan, index
             case Calibration():
                 self._interrupt(Status.CALIBRATION_CHANGED)
@@ -405,12 +405,12 @@ class Tracker:
         self._begin(index, changed=True)
 
     def _enter(self, word: AnalysisWord, reason: str, scan: int) -> None:
-        """Be in a state from a scan on; one that goes on keeps its beginning; settling begins with every change."""
+        """Enter a state at a scan. An unchanged state keeps its start, but settling restarts with every change."""
         if (word, reason) != (self._state.word, self._state.reason) or (word, reason) == (AnalysisWord.SETTLING, ""):
             self._state = TrackerState(word, reason, stamp_ns(scan, self._rate, self._start_ns))
 
     def _begin(self, index: int, *, changed: bool) -> None:
-        """Count cycles and windows anew from scan `index`."""
+        """Restart the count of cycles and windows at scan `index`."""
         assert self._calibration is not None
         rate, frequency = self._calibration.rate_hz, self._command.frequency_hz if self._command else 0.0
         if changed:
@@ -428,7 +428,7 @@ class Tracker:
         self._judge = Judge(self._calibration, frequency, self._settings)
 
     def _measure(self, until: int) -> None:
-        """Accumulate the scans before `until` and judge every window they complete."""
+        """Accumulate the scans before `until` and evaluate every window they complete."""
         begin = self._measured
         if until <= begin:
             return
@@ -452,7 +452,7 @@ class Tracker:
                 self._enter(AnalysisWord.SETTLING, "", last)
 
     def _add(self, accumulator: Accumulator) -> None:
-        """Accumulate what has been measured; it is due again when that completes a window, or after ADD_S."""
+        """Accumulate the measured scans; the next time is when that completes a window, or after ADD_S."""
         buffer = self._buffer
         accumulator.add(buffer.samples, buffer.status, buffer.column(self._added), buffer.column(self._measured))
         self._added = self._measured
@@ -460,10 +460,10 @@ class Tracker:
         self._due = min(soon, accumulator.end(self._window))
 
     def _quiet(self, scan: int) -> Quiet:
-        """Return for how long there has been no impact at a scan, and for how long one may stay away.
+        """Return the time without impacts at a scan, and the time for which one may still occur.
 
-        Without a label there is a sphere if there was an impact; how far it flies is not known then. Where nothing
-        detects impacts, none is missed.
+        Without a label, an impact proves that there is a sphere; its flight distance is unknown then. Without an impact
+        detector, none is missed.
         """
         assert self._calibration is not None
         never, unknown = math.isnan(self._struck), math.isnan(self._gap_m)
@@ -483,7 +483,7 @@ class Tracker:
         self._take_impacts(until)
 
     def _take_impacts(self, before: int) -> NDArray[np.void]:
-        """Return the impacts before a scan, and keep when the last was; those after it are of scans held back."""
+        """Return the impacts before a scan, and keep the time of the last one; later ones belong to delayed scans."""
         onsets = joined([NO_IMPACTS, *self._impacts_ahead])
         impacts = self._detector.timed(onsets)
         later = int(np.searchsorted(impacts["scan"], before))
@@ -493,7 +493,7 @@ class Tracker:
         return impacts[:later]
 
     def _counted(self, window: Cycles, accumulator: Accumulator) -> Cycles:
-        """Return the window with its impacts counted per cycle; impacts after it are kept."""
+        """Return the window with its impacts counted per cycle; later impacts are kept."""
         assert self._calibration is not None
         if not counts_impacts(self._calibration):
             return window
@@ -506,7 +506,7 @@ class Tracker:
         return impact_tables(self._detector.timed(found), self._rate, self._start_ns)
 
     def _interrupt(self, status: Status) -> None:
-        """Say that a measurement under way ends here without a result."""
+        """Report that a measurement in progress ends here without a result."""
         if self._accumulator is not None:
             self._add(self._accumulator)
             if self._accumulator.pending_cycles or self._judge.pending:

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Displacement transmissibility DT = |X_1| / |X_b| at the drive frequency, its phase, and what both are worth.
+"""Displacement transmissibility DT = |X_1| / |X_b| at the drive frequency, its phase, and their uncertainties.
 
 X_1 and X_b are means of the cycles' fitted phasors, corrected for skew and sensor lag (`calibration`). The phase is
 that of X_1 relative to X_b: negative = x_1 lags x_b. Combined standard uncertainty (GUM, relative for DT, rad for the
@@ -20,10 +20,11 @@ phase, sensitivities of the complex quotient D = X_1/X_b):
     u²(DT)/DT² = u_A² + u²(S_laser) + u²(S_base) + u_Q² + Σ (Re ∂lnL/∂ln τ · u_τ)² + max(Re²(bias/D) − u_A², 0)/3
     u²(phase)  = u_A² +                            u_q² + Σ (Im ∂lnL/∂ln τ · u_τ)² + max(Im²(bias/D) − u_A², 0)/3
 
-u_A: the larger of the fit's residual noise, taken as white, and the scatter of the cycles, correlation included; for a
-response that is not periodic, batch means of the cycles instead. bias: what a dying transient may have left.
-u_Q, u_q: what the steps of sensors and converter do to amplitude and phase where noise does not blur them
-(`calibration`; `_rounding`). What remains too uncertain, u(DT) above `worst_relative_uncertainty`, is no number.
+u_A is the larger of the fit's residual noise, taken as white, and the scatter of the cycles including correlation; for
+a response that is not periodic, batch means of the cycles are used instead. bias is the possible remnant of a
+transient. u_Q and u_q are the effects of the steps of sensors and converter on amplitude and phase if noise does not
+blur them (`calibration`; `_rounding`). A result with u(DT) above `worst_relative_uncertainty` is not reported as a
+number.
 """
 
 from __future__ import annotations
@@ -48,12 +49,15 @@ from impact_rig.states import MEASURED, SETTLED, Method, Regime, Status
 NAN = float("nan")
 MIN_CYCLES = 4
 BATCHES = (4, 6)
-"""Numbers of batches: few, and so long ones, as a motion that strikes, rests and strikes is correlated for seconds."""
+"""Numbers of batches: few and long, as a motion that alternates between impacts and rest is correlated for seconds."""
 
 
 @attrs.frozen(kw_only=True)
 class Measurement:
-    """One measured point; NaN where a value is not known. Units as in `blocks.TRANSMISSIBILITY`, u_: standard."""
+    """Measured point; unknown values are NaN. Units as in `blocks.TRANSMISSIBILITY`.
+
+    The prefix u_ means standard uncertainty.
+    """
 
     status: Status
     frequency_hz: float
@@ -82,7 +86,7 @@ class Measurement:
 
 
 def counts_impacts(calibration: Calibration) -> bool:
-    """Return whether impacts can be counted: there is an accelerometer, at `MIN_RATE_HZ` at least."""
+    """Return whether impacts can be counted: there is an accelerometer, with at least `MIN_RATE_HZ`."""
     return calibration.rate_hz >= MIN_RATE_HZ and bool(calibration.present[ACCELEROMETER])
 
 
@@ -91,7 +95,7 @@ def measure_record(
 ) -> Measurement:
     """Measure a whole record at one drive frequency: all its whole cycles, taken as settled.
 
-    The scans (`daq/scan`) are consecutive, shape (n,); of the settings only harmonics, tolerance and lag are used.
+    The scans (`daq/scan`) are consecutive, shape (n,). Of the settings, only harmonics, tolerance and lag are used.
     """
     settings = settings or TrackerSettings()
     calibration = Calibration.from_info(info)
@@ -121,9 +125,9 @@ def measure(
 ) -> Measurement:
     """Measure settled, consecutive cycles of one commanded frequency.
 
-    `bias` is that of the complex transmissibility by a transient not quite gone; `before` are the amplitudes of an
-    earlier measurement of the same setting; above the relative uncertainty `worst`, by default that of the settings,
-    there is no number.
+    `bias` is that of the complex transmissibility by a remaining transient. `before` are the amplitudes of an earlier
+    measurement of the same setting. Above the relative uncertainty `worst`, by default that of the settings, there is
+    no number.
     """
 
     def refuse(why: Rejection, largest: str = "") -> Measurement:
@@ -166,7 +170,7 @@ def measure(
         method = Method.GUM
         classes = round(response.period)
         left = by_class_removed(influence / abs(ratio), classes)
-        freedom = (len(left) - 1.0) / (len(left) - classes)  # the mean of each class has been taken out, not just one
+        freedom = (len(left) - 1.0) / (len(left) - classes)  # the mean of each class has been removed, not just one
         spread = (
             freedom * student_factor(len(left)) * np.array([variance_of_mean(left.real), variance_of_mean(left.imag)])
         )
@@ -188,7 +192,7 @@ def measure(
         return refuse(wrong)
     no_current = calibration.present[CURRENT] and health.current_unsound(cycles, calibration, sizes, before)
     unsound = wrong.status if wrong else Status.CURRENT_UNSOUND if no_current else Status.OK
-    # impacts that do not repeat may be missed; and without any, an irregular response is a transient
+    # irregular impacts may be missed; and without any, an irregular response is a transient
     struck = bool(cycles.impacts.any())  # also where they were not counted
     untold = (wrong is not None) if response.regime is Regime.PERIODIC else not struck
     overtones = true[LASER][:, 1:].mean(axis=0)
@@ -222,7 +226,7 @@ def measure(
 
 
 def complex_transmissibility(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> complex:
-    """Return X_1 / X_b of some cycles; NaN if the base stands still. The cheap value that settling is judged on."""
+    """Return X_1 / X_b of some cycles; NaN if the base does not move. Settling is judged on this inexpensive value."""
     base = complex(cycles.phasors[:, BASE, 0].mean())
     if base == 0.0 or not np.isfinite(base):
         return complex(NAN, NAN)
@@ -236,14 +240,14 @@ def harmonic_numbers(cycles: Cycles) -> Real:
 
 
 def _noise_variance(cycles: Cycles, calibration: Calibration) -> Real:
-    """Return the variance per sample that the fits leave, at least that of the quantisation, shape (4,)."""
+    """Return the variance per sample of the residual of the fits, at least that of the quantisation, shape (4,)."""
     return np.asarray(np.maximum(cycles.residual_variance, calibration.resolution**2 / 12.0), dtype=np.float64)
 
 
 def _derotated(cycles: Cycles, calibration: Calibration, noise: Real) -> tuple[Complex, float]:
-    """Turn the phasors back by the drift of the reference's phase; return them and the frequency deviation [Hz].
+    """Rotate the phasors back by the drift of the reference's phase; return them and the frequency deviation [Hz].
 
-    The reference is the current where there is one, else the base. The fourth parameter of IEEE Std 1057, found from
+    The reference is the current if available, else the base. This is the fourth parameter of IEEE Std 1057, found from
     the cycles: a DAQ clock that is off by some ppm must not smear the amplitudes.
     """
     time = (cycles.first + (cycles.samples - 1) / 2.0) / calibration.rate_hz
@@ -267,12 +271,12 @@ def _amplitude_u(phasors: Complex, white: float) -> float:
 
 
 STEPS, MEASUREMENT = "steps", "measurement"
-"""What the steps of a channel contribute, and who contributes what is no channel's own."""
+"""Names of contributions: the steps of a channel, and contributions that belong to no channel."""
 
 
 @attrs.frozen
 class _Part:
-    """A contribution to the uncertainty: variances of ln DT and of the phase [rad²]."""
+    """Contribution to the uncertainty: variances of ln DT and of the phase [rad²]."""
 
     channel: str
     what: str
@@ -289,8 +293,8 @@ def _parts(
     laser_m: float,
     base_m: float,
 ) -> list[_Part]:
-    """Return what scatter, transient, sensitivities and lags contribute."""
-    # an extrapolated bias carries the noise of the windows, which counts already: only what exceeds it is a bias
+    """Return the contributions of scatter, transient, sensitivities and lags."""
+    # an extrapolated bias contains the noise of the windows, which is already counted: only the excess is a bias
     left = np.maximum(np.array([bias.real, bias.imag]) ** 2 - variance, 0.0) / 3.0
     parts = [
         _Part(MEASUREMENT, "noise, scatter", float(variance[0]), float(variance[1])),
@@ -307,11 +311,11 @@ def _parts(
 
 
 def _rounding(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> list[_Part]:
-    """Return what the steps of laser and base contribute.
+    """Return the contributions of the steps of laser and base.
 
-    A pure sine, taken at many phases, is changed in amplitude only (`calibration`). Overtones as large as a step turn
-    that error's phase by as much as its sign. Where the same few phases recur in every cycle, the errors at them do not
-    average out either, and stand in amplitude and phase alike: 2 v / N instead of the 2 v / n that the scatter shows.
+    For a pure sine sampled at many phases, only the amplitude changes (`calibration`). Overtones as large as a step
+    rotate the phase of that error by up to its sign. If the same few phases recur in every cycle, the errors at them do
+    not average out either, and affect amplitude and phase alike: 2 v / N instead of the 2 v / n that the scatter shows.
     """
     n = int(cycles.samples.sum())
     phases = distinct_phases(n, calibration.rate_hz / frequency_hz)
@@ -331,9 +335,9 @@ def _rounding(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> 
 
 
 def note_on(row: np.void | NDArray[np.void]) -> str:
-    """Return what a row of `transmissibility/table` leaves open, for people; empty unless its status is `no_impacts`.
+    """Return a readable caveat of a row of `transmissibility/table`; empty unless its status is `no_impacts`.
 
-    The time without impacts is the shorter of `impact_age` and `waited`: before, the drive was another one.
+    The time without impacts is the shorter of `impact_age` and `waited`: before that, the drive was different.
     """
     if row["status"] != Status.NO_IMPACTS.value.encode():
         return ""
@@ -343,7 +347,7 @@ def note_on(row: np.void | NDArray[np.void]) -> str:
 
 
 def measurement_table(found: Measurement, stamp_ns: int, gap_m: float, waited_s: float) -> Table:
-    """Return one row of `transmissibility/table`; the stamp is that of the last scan in it."""
+    """Return one row of `transmissibility/table`; its stamp is that of the last scan in it."""
     row = np.zeros(1, dtype=TRANSMISSIBILITY)
     for column, value in {
         "frequency": found.frequency_hz, "transmissibility": found.transmissibility, "phase": found.phase_rad,

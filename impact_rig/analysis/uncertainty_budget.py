@@ -11,15 +11,15 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Uncertainty budget of the mean transmissibility of settled measurements, line by line as the GUM asks.
+"""Uncertainty budget of the mean transmissibility of settled measurements, line by line as in the GUM.
 
-u(ε), of noise, scatter and a transient's remnant, is what the other parts leave of the stated whole, so they add up to
-it:
+u(ε), of noise, scatter and a transient's remnant, is the rest of the stated total after the other parts, so the lines
+add up to it:
 
     u²(DT)/DT² = u²(ε) + Σ over laser, base: u²(S) + [(1.5 − 1.875 a²) (L/R) u(c_3)]² + (Re ∂lnL/∂ln τ · u_τ)² + u_Q²
 
-u(S): sensitivity without the slope of the sensor's curve; the bracket: that curve at the amplitude a·R of the vibration
-(`calibration`); then the sensor's lag, and the steps of sensor and converter.
+u(S) is the sensitivity without the slope of the sensor's curve. The bracket is that curve at the amplitude a·R of the
+vibration (`calibration`). The last two terms are the sensor's lag, and the steps of sensor and converter.
 """
 
 from __future__ import annotations
@@ -38,26 +38,26 @@ AMPLITUDES = ((LASER, "laser_amplitude"), (BASE, "base_amplitude"))
 
 
 def combined(rows: NDArray[np.void]) -> float:
-    """Return the standard uncertainty of the mean transmissibility itself; repetitions hardly lessen it.
+    """Return the standard uncertainty of the mean transmissibility itself; repetitions hardly reduce it.
 
-    What dominates it are the sensitivities, whose errors are the same in all rows.
+    It is dominated by the sensitivities, whose errors are the same in all rows.
     """
     return math.sqrt(float(np.mean(rows["transmissibility_uncertainty"] ** 2)))
 
 
 @attrs.frozen
 class Contribution:
-    """One line of the budget."""
+    """Line of the budget."""
 
     source: str  # channel, or `measurement`
-    what: str  # the error it stands for
-    evaluation: str  # A (statistics of this measurement) or B (certificate), as the GUM calls them
-    u_relative: float  # relative standard uncertainty of DT by it
+    what: str  # error that it represents
+    evaluation: str  # A (statistics of this measurement) or B (certificate), in the terms of the GUM
+    u_relative: float  # its contribution to the relative standard uncertainty of DT
 
 
 @attrs.frozen
 class Budget:
-    """All lines, and their sum."""
+    """All lines of a budget, and their sum."""
 
     transmissibility: float  # mean of the rows
     u_transmissibility: float  # its stated standard uncertainty
@@ -95,13 +95,13 @@ def budget(rows: NDArray[np.void], calibration: Calibration, lag_uncertainty: fl
 
 
 def _steps_at(calibration: Calibration, channel: int, amplitude: float, frequency_hz: float) -> float:
-    """Return what the steps of sensor and converter contribute, relative."""
+    """Return the relative contribution of the steps of sensor and converter."""
     read = amplitude * abs(complex(calibration.response(channel, frequency_hz)))
     return calibration.steps_uncertainty(channel, read) / read
 
 
 def _curve(calibration: Calibration, channel: int, amplitude: float) -> float:
-    """Return what the departure of a sensor's curve from a straight line adds to the gain at an amplitude."""
+    """Return the contribution to the gain of the nonlinearity of a sensor's curve at an amplitude."""
     half_range = float(calibration.high[channel] - calibration.low[channel]) / 2.0
     share = amplitude / half_range
     return abs(1.5 - 1.875 * share**2) * float(calibration.linearity[channel]) / half_range * U_CUBIC

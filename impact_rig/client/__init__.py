@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Programs that use a rig over ROS: processes of nodes, a client of their topics and services, a domain of its own.
+"""Client programs of a rig on ROS: node processes, a client of their topics and services, and isolated domains.
 
     with isolated_domain() as domain_id, Processes(domain_id, logs) as processes:
         processes.start("rig", {"time.mode": "lockstep", "barriers.gap_m": 0.006})
@@ -21,7 +21,7 @@
             client.command(frequency_hz=9.1, current_a=0.52)
             client.step(blocks=100)
 
-Importing this does not import rclpy: it is loaded when something that needs it is asked for.
+Importing this package does not import rclpy; rclpy is loaded with the first name that needs it.
 """
 
 from __future__ import annotations

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A client of the rig's graph: waits on conditions, commands, steps, sets parameters and collects topics.
+"""Client of a rig's graph: it waits for conditions, sends commands, steps, sets parameters and collects topics.
 
-It spins in the caller's thread, only while it waits; no thread is started and nothing sleeps for a fixed time. Every
-wait has a deadline and names what it waited for; with `processes` given, a node process that dies ends the wait at once
-with its last words.
+The client spins in the caller's thread, and only while it waits. It starts no thread and never sleeps for a fixed time.
+Every wait has a deadline and an error message that names what was awaited. With `processes`, the wait also ends when a
+node process dies; the error then quotes the end of its log.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ from impact_rig.topics import Topic
 
 @attrs.frozen(eq=False)
 class Received:
-    """One message.
+    """Received message.
 
     Attributes:
         sequence: DDS publication sequence number: contiguous per publisher.
@@ -73,23 +73,23 @@ class Received:
 
 
 class Collector:
-    """Keeps every message of one topic.
+    """Store of all messages received on one topic.
 
-    A message that is no table of its topic is refused: counted, and not kept.
+    Messages that are not valid tables of the topic are counted and dropped.
     """
 
     def __init__(self, topic: Topic, on_message: Callable[[Received], None] | None = None) -> None:
         self.topic = topic
         self.received: list[Received] = []
-        self.refused = 0  # messages that were no tables of the topic
-        self.last_refused = ""  # why the last of them was none
+        self.refused = 0  # number of invalid messages
+        self.last_refused = ""  # reason why the last of them is invalid
         self._on_message = [on_message] if on_message is not None else []
 
     def __len__(self) -> int:
         return len(self.received)
 
     def take(self, data: Any, info: dict[str, Any]) -> None:
-        """Keep one message; the subscription's callback."""
+        """Keep one message. This is the subscription's callback."""
         table = None
         if self.topic.columns is not None:
             try:
@@ -103,12 +103,12 @@ class Collector:
             on_message(message)
 
     def then(self, on_message: Callable[[Received], None]) -> None:
-        """Call this as well after each message that is kept from now on."""
+        """Also call this function after each message that is kept from now on."""
         self._on_message.append(on_message)
 
     @property
     def messages(self) -> list[Any]:
-        """The messages, or the CDR bytes of tables."""
+        """Messages; for tables, their CDR bytes."""
         return [message.data for message in self.received]
 
     def tables(self, since: int = 0) -> list[Table]:
@@ -116,57 +116,59 @@ class Collector:
         return [message.table or codec.decode(message.data) for message in self.received[since:]]
 
     def last(self) -> Table | None:
-        """Return the newest table, decoding nothing else; None if there is none."""
+        """Return the newest table, or None if there is none. Older tables are not decoded."""
         found = self.tables(-1)
         return found[0] if found else None
 
     def entries(self, since: int = 0) -> list[JournalEntry]:
-        """Return the entries of `rig/journal` that arrived, without the first `since` messages."""
+        """Return the received entries of `rig/journal`, without the first `since` messages."""
         return [JournalEntry.from_line(message.data.data) for message in self.received[since:]]
 
     def rows(self) -> NDArray[np.void]:
         """Return the rows of all tables, one after the other; shape (n,)."""
         parts = [table.rows for table in self.tables()]
-        assert parts or self.topic.columns is not None, f"{self.topic.name}: no tables have come, if it carries any"
+        assert parts or self.topic.columns is not None, (
+            f"{self.topic.name}: no table received; does this topic carry tables?"
+        )
         return np.concatenate(parts) if parts else np.empty(0, self.topic.columns)
 
     def lost(self) -> int:
-        """Return how many messages are missing between the first and the last, by DDS sequence number."""
+        """Return the number of messages missing between the first and the last, by DDS sequence number."""
         numbers = [message.sequence for message in self.received]
         return int(numbers[-1] - numbers[0] + 1 - len(set(numbers))) if numbers else 0
 
     def clear(self) -> None:
-        """Forget what arrived so far."""
+        """Drop all messages received so far."""
         self.received.clear()
 
 
 SPIN_S = 0.1
-GONE_S = 2.0  # a rig that says nothing for so long is gone: it reports once a second, whatever it does
+GONE_S = 2.0  # every rig reports once a second in any state, so a rig that is silent for longer is gone
 DIAGNOSTICS_PERIOD_S = 1.0
-LOOK_S = 0.05  # what has arrived while nobody spun is handed over in this time
-HISTORY_S = 1.0  # a client that has just found a rig is sent the rig's latched messages in this time
+LOOK_S = 0.05  # messages that arrived while the executor was not spinning are delivered within this time
+HISTORY_S = 1.0  # a client that has just discovered a rig receives its latched messages within this time
 
 
 class WaitTimeoutError(ImpactRigError, TimeoutError):
-    """Something awaited did not happen in time."""
+    """Timeout of a wait."""
 
 
-Check = Callable[[], None]  # raises when there is nothing to wait for any more
+Check = Callable[[], None]  # raises if the wait has become pointless
 
 
 def patiently() -> None:
-    """Wait as long as there is time."""
+    """Never end a wait early: the default check."""
 
 
 class RigGoneError(GoneError):
-    """The rig that something was given to is gone, by itself or for another one: it was not done, and will not be."""
+    """Loss of the rig that received a command: it ended or was replaced before it carried the command out."""
 
 
 class Activation:
-    """Which rig a client speaks to: the activation it heard of last, and when.
+    """Rig that a client addresses: its last reported activation, and when that was reported.
 
-    A command belongs to the rig it was given to. Whoever waits for one to be carried out asks `given` first: what that
-    returns raises as soon as the rig is gone.
+    A command belongs to the rig that received it. Before you wait for its effect, call `given`: the returned check
+    raises as soon as that rig is gone.
     """
 
     def __init__(self, clock: Callable[[], float]) -> None:
@@ -178,18 +180,18 @@ class Activation:
 
     @property
     def is_overdue(self) -> bool:
-        """Whether a rig that was heard has not been heard for a while."""
+        """Whether a known rig has not reported for a while."""
         return self._is_there and self._clock() - self._heard_at > DIAGNOSTICS_PERIOD_S
 
     @property
     def _is_changing(self) -> bool:
-        """True while diagnostics of the previous rig may still arrive."""
+        """Whether diagnostics of the previous rig may still arrive."""
         return self._clock() - self._changed_at <= LOOK_S
 
     def heard(self, instance: str) -> None:
-        """Take the instance in a rig's diagnostics, as they are received.
+        """Update the activation from a rig's diagnostics, in the order received.
 
-        Diagnostics of the previous rig that follow `changed` immediately are outdated: they were under way.
+        Diagnostics of the previous rig may still be under way just after `changed`; these are ignored.
         """
         self._identify()
         self._heard_at = self._clock()
@@ -199,18 +201,18 @@ class Activation:
             self._first = self._first or instance
 
     def changed(self) -> None:
-        """Take the next rig that is heard for the one that is meant: the user has just seen that it is there."""
+        """Address the next rig that reports: the user has just seen that it is there."""
         self._previous, self._instance, self._changed_at = self._instance or self._previous, "", self._clock()
         self._first = ""
         self._is_there, self._is_gone = True, False
 
     def _identify(self) -> None:
-        """Take the rig for the previous one if only that was heard after `changed`: it was the same one after all."""
+        """Keep the previous rig if no other one has reported since `changed`: it is the same rig."""
         if not self._first and not self._is_changing and self._heard_at >= self._changed_at:
             self._instance = self._first = self._previous
 
     def given(self, what: str, silence_s: float = GONE_S) -> Check:
-        """Return what raises once the rig that is there now is gone, or has been silent for so long [s]."""
+        """Return a check that raises once the present rig is gone or has been silent for this long [s]."""
         self._identify()
         instance, since = self._instance, self._clock()
 
@@ -219,28 +221,28 @@ class Activation:
             self._identify()
             instance = instance or self._first
             if instance != self._instance:
-                raise RigGoneError(f"{what}: the rig it was given to is gone, and another one has begun")
+                raise RigGoneError(f"{what}: the rig that received it is gone; another rig has started")
             silent = self._is_there and self._clock() - max(self._heard_at, since) > silence_s
             self._is_gone |= silent
             if self._is_gone:
-                raise RigGoneError(f"{what}: the rig it was given to is gone, nothing was heard of it for {GONE_S:g} s")
+                raise RigGoneError(f"{what}: the rig that received it is gone; no report from it for {GONE_S:g} s")
 
         return check
 
 
 class Spinner:
-    """Spins an executor and keeps the time."""
+    """Spinning of an executor, with deadlines."""
 
     def __init__(self, executor: Any) -> None:
         self._executor = executor
         self._working_s = 0.0
 
     def waited_s(self) -> float:
-        """Return a time [s] that stands still while a hosted node is at work in a callback: compiling takes minutes."""
+        """Return a clock [s] that pauses while a hosted node is busy in a callback: compiling takes minutes."""
         return time.monotonic() - self._working_s
 
     def spin(self, longest_s: float = SPIN_S) -> None:
-        """Let one callback run, or wait for it at most so long [s]."""
+        """Run one callback, or wait for one for at most this long [s]."""
         began = time.monotonic()
         self._executor.spin_once(timeout_sec=longest_s)
         self._working_s += max(0.0, time.monotonic() - began - longest_s)
@@ -248,11 +250,11 @@ class Spinner:
 
 T = TypeVar("T")
 
-DEFAULT_TIMEOUT_S = 10.0  # discovery takes 0.2 to 2 s; compiled code may load in the first seconds of a node
-START_TIMEOUT_S = 240.0  # without the library of kernels a node's first start compiles the physics
-LIFECYCLE = (ChangeState, GetState)  # services by which rigs are begun and ended; a transition may take minutes
+DEFAULT_TIMEOUT_S = 10.0  # discovery takes 0.2 to 2 s; a node may load compiled code in its first seconds
+START_TIMEOUT_S = 240.0  # without the library of kernels, the first start of a node compiles the physics
+LIFECYCLE = (ChangeState, GetState)  # services that start and stop rigs; a transition may take minutes
 RIG = "simulation"  # component in the diagnostics of a rig
-AGAIN_S = 2.0  # when a question that may be asked twice is asked again
+AGAIN_S = 2.0  # interval after which a repeatable request is sent again
 
 
 TRANSITIONS = {
@@ -268,17 +270,17 @@ TRANSITIONS = {
 
 
 class ServiceFailedError(ImpactRigError, RuntimeError):
-    """A service answered that it could not do what was asked."""
+    """Negative answer of a service."""
 
 
 class Client:
-    """One ROS node that plays the user.
+    """ROS node that acts as the user of a rig.
 
     Args:
         namespace: namespace of the rig's nodes; topics and node names below are relative to it.
-        processes: watched during every wait.
+        processes: node processes to watch during every wait.
         name: node name, and the name in its acknowledgements.
-        commands: whether `command` will be called: all that the rig accepts is kept for it.
+        commands: whether `command` will be called; the client then keeps all commands that the rig applies.
     """
 
     def __init__(
@@ -301,18 +303,18 @@ class Client:
             )
         self.executor.add_node(self.node)
         self.diagnostics: dict[str, DiagnosticStatus] = {}
-        """Latest status of each node, by name relative to the namespace; of others by their full name: `/there/rig`."""
+        """Latest status of each node, by name relative to the namespace, or by full name outside of it."""
         self._hosted: list[Any] = []
         self._spinner = Spinner(self.executor)
         self._rigs: dict[str, Activation] = {}
         self._publishers: dict[str, Any] = {}
         self._acknowledgements: dict[str, Template] = {}
         self._heard: set[Any] = set()
-        self._knows_past = False  # whether all has come that had been applied before this client came
+        self._knows_past = False  # whether all commands applied before this client started have arrived
         self._clients: dict[tuple[str, Any], Any] = {}
         self.subscribe(topics.DIAGNOSTICS, self._on_diagnostics)
         self.applied = Collector(topics.APPLIED)
-        """What the rig has accepted since this client is there: `shaker/applied`; nothing without `commands`."""
+        """Commands applied since this client started (`shaker/applied`). None without `commands`."""
         if commands:
             self.subscribe(topics.APPLIED, self.applied.take, raw=True)
 
@@ -325,7 +327,7 @@ class Client:
     def close(self) -> None:
         """Destroy the node, the nodes it hosts and the context."""
         with unhurried():
-            for node in self._hosted:  # those of this package end what they do, while the executor still runs
+            for node in self._hosted:  # nodes of this package finish their work while the executor still runs
                 if hasattr(node, "close"):
                     node.close()
             self.executor.shutdown()
@@ -342,10 +344,10 @@ class Client:
         timeout_s: float = DEFAULT_TIMEOUT_S,
         check: Check = patiently,
     ) -> T:
-        """Spin until `condition()` is true, and return what it gave.
+        """Spin until `condition()` is true, and return its value.
 
         Raises:
-            WaitTimeoutError: it did not become true in time; names `what`.
+            WaitTimeoutError: it did not become true in time; the message names `what`.
             ProcessDiedError: a watched process ended.
         """
         deadline = self._spinner.waited_s() + timeout_s
@@ -354,21 +356,21 @@ class Client:
                 self._processes.check()
             check()
             if self._spinner.waited_s() > deadline:
-                raise WaitTimeoutError(f"waited {timeout_s:g} s in vain for {what}{self._troubles()}")
+                raise WaitTimeoutError(f"timeout after {timeout_s:g} s: waiting for {what}{self._troubles()}")
             self._spinner.spin()
         return found
 
     def given(self, what: str, rig: str = "rig", *, may_be_silent: bool = False) -> Check:
-        """Return what raises `RigGoneError` once the rig that is there now is gone, or another one is in its place.
+        """Return a check that raises `RigGoneError` once the present rig is gone or replaced.
 
         Args:
-            what: is given to it, for the message.
+            what: what the rig was asked to do, for the message.
             rig: its node name, relative to the namespace.
-            may_be_silent: it may be at work for seconds without a word, as when a new law is compiled.
+            may_be_silent: whether the rig may be busy for seconds without a report, as when it compiles a new law.
         """
         activation = self._rigs.setdefault(rig, Activation(self._spinner.waited_s))
         check = activation.given(what, math.inf) if may_be_silent else activation.given(what)
-        if activation.is_overdue:  # nobody has spun: perhaps another rig has begun meanwhile
+        if activation.is_overdue:  # no callback has run for a while: another rig may have started meanwhile
             deadline = time.monotonic() + LOOK_S
             while activation.is_overdue and time.monotonic() < deadline:
                 self._spinner.spin(LOOK_S)
@@ -382,7 +384,7 @@ class Client:
             self._spinner.spin(0.0)
 
     def spin_for(self, duration_s: float) -> None:
-        """Let things happen for a while of wall time: for benchmarks and demonstrations, not for tests."""
+        """Spin for a duration of wall time [s]. Meant for benchmarks and demonstrations, not for tests."""
         deadline = time.monotonic() + duration_s
         while (left := deadline - time.monotonic()) > 0:
             if self._processes is not None:
@@ -393,8 +395,8 @@ class Client:
         """Wait until these nodes are in the lifecycle state `active`.
 
         Raises:
-            WaitTimeoutError: one is not in time.
-            ServiceFailedError: one says that it cannot be configured, and why.
+            WaitTimeoutError: a node is not active in time.
+            ServiceFailedError: a node reports that it cannot be configured, and why.
         """
         for node in nodes:
             is_active = functools.partial(self._is_active, node, timeout_s)
@@ -402,9 +404,9 @@ class Client:
             self._address(node)
 
     def _address(self, node: str) -> None:
-        """Speak to whatever rig has this name now."""
+        """Address the rig that has this name now."""
         if node in self._rigs:
-            received = self.executor.create_task(lambda: None)  # runs after everything that has been received by now
+            received = self.executor.create_task(lambda: None)  # runs after everything received so far
             self.wait_until(received.done, "the executor")
             self._rigs[node].changed()
             self._heard.clear()
@@ -412,8 +414,8 @@ class Client:
     def host(self, make_node: Callable[..., Any], **kwargs: Any) -> Any:
         """Run a node in this process, in this client's executor, with this client's context and namespace.
 
-        No thread: the node works while the client waits. A class that does not hand keyword arguments on to `Node` gets
-        the context as the default one, and no namespace.
+        No thread is started: the node works while the client waits. If the class does not pass keyword arguments on to
+        `Node`, it gets the context as the default one, and no namespace.
         """
         if any(one.kind is one.VAR_KEYWORD for one in inspect.signature(make_node).parameters.values()):
             namespace = self.node.get_namespace()
@@ -425,9 +427,9 @@ class Client:
         return node
 
     def acknowledge_callbacks(self, node: Any) -> int:
-        """Acknowledge every block of daq/scan for a hosted node, once its callback has returned, or raised.
+        """Acknowledge every block of daq/scan for a hosted node, after its callback has returned or raised.
 
-        The node need not know of daq/ack. Returns how many subscriptions to daq/scan it has.
+        The node need not know daq/ack. Returns the number of its subscriptions to daq/scan.
         """
         name = self.node.resolve_topic_name(topics.SCAN.name)
         found = [subscription for subscription in node.subscriptions if subscription.topic_name == name]
@@ -441,14 +443,14 @@ class Client:
     def command(
         self, frequency_hz: float | None = None, current_a: float | None = None, timeout_s: float = DEFAULT_TIMEOUT_S
     ) -> np.void:
-        """Command frequency and current (peak) and wait for the rig's rows in shaker/applied; return the last one.
+        """Command frequency and current (peak), wait for the rig's rows in shaker/applied and return the last one.
 
-        Its `sample` is the first scan the commands act on.
+        Its `sample` is the first scan that the commands act on.
 
         Raises:
-            CommandError: the rig refused, in its words.
-            WaitTimeoutError: it did neither in time.
-            RigGoneError: the rig that was there is gone.
+            CommandError: the rig rejected the command; its message.
+            WaitTimeoutError: the rig neither applied nor rejected it in time.
+            RigGoneError: the rig that received it is gone.
         """
         row: np.void | None = None
         for topic, column, value in (
@@ -469,13 +471,13 @@ class Client:
         return row
 
     def refusal(self, *reasons: str) -> Callable[[], str]:
-        """Return what gives the rig's words as soon as it tells that it has refused something, "" till then.
+        """Return a function that gives the rig's message once it rejects something, and "" until then.
 
-        A rig tells in its diagnostics, within a second, and not to whom: what is refused to somebody else meanwhile
-        counts, too.
+        A rig reports rejections in its diagnostics, within a second, without naming the sender. Rejected commands of
+        other senders therefore count, too.
 
         Args:
-            reasons: what it counts refusals by: the name of a topic, or `inactive`.
+            reasons: the keys that the rig counts these rejections by: the name of a topic, or `inactive`.
         """
 
         def told() -> dict[str, tuple[str, str]] | None:
@@ -488,7 +490,7 @@ class Client:
         def words() -> str:
             nonlocal before
             now = told()
-            before = before or now  # of a rig that was not heard before it may be old
+            before = before or now  # a rig without an earlier report may have rejected something before
             return next((now[name][1] for name in now if now[name] != before[name]), "") if now and before else ""
 
         return words
@@ -501,29 +503,29 @@ class Client:
         listener: str | None = None,
         check: Check = patiently,
     ) -> None:
-        """Publish a message once somebody listens: everybody the graph knows, and the node `listener` among them."""
+        """Publish a message once all subscribers known to the graph are matched, including the node `listener`."""
         publisher = self.publisher(topic)
         self._reach(publisher, topic, timeout_s, listener, check)
         publisher.publish(message)
 
     def note(self, text: str) -> None:
-        """Publish an operator's remark; recorded with the run."""
+        """Publish an operator's remark, which is recorded with the run."""
         self.publish(topics.NOTES, String(data=text))
 
     def step(self, blocks: int | None = None, timeout_s: float = START_TIMEOUT_S) -> str:
-        """Advance a rig in lockstep and return when the last block is out and acknowledged."""
+        """Advance a lockstep rig; return when the last block is published and acknowledged."""
         if blocks is not None:
             self.set_parameters("rig", {"step.blocks": blocks})
         return self.trigger("rig/step", timeout_s)
 
     def pause(self, paused: bool = True) -> None:
-        """Pause the rig, or let it go on."""
+        """Pause or resume the rig."""
         response = self.call(SetBool, "rig/pause", SetBool.Request(data=paused))
         if not response.success:
             raise ServiceFailedError(f"rig/pause: {response.message}")
 
     def trigger(self, name: str, timeout_s: float = DEFAULT_TIMEOUT_S, *, may_be_silent: bool = False) -> str:
-        """Call a Trigger service, e.g. `rig/reset`, `recorder/start`; return its message. See `call`.
+        """Call a Trigger service, e.g. `rig/reset` or `recorder/start`, and return its message. See `call`.
 
         Raises:
             ServiceFailedError: it answered `success = False`.
@@ -549,19 +551,19 @@ class Client:
             service_type: class of the service.
             name: service name.
             request: the request.
-            timeout_s: how long to wait for the service, and then for its answer.
-            again_s: ask again after this long, where it does no harm: on a busy machine DDS loses the answer to a
-                client that the server has not discovered within 100 ms.
-            may_be_silent: a rig that says nothing for a while is not taken to be gone.
+            timeout_s: time limit for the service to appear, and then for its answer.
+            again_s: interval after which a repeatable request is sent again. On a busy machine DDS loses the answer to
+                a client that the server has not discovered within 100 ms.
+            may_be_silent: whether to wait on when the rig does not report for a while.
 
         Raises:
-            WaitTimeoutError: there is no such service, or no answer, in time.
-            RigGoneError: the service is one of a rig, and that is gone.
+            WaitTimeoutError: the service did not appear or did not answer in time.
+            RigGoneError: the service belongs to a rig that is gone.
         """
         node = name.rpartition("/")[0]
         check = patiently
         if node in self._rigs and service_type not in LIFECYCLE:
-            may_be_silent |= service_type is SetParametersAtomically  # which may compile a law
+            may_be_silent |= service_type is SetParametersAtomically  # may compile a law
             check = self.given(name, node, may_be_silent=may_be_silent)
         client = self.prepare(service_type, name)
         self.wait_until(client.service_is_ready, f"service {name}", timeout_s, check)
@@ -579,7 +581,10 @@ class Client:
                 return future.result()
 
     def prepare(self, service_type: Any, name: str) -> Any:
-        """Return the client of a service, made if there is none: one made early has been discovered when it is used."""
+        """Return the client of a service, created if needed.
+
+        A client created early is discovered by the time it is used.
+        """
         client = self._clients.get((name, service_type))
         if client is None:
             client = self._clients[name, service_type] = self.node.create_client(service_type, name)
@@ -591,7 +596,7 @@ class Client:
         """Set parameters, all or none.
 
         Raises:
-            ConfigError: the node refused; its reason.
+            ConfigError: the node rejected them; its reason.
         """
         request = SetParametersAtomically.Request(
             parameters=[parameter.to_parameter_msg() for parameter in ros_parameters(values)]
@@ -620,22 +625,22 @@ class Client:
         return changed
 
     def status(self, node: str) -> DiagnosticStatus:
-        """Return a node's latest diagnostics; an empty status before the first was heard."""
+        """Return a node's latest diagnostics, or an empty status if none has arrived."""
         return self.diagnostics.get(node, DiagnosticStatus(name=node))
 
     def figures(self, node: str) -> dict[str, str]:
-        """Return the figures of a node's latest diagnostics."""
+        """Return the key-value pairs of a node's latest diagnostics."""
         return {value.key: value.value for value in self.status(node).values}
 
     # Topics
 
     def collect(self, name: str, acknowledge: bool = False, timeout_s: float = DEFAULT_TIMEOUT_S) -> Collector:
-        """Subscribe to a topic of the table and keep everything that arrives; returns once a publisher is matched.
+        """Subscribe to a known topic and keep all its messages; return once a publisher is matched.
 
         Args:
-            name: topic name as in the table, e.g. `daq/scan`.
-            acknowledge: answer every message with daq/ack, as a peer named like this client must.
-            timeout_s: how long to wait for a publisher.
+            name: topic name as in the topics table, e.g. `daq/scan`.
+            acknowledge: whether to acknowledge every message on daq/ack; a peer named like this client must do so.
+            timeout_s: time limit for the publisher to appear.
         """
         topic = by_name(name)
         collector = Collector(topic, self._acknowledge if acknowledge else None)
@@ -646,9 +651,9 @@ class Client:
     def listen(
         self, name: str, on_message: Callable[[Received], None] | None = None, timeout_s: float = DEFAULT_TIMEOUT_S
     ) -> Collector:
-        """Subscribe to any topic, e.g. an output of the pipeline under test, and keep everything that arrives.
+        """Subscribe to any topic, e.g. an output of the pipeline under test, and keep all its messages.
 
-        Type and reliability are those of its publisher, which must be there; tables come as with `collect`.
+        Type and reliability are those of its publisher, which must be running. Tables are kept as in `collect`.
         """
         full_name = self.node.resolve_topic_name(name)
         topic, profile = self.wait_until(lambda: published(self.node, name), f"a publisher of {full_name}", timeout_s)
@@ -659,13 +664,13 @@ class Client:
         return collector
 
     def acknowledge_for(self, peer: str, stamp_ns: int) -> None:
-        """Tell the rig that a peer, which does not do so itself, has processed everything up to a block."""
+        """Acknowledge blocks of daq/scan, up to this stamp, on behalf of a peer that does not do so itself."""
         if peer not in self._acknowledgements:
             self._acknowledgements[peer] = Template(Header(frame_id=peer))
         self.publisher(topics.ACK).publish(self._acknowledgements[peer].render(stamp_ns))
 
     def publisher(self, topic: topics.Topic) -> Any:
-        """Return the publisher of a topic, made if there is none."""
+        """Return the publisher of a topic, created if needed."""
         if topic.name not in self._publishers:
             kind, profile = messages.class_of(topic), messages.profile(topic.qos)
             self._publishers[topic.name] = self.node.create_publisher(kind, topic.name, profile)
@@ -674,26 +679,27 @@ class Client:
     def subscribe(
         self, topic: topics.Topic, callback: Callable[..., None], raw: bool = False, profile: QoSProfile | None = None
     ) -> Any:
-        """Subscribe to a row of the topics table; the callback gets message, or CDR bytes if `raw`, and info."""
+        """Subscribe to a topic of the topics table; the callback gets the message (CDR bytes if `raw`) and info."""
         kind, profile = messages.class_of(topic), profile or messages.profile(topic.qos)
         return self.node.create_subscription(kind, topic.name, with_info(callback), profile, raw=raw)
 
     def _reach(self, publisher: Any, topic: topics.Topic, timeout_s: float, listener: str | None, check: Check) -> None:
-        """Wait once until somebody listens; see `publish`."""
+        """Wait until the subscribers are matched; see `publish`."""
         if publisher not in self._heard:
             heard = functools.partial(is_heard, self.node, publisher, listener)
-            self.wait_until(heard, f"{listener or 'somebody'} to subscribe {topic.name}", timeout_s, check)
+            self.wait_until(heard, f"{listener or 'a subscriber'} on {topic.name}", timeout_s, check)
             self._heard.add(publisher)
 
     def _hear_applied(self) -> None:
-        """Hear first what was applied before this client came: it would be taken for the answer to a command.
+        """Receive all commands applied before this client started: none must pass for the answer to a new one.
 
-        A rig that has not begun has applied nothing.
+        A rig that has not started has applied none.
         """
         deadline = time.monotonic() + HISTORY_S
         while not self._knows_past and time.monotonic() < deadline:
             came_ns = [message.received_system_ns for message in self.applied.received[:1]]
-            self._knows_past = bool(came_ns) and time.time_ns() - came_ns[0] > LOOK_S * NS_PER_S  # all came with it
+            # the rig sent its history with the first message
+            self._knows_past = bool(came_ns) and time.time_ns() - came_ns[0] > LOOK_S * NS_PER_S
             if not self._knows_past:
                 self.spin_for(LOOK_S)
         self._knows_past = True
@@ -727,15 +733,15 @@ class Client:
                 activation.heard(instance)
 
     def _troubles(self) -> str:
-        """Return what nodes that are not well say: most waits in vain have their reason there."""
+        """Return the error messages of unhealthy nodes: they usually explain a timeout."""
         bad = [f"{name}: {status.message}" for name, status in self.diagnostics.items() if status.level != b"\0"]
         return f" ({'; '.join(bad)})" if bad else ""
 
 
 def ros_parameters(values: Mapping[str, ParameterValue]) -> list[Parameter]:
-    """Return parameters by name and value; rclpy knows no sequences but lists, tuples and arrays.
+    """Return parameters by name and value; rclpy accepts only lists, tuples and arrays as sequences.
 
-    No lines are one empty line, as the nodes have it: of which type an empty list is, ROS 2 cannot tell.
+    An empty list becomes one empty line, as in the nodes: ROS 2 cannot tell the type of an empty list.
     """
     return [
         Parameter(
@@ -746,22 +752,22 @@ def ros_parameters(values: Mapping[str, ParameterValue]) -> list[Parameter]:
 
 
 def subscribers(node: Node, topic: str) -> set[str]:
-    """Return the names of the nodes that subscribe a topic."""
+    """Return the names of the nodes that subscribe to a topic."""
     full_name = node.resolve_topic_name(topic)
     return {info.node_name for info in node.get_subscriptions_info_by_topic(full_name)}
 
 
 def is_heard(node: Node, publisher: Any, listener: str | None) -> bool:
-    """Return whether a node's publisher has reached all that the graph knows, the node `listener` among them."""
+    """Return whether a publisher has matched all subscribers known to the graph, including the node `listener`."""
     found = node.get_subscriptions_info_by_topic(publisher.topic_name)
     there = listener is None or listener in {info.node_name for info in found}
     return there and publisher.get_subscription_count() >= max(len(found), 1)
 
 
 def published(node: Node, topic: str) -> tuple[topics.Topic, QoSProfile] | None:
-    """Return a topic's row, as the table of topics has them, and the profile that its first publisher satisfies.
+    """Return a topic's entry in the topics table and a profile compatible with its first publisher.
 
-    None: nobody publishes it.
+    None if the topic has no publisher.
     """
     found = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
     if not found:
@@ -788,7 +794,7 @@ def _then(callback: Callable[..., Any], acknowledge: Callable[[int], None]) -> C
 
 @contextlib.contextmanager
 def _as_default(context: Context) -> Iterator[None]:
-    """Make a context the default one, which is what a node gets that is not given any."""
+    """Make this context the default one, for nodes that are created without a context."""
     utilities: Any = rclpy.utilities
     before, utilities.g_default_context = utilities.g_default_context, context
     try:

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Node processes: started in their own process groups, watched, ended in order, their last words quoted when they die.
+"""Node processes: started in their own process groups, watched, and ended in order.
 
-Nothing here needs rclpy in this process; the children are the real console entry points. In a domain of one's own
-(`isolated_domain`) nothing else on this machine or network hears or disturbs them.
+If one dies, the error quotes the last lines of its log. This process needs no rclpy; the children are the real console
+entry points. In an isolated domain (`isolated_domain`), no other node on this machine or network can interfere.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from impact_rig.system import files, segments
 from impact_rig.system.endings import PARENT_VARIABLE, unhurried
 
 STOP_TIMEOUT_S = 10.0
-"""How long a process may take to end after SIGINT (a recorder finishes its file) before it is killed."""
+"""Time that a process may take to end after SIGINT (a recorder finishes its file) before it is killed."""
 QUOTED_LINES = 15
 NODES = ("rig", "analysis", "recorder")
 """Nodes of this package: arguments of `python -m impact_rig.nodes`."""
@@ -47,12 +47,12 @@ ParameterValue = bool | int | float | str | Sequence[str] | Sequence[float]
 
 
 class ProcessDiedError(GoneError):
-    """A node process ended by itself; the message has its exit code and its last log lines."""
+    """Unexpected end of a node process; the message has its exit code and its last log lines."""
 
 
 @attrs.define(eq=False)
 class NodeProcess:
-    """One node process and its log file."""
+    """Node process and its log file."""
 
     name: str
     log: Path
@@ -65,16 +65,16 @@ class NodeProcess:
 
     @property
     def exit_code(self) -> int | None:
-        """Exit code, negative signal number, or None while it runs."""
+        """Exit code, or negative signal number, or None while it runs."""
         return self.process.poll()
 
     def last_words(self) -> str:
-        """Return the end of its log."""
+        """Return the last lines of its log."""
         lines = self.log.read_text(errors="replace").splitlines()[-QUOTED_LINES:]
         return "\n".join(f"    {line}" for line in lines) or "    (no output)"
 
     def signal(self, number: int) -> None:
-        """Send a signal to the whole group; a process that is already gone is fine."""
+        """Send a signal to the whole group. A process that has already ended is no error."""
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.pid, number)
 
@@ -87,11 +87,11 @@ class NodeProcess:
 
 
 class Processes:
-    """Starts node processes on one ROS domain and ends every one of them, whatever happens.
+    """Group of node processes on one ROS domain; all of them end with the context manager.
 
     Args:
         domain_id: ROS domain, see `isolated_domain`.
-        directory: where logs go; made if missing.
+        directory: folder of the logs; created if missing.
         namespace: ROS namespace of all nodes, e.g. `/rig1`; empty for none.
     """
 
@@ -126,12 +126,12 @@ class Processes:
         """Start one node.
 
         Args:
-            node: one of `NODES`, or a module that is a program; with `command` only its name.
-            parameters: ROS parameters, `section.key` -> value; on top of the file.
-            name: node name, default the key; also the name of its log file.
+            node: one of `NODES`, or the name of a module to run; with `command`, only the node's label.
+            parameters: ROS parameters, `section.key` -> value; they override the file.
+            name: node name and name of its log file (default: `node`).
             parameters_file: ROS 2 parameter file.
-            environment: more environment variables.
-            command: program and arguments that start the node, instead of a module; `--ros-args …` is appended.
+            environment: additional environment variables.
+            command: program and arguments that start the node instead of a module; `--ros-args …` is appended.
         """
         name = name or node
         if name in self.running and self.running[name].exit_code is None:
@@ -145,19 +145,19 @@ class Processes:
             arguments += ["-p", f"{key}:={_yaml(value)}"]
         log = self.directory / f"{name}.log"
         with unhurried(), log.open("ab") as output:
-            process = subprocess.Popen(  # noqa: S603  # what the caller asked for, arguments as a list
+            process = subprocess.Popen(  # noqa: S603  # the caller's own program, arguments as a list
                 [*(command or _command(node)), "--ros-args", *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 env=self.environment(environment or {}),
-                start_new_session=True,  # Ctrl-C reaches us alone; we end them in order
+                start_new_session=True,  # only this process receives Ctrl-C; it ends the nodes in order
             )
             self.running[name] = NodeProcess(name, log, process)
         return self.running[name]
 
     def check(self) -> None:
-        """Raise if any process has ended by itself.
+        """Raise an error if any process has ended by itself.
 
         Raises:
             ProcessDiedError: names the process, its exit code and its last log lines.
@@ -169,7 +169,7 @@ class Processes:
                 raise ProcessDiedError(f"the {process.name} process {how}; its last lines:\n{process.last_words()}")
 
     def stop(self, *names: str, timeout_s: float = STOP_TIMEOUT_S) -> dict[str, int]:
-        """End the named processes, or all: SIGINT, then SIGTERM, then SIGKILL; return their exit codes."""
+        """End the named processes, or all of them, by SIGINT, SIGTERM and SIGKILL; return their exit codes."""
         with unhurried():
             chosen = [self.running[name] for name in names or tuple(self.running)]
             for process in chosen:
@@ -182,11 +182,11 @@ class Processes:
                 for process in waiting:
                     process.wait(max(0.0, deadline - time.monotonic()))
             for process in chosen:
-                process.signal(signal.SIGKILL)  # whatever a child of it left behind in the group
+                process.signal(signal.SIGKILL)  # children that it left behind in the group
             return {process.name: process.process.wait() for process in chosen}
 
     def environment(self, more: Mapping[str, str]) -> dict[str, str]:
-        """Return the environment that a node is started with: this process's, its own domain, this machine only."""
+        """Return the environment of a new node: that of this process, with its own domain, limited to this machine."""
         source = str(Path(impact_rig.__file__).parents[1])
         path = os.environ.get("PYTHONPATH", "")
         return {
@@ -207,11 +207,11 @@ def _command(node: str) -> list[str]:
 
 
 def _yaml(value: ParameterValue) -> str:
-    """Return a parameter value as the command line wants it: a YAML flow scalar or list."""
+    """Return a parameter value for the command line, as a YAML flow scalar or list."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, float):
-        text = repr(float(value))  # numpy's has its type around it
+        text = repr(float(value))  # repr() of a numpy float includes its type
         return text if "." in text or "n" in text else text.replace("e", ".0e")  # YAML 1.1 floats need a point
     if isinstance(value, int):
         return str(value)
@@ -222,7 +222,7 @@ def _yaml(value: ParameterValue) -> str:
 
 FOLDER = "impact_rig_domains"
 FIRST_DOMAIN, LAST_DOMAIN = 1, 49
-"""0 is everybody's default, and above 101 the ports of a domain fall into Linux's ephemeral range."""
+"""0 is the default domain of all nodes; above 101 the ports of a domain fall into Linux's ephemeral range."""
 FIRST_PORT, PORTS_PER_DOMAIN = 7400, 250  # of RTPS (DDSI-RTPS 2.2, 9.6.1.1)
 DISCOVERY_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
@@ -231,7 +231,7 @@ def domain_of_environment() -> int:
     """Return the ROS domain of this process.
 
     Raises:
-        ImpactRigError: it is no number.
+        ImpactRigError: it is not a number.
     """
     value = os.environ.get("ROS_DOMAIN_ID") or "0"
     if not value.isdecimal():
@@ -244,10 +244,10 @@ def isolated_domain() -> Iterator[int]:
     """Reserve a domain id until the end of the block; discovery of this process and its children stays on this host.
 
     Two test workers never get the same id: each holds a lock file while it uses one. A domain in which any process of
-    this machine takes part is skipped, whoever started it.
+    this machine takes part is skipped.
 
     Raises:
-        ImpactRigError: all ids are in use, or no lock file can be made.
+        ImpactRigError: all ids are in use, or no lock file can be created.
     """
     try:
         files.lock_directory()
@@ -255,10 +255,10 @@ def isolated_domain() -> Iterator[int]:
         raise ImpactRigError(f"cannot reserve a ROS domain: {error.filename}: {error.strerror}") from error
     before = os.environ.get(DISCOVERY_VARIABLE)
     count = LAST_DOMAIN - FIRST_DOMAIN + 1
-    first = time.monotonic_ns() // 1000 % count  # spreads users; the locks decide
+    first = time.monotonic_ns() // 1000 % count  # spreads the workers; the locks decide
     for domain_id in (FIRST_DOMAIN + (first + k) % count for k in range(count)):
         handle = None
-        with contextlib.suppress(OSError):  # no lock file of this name: a link, or a directory
+        with contextlib.suppress(OSError):  # the name is taken by a link or a directory
             handle = files.hold(FOLDER, str(domain_id))
         if handle is None:
             continue
@@ -284,7 +284,7 @@ def isolated_domain() -> Iterator[int]:
 
 
 def is_in_use(domain_id: int) -> bool:
-    """Return whether a process of this machine takes part in a ROS domain: whether one of its UDP ports is bound."""
+    """Return whether a process of this machine takes part in a ROS domain, that is, has bound one of its UDP ports."""
     first = FIRST_PORT + PORTS_PER_DOMAIN * domain_id
     for table in ("/proc/net/udp", "/proc/net/udp6"):
         with contextlib.suppress(OSError):
@@ -296,10 +296,10 @@ def is_in_use(domain_id: int) -> bool:
 
 
 def remove_litter(domain_id: int) -> None:
-    """Remove the shared-memory ports that killed processes have left in a domain, as `fastdds shm clean` does.
+    """Remove the shared-memory ports that killed processes left in a domain, as `fastdds shm clean` does.
 
-    Who finds one half written may crash (https://github.com/eProsima/Fast-DDS/issues/6501). A port in use is
-    locked, and left alone; one that is being made in this very instant is not yet, so the domain should be one's own.
+    A process that finds a half-written port may crash (https://github.com/eProsima/Fast-DDS/issues/6501). A port in use
+    is locked and stays. A port that is just being created is not locked yet, so use this in an isolated domain.
     """
     first = FIRST_PORT + PORTS_PER_DOMAIN * domain_id
     for number in range(first, first + PORTS_PER_DOMAIN):

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`RigDriver`: a rig that a program drives, in this process or behind topics.
+"""`RigDriver`: the interface of a rig that a program drives, in this process or behind topics.
 
-Rig time passes in `step` alone (a rig that runs by itself is followed there), inputs act at exact samples, and what the
-rig published is read as tables.
+Rig time passes only in `step`, which follows a rig that runs by itself. Inputs act at exact samples. Everything that
+the rig publishes is read as tables.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import math
 import threading
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, Self  # Any: what a parameter is
+from typing import Any, NamedTuple, Self  # Any: value of a parameter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,21 +40,21 @@ from impact_rig.simtime import NS_PER_S, TICKS_PER_S, stamp_ns
 
 SCANS = topics.SCAN.name
 ESSENTIAL = (topics.INFO.name, topics.APPLIED.name, topics.JOURNAL.name)
-"""Topics whose tables are never forgotten: each holds until the next one."""
+"""Topics whose tables are always kept: each table is valid until the next one."""
 TOPICS = (SCANS, *ESSENTIAL, topics.IMPACTS_TRUTH.name, topics.FAULTS.name)
 """Tables that every driver keeps."""
-STEP_TIMEOUT_S = 240.0  # without the library of kernels the first step compiles the physics
+STEP_TIMEOUT_S = 240.0  # without the library of kernels, the first step compiles the physics
 _DEFAULTS = to_flat(RigConfig())
 _ROWS = {**{topic.name: topic.columns for topic in topics.COMMON if topic.columns is not None}, SCANS: SCAN}
-_HIDDEN = ("time.", "instruments.faults")  # the first are of no interest, the second are listed as text
+_HIDDEN = ("time.", "instruments.faults")  # not useful in a report; listed as text
 
 
 class NotReachedError(ImpactRigError, AssertionError):
-    """What a test waited for did not happen in the simulated time it was given."""
+    """Failure of a wait in a test: the condition was not met within the given simulated time."""
 
 
 class NoSamplesError(ImpactRigError, TimeoutError):
-    """The stream that drives a rig has no samples for its next block."""
+    """Lack of samples: the stream that drives a rig has none for its next block."""
 
 
 class StreamLevel(NamedTuple):
@@ -122,8 +122,8 @@ class RigDriver(abc.ABC):
         self.sample = 0
         self.closed = False
         self._start_ns = 0  # stamp of scan 0
-        self._kept_from = 0  # first scan that is not forgotten
-        self._lost_before = 0  # scans lost among the forgotten ones
+        self._kept_from = 0  # first scan that is kept
+        self._lost_before = 0  # scans lost before that
         self._listeners: list[Callable[[Table], object]] = []
         self.turns, self.fed = Turns(), threading.Event()
 
@@ -133,23 +133,23 @@ class RigDriver(abc.ABC):
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    # What a subclass fills in
+    # Methods of a subclass
 
     @abc.abstractmethod
     def step(self, blocks: int = 1, timeout_s: float = STEP_TIMEOUT_S) -> None:
-        """Advance by whole blocks; when it returns the pipeline under test has processed all of them.
+        """Advance by whole blocks; return when the pipeline under test has processed all of them.
 
         Args:
-            blocks: to advance.
-            timeout_s: wall time that they may take.
+            blocks: number of blocks.
+            timeout_s: limit of wall time.
 
         Raises:
-            TimeoutError: they did not come, or the stream that drives the rig has no samples for them.
+            TimeoutError: the blocks did not arrive, or the stream that drives the rig has no samples for them.
         """
 
     @abc.abstractmethod
     def tables(self, topic: str = SCANS) -> list[Table]:
-        """Return what was published on a table topic and is not forgotten, oldest first."""
+        """Return the tables of a topic that are kept, oldest first."""
 
     @abc.abstractmethod
     def journal(self) -> list[JournalEntry]:
@@ -157,11 +157,11 @@ class RigDriver(abc.ABC):
 
     @abc.abstractmethod
     def newest(self, topic: str, count: int) -> NDArray[np.void]:
-        """Return the newest `count` rows of a topic once the last of them have arrived, shape (count,)."""
+        """Return the newest `count` rows of a topic, shape (count,); wait until the last of them has arrived."""
 
     @abc.abstractmethod
     def save(self, directory: Path) -> Path:
-        """Write everything so far as an MCAP run into a directory that does not exist yet, and return it.
+        """Write everything kept as an MCAP run into a new directory, and return the directory.
 
         Raises:
             RecordingError: it cannot be written.
@@ -172,7 +172,7 @@ class RigDriver(abc.ABC):
         """Change configuration values at the next instant; return the configuration.
 
         Raises:
-            ConfigError: refused; nothing is changed.
+            ConfigError: the values were rejected; nothing is changed.
         """
 
     @abc.abstractmethod
@@ -185,32 +185,32 @@ class RigDriver(abc.ABC):
 
     @abc.abstractmethod
     def feed(self, first: int, samples: NDArray[np.float64]) -> None:
-        """Send samples of the stream that drives the rig, from number `first` on; none at all: it ends there.
+        """Send samples of the stream that drives the rig, starting with number `first`; an empty array ends the stream.
 
         Raises:
-            CommandError: the rig refuses them, or has stopped.
+            CommandError: the rig rejects them, or has stopped.
         """
 
     @abc.abstractmethod
     def stream_level(self) -> StreamLevel:
-        """Return how far the stream is, as far as is known."""
+        """Return the last known state of the stream's buffer."""
 
     @property
     @abc.abstractmethod
     def stopped(self) -> str:
-        """Why the shaker is stopped until the latch is cleared; empty while it is not."""
+        """Reason why the shaker is stopped until the latch is cleared; empty if it is not stopped."""
 
     @abc.abstractmethod
     def _command(self, frequency_hz: float | None, current_a: float | None) -> int:
-        """Command and return the first scan it acts on."""
+        """Send a command and return the first scan it acts on."""
 
     @abc.abstractmethod
     def _forget(self) -> None:
-        """Forget all tables but those of `ESSENTIAL`."""
+        """Drop all tables except those of `ESSENTIAL`."""
 
     @property
     def waiting(self) -> str:
-        """What a measurement is held back for, for people: a sphere that may still strike; empty where unknown."""
+        """Readable reason why a measurement waits, such as a sphere that may still strike; empty if unknown."""
         return ""
 
     def poll(self) -> None:  # noqa: B027  # a rig that moves only in `step` has nothing to process
@@ -253,23 +253,23 @@ class RigDriver(abc.ABC):
 
     @property
     def frontier_sample(self) -> int:
-        """First scan that is not measured yet, on which an input acts at the earliest."""
+        """First scan that is not measured yet: the earliest one that an input can act on."""
         return max(self.sample, first_scan_on_grid(self.sample, self.rate_hz))
 
     @property
     def time_s(self) -> float:
-        """Rig time since the start or reset."""
+        """Rig time since the start or reset [s]."""
         return self.sample / self.rate_hz
 
     def run(self, seconds: float) -> None:
-        """Advance by this much rig time, rounded up to whole blocks."""
+        """Advance by this rig time [s], rounded up to whole blocks."""
         self.step(math.ceil(seconds * self.rate_hz / self.block_scans - 1e-9))
 
     def run_to_sample(self, sample: int) -> None:
         """Advance until the next block begins with this scan.
 
         Raises:
-            ConfigError: no block begins there, or the rig is past it.
+            ConfigError: no block begins there, or the rig is already past it.
         """
         blocks, rest = divmod(sample - self.sample, self.block_scans)
         if rest or blocks < 0:
@@ -282,13 +282,13 @@ class RigDriver(abc.ABC):
     def wait_until(
         self, condition: Callable[[], object], what: str, limit_s: float = 30.0, every_s: float = 0.05
     ) -> float:
-        """Advance until `condition()` is true, and return the rig time.
+        """Advance until `condition()` is true, and return the rig time [s].
 
         Args:
-            condition: asked before the first step, and after each.
+            condition: evaluated before the first step and after each.
             what: what is awaited, for the message.
-            limit_s: rig time it may take.
-            every_s: rig time between two looks, rounded up to whole blocks.
+            limit_s: limit of rig time.
+            every_s: rig time between two evaluations, rounded up to whole blocks.
 
         Raises:
             NotReachedError: it did not become true in time.
@@ -298,8 +298,8 @@ class RigDriver(abc.ABC):
             left = math.ceil((begin + limit_s - self.time_s) * self.rate_hz / self.block_scans - 1e-6)
             if left <= 0:
                 raise NotReachedError(
-                    f"waited {limit_s:g} s of rig time in vain for {what} "
-                    f"({self.name} is at {self.time_s:g} s, {self._faults_so_far()})"
+                    f"timeout after {limit_s:g} s of rig time: waiting for {what} ({self.name} is at "
+                    f"{self.time_s:g} s, {self._faults_so_far()})"
                 )
             self.step(min(blocks, left))
         return self.time_s
@@ -312,13 +312,13 @@ class RigDriver(abc.ABC):
         """Command frequency [Hz] and current [A peak], and return the first scan they act on.
 
         Args:
-            frequency_hz: None: as it is.
-            current_a: None: as it is.
-            at_sample: run up to this scan first; it must be a whole block and lie on the 10 ms grid of commands.
+            frequency_hz: new frequency; None leaves it unchanged.
+            current_a: new current; None leaves it unchanged.
+            at_sample: scan to run to first; it must begin a block and lie on the 10 ms grid of commands.
 
         Raises:
-            CommandError: the scan is not a possible one, or the rig refused.
-            ConfigError: the rig is past it.
+            CommandError: no command can act on this scan, or the rig rejected the command.
+            ConfigError: the rig is already past it.
         """
         if at_sample is None:
             return self._command(frequency_hz, current_a)
@@ -333,7 +333,7 @@ class RigDriver(abc.ABC):
             raise CommandError(f"the command acts on sample {acts_on}, not on {at_sample}")
         return acts_on
 
-    # What there is to compare with
+    # Reference values and losses
 
     def rows(self, topic: str = SCANS) -> NDArray[np.void]:
         """Return the rows of all tables of a topic, one after the other; shape (n,)."""
@@ -341,16 +341,16 @@ class RigDriver(abc.ABC):
         return np.concatenate(parts) if parts else np.empty(0, _ROWS[topic])
 
     def clear(self) -> None:
-        """Forget the tables published so far, except those of `ESSENTIAL`."""
+        """Drop the tables published so far, except those of `ESSENTIAL`."""
         self._lost_before = self.lost_scans
         self._forget()
         self._kept_from = self.sample
 
     def expected_transmissibility(self, frequency_hz: float) -> complex:
-        """Return X_1 / X_b in closed form, which exists for a rig without its sphere.
+        """Return X_1 / X_b in closed form, which exists only without the sphere.
 
         Raises:
-            ConfigError: the sphere is there.
+            ConfigError: the sphere is present.
         """
         from impact_rig.physics.linear_response import transmissibility  # noqa: PLC0415  # loads compiled code
 
@@ -360,11 +360,11 @@ class RigDriver(abc.ABC):
 
     @property
     def lost_scans(self) -> int:
-        """How many scans were not published so far."""
+        """Number of scans lost before publication so far."""
         return self._lost_before + sum(end - first for first, end in self.lost_samples())
 
     def lost_samples(self) -> list[tuple[int, int]]:
-        """Return the scans that were not published, as (first, one after the last), of those not forgotten."""
+        """Return the kept ranges of lost scans, as (first, one after the last)."""
         lost, expected = [], self._kept_from
         for table in self.tables():
             first = self.first_scan(table)
@@ -375,13 +375,13 @@ class RigDriver(abc.ABC):
 
     @property
     def faults(self) -> list[Fault]:
-        """The faults that were planned."""
+        """Planned faults."""
         return list(self.config.instruments.faults.faults(self.rate_hz))
 
     # Reports
 
     def report(self) -> str:
-        """Return for people what this rig is and what happened to it."""
+        """Return a readable report: what this rig is and what happened to it."""
         values = to_flat(self.config)
         changed = [key for key, value in values.items() if value != _DEFAULTS[key] and not key.startswith(_HIDDEN)]
         lines = [f"{self.name}: {self.time_s:g} s of rig time, {self.sample} scans at {self.rate_hz} Hz"]
@@ -394,7 +394,7 @@ class RigDriver(abc.ABC):
         return "\n".join(lines)
 
     def first_scan(self, table: Table) -> int:
-        """Return the index of the first scan of a block, from its stamp."""
+        """Return the index of the first scan of a block, computed from its stamp."""
         return -(-(table.stamp_ns - self._start_ns) * self.rate_hz // NS_PER_S)
 
     def _faults_so_far(self) -> str:
@@ -403,14 +403,14 @@ class RigDriver(abc.ABC):
 
 
 def first_scan_on_grid(sample: int, rate_hz: int) -> int:
-    """Return the first scan on which a command can act that is not before `sample`."""
+    """Return the first scan, not before `sample`, on which a command can act."""
     tick = -(-sample * TICKS_PER_S // rate_hz)
     first = -(-tick * rate_hz // TICKS_PER_S)
     return first if first >= sample else -(-(tick + 1) * rate_hz // TICKS_PER_S)
 
 
 def configured(config: RigConfig | Mapping[str, Any] | None, faults: Iterable[Fault]) -> RigConfig:
-    """Return the configuration of a rig: the given one, or the given values on top of the defaults, and the faults.
+    """Return the configuration of a rig: the given one, or the defaults with the given values, and the faults.
 
     Raises:
         ConfigError: unknown key, bad value or fault.

@@ -338,7 +338,7 @@ class Hardware:
             rig.connect(self._check)
 
     def info(self) -> NDArray[np.void]:
-        """Return the calibration as last published: rows of `daq/info`."""
+        """Return the last published calibration: rows of `daq/info`."""
         return self.rig.tables(INFO.name)[-1].rows
 
     def respond(self, samples: ArrayLike, rest: int = 0) -> NDArray[np.void]:
@@ -372,13 +372,13 @@ class Hardware:
 
 
 class Exchange:
-    """Plays without a gap and reads what came meanwhile: each scan read belongs to a sample written a lag ago.
+    """Gapless exchange: each call plays samples and reads as many scans, which answer the samples written a lag ago.
 
-    Between two calls the rig has samples for the lag, so that the next ones need not come at once.
+    Between two calls the rig has samples for the lag, so the next call need not follow at once.
 
     Args:
-        hardware: output and acquisition, of one rate.
-        lag: samples that are ahead of what is read: zeros, at first.
+        hardware: output and acquisition, with equal rates.
+        lag: number of samples written ahead of the scans read; initially zeros.
     """
 
     def __init__(self, hardware: Hardware, lag: int) -> None:
@@ -389,7 +389,7 @@ class Exchange:
         hardware.output.write(self._ahead)
 
     def exchange(self, samples: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.void]]:
-        """Write samples and read as many scans; return the samples that were played meanwhile, and the scans."""
+        """Write samples and read as many scans; return the samples played meanwhile, and the scans."""
         parts = []
         for at in range(0, len(samples), self.lag):
             block = samples[at : at + self.lag]
@@ -423,7 +423,7 @@ def _advance(rig: RigDriver, deadline: float, what: str) -> None:
             if stopped := rig.stopped:
                 raise CommandError(stopped) from error
             if time.monotonic() >= deadline:
-                raise TimeoutError(f"waited in vain for {what}: {rig.stream_level()}") from error
+                raise TimeoutError(f"timeout: waiting for {what}: {rig.stream_level()}") from error
             if rig.runs_by_itself:
                 rig.fed.set()
         else:

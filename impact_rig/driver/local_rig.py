@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`LocalRig`: a rig in this process, with its analysis and its recording where they are asked for."""
+"""`LocalRig`: a rig in this process, with optional analysis and recording."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ import time
 from collections import deque
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
-from typing import Any  # what a parameter is
+from typing import Any  # value of a parameter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,10 +51,10 @@ from impact_rig.simtime import stamp_ns
 
 BATCH_BLOCKS = 50
 TYPES = {topic.name: topic.type_name for topic in topics.COMMON}
-KEPT_BYTES = 256_000_000  # tables beyond this are forgotten, oldest first: 10 minutes at 10 kS/s
+KEPT_BYTES = 256_000_000  # tables beyond this size are dropped, oldest first: 10 minutes at 10 kS/s
 ANALYSED = (topics.IMPACTS.name, topics.TRANSMISSIBILITY_TABLE.name, topics.ANALYSIS_SETTINGS.name)
 """Tables of the analysis."""
-NAMESPACE = "/rig"  # of the topics in a recording that is written while the rig moves
+NAMESPACE = "/rig"  # namespace of the topics in a recording made while the rig moves
 JOINT_STATES = f"{NAMESPACE}/{topics.JOINT_STATES.name}"
 
 
@@ -114,8 +114,8 @@ class LocalRig(RigDriver):
         self._info = b""
         self._publish_changes()
 
-    def step(self, blocks: int = 1, timeout_s: float = STEP_TIMEOUT_S) -> None:  # noqa: ARG002  # nothing to wait for
-        """Advance by whole blocks, one at a time where a pipeline listens.
+    def step(self, blocks: int = 1, timeout_s: float = STEP_TIMEOUT_S) -> None:  # noqa: ARG002  # never waits
+        """Advance by whole blocks, one at a time if a pipeline is connected.
 
         Raises:
             NoSamplesError: the stream that drives the rig has no samples for them.
@@ -132,7 +132,7 @@ class LocalRig(RigDriver):
                 self._deliver(block)
 
     def tables(self, topic: str = SCANS) -> list[Table]:
-        """Return what was published on a table topic and is not forgotten, oldest first."""
+        """Return the tables of a topic that are kept, oldest first."""
         return list(self._kept[topic])
 
     def journal(self) -> list[JournalEntry]:
@@ -166,25 +166,25 @@ class LocalRig(RigDriver):
         self.core.feed(first, samples)
 
     def stream_level(self) -> StreamLevel:
-        """Return how far the stream is."""
+        """Return the state of the stream's buffer."""
         stream = self.core.stream
         late = int(self.core.stream_state().rows["late"][0])
         return StreamLevel(stream.played, stream.buffered(), stream.capacity, late, stream.missing)
 
     @property
     def stopped(self) -> str:
-        """Why the shaker is stopped."""
+        """Reason why the shaker is stopped."""
         return "" if self.core.latched is None else f"the rig tripped: {self.core.latched}"
 
     @property
     def waiting(self) -> str:
-        """What a measurement is held back for, for people."""
+        """Readable reason why a measurement waits."""
         progress = None if self.tracker is None else self.tracker.progress
         return "" if progress is None else progress.reason
 
     @property
     def faults(self) -> list[Fault]:
-        """The faults that were planned or injected."""
+        """Planned and injected faults."""
         return [*super().faults, *self._injected]
 
     def save(self, directory: Path) -> Path:
@@ -194,7 +194,7 @@ class LocalRig(RigDriver):
             RecordingError: it cannot be written.
         """
         if directory.exists():
-            raise RecordingError(f"{directory} exists: nothing is overwritten")
+            raise RecordingError(f"{directory} exists and is not overwritten; choose another directory")
         self._publish_changes()
         with self._new_recording(directory, self._kept, "") as recording:
             for topic, one in (*self._early, *self._order):
@@ -230,7 +230,7 @@ class LocalRig(RigDriver):
         self.sample = block.first_scan + len(block.scan.rows)
         for topic, table in block.tables():
             if topic.name in self._kept:
-                table.rows.flags.writeable = False  # as a subscriber gets it
+                table.rows.flags.writeable = False  # read-only, as for a subscriber
                 self._publish(topic.name, table)
         if self._recording is not None:
             for scan, row in zip(block.monitor_scans, block.monitor_states, strict=True):
@@ -249,7 +249,7 @@ class LocalRig(RigDriver):
             listener(block.scan)
 
     def _publish_changes(self) -> None:
-        """Publish what has changed since the last call: journal, what was applied, and the calibration."""
+        """Publish the changes since the last call: journal entries, applied commands and the calibration."""
         entries = self.core.take_journal()
         if entries and (encoded := codec.encode(self.core.info())) != self._info:
             self._info, info = encoded, self.core.info()
@@ -267,7 +267,7 @@ class LocalRig(RigDriver):
         self._record(topic, one)
         self._kept[topic].append(one)
         self._order.append((topic, one))
-        self._bytes += one.rows.nbytes if isinstance(one, Table) else 0  # entries are few
+        self._bytes += one.rows.nbytes if isinstance(one, Table) else 0  # journal entries are few
         while self._kept_bytes is not None and self._bytes > self._kept_bytes and len(self._order) > 1:
             self._forget_oldest()
             if self._kept[SCANS]:
@@ -282,7 +282,7 @@ class LocalRig(RigDriver):
             self._forget_oldest()
 
     def _forget_oldest(self) -> None:
-        """Drop the oldest table, unless it is of those few that a run is worth nothing without."""
+        """Drop the oldest table, except those that every run needs."""
         topic, one = self._order.popleft()
         if isinstance(one, JournalEntry) or topic in ESSENTIAL:
             self._early.append((topic, one))
@@ -296,7 +296,7 @@ def _encoded(one: Table | JournalEntry) -> bytes:
 
 
 def _settings(analysis: Mapping[str, Any]) -> tuple[TrackerSettings, float | None]:
-    """Return the settings of the measurement, and the gap by the operator's label; None: he gave none."""
+    """Return the settings of the measurement, and the gap by the operator's label, or None without a label."""
     settings = {name: value for name, value in analysis.items() if name != "gap_m"}
     gap_m = analysis.get("gap_m")
     return TrackerSettings(**settings), math.nan if gap_m is not None and gap_m < 0.0 else gap_m

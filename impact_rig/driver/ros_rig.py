@@ -11,13 +11,14 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`RosRig`: a rig behind topics, started on a ROS domain of its own or running already.
+"""`RosRig`: a rig behind topics, newly started on its own ROS domain or already running.
 
-A started rig is in lockstep unless its configuration says otherwise: it advances only when told to, and `step` returns
-when every peer has processed the last block: this program, the recorder, the analysis and each node under test. A node
-under test becomes a peer in one of three ways: hosted in the test's process (its callback's return is the
-acknowledgement), by an output of its own that answers each block, or by sending `daq/ack` itself. A rig in another time
-mode runs by itself, and `step` waits for its blocks.
+A started rig is in lockstep unless its configuration says otherwise: it advances only on request. `step` returns when
+every peer has processed the last block: this program, the recorder, the analysis and each node under test.
+
+A node under test becomes a peer in one of three ways. It is hosted in the test's process, where the return of its
+callback is the acknowledgement, or an output of its own answers each block, or it sends `daq/ack` itself. A rig in
+another time mode runs by itself, and `step` waits for its blocks.
 """
 
 from __future__ import annotations
@@ -59,18 +60,21 @@ from impact_rig.rig.interlock import OVER_TRAVEL, Trip
 from impact_rig.rig.journal import InputKind, JournalEntry
 from impact_rig.simtime import NS_PER_S, stamp_ns
 
-NODE_TIMEOUT_S = 30.0  # how long a node under test may take to subscribe
+NODE_TIMEOUT_S = 30.0  # time limit for a node under test to subscribe
 ACK_WINDOW, WINDOW_S = 8, 0.1
-"""Bounds of the blocks out and not acknowledged: fewer than the 10 messages most nodes keep, so that a slow one loses
-none, and so little rig time that the messages of the monitors stay within what the middleware holds."""
+"""Limits of the blocks published and not acknowledged.
+
+They stay below the 10 messages that most nodes keep, so a slow node loses none. They span so little rig time that the
+middleware can hold the messages of the monitors.
+"""
 LOCKSTEP = "lockstep"
 RUN = "run"
 CLIENT, CONTROLLER = "client", "controller"
-"""Node of this program for a rig that it starts, and for one that runs already, where it may be among `time.peers`."""
+"""Node name of this program for a rig that it starts, and for a running one, which may list it in `time.peers`."""
 REALTIME_LEAD_S = 0.2
-GRACE_S = 0.005  # wall time for measurements that were published before a step's answer and have not been taken
+GRACE_S = 0.005  # wall time allowed for measurements published before a step's answer but not received yet
 FIXED = ("time.", "step.", "daq.rate_hz", "daq.block_scans", "output.autostart")
-"""Parameters that `restart` leaves: they are read-only, or say how the rig is driven here."""
+"""Parameters that `restart` leaves unchanged: read-only ones, and those that define how the rig is driven here."""
 
 
 class RosRig(RigDriver):
@@ -186,16 +190,19 @@ class RosRig(RigDriver):
         return config
 
     def _connect_stream(self) -> None:
-        """Find what feeds the stream, and all that read the rig: a recorder that is missing loses the first samples."""
+        """Wait for the source of the stream and all readers of the rig.
+
+        A recorder that starts late loses the first samples.
+        """
         self.client.publisher(topics.WAVEFORM)
         self._stream = self.client.collect(topics.STREAM.name)
         self.client.wait_until(self._stream.last, f"{topics.STREAM.name} (drive.waveform: stream)")
         self._sent_to = 0
-        with contextlib.suppress(WaitTimeoutError):  # one that has died, or a peer that is not there
+        with contextlib.suppress(WaitTimeoutError):  # a process has ended, or a peer is absent
             self.client.wait_until(self._finds_readers, "all nodes that read the rig", DISCOVERY_S)
 
     def _finds_readers(self) -> bool:
-        """Whether all are found that the rig says it is read by."""
+        """Return whether all readers that the rig reports are discovered."""
         figures = self.client.figures("rig")
         names = {key.removeprefix("behind.") for key in figures if key.startswith("behind.")}
         return bool(figures) and names <= subscribers(self.client.node, topics.SCAN.name)
@@ -215,7 +222,7 @@ class RosRig(RigDriver):
     # The pipeline under test
 
     def host(self, make_node: Callable[..., Any], **kwargs: Any) -> Any:
-        """Run a node under test in this process and return it: in lockstep without a word about it in its code.
+        """Run a node under test in this process and return it: it runs in lockstep without any change of its code.
 
         Raises:
             ConfigError: it does not subscribe to daq/scan.
@@ -240,12 +247,12 @@ class RosRig(RigDriver):
             command: program and arguments; `--ros-args -r __node:=NAME …` is appended.
             name: its node name.
             parameters: its ROS parameters.
-            output: a topic on which it answers every block; a header's stamp says which, without one they are counted.
-                None: the node sends `daq/ack` itself, with its name as `frame_id`.
-            timeout_s: how long it may take to subscribe to daq/scan.
+            output: topic on which it answers every block. A header's stamp tells which block; without a header, answers
+                are counted. None: the node sends `daq/ack` itself, with its name as `frame_id`.
+            timeout_s: time limit for it to subscribe to daq/scan.
 
         Returns:
-            What arrives on `output`.
+            The messages that arrive on `output`.
         """
         self.processes.start(name, parameters, name=name, command=command)
         return self.follow(name, output, timeout_s)
@@ -253,13 +260,15 @@ class RosRig(RigDriver):
     def follow(self, name: str, output: str | None = None, timeout_s: float = NODE_TIMEOUT_S) -> Collector | None:
         """Keep step with a node that another program has started; see `start_node`."""
         node = self.client.node
-        self.client.wait_until(lambda: name in subscribers(node, SCANS), f"node {name} to subscribe {SCANS}", timeout_s)
+        self.client.wait_until(
+            lambda: name in subscribers(node, SCANS), f"node {name} to subscribe to {SCANS}", timeout_s
+        )
         found = None if output is None else self._acknowledge_answers(name, output, timeout_s)
         self._add_peer(name)
         return found
 
     def listen(self, topic: str) -> Collector:
-        """Keep everything that arrives on any topic; a publisher must be there."""
+        """Keep all messages of any topic that has a publisher."""
         return self.client.listen(topic)
 
     # RigDriver
@@ -268,10 +277,10 @@ class RosRig(RigDriver):
         """Advance by whole blocks.
 
         Raises:
-            WaitTimeoutError: the blocks did not come.
-            ServiceFailedError: a peer does not acknowledge; names it.
-            ProcessDiedError: a node process ended; its last words.
-            ImpactRigError: a measurement arrived late, so that a command that follows it could be late, too.
+            WaitTimeoutError: the blocks did not arrive.
+            ServiceFailedError: a peer does not acknowledge; the message names it.
+            ProcessDiedError: a node process ended; the message quotes the end of its log.
+            ImpactRigError: a measurement arrived late, so a command that depends on it could be late, too.
         """
         if blocks < 1:
             return
@@ -291,10 +300,10 @@ class RosRig(RigDriver):
         scans, before_ns = self._collectors[SCANS], self.now_ns
         before, measured = len(scans), len(self._collectors[self._measurements]) if self._measurements else 0
         try:
-            # silent for seconds it may be where the machine is busy; whether it lives is known of its process
+            # on a busy machine the rig may be silent for seconds; its process shows whether it is alive
             self.client.trigger("rig/step", timeout_s, may_be_silent=True)
         except Exception:
-            self.sample += (len(scans) - before) * self.block_scans  # so far it came
+            self.sample += (len(scans) - before) * self.block_scans  # the blocks that arrived
             raise
         self.sample += blocks * self.block_scans
         if self._measurements:
@@ -302,7 +311,7 @@ class RosRig(RigDriver):
             held_ns = round(TrackerSettings().hold_s * NS_PER_S) + stamp_ns(self.block_scans, self.rate_hz)
             found = self._collectors[self._measurements].tables(measured)
             if any(table.stamp_ns - self._start_ns + held_ns < before_ns for table in found):
-                raise ImpactRigError("a measurement arrived a step late: this machine is too busy to step by")
+                raise ImpactRigError("a measurement arrived one step late: this machine is too busy for lockstep")
 
     def _received_to(self) -> int:
         """Return the scan after the last one that arrived."""
@@ -310,18 +319,18 @@ class RosRig(RigDriver):
         return self.sample if table is None else max(self.sample, self.first_scan(table) + len(table.rows))
 
     def tables(self, topic: str = SCANS) -> list[Table]:
-        """Return what arrived on a table topic and is not forgotten, oldest first.
+        """Return the tables of a topic that arrived and are kept, oldest first.
 
-        Scans, commands and journal are complete when a step returns; `truth/...` of the last blocks may come later.
+        Scans, commands and journal are complete when a step returns; `truth/...` of the last blocks may arrive later.
         """
         return self._collectors[topic].tables()
 
     def journal(self) -> list[JournalEntry]:
-        """Return the entries of the journal that arrived, oldest first."""
+        """Return the journal entries that arrived, oldest first."""
         return self._collectors[topics.JOURNAL.name].entries()
 
     def newest(self, topic: str, count: int) -> NDArray[np.void]:
-        """Return the newest `count` rows of a topic once the last of them have arrived."""
+        """Return the newest `count` rows of a topic; wait until the last of them has arrived."""
         self.client.wait_until(lambda: len(self.rows(topic)) >= count, f"{count} rows of {topic}")
         return self.rows(topic)[-count:]
 
@@ -340,7 +349,7 @@ class RosRig(RigDriver):
         return self.config
 
     def inject(self, fault: Fault) -> int:
-        """Start a fault by a further line of `instruments.faults.planned`; see `RigDriver`."""
+        """Start a fault by adding a line to `instruments.faults.planned`; see `RigDriver`."""
         since = attrs.evolve(fault, start_sample=fault.start_sample - self.frontier_sample)
         line = since.line(self.rate_hz)
         planned = [*self.config.instruments.faults.planned, line]
@@ -350,7 +359,7 @@ class RosRig(RigDriver):
 
     @property
     def faults(self) -> list[Fault]:
-        """The faults that were planned or injected; the lines of these count from when they were added."""
+        """Planned and injected faults; the times of injected ones count from their injection."""
         injected = {line for line, _ in self._injected}
         planned = zip(self.config.instruments.faults.planned, super().faults, strict=True)
         return [fault for line, fault in planned if line not in injected] + [fault for _, fault in self._injected]
@@ -370,7 +379,7 @@ class RosRig(RigDriver):
         self._sent_to = first + len(samples)
 
     def stream_level(self) -> StreamLevel:
-        """Return what the rig published last; what was sent since counts as buffered."""
+        """Return the last published state of the buffer; samples sent since count as buffered."""
         table = self._stream.last()
         assert table is not None
         del self._stream.received[:-1]
@@ -381,7 +390,7 @@ class RosRig(RigDriver):
 
     @property
     def stopped(self) -> str:
-        """Why the shaker is stopped."""
+        """Reason why the shaker is stopped."""
         for entry in self._collectors[topics.JOURNAL.name].entries(self._journal_read):
             self._journal_read += 1
             if entry.kind is InputKind.TRIP:
@@ -395,15 +404,15 @@ class RosRig(RigDriver):
         return self._stopped
 
     def restart(self, config: RigConfig, analysis: Mapping[str, ParameterValue], record: Path | None = None) -> RosRig:
-        """Begin again with another configuration, as in new processes; rate and length of blocks must be the same.
+        """Start again with another configuration, as in new processes; rate and block length must stay the same.
 
         Args:
-            config: of the rig.
+            config: configuration of the rig.
             analysis: parameters of the analysis, which the rig must have.
-            record: directory of the run that the recorder writes; None: none.
+            record: directory of the run that the recorder writes; None means no recording.
 
         Raises:
-            ImpactRigError: a node refused.
+            ImpactRigError: a node rejected its parameters.
         """
         client = self.client
         self.stop_recording()
@@ -411,11 +420,11 @@ class RosRig(RigDriver):
             self._start("recorder", {"record": False})
             client.wait_active(self._recorder)
             self._peers.append(self._recorder)
-        if self.stopped:  # the latch outlives the transitions
+        if self.stopped:  # the latch survives the transitions
             client.trigger("rig/clear_trip")
         client.change_state("analysis", "deactivate")
         client.change_state("rig", "deactivate")
-        client.change_state("rig", "cleanup")  # its history goes with its publishers
+        client.change_state("rig", "cleanup")  # its publishers take their history with them
         values = {name: value for name, value in to_flat(config).items() if not name.startswith(FIXED)}
         client.set_parameters("rig", {**values, "time.peers": self._peers})
         client.set_parameters("analysis", analysis)
@@ -435,23 +444,24 @@ class RosRig(RigDriver):
         return self
 
     def stop_recording(self) -> None:
-        """End the run that the recorder writes, if there is one."""
+        """End the recorder's run, if there is one."""
         if self._run is not None:
             self._run = None
             self.client.trigger(f"{self._recorder}/stop")
 
     def save(self, directory: Path) -> Path:
-        """Finish the recording and copy it, the logs next to it; the rig cannot go on after that.
+        """Finish the recording and copy it, with the logs next to it; the rig cannot continue after that.
 
         Raises:
             RecordingError: there is no recording, or it cannot be copied.
         """
         run = self._run
         if run is None:
-            raise RecordingError("nothing is recorded: start the rig with record=True")
+            raise RecordingError("no recording to save: start the rig with record=True")
         try:
             self.stop_recording()
-        except Exception:  # a process is gone or hangs, or a hosted node raises: a recorder that ends finishes its run
+        # a process has ended or hangs, or a hosted node raises: a recorder finishes its run as it ends
+        except Exception:
             self.processes.stop(*({self._recorder} & set(self.processes.running)))
             if self._hosted_recorder is not None and self._hosted_recorder.active:
                 self._hosted_recorder.trigger_deactivate()
@@ -463,7 +473,7 @@ class RosRig(RigDriver):
         return directory
 
     def close(self) -> None:
-        """End client and processes, the recorder's run with them, and remove a temporary directory."""
+        """Close the client, end the processes with the recorder's run, and remove a temporary directory."""
         super().close()
         self._stack.close()
 
@@ -475,7 +485,7 @@ class RosRig(RigDriver):
         self.client.set_parameters("rig", {"time.peers": self._peers})
 
     def _acknowledge_answers(self, name: str, output: str, timeout_s: float) -> Collector:
-        """Acknowledge for a node whenever its output answers a block."""
+        """Acknowledge for a node each time its output answers a block."""
         scans = self._collectors[SCANS]
         begin = answered = len(scans)
 
@@ -489,7 +499,7 @@ class RosRig(RigDriver):
                 on_scan(message)
 
         def on_scan(_message: Received) -> None:
-            """Outputs are counted, and may overtake the blocks they answer."""
+            """Count the outputs, which may overtake the blocks they answer."""
             known = min(answered, len(scans))
             if known > begin:
                 self.client.acknowledge_for(name, codec.header_stamp_ns(scans.received[known - 1].data))

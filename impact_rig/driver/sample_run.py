@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Sample run: a short recording to look at where there is no other."""
+"""Sample run: a short recording for users without one of their own."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ GAP_M = 6e-3
 
 
 def make_sample(directory: Path) -> Path:
-    """Return the directory of a sample run, made if there is none."""
+    """Return the directory of a sample run; create it if needed."""
     if directory.is_dir():
         try:
             with open_run(directory) as found:
@@ -38,7 +38,7 @@ def make_sample(directory: Path) -> Path:
             complete = False
         if complete:
             return directory
-        shutil.rmtree(directory)  # cut short, or of an earlier version
+        shutil.rmtree(directory)  # incomplete, or from another version
     half = directory.with_name(f"{directory.name}.part")
     shutil.rmtree(half, ignore_errors=True)
     with LocalRig(analysis={"gap_m": GAP_M}, record=half) as rig:

@@ -11,4 +11,4 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A rig without Python: rig.c, the snapshot it is made of, and what embeds it elsewhere."""
+"""Rig without Python: rig.c, the snapshot that initialises it, and the formats that embed it."""

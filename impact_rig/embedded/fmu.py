@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A rig as a co-simulation unit (FMU) of FMI 2.0 or 3.0: fmu.c compiled with rig.c and the kernels, without Python."""
+"""Rig as a co-simulation unit (FMU) of FMI 2.0 or 3.0: fmu.c compiled with rig.c and the kernels, without Python."""
 
 from __future__ import annotations
 
@@ -54,20 +54,20 @@ def write_fmu(config: RigConfig, path: Path, version: str = VERSIONS[0], kernels
     """Write a co-simulation unit of a rig.
 
     Args:
-        config: the rig; all but the gap is fixed in the unit.
-        path: of the unit.
-        version: of FMI.
+        config: the rig; everything except the gap is fixed in the unit.
+        path: path of the unit.
+        version: version of FMI.
         kernels: folder of the compiled kernels; those of another machine need a cross compiler in CC.
 
     Raises:
-        ConfigError: rig.c does not simulate such a rig.
-        ImpactRigError: there is no compiler, or it fails; no kernels are there.
+        ConfigError: rig.c does not support such a rig.
+        ImpactRigError: the kernels are missing, there is no compiler, or it fails.
         OSError: the file cannot be written.
     """
     data = snapshot(config)
     token = f"{{{uuid.uuid5(uuid.NAMESPACE_URL, f'{version} {data.hex()}')}}}"
     if not (kernels / OBJECT).exists():
-        raise ImpactRigError(f"{kernels / OBJECT} is not there: `python -m impact_rig.kernels.build` builds it")
+        raise ImpactRigError(f"{kernels / OBJECT} is missing: build it with `python -m impact_rig.kernels.build`")
     with tempfile.TemporaryDirectory(prefix="impact_rig_fmu_") as name:
         work = Path(name)
         numbers = ",".join(map(str, data))
@@ -82,7 +82,7 @@ def write_fmu(config: RigConfig, path: Path, version: str = VERSIONS[0], kernels
 
 
 def _compile(work: Path, kernels: Path) -> str:
-    """Compile the unit's library into a folder; return the machine that the compiler makes code for."""
+    """Compile the unit's library into a folder; return the target machine of the compiler."""
     compiler = shlex.split(os.environ.get("CC", "cc"))
     sources = [str(HERE / "fmu.c"), str(HERE / "rig.c"), str(kernels / OBJECT)]
     options = ["-shared", "-fPIC", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", f"-I{work}", f"-I{kernels}"]

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Snapshot of a rig for rig.c: everything that its configuration decides, worked out once, as bytes."""
+"""Snapshot of a rig for rig.c: everything that follows from its configuration, computed once, as bytes."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def snapshot(config: RigConfig) -> bytes:
     """Return the snapshot of a rig at rest.
 
     Raises:
-        ConfigError: rig.c does not simulate such a rig, or the kernels are not compiled.
+        ConfigError: rig.c does not support such a rig, or the kernels are not compiled.
     """
     _check(config)
     model, chain, drive = build(config), Chain(config), new_generator(config)
@@ -85,7 +85,7 @@ def snapshot(config: RigConfig) -> bytes:
 
 
 def _check(config: RigConfig) -> None:
-    """Refuse what rig.c leaves out."""
+    """Reject features that rig.c does not support."""
     for found, key, allowed in (
         (config.drive.waveform, "drive.waveform", "sine"),
         (config.drive.amplitude, "drive.amplitude", 0.0),
@@ -97,7 +97,7 @@ def _check(config: RigConfig) -> None:
 
 
 def _name_of(pointer: Any) -> str:
-    """Return the name under which the library holds a function of the contact law."""
+    """Return the name of a function of the contact law in the library."""
     at = getattr(pointer, "address", None)
     for name in kernels.exported:
         if at is not None and kernels.address(name) == at:

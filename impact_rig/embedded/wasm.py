@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The kernels and rig.c as WebAssembly: `python -m impact_rig.embedded.wasm FILE` (pip install ziglang).
+"""Build of the kernels and rig.c as WebAssembly: `python -m impact_rig.embedded.wasm FILE` (pip install ziglang).
 
-The module imports one function, which libc fills its stack guard with. It exports the functions of rig.h, every kernel
-by the name that impact_rig.h gives it, `impact_rig_address` and `malloc`. The address of a kernel is its place in the
-table of functions.
+The module imports one function, with which libc fills its stack guard. It exports the functions of rig.h, every kernel
+under its name in impact_rig.h, `impact_rig_address` and `malloc`. The address of a kernel is its index in the table of
+functions.
 """
 
 from __future__ import annotations
@@ -53,12 +53,12 @@ def build_wasm(path: Path, keep: Path) -> None:
     """Build the module.
 
     Args:
-        path: of the module.
+        path: path of the module.
         keep: folder that keeps the translated kernels.
 
     Raises:
         SystemExit: the kernels cannot be translated.
-        CalledProcessError: there is no ziglang, or it fails.
+        CalledProcessError: ziglang is missing, or it fails.
     """
     found = translated(keep)
     with tempfile.TemporaryDirectory(prefix="impact_rig_wasm_") as name:

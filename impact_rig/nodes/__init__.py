@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The ROS 2 nodes: they publish what the rig, the analysis and the recorder compute, and decide nothing themselves.
+"""ROS 2 nodes that publish the results of the rig, the analysis and the recorder.
 
-Of the layers below, none imports rclpy.
+The nodes contain no logic of their own. None of the layers below imports rclpy.
 """

@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The nodes as programs: `python -m impact_rig.nodes rig --ros-args ...`, and the console scripts.
+"""Nodes as programs: `python -m impact_rig.nodes rig --ros-args ...`, and the console scripts.
 
-Light on purpose: signals and the end of the parent are taken care of before anything heavy is imported.
+Imports are light: signal handlers and the watch on the parent process are set up before anything heavy is imported.
 """
 
 from __future__ import annotations
@@ -49,20 +49,20 @@ examples:
 {more}
 """
 Use = tuple[str, str, str]
-"""What a program is, an example of its arguments, and what else there is to know."""
+"""Description of a program, an example of its arguments, and further information."""
 NODES: dict[str, Use] = {
     "rig": (
-        "The virtual test rig: publishes what its instruments measure, and takes frequency and current as commands.",
+        "Virtual test rig: publishes the readings of its instruments; frequency and current are its commands.",
         "barriers.gap_m:=0.004",
         "Parameters with units and ranges: config/nominal.yaml; `impact-rig check FILE` is a dry run.",
     ),
     "analysis": (
-        "The analysis: measures displacement transmissibility and impacts from daq/scan.",
+        "Analysis: measures displacement transmissibility and impacts from daq/scan.",
         "gap_m:=0.004",
         "Topics and parameters: docs/reference/interface.md.",
     ),
     "recorder": (
-        "The recorder: writes a rig's topics into an MCAP run, from its start on or between ~/start and ~/stop.",
+        "Recorder: writes a rig's topics into an MCAP run, from its start on or between ~/start and ~/stop.",
         "name:=first_light",
         "Topics, services and parameters: docs/reference/interface.md.",
     ),
@@ -75,7 +75,7 @@ NODES: dict[str, Use] = {
 
 
 def show_help(node: str, use: Use, arguments: Sequence[str]) -> bool:
-    """Print how a node is used if its arguments ask for that, and return whether they did."""
+    """Print the usage of a node if its arguments ask for it, and return whether they did."""
     ours = list(itertools.takewhile(lambda word: word != "--ros-args", arguments))
     if not {"-h", "--help"}.intersection(ours):
         return False
@@ -85,7 +85,7 @@ def show_help(node: str, use: Use, arguments: Sequence[str]) -> bool:
 
 
 def run(node: str, use: Use, module: str) -> None:
-    """Run the node that a module has as its `PROGRAM`."""
+    """Run the node that a module offers as its `PROGRAM`."""
 
     def main(ending: Ending) -> None:
         from impact_rig.nodes import process  # noqa: PLC0415
@@ -103,10 +103,10 @@ rig, analysis, recorder, plot = (functools.partial(_run, node) for node in NODES
 
 
 def begin(node: str, use: Use, main: Callable[[Ending], None]) -> None:
-    """Run a program that ends in order; what is heavy is imported by its `main`, not before."""
+    """Run a program that ends in order; its `main` does the heavy imports."""
     if show_help(node, use, sys.argv[1:]):
         return
-    # a node that is told to end has done its work: launch takes any other code for a crash
+    # a node that ends on request has succeeded: launch takes any other exit code for a crash
     ending = Ending(f"{node}_node", code=lambda _number: 0)
     parent = int(os.environ.get(PARENT_VARIABLE, "0"))
     if parent:
@@ -115,7 +115,7 @@ def begin(node: str, use: Use, main: Callable[[Ending], None]) -> None:
 
 
 def _end(ending: Ending) -> None:
-    """End in order, or after a while in any way: nobody is there to do it."""
+    """End in order, or by force after a while: no user is there to do it."""
     ending.reason = ", as the process that started it is gone"
     os.kill(os.getpid(), signal.SIGTERM)
     time.sleep(PATIENCE_S)

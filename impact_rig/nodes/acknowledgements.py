@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Who follows `daq/scan`, and how far: readers in the graph, the window of what they acknowledge, acknowledging.
+"""Flow control for `daq/scan`: subscriber discovery, the window of unacknowledged blocks, and acknowledgements.
 
-A rig that runs ahead of time goes as far as its peers have acknowledged, whom it knows from the graph. A peer says up
-to which block it is: of a rig that waits a single one at once, those of a burst together; in real time now and then.
-What is done about a peer that is silent: `Session`.
+A rig that runs ahead of time advances as far as its peers have acknowledged. It discovers them in the graph. A peer
+acknowledges up to a block: a single block at once, the blocks of a burst together, and blocks in real time at
+intervals. `Session` decides what to do about a silent peer.
 """
 
 from __future__ import annotations
@@ -37,36 +37,36 @@ from impact_rig.nodes.messages import Template
 from impact_rig.nodes.pacing import Clock
 from impact_rig.simtime import NS_PER_S
 
-KEPT = 4096  # blocks whose stamps are remembered, at least
-POLL_S = 0.02  # least time between two looks for peers that a free-running rig waits for
-LOOK_S = 0.5  # least time between two looks for everybody
+KEPT = 4096  # minimum number of blocks whose stamps are remembered
+POLL_S = 0.02  # minimum interval between two graph queries for the peers that a free-running rig waits for
+LOOK_S = 0.5  # minimum interval between two graph queries for all readers
 REALTIME_S = 0.05
-"""Time between acknowledgements of a rig in real time, which waits for nobody and only wants to know who is late."""
+"""Interval between acknowledgements of a rig in real time, which waits for no peer and only detects late ones."""
 PRESENT_NS = NS_PER_S
-"""Stamps this near to the system's time are those of a rig in real time; in the other modes they begin at 0."""
+"""Stamps this close to the system time belong to a rig in real time; in the other modes stamps begin at 0."""
 REPEATED_S = 3.25
-"""Time within which Fast DDS repeats what a suspended reader has missed: with heartbeats, which are 3 s apart."""
-ALONE_S = 0.004  # a block that comes this long after the last acknowledgement is acknowledged at once
-MOST = 16  # blocks acknowledged together, at most: as many as a rig runs ahead by default
+"""Time within which Fast DDS repeats what a suspended reader has missed: it does so with heartbeats, every 3 s."""
+ALONE_S = 0.004  # a block that arrives this long after the last acknowledgement is acknowledged at once
+MOST = 16  # maximum number of blocks per acknowledgement: the default window of a rig
 
 
 @attrs.define
 class _Reader:
-    forgiven: int  # blocks up to here are owed no more
-    heard_ns: int  # clock when it last said something new, or when it had nothing to say
-    acknowledged: int | None = None  # blocks, counted from the start; None before it has acknowledged any
-    waived: bool = False  # it is not waited for until it acknowledges again
+    forgiven: int  # acknowledgements of blocks up to this one are not awaited
+    heard_ns: int  # clock time of its last progress, or of the last time it owed nothing
+    acknowledged: int | None = None  # count of blocks since the start; None before its first acknowledgement
+    waived: bool = False  # the rig does not wait for it until it acknowledges again
 
 
 class AckWindow:
-    """How far every reader of the blocks is, and how far ahead of its slowest peer the rig may run.
+    """Progress of every reader of the blocks, and the number of blocks the rig may run ahead of its slowest peer.
 
-    A reader acknowledges by the stamp of the last block it processed, one or several at a time. Blocks are counted, so
-    that "ahead" has one meaning for all. Peers are the readers that are waited for; others are only watched.
+    A reader acknowledges by the stamp of the last block it processed, one or several blocks at a time. Blocks are
+    counted, so that "ahead" means the same for all. The rig waits for peers; other readers are only watched.
 
     Args:
-        peers: names the acknowledgements carry.
-        window: blocks that may be out and not acknowledged.
+        peers: names used in the acknowledgements.
+        window: maximum number of blocks published and not acknowledged.
         timeout_ns: clock time after which a peer that owes an acknowledgement counts as silent.
     """
 
@@ -75,23 +75,23 @@ class AckWindow:
         self.timeout_ns = timeout_ns
         self._clock = clock
         self._published = 0
-        self._stamps: list[int] = []  # of the newest blocks; the last one is number self._published
+        self._stamps: list[int] = []  # stamps of the newest blocks; the last one is number self._published
         self._readers: dict[str, _Reader] = {}
         self.peers: tuple[str, ...] = ()  # changed by `set_peers`
         self.set_peers(peers)
 
     @property
     def readers(self) -> tuple[str, ...]:
-        """Names of the peers, and of everybody else who acknowledges."""
+        """Names of the peers and of all other readers that acknowledge."""
         return tuple(self._readers)
 
     @property
     def newest_ns(self) -> int | None:
-        """Stamp of the newest block that is out."""
+        """Stamp of the newest published block."""
         return self._stamps[-1] if self._stamps else None
 
     def set_peers(self, peers: Iterable[str]) -> None:
-        """Change the peers; new ones owe nothing of what is already out."""
+        """Change the peers; new ones owe nothing for blocks published before."""
         before, self.peers = self.peers, tuple(peers)
         for name in set(self.peers).difference(before):
             reader = self._readers.setdefault(name, _Reader(self._published, self._clock()))
@@ -101,22 +101,22 @@ class AckWindow:
                 del self._readers[name]
 
     def watch(self, name: str) -> None:
-        """Take acknowledgements in this name, too, without waiting for any."""
+        """Accept acknowledgements with this name as well, without waiting for them."""
         self._readers.setdefault(name, _Reader(0, self._clock()))
 
     def published(self, stamp_ns: int) -> None:
-        """Note that the block with this stamp is out."""
+        """Register that the block with this stamp is published."""
         now = self._clock()
         for reader in self._readers.values():
             if self._owed(reader) == 0:
-                reader.heard_ns = now  # owed nothing until now: its silence starts here
+                reader.heard_ns = now  # owed nothing so far: its silence starts here
         self._published += 1
         self._stamps.append(stamp_ns)
         if len(self._stamps) >= 2 * KEPT:
             del self._stamps[:KEPT]
 
     def acknowledge(self, name: str, stamp_ns: int) -> bool:
-        """Take an acknowledgement; False if it makes no sense (nobody we watch, later than any block)."""
+        """Process an acknowledgement; return False if it is invalid (unknown reader, or later than any block)."""
         reader = self._readers.get(name)
         if reader is None or self.newest_ns is None or stamp_ns > self.newest_ns:
             return False
@@ -144,24 +144,25 @@ class AckWindow:
         return tuple(name for name, reader in self._readers.items() if reader.acknowledged is not None)
 
     def silent(self) -> tuple[str, ...]:
-        """Return the peers that owe an acknowledgement and said nothing for the timeout."""
+        """Return the peers that owe an acknowledgement and made no progress for the timeout."""
         limit = self._clock() - self.timeout_ns
         owing = (name for name in self.peers if self._owed(self._readers[name]) > 0)
         return tuple(name for name in owing if self._readers[name].heard_ns < limit)
 
     def forgive(self, names: Iterable[str]) -> None:
-        """Count everything as acknowledged by some peers; they are waited for as before."""
+        """Count all published blocks as acknowledged by some peers; the rig waits for them as before."""
         for name in names:
             self._readers[name].forgiven, self._readers[name].heard_ns = self._published, self._clock()
 
     def heard_ns(self, name: str) -> int:
-        """Return when a reader said something new last, or had nothing to say [ns of the clock]."""
+        """Return the clock time [ns] of a reader's last progress, or of the last time it owed nothing."""
         return self._readers[name].heard_ns
 
     def waive(self) -> None:
-        """Go on without the peers that are silent, until each of them acknowledges again.
+        """Continue without the silent peers until each of them acknowledges again.
 
-        Where nobody else is followed, they are waited for after the next window: no rig runs away from all its peers.
+        If no other peer is left, the rig waits for them again after the next window: it never runs away from all its
+        peers.
         """
         silent = self.silent()
         for name in silent if set(silent) != set(self.peers) else ():
@@ -169,16 +170,16 @@ class AckWindow:
         self.forgive(self.peers)
 
     def waived(self) -> tuple[str, ...]:
-        """Return the peers that are not waited for."""
+        """Return the peers that the rig does not wait for."""
         return tuple(name for name in self.peers if self._readers[name].waived)
 
     def excuse(self) -> None:
-        """Restart every peer's timeout: this process itself was away, so their silence means nothing."""
+        """Restart every peer's timeout: this process was suspended, so their silence means nothing."""
         for name in self.peers:
             self._readers[name].heard_ns = self._clock()
 
     def forget(self, name: str) -> None:
-        """Drop what is known of a reader that has left; a peer still owes what it has not acknowledged."""
+        """Drop the state of a reader that has left; a peer still owes its acknowledgements."""
         reader = self._readers.pop(name)
         if name in self.peers:
             self._readers[name] = _Reader(self._published - self._owed(reader), reader.heard_ns, waived=reader.waived)
@@ -188,11 +189,10 @@ class AckWindow:
 
 
 class Readers:
-    """Looks for the subscriptions of a publisher in the graph; a reader is known by its node name.
+    """Subscriptions of a publisher that are known to the graph, by node name.
 
     A block sent before a peer is connected would be lost to it. The graph knows a subscription before the publisher is
-    matched with it; the publisher counts its matches, so all that can match must have (one that asks for other
-    qualities of service cannot).
+    matched with it. The publisher counts its matches, so all compatible subscriptions must be matched first.
     """
 
     def __init__(self, node: Node, publisher: Any) -> None:
@@ -200,34 +200,34 @@ class Readers:
         self._publisher = publisher
         self._missing: set[str] = set()
         self._expected_at = 0.0
-        self._present: dict[str, set[bytes]] = {}  # subscriptions by name of their node
-        self._came_ns: dict[str, int] = {}  # when the newest of these was seen first [ns of the monotonic clock]
+        self._present: dict[str, set[bytes]] = {}  # subscriptions by node name
+        self._came_ns: dict[str, int] = {}  # first sighting of the newest of these [ns of the monotonic clock]
         self._looked_at = -LOOK_S
         self._matched = 0
 
     @property
     def subscribers(self) -> int:
-        """Matched subscriptions, whether they acknowledge or not."""
+        """Matched subscriptions, with or without acknowledgements."""
         return int(self._publisher.get_subscription_count())
 
     def expect(self, names: Iterable[str]) -> None:
-        """Set the peers that must be connected; all are looked for again."""
+        """Set the peers that must be connected; search for all of them again."""
         self._missing = set(names)
         self._expected_at = time.monotonic()
         self._looked_at = -LOOK_S
 
     def missing(self) -> tuple[str, ...]:
-        """Return the peers not seen yet."""
+        """Return the peers not discovered yet."""
         return tuple(sorted(self._missing))
 
     def overdue(self, patience_s: float) -> bool:
-        """Whether a peer has not been there for so long."""
+        """Return whether a peer has been absent for this long [s]."""
         return bool(self._missing) and time.monotonic() - self._expected_at > patience_s
 
     def all_matched(self) -> bool:
-        """Look again, at most every 20 ms; true from when every peer was matched once."""
+        """Query the graph, at most every 20 ms; return True once every peer has been matched."""
         if self._missing and self._due(POLL_S):
-            # as the graph tells it: the publisher's own profile says 0 where the graph says infinite
+            # taken from the graph: the publisher's own profile has 0 where the graph has infinite
             offered = [info.qos_profile for info in self._node.get_publishers_info_by_topic(self._publisher.topic_name)]
             matching = [
                 info
@@ -239,19 +239,19 @@ class Readers:
         return not self._missing
 
     def knows(self, name: str) -> bool:
-        """Whether a node of this name reads: nobody can fill memory with made-up names."""
+        """Return whether a node of this name reads the topic; invented names must not fill the memory."""
         if name not in self._present and (self._due(LOOK_S) or self.subscribers != self._matched):
             self._look()
         return name in self._present
 
     def gone(self, names: Iterable[str]) -> tuple[str, ...]:
-        """Return which of these are no longer there."""
+        """Return which of these nodes have left."""
         if self._due(LOOK_S):
             self._look()
         return tuple(name for name in names if name not in self._present)
 
     def came_ns(self, name: str) -> int:
-        """Return when the newest subscription of a node was seen first [ns of the monotonic clock]; 0: never."""
+        """Return when a node's newest subscription was discovered [ns of the monotonic clock], or 0 if never."""
         return self._came_ns.get(name, 0)
 
     def _due(self, period_s: float) -> bool:
@@ -270,16 +270,16 @@ class Readers:
 
 
 class Acknowledgements:
-    """Says on daq/ack up to which block a node has processed daq/scan.
+    """Sender of acknowledgements of `daq/scan` on `daq/ack`.
 
-    A block that comes alone is acknowledged at once. Of a burst the executor is asked to come back when it has handed
-    over what is waiting, and one acknowledgement stands for all: a rig that runs ahead sends blocks in bursts, and each
-    message costs its sender and its receiver more than the block it is about. Those of real time wait for a timer.
+    A single block is acknowledged at once. In a burst, the executor calls back when it has delivered the waiting
+    blocks, and one acknowledgement covers all of them: each message costs its sender and its receiver more than the
+    block itself. In real time, a timer acknowledges.
 
     Args:
         node: owner, which offers `daq/ack` while it is configured; its name is the peer's.
-        may_send: called before each acknowledgement; keeps the promise it makes, or returns False if that cannot be.
-        catch_up: called by the timer of real time: processes what has been put off until then.
+        may_send: called before each acknowledgement; makes sure that it is true, or returns False if it cannot be.
+        catch_up: called by the timer of real time; processes the deferred blocks.
     """
 
     def __init__(
@@ -289,7 +289,7 @@ class Acknowledgements:
         catch_up: Callable[[], None] = lambda: None,
     ) -> None:
         self.is_timed = False
-        """Whether the newest block was one of real time, so that the timer acknowledges it."""
+        """Whether the newest block was published in real time, so that the timer acknowledges it."""
         self._node = node
         self._may_send = may_send
         self._catch_up = catch_up
@@ -301,7 +301,7 @@ class Acknowledgements:
         self._has_timer = False
 
     def processed(self, stamp_ns: int) -> None:
-        """Note that the block with this stamp is processed."""
+        """Register that the block with this stamp is processed."""
         self._newest_ns = stamp_ns
         self._waiting += 1
         self.is_timed = abs(time.time_ns() - stamp_ns) < PRESENT_NS
@@ -320,7 +320,7 @@ class Acknowledgements:
                 executor.create_task(self._later)
 
     def flush(self) -> None:
-        """Say what has not been said: the node is being deactivated."""
+        """Send the outstanding acknowledgement, because the node is being deactivated."""
         self.is_timed = self._has_timer = False
         if self._node.context.ok():
             self._send()
@@ -330,7 +330,7 @@ class Acknowledgements:
         self._send()
 
     def _send(self) -> None:
-        waiting, self._waiting = self._waiting, 0  # what must not be acknowledged now never is by itself
+        waiting, self._waiting = self._waiting, 0  # an acknowledgement that is refused now is not retried
         if waiting and self._may_send():
             self._sent_at = time.monotonic()
             self._node.send(topics.ACK, self._message.render(self._newest_ns))

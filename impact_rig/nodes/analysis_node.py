@@ -11,7 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The analysis as a lifecycle node: blocks in, transmissibility and impacts out; `Tracker` does the work."""
+"""Analysis as a lifecycle node: it reads blocks of scans and publishes transmissibility and impacts.
+
+`Tracker` does the work.
+"""
 
 from __future__ import annotations
 
@@ -38,25 +41,25 @@ from impact_rig.simtime import NS_PER_S
 
 PUBLISHED = [topic for topic in TOPICS if topic.publisher == "analysis"]
 UNCALIBRATED = (
-    "scans come without daq/info, so nothing can be measured: latched topics are missing, as after ros2 bag play "
-    "--start-offset; play the bag from its start"
+    "scans arrive without daq/info, so nothing can be measured: latched topics are missing, as after ros2 bag "
+    "play --start-offset; play the bag from its start"
 )
-SILENCE_S = 2.0  # wall time without a block after which there are no scans; a paused rig sends none either
+SILENCE_S = 2.0  # wall time without a block after which scans count as missing; a paused rig sends none either
 UNKNOWN_GAP = -1.0
 
 
 @attrs.frozen(kw_only=True)
 class AnalysisSettings(TrackerSettings):
-    """Parameters of the analysis node: those of `Tracker`, and what the operator knows."""
+    """Parameters of the analysis node: those of `Tracker`, and the operator's label."""
 
     gap_m: float = quantity(
         UNKNOWN_GAP,
         "m",
-        "Operator's label: total gap, 0 = no sphere, -1 = unknown; holds from the newest scan on.",
+        "Operator's label: total gap, 0 = no sphere, -1 = unknown; applies from the newest scan on.",
         at_least=UNKNOWN_GAP,
         at_most=1,
     )
-    autostart: bool = switch(True, "Configure and activate by itself at start.", read_only=True)
+    autostart: bool = switch(True, "Configure and activate at start without a request.", read_only=True)
 
     def __attrs_post_init__(self) -> None:
         super().__attrs_post_init__()
@@ -65,7 +68,7 @@ class AnalysisSettings(TrackerSettings):
 
 
 class AnalysisNode(ManagedNode[AnalysisSettings]):
-    """Feeds `Tracker` and publishes what it finds; acknowledges every block."""
+    """Lifecycle node that feeds `Tracker`, publishes its results and acknowledges every block."""
 
     COMPONENT = "measurement"
     STATES = states.AnalysisWord
@@ -91,7 +94,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         self._newest = None
         self._started_s = time.time()
         self._label(_gap(self.settings), 0)
-        # calibration and present command first: both are transient-local, so they arrive though published long ago
+        # calibration and active command first: both are transient-local and arrive although published long ago
         self.until_deactivated(
             self.subscribe_table(topics.INFO, self._on_info),
             self.subscribe_table(topics.APPLIED, self._on_applied),
@@ -100,36 +103,36 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         )
 
     def deactivate(self) -> None:
-        """Measure what was held back, and stop listening."""
+        """Finish the measurements in progress, and unsubscribe."""
         tracker, self._tracker = self._tracker, None
         try:
             if tracker is not None and self.context.ok():
                 self._publish(tracker.flush())
-        finally:  # or the next activation would take its timer for one that is there
+        finally:  # otherwise the next activation would mistake its timer for a running one
             self._acknowledgements.flush()
 
     def settings_changed(self, settings: AnalysisSettings, changes: dict[str, Any]) -> None:
-        """Take a new label at once; settings of the measurement wait for the next activation."""
+        """Apply a new label at once; settings of the measurement apply at the next activation."""
         fixed = sorted(set(changes) - {"gap_m"})
         if self._tracker is None:
             return
         if fixed:
-            raise ConfigError(f"{', '.join(fixed)}: change it while the node is inactive")
+            raise ConfigError(f"cannot change {', '.join(fixed)} while the node is active; deactivate it first")
         if "gap_m" in changes:
             self._label(_gap(settings), self.rig_time_ns() or 0)
 
     def rig_time_ns(self) -> int | None:
-        """Return the instant of the newest scan."""
+        """Return the time of the newest scan."""
         if self._newest is None:
             return None
         last_s = float(self._newest.rows["time"][-1]) if len(self._newest.rows) else 0.0
         return self._newest.stamp_ns + round(last_s * NS_PER_S)
 
     def doing(self) -> NodeState:
-        """Return what the tracker does, unless it gets nothing to do."""
+        """Return the state of the tracker, or that no scans arrive."""
         words = states.AnalysisWord
         if self._tracker is None or self._newest is None:
-            return NodeState(words.NO_SCANS, "none came yet")
+            return NodeState(words.NO_SCANS, "none received yet")
         silent_s = time.monotonic() - self._heard_at
         if silent_s > SILENCE_S:
             return NodeState(words.NO_SCANS, f"none for {SILENCE_S:g} s")
@@ -137,7 +140,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         return NodeState(words(found.word), self._waiting() or found.reason, found.since_ns)
 
     def health(self) -> tuple[Level, str]:
-        """Return whether scans come, all of them."""
+        """Return whether scans arrive, and whether all of them do."""
         if self._tracker is None:
             return Level.WARN, self.state
         if self._newest is None:
@@ -168,12 +171,12 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         return values
 
     def _waiting(self) -> str:
-        """Return what a row is held back for, for people; empty: nothing, or the transient."""
+        """Return a readable reason why a row is delayed; empty if none is, or if the transient is the reason."""
         progress = None if self._tracker is None else self._tracker.progress
         return "" if progress is None else progress.reason
 
     def _label(self, gap_m: float, stamp_ns: int) -> None:
-        """Label the scans from `stamp_ns` on, and tell whoever records them."""
+        """Label the scans from `stamp_ns` on, and publish the label for the recorder."""
         assert self._tracker is not None
         self._tracker.label(gap_m, stamp_ns)
         table = settings_table(self.settings, gap_m, stamp_ns, self._started_s)
@@ -199,8 +202,8 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         scan = self.table(topics.SCAN, data)
         if self._tracker is None:
             return
-        if scan is None:  # a rig that waits for us must not be held up by what cannot be measured
-            with contextlib.suppress(CodecError):  # told already
+        if scan is None:  # a rig in lockstep must not be blocked by invalid scans
+            with contextlib.suppress(CodecError):  # logged already
                 self._acknowledgements.processed(codec.header_stamp_ns(data))
             return
         try:
@@ -229,7 +232,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
                     self.send(topics.TRANSMISSIBILITY, Float64(data=self._latest))
 
     def _analyse(self, scan: Table) -> None:
-        """Feed the analyses of blocks whose channels the scan has."""
+        """Feed the blockwise analyses whose channels the scan has."""
         for analysis in self._blockwise:
             if set(analysis.needs) <= set(scan.rows.dtype.names or ()):
                 table = analysis.feed(scan)
@@ -242,4 +245,4 @@ def _gap(settings: AnalysisSettings) -> float:
 
 
 PROGRAM = AnalysisNode
-"""What makes the node of the program `analysis_node`."""
+"""Factory of the node for the program `analysis_node`."""

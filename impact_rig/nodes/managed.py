@@ -11,13 +11,13 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`ManagedNode`: the lifecycle node all nodes of the rig are made of.
+"""`ManagedNode`: base class of all lifecycle nodes of the rig.
 
-It configures and activates itself (`autostart`), survives invalid transition requests and callback exceptions (both end
-a plain Jazzy Python node), takes parameters through one validator, and reports at 1 Hz and on change. A subclass fills
-in what happens on configure, activate, deactivate and clean up. Its services may answer later.
+It configures and activates itself (`autostart`), validates all parameters in one place, and reports at 1 Hz and on
+change. It survives invalid transition requests and exceptions in callbacks, both of which end a plain Jazzy Python
+node. A subclass implements configure, activate, deactivate and clean up. Services may answer later.
 
-Every callback is guarded: an exception becomes an error in the log and in diagnostics, and the node goes on.
+Every callback is guarded: an exception is logged and reported in diagnostics, and the node continues.
 """
 
 from __future__ import annotations
@@ -51,30 +51,30 @@ from impact_rig.names import one_line
 from impact_rig.nodes import messages, rclpy_internals
 from impact_rig.nodes.parameters import FOREIGN, Parameters, Proposal, set_one_by_one
 
-Report = Callable[[str, str], None]  # what to do with a failure: (where, message)
+Report = Callable[[str, str], None]  # handler of a failure: (where, message)
 
 
 @attrs.define
 class Refusals:
-    """Inputs that were refused: how often, by reason, and the last message of each reason."""
+    """Count of rejected inputs by reason, with the last message of each reason."""
 
     counts: Counter[str] = attrs.field(factory=Counter)
     last: dict[str, str] = attrs.field(factory=dict)
 
     def add(self, reason: str, message: str) -> None:
-        """Count one refusal."""
+        """Count one rejection."""
         self.counts[reason] += 1
         self.last[reason] = one_line(message)
 
 
 def guarded(callback: Callable[..., Any], report: Report) -> Callable[..., Any]:
-    """Return `callback` with its exceptions reported instead of raised, and its arguments as `with_info` has them."""
+    """Return `callback` with its exceptions reported instead of raised, and its arguments unified by `with_info`."""
 
     @functools.wraps(callback)
     def safe(*args: Any) -> Any:
         try:
             return callback(*_each(args))
-        except Exception as error:  # the whole point: nothing a callback raises may end the process
+        except Exception as error:  # no exception in a callback may end the process
             report(_name(callback), describe(error))
             return None
 
@@ -96,14 +96,14 @@ def with_info(callback: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _each(args: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Return the arguments one by one, also where an executor passed them as one tuple."""
+    """Return the arguments one by one, even if an executor passed them as one tuple."""
     return args[0] if len(args) == 1 and type(args[0]) is tuple else args
 
 
 def guarded_answer(callback: Callable[[Any, Any], Any], refuse: Callable[[str], None]) -> Callable[[Any, Any], Any]:
-    """Return a callback of any service, rclpy's own included, that answers a request it cannot digest with a refusal.
+    """Return a service callback that answers an invalid request with an error, also for rclpy's own services.
 
-    A parameter of a type that does not exist, for one, raises in rclpy's parameter services.
+    For example, an unknown parameter type raises in rclpy's parameter services.
     """
 
     @functools.wraps(callback)
@@ -132,19 +132,21 @@ def _name(callback: Callable[..., Any]) -> str:
 S = TypeVar("S", bound=attrs.AttrsInstance)
 
 Done = Callable[[bool, str], None]
-"""Answers a request of `std_srvs/Trigger` or `std_srvs/SetBool`: takes `success` and `message`, once."""
+"""Answer to a request of `std_srvs/Trigger` or `std_srvs/SetBool`: called once with `success` and `message`."""
 
 DIAGNOSTICS_PERIOD_S = 1.0
 CHANGE_PERIOD_S = 0.1
-"""How soon a change of level or message is reported, and one of state that nobody asked for; also how often the first
-may be."""
+"""Delay until a change of level or message is reported, and until an unrequested change of state is reported.
+
+The first is also the minimum interval between two such reports.
+"""
 INSTANCE_BYTES = 8
-ERROR_MEMORY_S = 5.0  # an exception of a callback is shown in diagnostics this long
-WARN_PERIOD_S = 1.0  # least time between two warnings of one reason
+ERROR_MEMORY_S = 5.0  # duration for which diagnostics show an exception of a callback
+WARN_PERIOD_S = 1.0  # minimum interval between two warnings with the same reason
 
 
 class Level(enum.IntEnum):
-    """Levels of `diagnostic_msgs/DiagnosticStatus`, in order of gravity."""
+    """Levels of `diagnostic_msgs/DiagnosticStatus`, in order of severity."""
 
     OK = 0
     WARN = 1
@@ -153,23 +155,23 @@ class Level(enum.IntEnum):
 
 @attrs.frozen
 class NodeState:
-    """What a node does, in one word of `impact_rig.states`."""
+    """State of a node, as one word of `impact_rig.states`."""
 
-    word: enum.StrEnum  # the gravest that is true
-    reason: str = ""  # why, for people; empty where the word says it all
-    since_ns: int | None = None  # rig time at which it began; None: when the node came to say so
+    word: enum.StrEnum  # the most severe word that applies
+    reason: str = ""  # readable reason; empty if the word says enough
+    since_ns: int | None = None  # rig time at which it began; None: when the node reported it first
 
 
 @attrs.define
 class CpuMeter:
-    """Share of one core this process used since the last call [%]."""
+    """Share of one core that this process has used since the last call [%]."""
 
     clock: Callable[[], float] = time.monotonic
     used: Callable[[], float] = time.process_time
     _last: tuple[float, float] | None = None
 
     def percent(self) -> float:
-        """Return the share since the last call; 0 at the first."""
+        """Return the share since the last call; 0 at the first call."""
         now = (self.clock(), self.used())
         before, self._last = self._last, now
         if before is None or now[0] <= before[0]:
@@ -178,37 +180,37 @@ class CpuMeter:
 
 
 def worst(*statuses: tuple[Level, str]) -> tuple[Level, str]:
-    """Return the gravest of several (level, message), messages of that level joined; ("OK", "") gives OK."""
+    """Return the most severe of several (level, message); messages of equal level are joined, ("OK", "") gives OK."""
     level = max((found for found, _ in statuses), default=Level.OK)
     return level, "; ".join(message for found, message in statuses if found == level and message)
 
 
 class ManagedNode(LifecycleNode, Generic[S]):
-    """A lifecycle node with guards, validated parameters and diagnostics.
+    """Lifecycle node with guarded callbacks, validated parameters and diagnostics.
 
     Args:
         kwargs: passed to rclpy's Node (context, namespace, parameter_overrides, ...).
     """
 
-    COMPONENT: ClassVar[str] = "state"  # what of the node its diagnostics are about
+    COMPONENT: ClassVar[str] = "state"  # component that the diagnostics of the node describe
     STATES: ClassVar[type[states.NodeWord]]
-    """The words for what the node does."""
-    MAKES_TIME: ClassVar[bool] = False  # whether its clock is what others follow, so that it can follow nobody's
+    """Words for the states of the node."""
+    MAKES_TIME: ClassVar[bool] = False  # whether the node publishes the clock, so it cannot follow another one
 
     def __init__(self, name: str, tree: Tree[S], **kwargs: Any) -> None:
         super().__init__(name, **kwargs)
         self.is_told_to_end: Callable[[], bool] = lambda: False
-        """Whether the process is about to end: that others end as well is no news then."""
-        self.quitting = False  # whether a client asked for the end of the process
+        """Whether the process is about to end; the end of other nodes is then expected."""
+        self.quitting = False  # whether a client has requested the end of the process
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.refusals = Refusals()
         self.frame_prefix = graph.frame_prefix(self.get_namespace())
-        """Text in front of the frames that the node publishes: frames of rigs in different namespaces are different."""
+        """Prefix of the frames that the node publishes: rigs in different namespaces have different frames."""
         arguments = kwargs.get("cli_args") or sys.argv
         self.parameters = Parameters(self, tree, arguments, self.MAKES_TIME, self.complete)
-        self.outputs: dict[str, Publisher] = {}  # publishers by topic, made by `offer`; they end with the configuration
+        self.outputs: dict[str, Publisher] = {}  # publishers by topic, created by `offer`; destroyed at clean-up
         self.activation = contextlib.ExitStack()
-        """What ends with the activation, after `deactivate`: see `every`, `until_deactivated`."""
+        """Resources that are destroyed after `deactivate`: see `every` and `until_deactivated`."""
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self._proposed: Proposal[S] | None = None
         self._guard_transitions()
@@ -226,47 +228,50 @@ class ManagedNode(LifecycleNode, Generic[S]):
         self._reporter = self.steady_timer(CHANGE_PERIOD_S, self._report_when_due)
         self._starter = self.steady_timer(0.001, self._autostart) if self.autostarts() else None
 
-    # What a subclass fills in
+    # Methods of a subclass
 
     def configure(self) -> None:
-        """Build what the node needs and create its publishers; ImpactRigError refuses with its message."""
+        """Build the parts of the node and create its publishers.
+
+        An ImpactRigError fails the transition with its message.
+        """
 
     def activate(self) -> None:
-        """Begin to work."""
+        """Start working."""
 
     def deactivate(self) -> None:
-        """Stop working, if it works; what `offer` made stays."""
+        """Stop working, if active; the publishers of `offer` stay."""
 
     def cleanup(self) -> None:
-        """Free what else `configure` made; must not fail when that failed half-way."""
+        """Free everything else that `configure` created; must succeed even if `configure` failed half-way."""
 
     def settings_changed(self, settings: S, changes: dict[str, Any]) -> None:
-        """Take validated new settings; an exception refuses the set."""
+        """Apply new, validated settings; an exception rejects them."""
 
     def doing(self) -> NodeState:
-        """Return what the node does, from data alone; asked only while it is active, and often."""
+        """Return the state of the node, computed from data only; called often, and only while the node is active."""
         raise NotImplementedError
 
     def health(self) -> tuple[Level, str]:
-        """Return how the node is, in one sentence, whatever lifecycle state it is in; asked ten times a second."""
+        """Return level and message of diagnostics in any lifecycle state; called ten times a second."""
         return Level.OK, self.state
 
     def figures(self) -> Mapping[str, object]:
-        """Return the figures of diagnostics, whatever lifecycle state it is in; asked for each message."""
+        """Return the key-value pairs of diagnostics in any lifecycle state; called for each message."""
         return {}
 
     def complete(self, settings: S) -> S:
-        """Return the settings at start with what follows from the node itself, such as its namespace."""
+        """Return the start-up settings completed by properties of the node, such as its namespace."""
         return settings
 
     def autostarts(self) -> bool:
-        """Say whether the node configures and activates itself."""
+        """Return whether the node configures and activates itself."""
         return bool(getattr(self.settings, "autostart", True))
 
     def rig_time_ns(self) -> int | None:
-        """Return the time that stamps diagnostics: rig time in a node that follows it, here the node's clock.
+        """Return the stamp of diagnostics: rig time in a node that follows it, here the node's clock.
 
-        None: there is no rig time yet.
+        None if there is no rig time yet.
         """
         return int(self.get_clock().now().nanoseconds)
 
@@ -274,7 +279,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
 
     @property
     def settings(self) -> S:
-        """The parameters as one frozen value."""
+        """Parameters as one frozen value."""
         return self.parameters.settings
 
     @property
@@ -288,7 +293,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return self.state == "active"
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any) -> Any:
-        """Create a service, guarded: also those that rclpy makes for itself (parameters)."""
+        """Create a guarded service. rclpy calls this for its own services (parameters), too."""
         reason = "parameter" if "parameter" in srv_name else srv_name.removeprefix("~/")
         if srv_type is SetParameters:
             callback = self._on_set_request
@@ -298,41 +303,41 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Callable[..., None], *args: Any, **options: Any
     ) -> Any:
-        """Create a subscription, guarded: also those that rclpy makes for itself (/clock)."""
+        """Create a guarded subscription. rclpy calls this for its own subscriptions (/clock), too."""
         return super().create_subscription(msg_type, topic, guarded(callback, self.report_failure), *args, **options)
 
     def steady_timer(self, period_s: float, callback: Callable[[], None]) -> Any:
-        """Create a guarded timer on the monotonic clock: neither sim time nor a clock step moves it."""
+        """Create a guarded timer on the monotonic clock, which neither sim time nor a clock step affects."""
         return self.create_timer(period_s, guarded(callback, self.report_failure), clock=self.steady)
 
     def every(self, period_s: float, callback: Callable[[], None]) -> None:
-        """Call back with a period, until the activation ends."""
+        """Call a function periodically until the node is deactivated."""
         self.activation.callback(self.destroy_timer, self.steady_timer(period_s, callback))
 
     def offer(self, *chosen: topics.Topic) -> None:
-        """Create the publishers of some topics, for as long as the node is configured."""
+        """Create the publishers of some topics; they exist while the node is configured."""
         self.outputs |= {topic.name: self.publisher(topic) for topic in chosen}
 
     def send(self, topic: topics.Topic, message: Any) -> None:
-        """Publish a message, or its CDR bytes, on a topic that is offered."""
+        """Publish a message, or its CDR bytes, on an offered topic."""
         self.outputs[topic.name].publish(message)
 
     def send_table(self, topic: topics.Topic, table: Table) -> None:
-        """Publish a table on a topic that is offered, in a frame of this rig."""
+        """Publish a table on an offered topic, in a frame of this rig."""
         self.send(topic, codec.encode(table, self.frame_prefix))
 
     def adopt_frame(self, info: Table) -> None:
-        """Take the frame prefix from `daq/info`: results are in the frame of the scans that they were computed from."""
+        """Adopt the frame prefix of `daq/info`: results are in the frame of the scans they were computed from."""
         if info.frame_id.endswith(FRAME_DAQ):
             self.frame_prefix = info.frame_id.removesuffix(FRAME_DAQ)
 
     def until_deactivated(self, *subscriptions: Any) -> None:
-        """Keep subscriptions until the activation ends."""
+        """Keep subscriptions until the node is deactivated."""
         for subscription in subscriptions:
             self.activation.callback(self.destroy_subscription, subscription)
 
     def publisher(self, topic: topics.Topic, depth: int | None = None) -> Publisher:
-        """Create the publisher of a row of the topics table, of another depth if given; `qos_overrides` apply."""
+        """Create the publisher of a topic of the topics table, optionally with another depth; `qos_overrides` apply."""
         return self.create_publisher(
             messages.class_of(topic),
             topic.name,
@@ -343,10 +348,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def subscribe(
         self, topic: topics.Topic, callback: Callable[..., None], raw: bool = False, depth: int | None = None
     ) -> Any:
-        """Create a guarded subscription to a row of the topics table, perhaps deeper; `raw` gives CDR bytes.
-
-        `qos_overrides` apply.
-        """
+        """Create a guarded subscription to a topic of the topics table, optionally deeper; `raw` gives CDR bytes."""
         return self.create_subscription(
             messages.class_of(topic),
             topic.name,
@@ -357,7 +359,10 @@ class ManagedNode(LifecycleNode, Generic[S]):
         )
 
     def subscribe_table(self, topic: topics.Topic, callback: Callable[[Table], None]) -> Any:
-        """Create a guarded subscription to a table; what is none, or what `callback` refuses, is told and counted."""
+        """Create a guarded subscription to a table.
+
+        Invalid messages and those that `callback` rejects are logged and counted.
+        """
 
         def take(data: bytes) -> None:
             table = self.table(topic, data)
@@ -371,7 +376,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return self.subscribe(topic, take, raw=True)
 
     def table(self, topic: topics.Topic, data: bytes) -> Table | None:
-        """Return the table in a message of anybody's; None if it is none of this topic, which is told and counted."""
+        """Decode a received table. Returns None (logged and counted) if it does not match the topic."""
         try:
             return codec.decode(data, topic)
         except CodecError as error:
@@ -385,14 +390,14 @@ class ManagedNode(LifecycleNode, Generic[S]):
         on_request: Callable[[Any, Done], None],
         check_sent: Callable[[int], None] | None = None,
     ) -> None:
-        """Create a service of `std_srvs`; private names (`~/name`) are the convention.
+        """Create a service of `std_srvs`; use private names (`~/name`).
 
         Args:
             service_type: `Trigger` or `SetBool`.
             name: service name.
-            on_request: called with each request and with what answers it, now or later. An error of this package is a
-                refusal, any other a failure: both are answered. What a call changes is reported at once.
-            check_sent: called before it with the system time [ns] at which the request was sent; refuses likewise.
+            on_request: called with each request and a function that answers it, now or later. An error of this package
+                rejects the request, any other error is a failure; both are answered. Changes are reported at once.
+            check_sent: called first with the system time [ns] at which the request was sent; may reject it likewise.
         """
         reason = name.removeprefix("~/")
 
@@ -409,7 +414,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
                 on_request(request, done)
             except ImpactRigError as error:
                 done(False, str(error))
-            except Exception as error:  # nothing a request causes may end the process
+            except Exception as error:  # no exception caused by a request may end the process
                 message = one_line(describe(error))
                 self.report_failure(reason, message)
                 send(service_type.Response(success=False, message=message))
@@ -418,13 +423,13 @@ class ManagedNode(LifecycleNode, Generic[S]):
         LateService(self, service_type, name, answer)
 
     def report_failure(self, where: str, message: str) -> None:
-        """Log an exception that a guard caught, and show it in diagnostics."""
+        """Log an exception caught by a guard, and show it in diagnostics."""
         self._last_error = (time.monotonic(), f"{where}: {message}")
         self.refusals.add("exception", message)
         self.warn_throttled(f"exception in {where}", f"exception in {where}: {message}", error=True)
 
     def refuse(self, reason: str, message: str) -> None:
-        """Count a refused input and warn, at most once per second and reason."""
+        """Count a rejected input and warn, at most once per second and reason."""
         self.refusals.add(reason, message)
         self.warn_throttled(reason, f"refused ({reason}): {message}")
 
@@ -436,10 +441,10 @@ class ManagedNode(LifecycleNode, Generic[S]):
             logger, text = self.get_logger(), one_line(message)
             logger.error(text) if error else logger.warning(text)
 
-    # Lifecycle: every transition is guarded and says why it failed
+    # Lifecycle: every transition is guarded and logs the reason of a failure
 
     def on_configure(self, _state: LifecycleState) -> TransitionCallbackReturn:
-        """Build the node's parts; FAILURE with the reason in the log if the parameters do not allow it."""
+        """Build the node's parts; return FAILURE and log the reason if the parameters do not allow it."""
         if self.parameters.refused is not None:
             return self._failed("configure", self.parameters.refused)
         self._last_error = (-ERROR_MEMORY_S, "")
@@ -449,7 +454,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return done
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Begin to work."""
+        """Start working."""
         self._instance = secrets.token_hex(INSTANCE_BYTES)
         done = self._transition("activate", self.activate, undo=self._stop)
         if done != TransitionCallbackReturn.SUCCESS:
@@ -464,14 +469,14 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return super().on_deactivate(state)
 
     def on_cleanup(self, _state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop and free everything, from any state; the node can be configured again, unless it is finalized."""
+        """Stop and free everything, from any state. The node can be configured again unless it is finalized."""
         return self._transition("clean up", self._free)
 
     on_shutdown = on_cleanup
     on_error = on_cleanup
 
     def close(self) -> None:
-        """Stop working before the process ends, without ROS if it is already down."""
+        """Stop working before the process ends; works even if ROS is already shut down."""
         self._transition("clean up", self._free)
         self.get_logger().info("ended")
 
@@ -499,7 +504,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
     ) -> TransitionCallbackReturn:
         try:
             action()
-        except Exception as error:  # a transition must end in a lifecycle state, whatever happened
+        except Exception as error:  # a transition must end in a lifecycle state
             if undo is not None:
                 self._transition(f"undo {what}", undo)
             return self._failed(what, error)
@@ -514,7 +519,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def _guard_transitions(self) -> None:
         """Answer an invalid transition request with `success = False`, and count it.
 
-        rclpy of Jazzy would raise and end the process; that of Kilted answers likewise.
+        rclpy of Jazzy would raise and end the process; rclpy of Kilted answers likewise.
         """
         service = rclpy_internals.change_state_service(self)
         original = service.callback
@@ -546,7 +551,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
     # Parameters
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
-        """Set all or none, through the validator; the services and the in-process calls both come here."""
+        """Set all or none, through the validator; the services and the in-process calls both use this."""
         result = self._attempt(parameter_list)
         if not result.successful:
             self.refuse("parameter", result.reason)
@@ -560,7 +565,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
             if result.successful:
                 self.parameters.settings = proposed.settings
                 self.report_change()
-        except Exception as error:  # a set is refused with its reason, never fatal
+        except Exception as error:  # an exception rejects the values with its reason and is never fatal
             result = SetParametersResult(successful=False, reason=one_line(in_words(error)))
         finally:
             self._proposed = None
@@ -580,13 +585,13 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return [self.set_parameters_atomically([parameter]) for parameter in parameter_list]
 
     def _on_set_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        # rclpy declares parameters of its own (qos_overrides), also for a subscription made while a value is set
+        # rclpy declares parameters of its own (qos_overrides), also for a subscription created while a value is set
         if self._proposed is None or all(parameter.name.startswith(FOREIGN) for parameter in parameters):
             return SetParametersResult(successful=True)
         try:
             if self._proposed.changes:
                 self.settings_changed(self._proposed.settings, self._proposed.changes)
-        except Exception as error:  # a set is refused with its reason, never fatal
+        except Exception as error:  # an exception rejects the values with its reason and is never fatal
             return SetParametersResult(successful=False, reason=in_words(error))
         return SetParametersResult(successful=True)
 
@@ -601,12 +606,12 @@ class ManagedNode(LifecycleNode, Generic[S]):
             self.report_change()
 
     def report_change(self) -> None:
-        """Publish the present status if the state is another one than was published last."""
+        """Publish the present status if the state differs from the last published one."""
         if self.present().word != self._word and not self.is_told_to_end():
             self.report_now()
 
     def present(self) -> NodeState:
-        """Return what the node does, whatever lifecycle state it is in."""
+        """Return the present state in any lifecycle state."""
         if self.active:
             return self.doing()
         at, message = self._last_error
@@ -647,7 +652,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         self._diagnostics.publish(array)
 
     def _judged(self) -> tuple[Level, str]:
-        """Return how the node says it is, and the last error while it is fresh."""
+        """Return the level and message of `health`, and the last error while it is recent."""
         at, message = self._last_error
         if time.monotonic() - at < ERROR_MEMORY_S:
             return worst(self.health(), (Level.ERROR, message))
@@ -655,15 +660,15 @@ class ManagedNode(LifecycleNode, Generic[S]):
 
 
 class LateService:
-    """A service of any type whose requests are answered by a call, at once or later, whatever executor runs it.
+    """Service of any type whose requests may be answered later, under any executor.
 
-    rclpy wants a response from the callback, and its executors differ: the events executor takes no coroutines, the
-    others resume them only when something else wakes them. All of them hand the returned response to
-    `Service.send_response` together with the request's header. So the callback returns a marker, and the wrapped
+    rclpy expects the callback to return a response. Its executors differ: the events executor accepts no coroutines,
+    and the others resume them only when something else wakes them. All of them pass the returned response to
+    `Service.send_response` together with the request's header. Therefore the callback returns a marker, and the wrapped
     `send_response` keeps the header until there is an answer.
 
     Args:
-        on_request: called with each request, the system time at which it was sent [ns], and with what sends its
+        on_request: called with each request, the system time at which it was sent [ns], and a function that sends its
             response. It must not raise.
     """
 
@@ -686,5 +691,5 @@ class LateService:
         return self._marker
 
     def _begin(self, _marker: Any, header: Any) -> None:
-        sent_ns = getattr(header, "source_timestamp", 0) or time.time_ns()  # not every middleware tells it
+        sent_ns = getattr(header, "source_timestamp", 0) or time.time_ns()  # some middleware does not provide it
         self._on_request(self._request, sent_ns, lambda response: self._send(response, header))

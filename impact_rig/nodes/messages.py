@@ -11,13 +11,13 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Every topic of the graph, with what rclpy wants of each: classes, qualities of service, stamps, messages as bytes.
+"""Topics of the graph with their rclpy properties: classes, qualities of service, stamps, and messages as bytes.
 
-The table at the ground (`impact_rig.topics`) is completed by the monitors of instruments and the analyses of blocks.
+This module adds the monitors of instruments and the blockwise analyses to the base table (`impact_rig.topics`).
 
-Filling a message object and serialising it takes 30 to 60 µs in Python, writing its numbers into bytes one or two: a
-`Template` does that for messages whose sequences and texts keep their lengths, so that every number keeps its place
-(OMG DDSI-RTPS 2.2, section 10: CDR is a fixed layout of fixed parts).
+Filling and serialising a message object takes 30 to 60 µs in Python; writing its numbers into bytes takes one or two. A
+`Template` does this for messages whose sequences and texts have constant lengths, so that every number has a constant
+offset (OMG DDSI-RTPS 2.2, section 10: CDR is a fixed layout of fixed parts).
 """
 
 from __future__ import annotations
@@ -38,32 +38,32 @@ from impact_rig.simtime import NS_PER_S
 from impact_rig.topics import Qos, Topic
 
 _STAMP_FORM = "<4siI"  # encapsulation, seconds, nanoseconds
-_MARK = struct.unpack("<f", b"\x13\x57\x9b\x71")[0]  # exact in both precisions, and no number of a message of ours
+_MARK = struct.unpack("<f", b"\x13\x57\x9b\x71")[0]  # exact in both precisions, and in none of the messages here
 
 MONITORS = {name: instrument.monitor for name, instrument in INSTRUMENTS.items() if instrument.monitor is not None}
-"""The topic of each instrument that has one, by channel."""
+"""Monitor topic of each instrument that has one, by channel."""
 
 ENVELOPES = {name: topics.envelope(name, kind.unit) for name, kind in INSTRUMENTS.items()}
-"""The envelope of each channel."""
+"""Envelope topic of each channel."""
 SPECTRA = {name: topics.spectrum(name, INSTRUMENTS[name].unit) for name in ("laser", "accelerometer")}
-"""The amplitude spectrum of each channel that has one."""
+"""Amplitude spectrum topic of each channel that has one."""
 
 _FOLLOWING = {
     topics.INFO: tuple(MONITORS.values()),
     topics.IMPACTS: tuple(analysis.topic for analysis in ANALYSES),
     topics.PLOT_PULSES: (*SPECTRA.values(), *ENVELOPES.values()),
 }
-"""What is not in the table at the ground, by the row that it follows."""
+"""Topics missing in the base table, by the entry that they follow."""
 
 TOPICS: tuple[Topic, ...] = tuple(found for topic in topics.COMMON for found in (topic, *_FOLLOWING.get(topic, ())))
-"""Every topic of the interface, in the order of the documentation."""
+"""All topics of the interface, in the order of the documentation."""
 
 
 def by_name(name: str) -> Topic:
     """Return the topic of this (relative or absolute) name.
 
     Raises:
-        KeyError: there is none.
+        KeyError: there is no such topic.
     """
     return _BY_NAME[name]
 
@@ -87,7 +87,7 @@ def message_class(type_name: str) -> Any:
 
 
 def profile(qos: Qos, depth: int | None = None) -> QoSProfile:
-    """Return a fresh rclpy profile (rclpy writes overrides into it), of another depth if given."""
+    """Return a new rclpy profile (rclpy writes overrides into it), optionally with another depth."""
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=depth or qos.depth,
@@ -97,18 +97,18 @@ def profile(qos: Qos, depth: int | None = None) -> QoSProfile:
 
 
 def time_message(ns: int) -> Time:
-    """Return a stamp."""
+    """Return a time in nanoseconds as a message."""
     seconds, nanoseconds = divmod(ns, NS_PER_S)
     return Time(sec=seconds, nanosec=nanoseconds)
 
 
 def nanoseconds(stamp: Time) -> int:
-    """Return a stamp as nanoseconds."""
+    """Return a time message in nanoseconds."""
     return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
 
 
 def header_stamp_ns(message: Any) -> int | None:
-    """Return the stamp in the header of a message, or of its CDR bytes; None for a message that has no header."""
+    """Return the stamp in the header of a message or of its CDR bytes, or None without a header."""
     if isinstance(message, bytes):
         return codec.header_stamp_ns(message)
     header = getattr(message, "header", None)
@@ -116,18 +116,18 @@ def header_stamp_ns(message: Any) -> int | None:
 
 
 class Template:
-    """One kind of message with a stamp in front.
+    """Serialised message with a replaceable stamp and numbers.
 
     Args:
-        message: complete but for its stamp and the numbers that change.
-        paths: of these numbers, as `put` takes them.
+        message: complete except for its stamp and the changing numbers.
+        paths: fields of these numbers, as in `put`.
     """
 
     def __init__(self, message: Any, *paths: str) -> None:
         numbers = [_find(message, path) for path in paths]
         data = bytes(serialize_message(message))
         form, end = _STAMP_FORM, struct.calcsize(_STAMP_FORM)
-        self._parts: list[Any] = [data[:4], 0, 0]  # what stays, and between it the stamp and the numbers
+        self._parts: list[Any] = [data[:4], 0, 0]  # constant parts, and between them the stamp and the numbers
         self._places = [0] * len(numbers)
         for index, (kind, offset) in sorted(enumerate(numbers), key=lambda number: number[1][1]):
             form += f"{offset - end}s{kind}"
@@ -138,7 +138,7 @@ class Template:
         self._form = struct.Struct(f"{form}{len(data) - end}s")
 
     def render(self, stamp_ns: int, *values: object) -> bytes:
-        """Return the message with this stamp [ns] and these numbers, in the order of the paths."""
+        """Return the bytes of the message with this stamp [ns] and these numbers, in the order of the paths."""
         parts = self._parts.copy()
         parts[1:3] = divmod(stamp_ns, NS_PER_S)
         for place, value in zip(self._places, values, strict=True):
@@ -158,7 +158,7 @@ def put(message: Any, path: str, value: object) -> None:
 
 
 def _find(message: Any, path: str) -> tuple[str, int]:
-    """Return form and offset of a number: where a mark appears that is not there otherwise."""
+    """Return format and offset of a number: the position of a mark that occurs only there."""
     put(message, path, _MARK)
     marked = bytes(serialize_message(message))
     put(message, path, 0.0)
@@ -167,4 +167,4 @@ def _find(message: Any, path: str) -> tuple[str, int]:
     return kind, offsets[kind]
 
 
-CLOCK = Template(Clock())  # `/clock`: nothing but a stamp
+CLOCK = Template(Clock())  # `/clock`: only a stamp

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""When blocks are due: pacing against an injected clock, and a timer that calls back in step with the blocks.
+"""Pacing of blocks: due times on an injected clock, and a timer in phase with the blocks.
 
-Nothing here sleeps: whoever owns the loop asks up to which rig time blocks are due and says when they are out.
-Deadlines are computed from the start, never accumulated, so pacing does not drift; a process that was suspended is
-re-based and says by how much.
+Nothing here sleeps: the owner of the loop asks up to which rig time blocks are due, and reports when they are
+published. Deadlines are computed from the start and never accumulated, so pacing does not drift. A process that was
+suspended is re-based and reports by how much.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ from impact_rig.simtime import NS_PER_S
 Clock = Callable[[], int]  # a monotonic clock [ns], e.g. `time.monotonic_ns`
 
 MAX_LAG_NS = NS_PER_S
-"""Rig time: further behind than this, catching up would overrun every subscriber's queue; realtime is re-based."""
-LATENESS_WINDOW = 3000  # blocks the lateness statistics look back: 30 s of 10 ms blocks
+"""Lag in rig time beyond which catching up would overflow every subscriber's queue; a real-time rig is re-based."""
+LATENESS_WINDOW = 3000  # number of blocks in the lateness statistics: 30 s of 10 ms blocks
 LATE_CALLS = 100
-LATE_SHARE = 0.1  # a call counts as late from this share of the period on
+LATE_SHARE = 0.1  # share of the period from which a call counts as late
 _AT_ONCE_S = 1e-6
 
 
 @attrs.frozen
 class Lateness:
-    """How late the last blocks were published after their end [ms]."""
+    """Delay of the last blocks between their end and their publication [ms]."""
 
     median_ms: float
     p99_ms: float
@@ -50,11 +50,11 @@ class Lateness:
 
 
 class Pacer:
-    """Maps a monotonic clock to the rig time that is due, `factor` times real time.
+    """Mapping from a monotonic clock to the rig time that is due, at `factor` times real time.
 
     Args:
         factor: seconds of rig time per second of clock.
-        max_lag_ns: rig time behind which the pacer re-bases instead of catching up.
+        max_lag_ns: lag in rig time beyond which the pacer re-bases instead of catching up.
     """
 
     def __init__(self, clock: Clock, factor: float = 1.0, max_lag_ns: int = MAX_LAG_NS) -> None:
@@ -64,11 +64,11 @@ class Pacer:
         self._origin_ns = clock()
         self._origin_rig_ns = 0
         self._late_ms: deque[float] = deque(maxlen=LATENESS_WINDOW)
-        self.slips = 0  # how often the pacer was re-based because it had fallen behind
+        self.slips = 0  # number of re-bases after a lag
         self.slipped_ns = 0  # clock time given up by re-basing [ns]
 
     def rebase(self, produced_ns: int, factor: float | None = None) -> None:
-        """Make `produced_ns` of rig time due now: at the start, after a pause, when the factor changes."""
+        """Make `produced_ns` of rig time due now: at the start, after a pause, and when the factor changes."""
         self._origin_ns, self._origin_rig_ns = self._clock(), produced_ns
         if factor is not None:
             self.factor = factor
@@ -84,11 +84,11 @@ class Pacer:
         return due
 
     def wait_ns(self, rig_ns: int) -> int:
-        """Return how long until `rig_ns` is due [ns of the clock]; negative when it is overdue."""
+        """Return the time until `rig_ns` is due [ns of the clock]; negative if it is overdue."""
         return int(self._deadline_ns(rig_ns)) - self._clock()
 
     def published(self, end_ns: int) -> None:
-        """Note that the block ending at rig time `end_ns` is out."""
+        """Register that the block ending at rig time `end_ns` is published."""
         self._late_ms.append((self._clock() - self._deadline_ns(end_ns)) * 1e-6)
 
     def _deadline_ns(self, rig_ns: int) -> float:
@@ -103,11 +103,11 @@ class Pacer:
 
 
 class WorkTimer:
-    """Calls back with a period and a phase, on the monotonic clock.
+    """Timer with a period and a phase, on the monotonic clock.
 
-    A timer of rclpy first fires one period after it was made, so that a block would wait up to a period after its end.
-    Here a one-shot timer goes ahead of it. Where period and block differ by fractions of a nanosecond the phase
-    wanders: the timer is put in step again when calls have come late for a while.
+    A timer of rclpy first fires one period after its creation, so a block would wait up to one period after its end.
+    Here a one-shot timer precedes it. If period and block differ by fractions of a nanosecond, the phase wanders: the
+    timer is realigned when its calls have been late for a while.
     """
 
     def __init__(self, node: ManagedNode[Any], callback: Callable[[], None]) -> None:
@@ -118,10 +118,10 @@ class WorkTimer:
         self._late = 0
 
     def start(self, period_s: float, first_s: float) -> None:
-        """Call back in `first_s` and then every `period_s`; replaces what was going on.
+        """Call back in `first_s` and then every `period_s`; replaces the running timer.
 
-        What is overdue waits for the next call in step: a call at once would set a phase in which all are late. For
-        what is further away than a period, calls in step come before it as well.
+        An overdue call waits for the next call in phase: an immediate call would set a phase in which all are late. If
+        the first call is more than one period away, calls in phase come before it as well.
         """
         self.stop()
         self._period_s = period_s
@@ -130,17 +130,17 @@ class WorkTimer:
         self._timer = self._node.steady_timer(max(first_s, _AT_ONCE_S), self._first)
 
     def stop(self) -> None:
-        """Call back no more."""
+        """Stop calling back."""
         if self._timer is not None:
             self._node.destroy_timer(self._timer)
             self._timer = None
         self._late = 0
 
     def keep_in_step(self, wait_s: float) -> None:
-        """Tell after a call how long the next one should wait.
+        """Report, after a call, how long the next one should wait.
 
-        A wait much below the period means that this call was late; a negative one, that the next will be: what it is
-        for came due during this one.
+        A wait far below the period means that this call was late. A negative wait means that the next one will be: its
+        work became due during this call.
         """
         self._late = self._late + 1 if wait_s < (1.0 - LATE_SHARE) * self._period_s else 0
         if self._late >= LATE_CALLS:

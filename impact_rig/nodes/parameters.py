@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""ROS parameters made from configuration fields, and one validator for start-up files and run-time sets.
+"""ROS parameters derived from configuration fields, with one validator for start-up files and run-time changes.
 
-rclpy would check types and ranges itself, with its own messages, before any callback. Here every change goes through
-the validator of `impact_rig.config` first, so a bad value is refused with the same words wherever it comes from; the
-descriptors tell tools unit and range.
+rclpy would check types and ranges itself, with its own messages, before any callback. Here every change passes the
+validator of `impact_rig.config` first, so a bad value gives the same message in all cases. The descriptors show unit
+and range in ROS tools.
 """
 
 from __future__ import annotations
@@ -37,34 +37,34 @@ from impact_rig.errors import ConfigError, describe
 from impact_rig.nodes.rclpy_internals import parameter_overrides
 
 S = TypeVar("S", bound=attrs.AttrsInstance)
-Attempt = Callable[[list[Parameter]], SetParametersResult]  # sets some parameters together, or says why not
+Attempt = Callable[[list[Parameter]], SetParametersResult]  # sets some parameters together, or returns why it cannot
 
 _LARGEST = 1.7976931348623157e308
 _LARGEST_INTEGER = 2**63 - 1
-CONFIG_FILE = "config_file"  # parameter: a configuration file to start from; other parameters go on top of it
+CONFIG_FILE = "config_file"  # parameter: a configuration file to start from; other parameters override it
 SIM_TIME = "use_sim_time"
-FOREIGN = (SIM_TIME, "start_type_description_service", "qos_overrides.")  # overrides that belong to rclpy, not us
-NO_SIM_TIME = "must be false here: this node makes the time that others follow"
+FOREIGN = (SIM_TIME, "start_type_description_service", "qos_overrides.")  # overrides that belong to rclpy
+NO_SIM_TIME = "must be false here: this node publishes the clock"
 
 
 @attrs.frozen
 class Proposal(Generic[S]):
-    """A set of parameters that the validator has accepted."""
+    """Set of parameters that the validator has accepted."""
 
     stored: list[Parameter]  # the parameters as they will be stored
-    settings: S  # all of them as one value
-    changes: dict[str, Value]  # the values that are new, by name
+    settings: S  # all parameters as one value
+    changes: dict[str, Value]  # the new values, by name
 
 
 class Parameters(Generic[S]):
-    """The parameters of one node: declared from a tree of settings, changed only through its validator.
+    """Parameters of one node, declared from a tree of settings and changed only through its validator.
 
     Args:
-        node: owner; its `set_parameters_atomically` asks `check` first.
-        tree: names, meanings and validator.
-        arguments: command line, to name the parameter files in an error of the start-up values.
-        makes_time: the node is where rig time comes from: it cannot follow anybody's.
-        complete: returns the start-up settings with what follows from the node itself.
+        node: owner; its `set_parameters_atomically` calls `check` first.
+        tree: names, descriptions and validator.
+        arguments: command line, used to name the parameter files in an error of the start-up values.
+        makes_time: whether the node is the source of rig time, so it cannot follow another clock.
+        complete: returns the start-up settings completed by properties of the node.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class Parameters(Generic[S]):
         self._tree = tree
         self._infos = {name: about for name, about, _ in tree.fields()}
         self.refused: ConfigError | None = None
-        """Why the values given at start were refused; the settings are then the defaults."""
+        """Reason why the start-up values were rejected; the settings are then the defaults."""
         given = parameter_overrides(node)
         self.settings = self._at_start(given, _files(arguments), complete)
         if makes_time and given.get(SIM_TIME) is True:
@@ -102,12 +102,12 @@ class Parameters(Generic[S]):
             return self._tree.root()
 
     def check(self, wanted: list[Parameter]) -> Proposal[S]:
-        """Return what setting these parameters comes to.
+        """Return the settings that would result from these parameters.
 
-        What is fixed and comes back as it is, as in `ros2 param load` of a dump, is left out.
+        A read-only parameter with its present value is ignored, as in `ros2 param load` of a dump.
 
         Raises:
-            ConfigError: unknown key, read-only, bad value or a combination that makes no sense; nothing is changed.
+            ConfigError: unknown key, read-only parameter, bad value or inconsistent combination; nothing is changed.
         """
         changes: dict[str, object] = {}
         wanted = [parameter for parameter in wanted if not self._unchanged(parameter)]
@@ -125,31 +125,31 @@ class Parameters(Generic[S]):
         return Proposal(stored, settings, self._tree.differences(settings, self.settings))
 
     def _unchanged(self, parameter: Parameter) -> bool:
-        """Whether a parameter that is fixed, or a text, is given as it is; ConfigError if a fixed one is not."""
+        """Return whether a read-only or text parameter keeps its value; ConfigError if a read-only one would change."""
         if not self._node.has_parameter(parameter.name):
-            return False  # the tree, or rclpy, refuses it by name
+            return False  # the tree, or rclpy, rejects it by name
         given, present = _from_ros(parameter.value), _from_ros(self._node.get_parameter(parameter.name).value)
         loaded = _as_loaded(present)
         same = given == present or (type(given) is type(loaded) and given == loaded)
         fixed = self._node.describe_parameter(parameter.name).read_only
         if fixed and not same:
-            raise ConfigError(f"{parameter.name} can be set at start only (parameter file or -p), it is read-only")
+            raise ConfigError(f"{parameter.name} is read-only and can be set at start only (parameter file or -p)")
         return same and (fixed or isinstance(present, str))
 
 
 def set_one_by_one(messages: list[Any], attempt: Attempt) -> list[SetParametersResult]:
-    """Set parameters and return a result for each, in their order; `attempt` may be asked several times.
+    """Set parameters one by one, and return their results in the given order; `attempt` may be called repeatedly.
 
-    One after the other as ROS has it, but in an order that works where there is one: a file of parameters, as
-    `ros2 param load` sends it, comes sorted by name, a new drive frequency before the limit of the shaker that allows
-    it. What is refused at first is tried again as long as another value has been taken.
+    ROS sets parameters one after the other. Here the order is chosen so that all are accepted if possible: `ros2 param
+    load` sends a file sorted by name, so a new drive frequency precedes the limit of the shaker that allows it. A
+    rejected value is tried again as long as another value has been accepted.
     """
     results: list[SetParametersResult] = []
     refused: dict[int, Parameter] = {}
     for number, message in enumerate(messages):
         try:
             parameter = Parameter.from_parameter_msg(message)
-        except Exception as error:  # a type that does not exist raises in rclpy
+        except Exception as error:  # rclpy raises for an unknown type
             results.append(SetParametersResult(successful=False, reason=describe(error)))
             continue
         results.append(attempt([parameter]))
@@ -167,9 +167,9 @@ def set_one_by_one(messages: list[Any], attempt: Attempt) -> list[SetParametersR
 
 
 def descriptor(about: FieldInfo, value: Value) -> ParameterDescriptor:
-    """Return what ROS tools show about a parameter: sentence, unit, range.
+    """Return the descriptor that ROS tools show for a parameter: description, unit, range.
 
-    ROS ranges are closed; an open end is given in words, and the validator holds it.
+    ROS ranges are closed. The description names an open end, and the validator enforces it.
     """
     unit = "" if about.unit == "-" else f" [{about.unit}]"
     limited = bool(about.choices) or about.low is not None or about.high is not None
@@ -195,7 +195,7 @@ def descriptor(about: FieldInfo, value: Value) -> ParameterDescriptor:
 
 
 def _to_ros(value: Value) -> object:
-    """ROS has no empty typed lists: `[""]` means none."""
+    """Return a value for ROS, which has no empty typed lists: `[""]` means an empty list."""
     return (list(value) or [""]) if isinstance(value, tuple) else value
 
 
@@ -204,7 +204,10 @@ def _from_ros(value: object) -> object:
 
 
 def _as_loaded(value: object) -> object:
-    """Return what `ros2 param load` sends for a value that `ros2 param dump` wrote: it reads the text of it again."""
+    """Return the value that `ros2 param load` sends for a value written by `ros2 param dump`.
+
+    It parses the text again.
+    """
     try:
         loaded = yaml.safe_load(str(value))
     except yaml.YAMLError:

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Publishes a recorded run back onto the graph, in step with a clock or as fast as named peers acknowledge.
+"""Playback of a recorded run onto the graph, in step with a clock or as fast as named peers acknowledge.
 
-The bytes go out as they were recorded, so a live analysis finds in them what it found before. What was published before
-the first scan (calibration, journal, settings) goes out at once: its stamps may be hours older.
+The recorded bytes are published unchanged, so a live analysis finds the same results as before. Messages published
+before the first scan (calibration, journal, settings) are sent at once: their stamps may be hours older.
 """
 
 from __future__ import annotations
@@ -45,14 +45,14 @@ from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 from impact_rig.system.endings import unhurried
 
 MADE_HERE = (topics.CLOCK.name, topics.CLOCK.name.lstrip("/"), topics.ACK.name)
-"""Never replayed: the player makes the clock, remapped or not, and today's peers acknowledge."""
+"""Topics that are never replayed: the player publishes the clock, and the present peers acknowledge."""
 SPIN_S = 0.05
 LAST_NS = (2**31 - 1) * NS_PER_S  # builtin_interfaces/Time counts seconds in 32 bits
 LONGEST_PAUSE_NS = 3600 * NS_PER_S
-"""Between two messages; the player would stand still, or fill it with ticks of /clock."""
+"""Longest pause between two messages; otherwise the player would stall or fill it with ticks of /clock."""
 WINDOW = 16  # blocks ahead of the slowest peer
 PEER_TIMEOUT_S = 10.0
-AWAY_S = 1.0  # a gap this long between two rests: this process was suspended, or busy, not the peers
+AWAY_S = 1.0  # a gap this long between two waits means that this process was suspended or busy, not the peers
 DELIVERY = Duration(seconds=1.0)
 LAST_WORDS_S = 0.3
 
@@ -62,12 +62,12 @@ def _is_of(name: str, prefixes: Collection[str]) -> bool:
     return any(name.startswith(prefix) for prefix in prefixes)
 
 
-Spin = Callable[[float], None]  # lets callbacks run, for at most so many seconds
+Spin = Callable[[float], None]  # runs callbacks for at most this many seconds
 
 
 @contextlib.contextmanager
 def on_graph(name: str) -> Iterator[tuple[Node, Spin]]:
-    """Give a plain node on the graph of the environment, and how to let its callbacks run."""
+    """Create a plain node on the graph of the environment, and yield it with a function that runs its callbacks."""
     context = Context()
     context.init(args=[])
     executor = make_executor(context)
@@ -84,20 +84,20 @@ def on_graph(name: str) -> Iterator[tuple[Node, Spin]]:
 
 
 class Player:
-    """Replays a run.
+    """Publisher of a recorded run.
 
     Args:
-        run: opened run; it must hold daq/scan.
-        node: publishes; its executor is spun by `spin`.
-        spin: lets its callbacks run.
+        run: opened run; it must contain daq/scan.
+        node: node that publishes; `spin` spins its executor.
+        spin: runs its callbacks.
         factor: rig seconds per second; None: as fast as the peers acknowledge.
         peers: names in daq/ack that must not lose a block.
-        chosen: topics to replay, with or without namespace; empty: all.
+        chosen: topics to replay, with or without namespace; empty means all.
 
     Raises:
-        RecordingError: a chosen topic is not in the run, it has no daq/scan, or what ROS does not have: the name of
-            a topic, a time.
-        ImpactRigError: no peers to set the pace, or an interface is not installed.
+        RecordingError: a chosen topic is not in the run, the run has no daq/scan, or it contains a topic name or time
+            that ROS does not allow.
+        ImpactRigError: no peers to set the pace, or a message type is not installed.
     """
 
     def __init__(
@@ -112,11 +112,11 @@ class Player:
         paused: bool = False,
     ) -> None:
         if peers and chosen and run.name(topics.SCAN) not in map(run.name, chosen):
-            raise ImpactRigError(f"peers acknowledge {topics.SCAN.name}: choose it as well")
+            raise ImpactRigError(f"peers acknowledge {topics.SCAN.name}: include it in the chosen topics")
         if factor is None and not peers:
             raise ImpactRigError("the highest rate needs peers that acknowledge: without them messages would be lost")
         if run.end_ns > LAST_NS:
-            raise RecordingError(f"{run.path}: log time {run.end_ns} ns is no ROS time (at most {LAST_NS} ns)")
+            raise RecordingError(f"{run.path}: log time {run.end_ns} ns is not a valid ROS time (at most {LAST_NS} ns)")
         self._run, self._node, self._spin = run, node, spin
         self._factor = factor
         self._scan = run.resolve(topics.SCAN.name)
@@ -141,10 +141,10 @@ class Player:
         self.end_ns = run.end_ns
 
     def play(self) -> Iterator[int]:
-        """Publish the run once, from its start; yields the rig time [ns] now and then, also while waiting.
+        """Publish the run once, from its start; yield the rig time [ns] from time to time, also while waiting.
 
         Raises:
-            RecordingError: a chunk is damaged; what came before is out.
+            RecordingError: a chunk is damaged; the messages before it have been published.
             ImpactRigError: a peer stopped acknowledging.
         """
         self.now_ns = self.start_ns
@@ -153,11 +153,13 @@ class Player:
         while self._readers is not None and not self._readers.all_matched():
             yield from self._rest(SPIN_S)
         self._pacer.rebase(self.start_ns)
-        clock_ns, shift_ns = self.start_ns, 0  # /clock follows the stamps: log times may be of another clock
+        clock_ns, shift_ns = self.start_ns, 0  # /clock follows the stamps: log times may belong to another clock
         for message in self._run.messages(self._names):
             if message.log_time > self.now_ns + LONGEST_PAUSE_NS:
                 pause_h = (message.log_time - self.now_ns) / NS_PER_S / 3600
-                raise RecordingError(f"{self._run.path}: {message.topic} comes {pause_h:.4g} h after everything else")
+                raise RecordingError(
+                    f"{self._run.path}: {message.topic} is {pause_h:.4g} h later than all other messages"
+                )
             while message.log_time > self.start_ns and self._must_wait(message.log_time):
                 yield from self._rest(self._time_left_s(message.log_time))
             self.now_ns = max(self.now_ns, message.log_time)
@@ -176,7 +178,7 @@ class Player:
             yield from self._rest(SPIN_S)
 
     def finish(self) -> None:
-        """Let the last messages and answers arrive before the node goes."""
+        """Deliver the last messages and answers before the node is destroyed."""
         for publisher in self._publishers.values():
             publisher.wait_for_all_acked(DELIVERY)
         self._spin(LAST_WORDS_S)
@@ -191,7 +193,7 @@ class Player:
         return min(max(self._pacer.wait_ns(due_ns) / NS_PER_S, 0.0), SPIN_S)
 
     def _rest(self, longest_s: float) -> Iterator[int]:
-        """Let callbacks run once."""
+        """Run callbacks once."""
         now = time.monotonic()
         if now - self._rested_at > AWAY_S:
             self._window.excuse()
@@ -216,7 +218,7 @@ class Player:
         try:
             return self._node.create_publisher(messages.message_class(topic.type_name), topic.name, profile)
         except NameValidationException as error:
-            raise RecordingError(f"{self._run.path}: {topic.name!r} is not the name of a topic") from error
+            raise RecordingError(f"{self._run.path}: {topic.name!r} is not a valid topic name") from error
         except (ImportError, AttributeError, ValueError) as error:
             raise ImpactRigError(f"{topic.name}: the interface {topic.type_name!r} is not installed") from error
 

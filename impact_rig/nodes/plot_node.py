@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Node that makes topics for plotters: envelopes, spectra and the drive as small stamped messages of standard types.
+"""Node for plotters: it publishes envelopes, spectra and the drive as small stamped messages of standard types.
 
-Plotters do not read tables. The node follows scans only while a plotter subscribes to what is made of them.
+Plotters cannot read tables. The node subscribes to scans only while a plotter subscribes to a topic derived from them.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from impact_rig.nodes.messages import ENVELOPES, SPECTRA, TOPICS, Template
 from impact_rig.topics import Topic
 
 VECTOR = ("vector.x", "vector.y", "vector.z")
-POLL_S = 0.1  # wall time between two looks at who subscribes
+POLL_S = 0.1  # wall time between two checks for subscribers
 PUBLISHED = [topic for topic in TOPICS if topic.publisher == "plot"]
 
 
@@ -44,7 +44,7 @@ PUBLISHED = [topic for topic in TOPICS if topic.publisher == "plot"]
 class PlotSettings:
     """Parameters of the plot node."""
 
-    autostart: bool = switch(True, "Configure and activate by itself at start.", read_only=True)
+    autostart: bool = switch(True, "Configure and activate at start without a request.", read_only=True)
 
 
 class PlotNode(ManagedNode[PlotSettings]):
@@ -63,7 +63,7 @@ class PlotNode(ManagedNode[PlotSettings]):
         self.offer(*PUBLISHED)
 
     def activate(self) -> None:
-        """Follow calibration, drive and measurements; scans only while they are wanted."""
+        """Subscribe to calibration, drive and measurements; to scans only while they are needed."""
         self._plots = Plots(self.outputs, self.frame_prefix)
         self.until_deactivated(
             self.subscribe_table(topics.INFO, self._on_info),
@@ -73,7 +73,7 @@ class PlotNode(ManagedNode[PlotSettings]):
         self.every(POLL_S, self._poll)
 
     def deactivate(self) -> None:
-        """Follow nothing."""
+        """Unsubscribe from everything."""
         self._unfollow()
         self._plots = None
 
@@ -104,11 +104,11 @@ class PlotNode(ManagedNode[PlotSettings]):
 
 
 class Plots:
-    """Messages for plotters, made from tables.
+    """Messages for plotters, derived from tables.
 
     Args:
         publishers: publisher by topic name.
-        frame_prefix: text in front of the frames, until a calibration says another.
+        frame_prefix: prefix of the frames, until a calibration names another one.
     """
 
     def __init__(self, publishers: Mapping[str, Any], frame_prefix: str) -> None:
@@ -128,7 +128,7 @@ class Plots:
         self._vectors = {topic.name: _vector(topic, frame_prefix) for topic in (*ENVELOPES.values(), *_VECTORS)}
 
     def configure(self, info: Table, frame_prefix: str) -> None:
-        """Take the rate of the scans from `daq/info`, and the prefix of their frame."""
+        """Adopt the scan rate of `daq/info`, and the prefix of its frame."""
         if frame_prefix != self._prefix:
             self._set_prefix(frame_prefix)
         rate = float(info.rows["rate"][0]) if len(info.rows) else 0.0
@@ -150,12 +150,12 @@ class Plots:
             self._send(topics.PLOT_TRANSMISSIBILITY, table.stamp_ns, *map(float, values))
 
     def poll(self) -> bool:
-        """Find out which topics have subscribers, and return whether scans are needed for any of them."""
+        """Check which topics have subscribers, and return whether any of them needs scans."""
         self._listened_to = {topic.name for topic in _FOLLOWED if self._publishers[topic.name].get_subscription_count()}
         return bool(self._listened_to)
 
     def feed(self, scan: Table) -> None:
-        """Publish what a block of `daq/scan` completes."""
+        """Publish the messages that a block of `daq/scan` completes."""
         if not self._rate_hz or not len(scan.rows):
             return
         self._since_drive += len(scan.rows)
@@ -222,7 +222,7 @@ class Plots:
 ACCELEROMETER = "accelerometer"
 _VECTORS = (topics.PLOT_TRANSMISSIBILITY, topics.PLOT_DRIVE, topics.PLOT_PULSES)
 _FOLLOWED = (topics.PLOT_DRIVE, topics.PLOT_PULSES, *ENVELOPES.values(), *SPECTRA.values())
-"""Topics that need scans; the others are rare."""
+"""Topics derived from scans; the other topics are rare."""
 
 
 def _vector(topic: Topic, frame_prefix: str) -> Template:
@@ -232,4 +232,4 @@ def _vector(topic: Topic, frame_prefix: str) -> Template:
 
 
 PROGRAM = PlotNode
-"""What makes the node of the program `plot_node`."""
+"""Factory of the node for the program `plot_node`."""

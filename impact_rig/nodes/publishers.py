@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What the rig node publishes, blocks also as standard messages for plotters; `Session` decides what comes first."""
+"""Publishers of the rig node, including standard messages for plotters; `Session` decides the order."""
 
 from __future__ import annotations
 
@@ -40,26 +40,31 @@ from impact_rig.simtime import stamp_ns
 
 PUBLISHED = [topic for topic in TOPICS if topic.publisher == "rig"]
 KEPT_S, KEPT_BYTES = 25.0, 16_000_000
-"""Scans kept for a subscriber that does not answer, whichever is less. A process that is killed can keep others from
-their messages until the middleware forgets it, some 20 s later; what is kept still reaches them then."""
-LEAST_S, LEAST_BLOCKS = 2.0, 100  # kept of them in any case, whichever is more
-LOOK_S = 0.1  # least time between two looks at who listens, in real time: each costs a twentieth of a block
-QUEUE = 256
-"""Messages to one process that the middleware surely holds: half of the queue of a shared-memory port of Fast DDS. What
-exceeds it is dropped, and repeated seconds later."""
-DELIVERY = Duration(seconds=0.2)
-"""Longest wait for the delivery of a change; only a subscriber that died without a word takes so long."""
+"""Scans kept for a subscriber that does not answer, whichever is less.
 
-Reading = Callable[[int, float, int], bytes]  # makes an instrument's message of (stamp [ns], reading, status bits)
+A killed process can block messages to others until the middleware drops it, about 20 s later; the kept scans still
+reach them then.
+"""
+LEAST_S, LEAST_BLOCKS = 2.0, 100  # minimum number of scans kept, whichever is more
+LOOK_S = 0.1  # minimum interval between two checks for subscribers in real time: each costs a twentieth of a block
+QUEUE = 256
+"""Number of messages to one process that the middleware certainly holds:
+
+half of the queue of a shared-memory port of Fast DDS. Any more are dropped, and repeated seconds later.
+"""
+DELIVERY = Duration(seconds=0.2)
+"""Longest wait for the delivery of a change; only a subscriber that died without notice takes this long."""
+
+Reading = Callable[[int, float, int], bytes]  # renders an instrument's message from (stamp [ns], reading, status bits)
 
 
 class Monitors:
-    """Turns blocks into the messages of the monitor topics.
+    """Messages of the monitor topics, computed from blocks.
 
     Args:
-        config: configuration in force, for ranges and variances.
+        config: active configuration, for ranges and variances.
         noise: rms noise by channel name, in its unit, as in daq/info.
-        before: the monitors of the configuration before; what they filter goes on where channels and rate are the same.
+        before: the previous monitors; their filter states continue if channels and rate are unchanged.
     """
 
     def __init__(self, config: RigConfig, noise: dict[str, float], before: Monitors | None = None) -> None:
@@ -78,9 +83,9 @@ class Monitors:
             self._filter = before._filter if same else self._filter
 
     def messages(self, block: Block, wanted: Callable[[topics.Topic], bool]) -> Iterator[tuple[topics.Topic, bytes]]:
-        """Yield the wanted monitor messages that a block completes, each topic in time order.
+        """Yield the monitor messages that a block completes and that have subscribers, each topic in time order.
 
-        Readings are filtered and come four monitor periods later; the truth is not, and comes at once.
+        Readings are filtered and delayed by four monitor periods; the truth is neither.
         """
         start_ns = block.scan.stamp_ns - stamp_ns(block.first_scan, self._rate_hz)
         if wanted(topics.JOINT_STATES):
@@ -95,7 +100,7 @@ class Monitors:
 
 
 def _reading(config: RigConfig, instrument: Instrument, bit: int, noise: float) -> Reading:
-    """Return the renderer of one instrument's message: its numbers change, its sequences do not."""
+    """Return the renderer of one instrument's message, in which only numbers change."""
     fields = instrument.message(0.0, False, noise)
     changing = [path for path, value in fields.items() if isinstance(value, float)]
     template = _template(config, MONITORS[instrument.name], fields, changing)
@@ -116,10 +121,10 @@ def _template(config: RigConfig, topic: topics.Topic, fields: Mapping[str, objec
 
 
 class Publishers:
-    """The rig's publishers.
+    """Publishers of the rig.
 
     Args:
-        config: decides how deep the queues are, and whether `/clock` is published.
+        config: defines the depth of the queues, and whether `/clock` is published.
     """
 
     def __init__(self, node: ManagedNode[RigConfig], config: RigConfig) -> None:
@@ -130,7 +135,7 @@ class Publishers:
         depth = max(kept, math.ceil(LEAST_S * per_second), LEAST_BLOCKS)
         fitted = {instrument.name for instrument in config.instruments.fitted()}
         absent = [topic for name, topic in MONITORS.items() if name not in fitted]
-        # as many as the blocks hold that may be published and not acknowledged: none of them is overwritten
+        # enough for all blocks that may be published and not acknowledged, so that none is overwritten
         in_window = (config.time.ack_window + 1) * math.ceil(config.output.monitor_rate_hz / per_second + 1)
         often = [topics.JOINT_STATES, *MONITORS.values()]
         self._may_overflow = _may_overflow(config)
@@ -149,11 +154,14 @@ class Publishers:
         self._decides_monitors: object = None
 
     def names(self) -> list[str]:
-        """Return the topics that are published now, and that nobody else may publish."""
+        """Return the topics that are published now, and that no other node may publish."""
         return [name for name in self._node.outputs if name != topics.ROBOT_DESCRIPTION.name]
 
     def look(self, often: bool) -> None:
-        """Look which topics anybody listens to, before blocks are published; unless `often`, once in `LOOK_S`."""
+        """Check which topics have subscribers, before blocks are published.
+
+        At most once in `LOOK_S`, unless `often`.
+        """
         now = time.monotonic()
         if now - self._looked_at < LOOK_S and not often:
             return
@@ -163,10 +171,10 @@ class Publishers:
         }
 
     def block(self, block: Block) -> None:
-        """Publish a block, its scans last: a subscriber that has received them has received all of the block.
+        """Publish a block, its scans last: a subscriber that has received them has received the complete block.
 
-        Peers acknowledge blocks by their scans, so what a recorder acknowledges is complete in all topics. All messages
-        are rendered before the first is sent, because sending empties the caches for the next rendering.
+        Peers acknowledge blocks by their scans, so a recorder's acknowledgement covers all topics. All messages are
+        rendered before the first is sent, because sending evicts the caches needed for rendering.
         """
         assert self._monitors is not None
         rendered = {
@@ -185,22 +193,25 @@ class Publishers:
             self._node.send(topics.SCAN, scans)
 
     def _heard(self, topic: topics.Topic) -> bool:
-        """Whether anybody listens: what nobody hears is not even made."""
+        """Return whether a topic has subscribers; messages without a subscriber are not rendered."""
         return topic.name in self._listened_to
 
     def stream(self, rig: Rig) -> None:
-        """Publish which sample is wanted next, where the drive is a stream."""
+        """Publish the number of the next sample needed, if the drive is a stream."""
         if rig.takes_samples:
             self._node.send_table(topics.STREAM, rig.stream_state())
 
     def clock(self, now_ns: int) -> None:
-        """Publish rig time, by a publisher made when first wanted: a clock must be offered by one node alone."""
+        """Publish rig time. The publisher is created when first needed: only one node may offer a clock."""
         if topics.CLOCK.name not in self._node.outputs:
             self._node.offer(topics.CLOCK)
         self._node.send(topics.CLOCK, messages.CLOCK.render(now_ns))
 
     def changes(self, rig: Rig) -> bool:
-        """Publish new entries of rig/journal and rows of shaker/applied, causes first; return whether any came."""
+        """Publish new entries of rig/journal and rows of shaker/applied, causes first.
+
+        Return whether there were any.
+        """
         entries, applied = rig.take_journal(), rig.take_applied()
         for entry in entries:
             self._node.send(topics.JOURNAL, journal.encode(entry))
@@ -213,7 +224,7 @@ class Publishers:
         return bool(entries or applied)
 
     def configuration(self, rig: Rig) -> None:
-        """Publish the configuration, and the calibration if it is another; take both for the monitors."""
+        """Publish the configuration, and the calibration if it has changed; update the monitors."""
         self._may_overflow = _may_overflow(rig.config)
         info = rig.info()
         noise = dict(zip(info.rows["name"].astype(str).tolist(), info.rows["noise"].tolist(), strict=True))
@@ -229,7 +240,10 @@ class Publishers:
         self.announce(rig.config)
 
     def announce(self, config: RigConfig) -> None:
-        """Publish the configuration and how the rig looks, before it is there as well: a recorder begins with them."""
+        """Publish the configuration and the appearance of the rig, even before it starts.
+
+        A recorder begins with them.
+        """
         self._node.send(topics.CONFIGURATION, String(data=dump(config)))
         description = robot_description(config)
         if description != self._description:
@@ -237,31 +251,31 @@ class Publishers:
             self._node.send(topics.ROBOT_DESCRIPTION, String(data=description))
 
     def settle_history(self) -> None:
-        """Wait until subscribers that have just come have what was published before."""
+        """Wait until new subscribers have received the latched messages."""
         for topic in (topics.INFO, topics.APPLIED, topics.JOURNAL):
             self._node.outputs[topic.name].wait_for_all_acked(DELIVERY)
 
     def forget(self) -> None:
-        """Publish the calibration again when next asked: a new rig begins."""
+        """Publish the calibration again at the next request: a new rig starts."""
         self._info = b""
         self._looked_at = -LOOK_S
 
     def _settle(self, topic: topics.Topic) -> None:
-        """Wait until every matched subscriber has what was published on a topic.
+        """Wait until every matched subscriber has received the messages of a topic.
 
-        Topics overtake each other. In realtime they do so by milliseconds, for which a measurement can wait; in the
-        other modes that is many blocks, and results would depend on it.
+        Topics overtake each other. In realtime the difference is milliseconds, which a measurement can wait for. In the
+        other modes it is many blocks, and results would depend on it.
         """
         if self._node.settings.time.mode != "realtime":
             self._node.outputs[topic.name].wait_for_all_acked(DELIVERY)
 
 
 def _may_overflow(config: RigConfig) -> bool:
-    """Return whether more messages may be under way to a process than the middleware surely holds."""
+    """Return whether more messages may be under way to a process than the middleware certainly holds."""
     if config.time.mode == "realtime":
         return False
     blocks = config.time.ack_window
-    if config.time.mode == "lockstep":  # no more are out than one step has
+    if config.time.mode == "lockstep":  # at most one step is under way
         blocks = min(blocks, config.step.blocks)
     per_block = config.output.monitor_rate_hz * config.daq.block_scans / config.daq.rate_hz
     return blocks * (1.0 + (1 + len(MONITORS)) * per_block) > QUEUE

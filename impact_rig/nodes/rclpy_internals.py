@@ -11,17 +11,17 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Every use of private parts of rclpy, and the events executor that is built from them.
+"""All uses of private parts of rclpy, and an events executor built from them.
 
-rclpy has no public access to the start-up overrides of parameters, to the state machine of a lifecycle node, to what a
-subscription holds, or to the events executor's base class. The accessors here serve rclpy of Jazzy (7) and Kilted (9).
-With any other version the public executor runs: see `events_executor`.
+rclpy has no public access to the start-up overrides of parameters, the state machine of a lifecycle node, the messages
+held by a subscription, or the base class of the events executor. The accessors here support rclpy of Jazzy (7) and
+Kilted (9). Any other version uses the public executor: see `events_executor`.
 
-The events executor of rclpy runs callbacks when the middleware tells it that something has come, and never looks by
-itself. rmw_fastrtps counts what a new reader holds, and from then on tells of every message; but what comes between the
-two is told with the next one only (since https://github.com/ros2/rmw_fastrtps/pull/657). Mostly that takes less than a
-microsecond, and milliseconds where the thread has to wait for a core. Of what comes once, such as the calibration,
-there is no next. So the one here looks once for itself at whatever is new to it.
+The events executor of rclpy runs callbacks when the middleware reports an arrival, and never polls. rmw_fastrtps counts
+the messages that a new reader holds, and reports every later message. A message that arrives between these two moments
+is reported only with the next one (since https://github.com/ros2/rmw_fastrtps/pull/657). The gap is usually below a
+microsecond, but milliseconds if the thread waits for a core. A message that is sent once, such as the calibration, has
+no successor. The executor here therefore polls each new entity once.
 """
 
 from __future__ import annotations
@@ -41,17 +41,17 @@ from rclpy.qos import HistoryPolicy
 from rclpy.subscription import Subscription
 
 KNOWN = ("7.", "9.")
-"""Versions of rclpy whose private parts are those of this module: Jazzy and Kilted."""
+"""Versions of rclpy whose private parts match this module: Jazzy and Kilted."""
 EventsExecutor: Any = getattr(rclpy_implementation, "EventsExecutor", object)  # absent before rclpy 7.1.2
 InvalidHandle: Any = rclpy_implementation.InvalidHandle
 WITH_INFO = Subscription.CallbackType.WithMessageInfo
-MOST = 1000  # things handed over at once by a look, where a queue has no end
+MOST = 1000  # maximum number of items processed in one poll, for a queue without a limit
 
 
 def parameter_overrides(node: Any) -> dict[str, Any]:
-    """Return the values that a node was given at start, by parameter name.
+    """Return the values given to a node at start, by parameter name.
 
-    To declare the parameters one by one would stop at the first bad value.
+    Declaring the parameters one by one would stop at the first bad value.
     """
     return {name: parameter.value for name, parameter in node._parameter_overrides.items()}
 
@@ -62,24 +62,24 @@ def lifecycle_state(node: Any) -> str:
 
 
 def is_possible(node: Any, transition: Any) -> bool:
-    """Return whether a requested transition, by label or else by number, starts in the node's present state."""
+    """Return whether a requested transition, given by label or by number, starts in the node's present state."""
     available = [(number, label) for number, label, *_states in node._state_machine.available_transitions]
     wanted = transition.label or transition.id
     return any(wanted in one for one in available)
 
 
 def change_state_service(node: Any) -> Any:
-    """Return the service that takes requests of transitions."""
+    """Return the service that receives transition requests."""
     return node._service_change_state
 
 
 def destroy_state_machine(node: Any) -> None:
-    """Destroy the state machine of a destroyed node; rclpy forgets it, which keeps the node in the graph."""
+    """Destroy the state machine of a destroyed node. rclpy does not, which keeps the node in the graph."""
     node._state_machine.destroy_when_not_in_use()
 
 
 def take_messages(subscription: Any, raw: bool = False) -> Iterator[Any]:
-    """Take what a subscription holds and yield the messages, or their CDR bytes if `raw`."""
+    """Take the messages that a subscription holds, and yield them, or their CDR bytes if `raw`."""
     with contextlib.suppress(InvalidHandle), subscription.handle:
         while (taken := subscription.handle.take_message(subscription.msg_type, raw)) is not None:
             yield taken[0]
@@ -94,11 +94,11 @@ def events_executor(context: Any) -> Any:
 
 
 class LookingExecutor(EventsExecutor):
-    """An events executor that misses nothing of what comes while it begins to listen."""
+    """Events executor that also delivers messages that arrive while it starts to listen."""
 
     def __init__(self, context: Any) -> None:
         super().__init__(context)
-        faulthandler.enable()  # this and the next as `rclpy.experimental.EventsExecutor` does
+        faulthandler.enable()  # this line and the next as in `rclpy.experimental.EventsExecutor`
         context.on_shutdown(self._wake)
         self._known: weakref.WeakSet[Any] = weakref.WeakSet()
 
@@ -109,12 +109,12 @@ class LookingExecutor(EventsExecutor):
         return added
 
     def remove_node(self, node: Any) -> None:
-        """Run a node's callbacks no longer."""
+        """Stop running a node's callbacks."""
         super().remove_node(node)
         self._look_soon()
 
     def wake(self) -> None:
-        """Begin to listen to what nodes have that is new."""
+        """Start listening to new entities of the nodes."""
         super().wake()
         self._look_soon()
 
@@ -122,7 +122,10 @@ class LookingExecutor(EventsExecutor):
         super().wake()
 
     def _look_soon(self) -> None:
-        """Look at what is new once it is listened to: that is asked for by now, and done in the order of asking."""
+        """Poll new entities once the executor listens to them.
+
+        Listening is requested already, and requests run in order.
+        """
         nodes = self.get_nodes()
         found = {one for node in nodes for one in (*node.subscriptions, *node.services, *node.clients)}
         for entity in found.difference(self._known):
@@ -131,24 +134,24 @@ class LookingExecutor(EventsExecutor):
 
 
 def _look(reference: weakref.ref[Any]) -> None:
-    """Hand over what an entity holds; what was told as well is no longer there when its turn comes."""
+    """Process the items that an entity holds; an item that was also reported is gone when its turn comes."""
     entity = reference()
     if entity is None:
         return
     qos = entity.qos_profile
     endless = qos.history == HistoryPolicy.KEEP_ALL
-    for _ in range(MOST if endless else qos.depth or MOST):  # more come, and are told, meanwhile
+    for _ in range(MOST if endless else qos.depth or MOST):  # more items arrive and are reported meanwhile
         try:
             hand_over = _taken(entity)
             if hand_over is None:
                 return
             hand_over()
-        except Exception:  # one that leaves a task of this executor ends the process in the middleware
+        except Exception:  # an exception that leaves a task of this executor ends the process in the middleware
             get_logger("executor").error(traceback.format_exc())
 
 
 def _taken(entity: Any) -> Callable[[], None] | None:
-    """Take the next thing that an entity holds, and return what does with it what any executor does."""
+    """Take the next item of an entity, and return a function that processes it as any executor would."""
     handle = entity.handle
     try:
         with handle:
@@ -160,7 +163,7 @@ def _taken(entity: Any) -> Callable[[], None] | None:
                 return header and (lambda: _answer(entity, header, response))
             request, header = handle.service_take_request(entity.srv_type.Request)
             return header and (lambda: _serve(entity, request, header))
-    except InvalidHandle:  # it is gone already
+    except InvalidHandle:  # already destroyed
         return None
 
 
@@ -171,7 +174,7 @@ def _call(subscription: Any, message: tuple[Any, Any]) -> None:
 def _answer(client: Any, header: Any, response: Any) -> None:
     try:
         future = client.get_pending_request(header.request_id.sequence_number)
-    except KeyError:  # nobody waits for it any more
+    except KeyError:  # its client has given up
         return
     future.set_result(response)
 

@@ -11,7 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The recorder as a lifecycle node: raw bytes of every recorded topic into a run; `RunWriter` does the work."""
+"""Recorder as a lifecycle node: it writes the raw bytes of every recorded topic into a run.
+
+`RunWriter` does the work.
+"""
 
 from __future__ import annotations
 
@@ -57,15 +60,15 @@ from impact_rig.system.machine import identity
 
 FLUSH_S = 0.2
 AWAITED = (topics.INFO, topics.APPLIED, topics.JOURNAL, topics.CONFIGURATION, topics.ANALYSIS_SETTINGS)
-"""What was published before and belongs to every run; ~/start is answered when it has arrived."""
+"""Latched topics that belong to every run; ~/start is answered when they have arrived."""
 AWAIT_S = 2.0
 RESULTS = frozenset({topics.TRANSMISSIBILITY_TABLE.name, topics.CURVE.name, topics.HELD.name})
-"""What was measured before a recording is latched, and none of its results: left out."""
+"""Latched topics that belong to earlier measurements and are not recorded."""
 ONE_WRITER = {one.name for one in TOPICS if one.columns is not None} | {topics.CONFIGURATION.name, topics.JOURNAL.name}
-"""Topics that one node alone may write: of two a run could not be simulated or analysed again."""
-QUIET_S = 0.1  # a configuration this old is the one in force: who comes late is handed every earlier one first
+"""Topics that only one node may write: a run with two sources could not be simulated or analysed again."""
+QUIET_S = 0.1  # a configuration this old is the active one: a late subscriber first receives all earlier ones
 CALIBRATION = "calibration.yaml"
-LATE_NS = NS_PER_S // 2  # a message that takes this long to arrive may be one that was lost and sent again
+LATE_NS = NS_PER_S // 2  # a message that takes this long may have been lost and sent again
 NEEDED = frozenset(topic.name for topic in TOPICS if topic.publisher == "rig" and topic.qos is not topics.Qos.LATCHED)
 """Topics of the rig of which every message counts, not only the newest."""
 
@@ -74,25 +77,25 @@ NEEDED = frozenset(topic.name for topic in TOPICS if topic.publisher == "rig" an
 class RecorderSettings:
     """Parameters of the recorder node."""
 
-    directory: str = text("runs", "Where run directories are made.")
+    directory: str = text("runs", "Directory in which run directories are created.")
     name: str = text(
-        "", "Name of the run directory; empty: run_, date and time, numbered where there is one.",
+        "", "Name of the run directory; empty: run_, date and time, with a number if it exists.",
         pattern=f"({FILE_NAME})?", means=FILE_NAME_MEANS,
     )  # fmt: skip
     record: bool = switch(True, "Start recording on activation; otherwise with ~/start.", read_only=True)
     compression: str = choice("zstd", ("none", "lz4", "zstd"), "Compression of the chunks.")
-    max_file_mb: int = integer(0, "MB", "Split files at this size; 0 = never.", at_least=0, at_most=1_000_000)
+    max_file_mb: int = integer(0, "MB", "Size at which files are split; 0 = never.", at_least=0, at_most=1_000_000)
     configuration_wait_s: float = quantity(
-        5.0, "s", "How long a start waits for the rig's configuration before it records without.", at_least=0
+        5.0, "s", "Longest wait of a start for the rig's configuration before it records without.", at_least=0
     )
-    autostart: bool = switch(True, "Configure and activate by itself at start.", read_only=True)
+    autostart: bool = switch(True, "Configure and activate at start without a request.", read_only=True)
 
 
 class RecorderNode(ManagedNode[RecorderSettings]):
-    """Writer of what it receives, which acknowledges every block that is written or that it does not have to record.
+    """Lifecycle node that writes runs, and acknowledges every block that is written or need not be.
 
-    An acknowledgement covers all earlier blocks on all topics. So a recorder that should record and cannot, or that
-    has lost a message of the rig, sends none: a rig that waits for it stops and names it.
+    An acknowledgement covers all earlier blocks on all topics. A recorder that should record but cannot, or that has
+    lost a message of the rig, therefore sends none. A rig that waits for it stops and names it.
     """
 
     COMPONENT = "recording"
@@ -115,24 +118,24 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._awaited: set[str] = set()
         self._opened_at = 0.0
         self._opened_ns = 0
-        self._late_at = -math.inf  # when a block in real time last arrived late, by the monotonic clock
+        self._late_at = -math.inf  # time of the last late block in real time, by the monotonic clock
         self._scans: Any = None
         self._recorded: list[Any] = []
-        self._inbox: deque[tuple[topics.Topic, bytes, dict[str, Any]]] = deque()  # came, and not looked at yet
+        self._inbox: deque[tuple[topics.Topic, bytes, dict[str, Any]]] = deque()  # received and not processed yet
         self._acknowledgements = Acknowledgements(self, self._secured, self._take_all)
         self._starting: list[Done] = []
         self.service(Trigger, "~/start", self._on_start)
         self.service(Trigger, "~/stop", self._on_stop)
 
     def configure(self) -> None:
-        """Check that the interfaces are installed; create the acknowledgement's publisher."""
+        """Check that the message types are installed; create the acknowledgement's publisher."""
         for type_name in {topic.type_name for topic in TOPICS if topic.recorded}:
             schema_text(type_name)
-        environment()  # asked once, and now: nobody waits yet
+        environment()  # cached now, while no rig waits
         self.offer(topics.ACK)
 
     def activate(self) -> None:
-        """Listen for the configuration; record if `record` says so, else only follow the scans."""
+        """Subscribe to the configuration. Record if `record` is set; otherwise only follow the scans."""
         self._failure = ""
         self._configuration, self._configured_at = None, math.inf
         self._newest_ns = None
@@ -144,7 +147,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             self._follow_scans()
 
     def deactivate(self) -> None:
-        """Finish the run and stop listening."""
+        """Finish the run and unsubscribe."""
         self._take_all()
         self._acknowledgements.flush()
         self._finish()
@@ -155,7 +158,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         return self._newest_ns
 
     def doing(self) -> NodeState:
-        """Return whether it records, and what of that goes wrong."""
+        """Return whether the node records, and any problem with it."""
         words, lost = states.RecorderWord, self._account.lost()
         if self._failure:
             return NodeState(words.FAILED, self._failure)
@@ -174,7 +177,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         return NodeState(words.IDLE, "the last recording lacks messages" if lost else "")
 
     def health(self) -> tuple[Level, str]:
-        """Return whether it records, and what of that goes wrong."""
+        """Return whether the node records, and any problem with it."""
         if self.state != "active":
             return Level.WARN, self.state
         if self._failure:
@@ -186,7 +189,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             held = "; no block is acknowledged until ~/stop" if self._lacks_messages() else ""
             return Level.ERROR, f"messages were lost before they reached the recorder{held}"
         if self._writer is not None and self._refused:
-            return Level.WARN, f"not recorded, as it is no such table: what came on {', '.join(sorted(self._refused))}"
+            return Level.WARN, f"not recorded, because invalid: messages on {', '.join(sorted(self._refused))}"
         if self._waiting:
             return Level.OK, "waiting for the rig's configuration"
         if self._awaited:
@@ -194,7 +197,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         return Level.OK, "recording" if self._writer is not None else "not recording"
 
     def figures(self) -> dict[str, object]:
-        """Return what is being written, and what was lost."""
+        """Return the figures of the current run and of losses."""
         values: dict[str, object] = {f"lost.{self._added[name]}": n for name, n in self._account.lost().items()}
         if self._writer is not None:
             values |= {
@@ -207,7 +210,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         return values
 
     def _mixed(self) -> str:
-        """Return which topics of this run have been written by several nodes, or nothing."""
+        """Return which topics of this run were written by several nodes, or an empty text."""
         found = {topic: self._account.writers(name) for name, topic in self._added.items() if topic in ONE_WRITER}
         return "; ".join(f"{' and '.join(names)} publish {topic}" for topic, names in found.items() if len(names) > 1)
 
@@ -224,7 +227,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._answer_start()
 
     def _answer_start(self) -> None:
-        """Answer ~/start once the run is open and holds what was published before it."""
+        """Answer ~/start once the run is open and holds the latched messages."""
         if self._writer is not None and not self._awaited:
             self._answer(True, str(self._writer.directory))
         elif self._failure:
@@ -237,14 +240,20 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     def _on_stop(self, _request: Trigger.Request, done: Done) -> None:
         directory = self._writer.directory if self._writer else None
         self._failure = ""
-        self._take_all()  # what fails now is told
+        self._take_all()  # failures are reported now
         self._finish()
         if self.active:
             self._follow_scans()
-        done(not self._failure, self._failure or (str(directory) if directory else "nothing was being recorded"))
+        done(
+            not self._failure,
+            self._failure or (str(directory) if directory else ("nothing to stop: the recorder is not recording")),
+        )
 
     def _start(self, patiently: bool = False) -> None:
-        """Open the run, or wait for the configuration that belongs into it; patiently: however late the rig starts."""
+        """Open the run, or wait for the configuration that belongs to it.
+
+        With `patiently`, however late the rig starts.
+        """
         self._failure = ""
         self._waiting = True
         self._deadline = math.inf if patiently else time.monotonic() + self.settings.configuration_wait_s
@@ -257,14 +266,14 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             return
         self._waiting = False
         if self._configuration is None:
-            self.get_logger().warning("no rig/configuration was heard: the run has none attached")
+            self.get_logger().warning("no rig/configuration received: the run has none attached")
         try:
             self._writer = self._open(self._configuration)
         except RecordingError as error:
             self._fail(error)
             return
         self._certificates = 0
-        # subscribed anew for each run: what is transient-local (journal, calibration, ...) then belongs to every run
+        # new subscriptions for each run: transient-local topics (journal, calibration, ...) then belong to every run
         self._recorded = [self._listen(topic) for topic in TOPICS if topic.recorded and topic is not topics.SCAN]
         self._awaited = {topic.name for topic in AWAITED if self.count_publishers(topic.name)}
         self._opened_at = time.monotonic()
@@ -277,7 +286,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             self.until_deactivated(self._scans)
 
     def _listen(self, topic: topics.Topic) -> Any:
-        """Subscribe with a queue that outlasts a stall: a burst of small messages must not push each other out."""
+        """Subscribe with a queue that outlasts a stall: the messages of a burst must not displace each other."""
         depth = None if topic in topics.BULKY else topics.HISTORY_DEPTH
         return self.subscribe(topic, functools.partial(self._on_message, topic), raw=True, depth=depth)
 
@@ -286,7 +295,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         directory = run_directory(settings.directory)
         name = settings.name or _free_name(directory, time.strftime("run_%Y%m%d_%H%M%S"))
         values: dict[str, Any] = {}
-        with contextlib.suppress(ConfigError):  # it comes from the network
+        with contextlib.suppress(ConfigError):  # received from the network
             values = parameters_in(configuration or "")
         mode, seed = str(values.get("time.mode", "unknown")), values.get("daq.seed")
         attachments = [Attachment("environment.json", environment(), "application/json")]
@@ -311,7 +320,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         )
 
     def _finish(self) -> None:
-        """Close the run; nothing is lost that has arrived."""
+        """Close the run with all messages that have arrived."""
         self._waiting = False
         writer = self._leave_run()
         self._answer(False, "recording was stopped")
@@ -325,7 +334,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self.get_logger().info(one_line(f"finished {writer.directory}: {writer.message_count} messages"))
 
     def _fail(self, error: RecordingError) -> None:
-        """Stop recording, say why, and let the rig go on."""
+        """Stop recording and report why; the rig is not blocked."""
         self._failure = f"recording stopped: {error}"
         self.report_change()
         self.get_logger().error(one_line(self._failure))
@@ -334,7 +343,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             writer.finish()
 
     def _leave_run(self) -> RunWriter | None:
-        """Write no more, and wait for nothing; return the writer, which is to be finished."""
+        """Stop writing and waiting; return the writer, which must still be finished."""
         self._awaited = set()
         for subscription in self._recorded:
             self.destroy_subscription(subscription)
@@ -345,7 +354,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     # Messages
 
     def _publishing(self, name: str) -> dict[str, str]:
-        """Return the publishers of a topic, as the graph has them: identifier -> node."""
+        """Return the publishers of a topic known to the graph: identifier -> node."""
         return {
             bytes(found.endpoint_gid).hex(): f"{found.node_namespace.rstrip('/')}/{found.node_name}"
             for found in self.get_publishers_info_by_topic(name)
@@ -354,18 +363,18 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     def _on_configuration(self, message: String) -> None:
         self._take_all()
         self._configuration, self._configured_at = message.data, time.monotonic()
-        if self._writer is not None:  # a further file of a split run begins with what is in force then
+        if self._writer is not None:  # a further file of a split run begins with the configuration active at that time
             self._writer.supersede(Attachment(CONFIGURATION, message.data.encode(), "application/yaml"))
 
     def _on_timer(self) -> None:
         self._take_all()
         if self._waiting and math.isinf(self._deadline) and self.count_publishers(topics.SCAN.name):
-            # a rig that is there and does not say what it is
+            # the rig is running and has not sent its configuration
             self._deadline = time.monotonic() + self.settings.configuration_wait_s
         self._open_when_ready()
-        came_late = self._starting or self._newest_ns is not None  # otherwise the rig has not begun
+        came_late = self._starting or self._newest_ns is not None  # otherwise the rig has not started
         if self._awaited and came_late and time.monotonic() - self._opened_at > AWAIT_S:
-            self.get_logger().warning(f"nothing was heard on {', '.join(sorted(self._awaited))}")
+            self.get_logger().warning(f"nothing received on {', '.join(sorted(self._awaited))}")
             self._awaited = set()
         if self._writer is not None:
             try:
@@ -375,17 +384,17 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._answer_start()
 
     def _on_message(self, topic: topics.Topic, data: bytes, info: dict[str, Any]) -> None:
-        """Take a message; where real time is recorded those of several blocks together, before they are acknowledged.
+        """Queue or process a message; in real time several blocks are processed together before they are acknowledged.
 
-        What they need then stays in the caches of the processor from one to the next, which halves their cost. Whatever
-        may change what becomes of them takes them first.
+        Their common data then stays in the caches of the processor, which halves the cost. Any event that may change
+        how they are processed processes them first.
         """
         self._inbox.append((topic, data, info))
         if self._writer is None or not self._acknowledgements.is_timed:
             self._take_all()
 
     def _take_all(self) -> None:
-        take = guarded(self._take, self.report_failure)  # each: what is wrong with one spoils no other
+        take = guarded(self._take, self.report_failure)  # one by one: an invalid message must not affect the others
         while self._inbox:
             take(*self._inbox.popleft())
 
@@ -393,7 +402,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         table = None
         if topic.columns is not None:
             table = self.table(topic, data)
-            if table is None:  # of nobody here: whoever reads the run again would stumble over it
+            if table is None:  # from an unknown node: readers of the run could not decode it
                 self._refused[topic.name] += 1
                 return
         if self._writer is not None:
@@ -427,7 +436,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             self._answer_start()
 
     def _attach_calibration(self, writer: RunWriter, info: Table) -> None:
-        """Keep the certificate as a file too, for people: one per recalibration."""
+        """Attach the certificate as a file as well, for people: one per recalibration."""
         self._certificates += 1
         name = CALIBRATION if self._certificates == 1 else f"calibration_{self._certificates}.yaml"
         writer.attach(Attachment(name, calibration_yaml(info).encode(), "application/yaml"), instead_of=CALIBRATION)
@@ -443,12 +452,12 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         )
 
     def _secured(self) -> bool:
-        """Make sure that what is acknowledged outlives this process; return whether it may be acknowledged.
+        """Make sure that acknowledged data survive this process; return whether they may be acknowledged.
 
         The rig publishes the scans of a block last, and middleware and executor keep the order, so the rest of the
-        block is here. Exceptions are messages that the middleware lost and repeats, when this process was suspended or
-        too slow: in real time nothing is acknowledged until all repetitions must have arrived. In the other modes the
-        rig waits before it sends more than the middleware holds.
+        block has arrived. The exceptions are messages that the middleware lost and repeats, because this process was
+        suspended or too slow. In real time, nothing is acknowledged until all repetitions must have arrived. In the
+        other modes, the rig never sends more than the middleware holds.
         """
         if self._writer is not None:
             try:
@@ -460,30 +469,30 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         return not self._failure and not may_lack
 
     def _lacks_messages(self) -> bool:
-        """Whether messages of the rig are missing in this run."""
+        """Return whether messages of the rig are missing in this run."""
         return self._writer is not None and any(self._added[name] in NEEDED for name in self._account.lost())
 
 
 def run_directory(text: str) -> Path:
-    """Return the directory a parameter names.
+    """Return the directory given by a parameter.
 
     Raises:
-        RecordingError: its user is not known.
+        RecordingError: its user is unknown.
     """
     try:
         return Path(text).expanduser()
-    except RuntimeError as error:  # ~nobody
+    except RuntimeError as error:  # an unknown user, as in ~unknown
         raise RecordingError(f"directory {text!r} cannot be used: {error}") from error
 
 
 def _free_name(directory: Path, name: str) -> str:
-    """Return the name, numbered where something is called so: recordings of one second are no reason to refuse one."""
+    """Return the name, with a number if it exists: two recordings within one second are no reason for an error."""
     numbered = (f"{name}_{number}" for number in itertools.count(2))
     return next(found for found in itertools.chain([name], numbered) if not (directory / found).exists())
 
 
 def calibration_yaml(info: Table) -> str:
-    """Return daq/info as YAML: one mapping per channel, and the instant from which it holds."""
+    """Return daq/info as YAML: one mapping per channel, and the time from which it applies."""
     channels: dict[str, dict[str, str | float]] = {}
     for row in info.rows:
         values = {name: row[name] for name in info.rows.dtype.names or ()}
@@ -497,7 +506,7 @@ def calibration_yaml(info: Table) -> str:
 
 
 def qos(profile: Any) -> OfferedQos:
-    """Return a profile of rclpy in the words of rosbag2."""
+    """Return a profile of rclpy in the terms of rosbag2."""
     return OfferedQos(
         history=profile.history.name.lower(),
         depth=profile.depth,
@@ -511,7 +520,7 @@ def qos(profile: Any) -> OfferedQos:
 
 
 def environment() -> bytes:
-    """Return what the run depended on, as JSON."""
+    """Return the software environment of the run, as JSON."""
     return json.dumps(
         {
             "impact_rig": impact_rig.__version__,
@@ -525,4 +534,4 @@ def environment() -> bytes:
 
 
 PROGRAM = RecorderNode
-"""What makes the node of the program `recorder_node`."""
+"""Factory of the node for the program `recorder_node`."""

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The rig as a lifecycle node: its parameters, its transitions, what it says of itself; `Session` has the rig."""
+"""Rig as a lifecycle node: its parameters, transitions and diagnostics; `Session` runs the rig."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ from impact_rig.rig import Rig
 from impact_rig.rig.config import TREE, RigConfig
 
 WARM_UP_NS = 50_000_000
-"""Simulated once while configuring, so that compiled code is loaded before the first block is due."""
+"""Duration simulated once while configuring, so that compiled code is loaded before the first block is due."""
 
 
 class RigNode(ManagedNode[RigConfig]):
-    """Has the rig of its parameters begin and end with its lifecycle.
+    """Lifecycle node that starts and ends a rig with its activation.
 
     Args:
-        discovery_s: how old the node must be before it looks who else is there; a new process finds others by and by.
+        discovery_s: minimum age of the node before it checks for other rigs; a new process discovers them gradually.
     """
 
     COMPONENT = "simulation"
@@ -54,45 +54,46 @@ class RigNode(ManagedNode[RigConfig]):
         self._standard = StandardServices(self._session)
 
     def complete(self, settings: RigConfig) -> RigConfig:
-        """Put the namespace of the node before its frames unless the settings name another prefix."""
+        """Prefix the frames with the node's namespace unless the settings name another prefix."""
         prefix = graph.frame_prefix(self.get_namespace(), settings.output.frame_prefix)
         return attrs.evolve(settings, output=attrs.evolve(settings.output, frame_prefix=prefix))
 
     def autostarts(self) -> bool:
-        """Follow `output.autostart`."""
+        """Return `output.autostart`."""
         return self.settings.output.autostart
 
     def configure(self) -> None:
-        """Check that this rig can be built and published, load compiled code, create the publishers."""
+        """Check that this rig can be built and published, load compiled code, and create the publishers."""
         Rig(self.settings).advance(WARM_UP_NS)
         self._session.configure()
-        if not self._session.lock.decides:  # waited for here: who finds the node active may command it at once
+        # wait here, so that a client that finds the node active may command it at once
+        if not self._session.lock.decides:
             time.sleep(max(0.0, self._discovered_at - time.monotonic()))
 
     def activate(self) -> None:
-        """Begin, as soon as nobody else is in this place."""
+        """Start, as soon as no other rig is in this namespace."""
         self._session.activate()
 
     def deactivate(self) -> None:
-        """Stop the rig; what was not published is dropped."""
+        """Stop the rig; unpublished data are dropped."""
         self._session.deactivate()
 
     def settings_changed(self, settings: RigConfig, changes: dict[str, Any]) -> None:
-        """Give the running rig what changed; the validator has already accepted it."""
+        """Apply changes to the running rig; the validator has already accepted them."""
         self._session.change(settings, changes)
 
     def rig_time_ns(self) -> int | None:
-        """Return the stamp of the next block: rig time; the system time while there is no rig in realtime."""
+        """Return the stamp of the next block (rig time), or the system time while a real-time rig has not started."""
         if self._session.rig is not None:
             return self._session.rig.next_block_ns
         return time.time_ns() if self._session.is_realtime else None
 
     def doing(self) -> NodeState:
-        """Return what the rig does."""
+        """Return the state of the rig."""
         return self._state.word()
 
     def health(self) -> tuple[Level, str]:
-        """Return how the rig is, and tell the log what is new."""
+        """Return level and message of the rig, and log changes."""
         self._state.look()
         return self._state.health()
 
@@ -102,4 +103,4 @@ class RigNode(ManagedNode[RigConfig]):
 
 
 PROGRAM = functools.partial(RigNode, discovery_s=DISCOVERY_S)
-"""What makes the node of the program `rig_node`."""
+"""Factory of the node for the program `rig_node`."""

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What a rig says of itself: its word, its sentence and figures for diagnostics, and lines for its log.
+"""Status of a rig: its state, the message and figures of diagnostics, and lines of its log.
 
-The log gets one line each time something has begun, ended or gone wrong: it is looked for a few times a second, so
-nothing is said twice and a fault that flickers does not flood the log.
+The log has one line each time something starts, ends or goes wrong. It is updated a few times a second, so nothing is
+logged twice and a flickering fault does not flood it.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ from impact_rig.rig.config import RigConfig
 from impact_rig.simtime import NS_PER_S
 
 SLOW_S = 1.0
-"""A reader this much wall time behind is reported; with 100 blocks per second its queue holds ten times that."""
-CLOCK_STEP_S = 0.1  # a step of the system clock by this much is reported; slewing moves both clocks alike
+"""Lag in wall time beyond which a reader is reported; at 100 blocks per second its queue holds ten times that."""
+CLOCK_STEP_S = 0.1  # steps of the system clock of this size are reported; slewing changes both clocks alike
 _WITHOUT = {"ramp": "ramped to zero", "hold": "the last one is held", "trip": "ramped to zero"}
-MOST = 5  # faults that are told of at one look; of more only the number
+MOST = 5  # maximum number of faults logged in one update; for more, only their number is logged
 
 
 @attrs.frozen
 class Trouble:
-    """Something to be told of a rig: how bad it is, in which words, and the state that it is, if it is one."""
+    """Problem of a rig: its level, its message, and the state it causes, if any."""
 
     level: Level
     message: str
@@ -50,7 +50,7 @@ class Trouble:
 
 
 class RigState:
-    """Looks at a rig and puts into words what it sees."""
+    """Observer of a rig, which describes its state."""
 
     def __init__(self, session: Session) -> None:
         self._session, self._node = session, session.node
@@ -62,12 +62,12 @@ class RigState:
         self._gone: set[str] = set()
 
     def word(self) -> NodeState:
-        """Return what the rig does: what keeps it from beginning or from going on, what holds the shaker, its drive."""
+        """Return the state of the rig: what prevents its start or progress, what stops the shaker, or its drive."""
         session = self._session
         obstacle = session.obstacle()
         if obstacle is not None:
             return obstacle
-        if session.rig is None:  # between two callbacks only
+        if session.rig is None:  # only between two callbacks
             return NodeState(states.RigWord.INACTIVE, self._node.state)
         found = next((one.state for one in self._troubles(session.rig) if one.state is not None), None)
         if found is not None:
@@ -77,7 +77,7 @@ class RigState:
         return NodeState(states.RigWord.DRIVING if session.rig.is_driven else states.RigWord.AT_REST, without)
 
     def health(self) -> tuple[Level, str]:
-        """Return what is wrong with the rig, or why it has not begun."""
+        """Return the problem of the rig, or the reason why it has not started."""
         obstacle, rig = self._session.obstacle(), self._session.rig
         if obstacle is not None:
             return Level.ERROR if obstacle.word is states.RigWord.RIVAL else Level.WARN, obstacle.reason
@@ -87,7 +87,7 @@ class RigState:
         return worst(running, *((one.level, one.message) for one in self._troubles(rig)))
 
     def figures(self) -> dict[str, object]:
-        """Return mode, and of a rig that has begun time, lateness, peers, shaker, energy, over-ranges."""
+        """Return mode, and of a running rig time, lateness, peers, shaker, energy, over-ranges."""
         session, config = self._session, self._node.settings
         rig = session.rig
         if rig is None:
@@ -142,7 +142,7 @@ class RigState:
         return (time.time_ns() - time.monotonic_ns() - self._session.clock_offset_ns) / NS_PER_S
 
     def _troubles(self, rig: Rig) -> Iterator[Trouble]:
-        """Yield what is to be told of a rig that has begun; of those with a state the gravest comes first."""
+        """Yield the problems of a running rig; the most severe with a state comes first."""
         session, words, readers = self._session, states.RigWord, self._session.readers
         timing, daq, realtime = self._node.settings.time, self._node.settings.daq, session.is_realtime
         others = session.duplicates.sentence()
@@ -158,7 +158,7 @@ class RigState:
         if session.is_starving:
             quiet.append(f"{session.controllers()} sends no samples on {topics.WAVEFORM.name}")
         for why in quiet:
-            go_on = f"paused: {why} (~/pause false goes on without)"
+            go_on = f"paused: {why} (~/pause false continues without it)"
             yield Trouble(Level.ERROR, go_on, NodeState(words.SILENT_PEER, why))
         if rig.latched is not None:
             yield Trouble(Level.ERROR, f"shaker latched by {rig.latched}", NodeState(words.TRIPPED, rig.latched))
@@ -172,7 +172,7 @@ class RigState:
         if rig.takes_samples:
             who = session.controllers()
             if " and " in who:
-                yield Trouble(Level.WARN, f"{who} all send samples: the last to come counts")
+                yield Trouble(Level.WARN, f"{who} all send samples: the last one received counts")
             if rig.stream.state is StreamState.MISSING:
                 yield Trouble(Level.WARN, f"no samples of {who} in time: {_WITHOUT[rig.config.drive.on_underrun]}")
         if session.pacer.slips:
@@ -193,7 +193,7 @@ class RigState:
     # The log
 
     def look(self) -> None:
-        """Tell the log what has changed since the last look."""
+        """Log the changes since the last call."""
         session = self._session
         rig, window = session.rig, session.window
         if rig is None:
@@ -202,11 +202,11 @@ class RigState:
             self._rig, self._latched, self._faults, self._silent = rig, None, {}, ()
             self._info(f"running: {summary(self._node.settings)}")
             if session.absent:
-                self._warn(f"scan 0 without {session.absent}, which did not come in time")
+                self._warn(f"scan 0 without {session.absent}, not discovered in time")
         if rig.latched != self._latched:
             self._latched = rig.latched
             if self._latched is None:
-                self._info("latch released: the shaker takes commands again")
+                self._info("latch released: the shaker accepts commands again")
             else:
                 self._warn(f"tripped: shaker latched by {self._latched}, ~/clear_trip releases it")
         state = rig.stream.state if rig.takes_samples else None
@@ -215,7 +215,7 @@ class RigState:
             say(f"{topics.WAVEFORM.name}: {state.value if state else 'the drive is another one'}")
         self._stream = state
         self._look_at_faults(session.counts.faults)
-        # of one that has begun anew the one before is owed for, to whom the blocks that are out are lost
+        # A restarted peer never received the outstanding blocks: stop waiting for its predecessor.
         window.forgive(name for name in window.silent() if session.readers.came_ns(name) > window.heard_ns(name))
         silent = window.silent()
         for name in set(silent).difference(self._silent):
@@ -234,7 +234,7 @@ class RigState:
     def _look_at_faults(self, now: dict[int, str]) -> None:
         before, self._faults = self._faults, dict(now)
         self._few([f"fault {number} acts: {now[number]}" for number in now.keys() - before.keys()], self._warn)
-        self._few([f"fault {number} is over: {before[number]}" for number in before.keys() - now.keys()], self._info)
+        self._few([f"fault {number} has ended: {before[number]}" for number in before.keys() - now.keys()], self._info)
 
     def _few(self, lines: list[str], say: Callable[[str], None]) -> None:
         for line in sorted(lines)[:MOST]:
@@ -250,7 +250,7 @@ class RigState:
 
 
 def summary(config: RigConfig) -> str:
-    """Return in one line what decides a run: mode, rate, gap, law, seed."""
+    """Return a one-line summary of what determines a run: mode, rate, gap, law, seed."""
     factor = f" x {config.time.factor:g}" if config.time.mode == "realtime" else ""
     gap = f"gap {1e3 * config.barriers.gap_m:g} mm, law {config.contact.law}"
     sphere = gap if config.sphere.present else "no sphere"

@@ -11,13 +11,14 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A rig on the graph: whether it may begin, what it is told, its time, what it publishes, and how far its readers are.
+"""ROS session of one rig: start-up checks, command input, time stepping, publishing and flow control.
 
-The work is calls into `Rig` for the blocks that are due: by the clock in realtime, otherwise as far as the slowest
-peer allows, and where rig time is in lockstep or paused only as far as steps were asked for.
+Work means calls into `Rig` for the blocks that are due: by the clock in realtime, otherwise as far as the slowest peer
+allows. In lockstep or while paused, only requested steps are due.
 
-A domain and namespace belong to one rig of a machine at a time. The graph knows of another rig only after seconds where
-an announcement was missed; a lock tells at once, but only on this machine. Where discovery ends here, nobody waits.
+A domain and namespace on one machine belong to one rig at a time. If an announcement was missed, the graph knows of
+another rig only after seconds. A lock detects it at once, but only on this machine. If discovery is limited to this
+machine, the rig starts without waiting.
 """
 
 from __future__ import annotations
@@ -52,29 +53,29 @@ from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 from impact_rig.system import files
 
 OBEDIENT = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_cyclonedds_cpp")
-"""Middleware that keeps to `ROS_AUTOMATIC_DISCOVERY_RANGE`."""
-LOOK_S = 0.5  # least time between two looks at the publishers of a rig's topics
+"""Middleware that obeys `ROS_AUTOMATIC_DISCOVERY_RANGE`."""
+LOOK_S = 0.5  # minimum interval between two checks for other publishers of a rig's topics
 
 
 def ends_here(environment: Mapping[str, str], middleware: str) -> bool:
-    """Return whether discovery surely ends at this machine."""
+    """Return whether discovery is certainly limited to this machine."""
     near = environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() in ("LOCALHOST", "OFF")
     far = environment.get("ROS_STATIC_PEERS") or environment.get("ROS_DISCOVERY_SERVER")
     return near and not far and middleware in OBEDIENT
 
 
 class NamespaceLock:
-    """Takes a rig's domain and namespace, and leaves them."""
+    """Lock on a rig's domain and namespace."""
 
     def __init__(self, node: Node) -> None:
         self._name = files.place(node.context.get_domain_id(), node.get_namespace())
         self._held: int | None = None
         here = ends_here(os.environ, get_rmw_implementation_identifier())
         self.decides = here and files.can_hold(files.PLACES, self._name)
-        """Whether no rig can be in this namespace unseen; False: only the graph tells."""
+        """Whether the lock excludes any other rig in this namespace; False means that only the graph can tell."""
 
     def take(self) -> bool:
-        """Return whether the namespace is ours now; true as well where only the graph tells."""
+        """Return whether the namespace is locked by this rig now; True as well if only the graph can tell."""
         if self._held is None and self.decides:
             self._held = files.hold(files.PLACES, self._name)
             if self._held is None and files.is_held_by_others(files.PLACES, self._name):
@@ -82,17 +83,17 @@ class NamespaceLock:
         return self._held is not None or not self.decides
 
     def leave(self) -> None:
-        """Leave the namespace to others."""
+        """Release the namespace."""
         if self._held is not None:
             os.close(self._held)
             self._held = None
 
 
 class DuplicatePublishers:
-    """Other publishers of topics that one node alone may publish, as the graph tells it.
+    """Other publishers of topics that only one node may publish, as known to the graph.
 
     Args:
-        names: returns the topics it publishes now, each from one publisher.
+        names: returns the topics that this rig publishes exclusively now.
     """
 
     def __init__(self, node: Node, names: Callable[[], Iterable[str]]) -> None:
@@ -102,14 +103,16 @@ class DuplicatePublishers:
         self._sentence = ""
 
     def sentence(self) -> str:
-        """Return who publishes what as well, or nothing; looks at most twice a second, and logs changes."""
+        """Return who else publishes which topics, or an empty text; checks at most twice a second, and logs changes."""
         now = time.monotonic()
         if now - self._looked_at >= LOOK_S:
             self._looked_at = now
             before, self._sentence = self._sentence, self._look()
             if self._sentence != before:
                 logger = self._node.get_logger()
-                logger.error(self._sentence) if self._sentence else logger.info("nobody else publishes here any more")
+                logger.error(self._sentence) if self._sentence else logger.info(
+                    "no other publisher left on these topics"
+                )
         return self._sentence
 
     def _look(self) -> str:
@@ -130,31 +133,36 @@ class DuplicatePublishers:
         return others | {f"another {own}"} if publishers.count(own) > 1 else others
 
 
-WORK_S = 0.02  # wall time one call of the work timer may fill before commands and services are looked at
+WORK_S = 0.02  # wall time of one call of the work timer before commands and services are processed
 LARGEST_BATCH_S = 0.2  # rig time simulated at once, for the same reason
 CATCH_UP_NS = 50_000_000
-"""Most rig time simulated at once in realtime: a rig that is slower than real time must still answer."""
+"""Largest rig time simulated at once in realtime: a rig that is slower than real time must still answer."""
 SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 0.001, 0.05
 AHEAD_PERIOD_S = 0.005  # period of the work timer where acknowledgements drive the work
 SLICE_S = 0.02
-"""How long after a call of the timer acknowledgements may drive the work: an executor that hands over the messages of
-one subscription for as long as there are any would never come to services and timers."""
-AWAY_S = 1.0  # a gap this long between two calls of the work timer: this process was suspended, not the peers
+"""Time after a call of the timer during which acknowledgements may drive the work:
+
+an executor that delivers all messages of one subscription first would otherwise never reach services and timers.
+"""
+AWAY_S = 1.0  # a gap this long between two calls of the work timer means that this process was suspended, not the peers
 EXPIRES_S = 2.0
 """After a suspension this long the commands that were queued meanwhile are dropped: their senders have already received
 an error."""
-BUSY_SHARE = 0.25  # of a processor: a process that used more between two calls of the work timer was not suspended
+# share of a processor: a process that used more between two calls of the work timer was not suspended
+BUSY_SHARE = 0.25
 CHECKED_S = 10.0
-"""For so long after a suspension commands are refused that were sent before the rig resumed. Where clocks have been
-set, or differ, stamps prove nothing: every command received within `REPEATED_S` is refused."""
-STEP_NS = 100_000_000  # two clocks differ, or one was set, where more than this lies between them
-IDLE_S = 1.0  # who steps in turns asks more often than this: a rig between two steps of a series is not paused
+"""Time after a suspension during which commands are rejected that were sent before the rig resumed.
+
+If clocks have been set, or differ, stamps prove nothing: every command received within `REPEATED_S` is rejected.
+"""
+STEP_NS = 100_000_000  # difference between two clocks from which they disagree, or one was set
+IDLE_S = 1.0  # a client that steps repeatedly does so more often than this: between two such steps a rig is not paused
 RATE_WINDOW_S = 2.0
 COUNTED_TOGETHER = 32  # blocks
 
 
 class Counts:
-    """What has gone out since the activation."""
+    """Counters since the activation."""
 
     def __init__(self) -> None:
         self.blocks = 0
@@ -162,8 +170,8 @@ class Counts:
         self.impacts = 0
         self.other_acks = 0
         self._over_range: Counter[str] = Counter()
-        self._uncounted: list[NDArray[np.void]] = []  # scans not yet looked through for channels over range
-        self.faults: dict[int, str] = {}  # the instrument faults that act now
+        self._uncounted: list[NDArray[np.void]] = []  # scans not yet checked for channels over range
+        self.faults: dict[int, str] = {}  # active instrument faults
         self._rates: deque[tuple[float, int]] = deque([(time.monotonic(), 0)])
 
     def take(self, block: Block) -> None:
@@ -184,7 +192,7 @@ class Counts:
                     self.faults.pop(number, None)
 
     def over_range(self) -> Counter[str]:
-        """Return the scans in which each channel was over range."""
+        """Return the number of scans in which each channel was over range."""
         if self._uncounted:
             rows, self._uncounted = joined(self._uncounted), []
             status = rows["status"]
@@ -204,35 +212,38 @@ class Counts:
 
 
 class Session:
-    """The rig of a node, and its pace: a rig from when nobody else is in its place until the node is deactivated."""
+    """Rig of a node, and its pace: from the moment no other rig is in its namespace until the node is deactivated."""
 
-    publishers: Publishers  # what it publishes; from when the node is configured
-    readers: Readers  # who reads its scans, and, below, who else publishes; from when the node is active
+    publishers: Publishers  # exists from when the node is configured
+    readers: Readers  # readers of the scans and, below, other publishers; exist from when the node is active
     duplicates: DuplicatePublishers
 
     def __init__(self, node: ManagedNode[RigConfig]) -> None:
         self.node = node
         self.lock = NamespaceLock(node)
-        self.rig: Rig | None = None  # the device; None before it has begun
-        self._latched: str | None = None  # why the next rig begins latched: so was the one before
+        self.rig: Rig | None = None  # the device; None before it has started
+        self._latched: str | None = None  # reason why the next rig starts latched: the previous one was
         self.pacer = Pacer(time.monotonic_ns)
         self.window = AckWindow((), 1, NS_PER_S, time.monotonic_ns)
         self.counts = Counts()
-        self.absent = ""  # peers that did not come in time, with commas between
-        self._contact: object = None  # the settings of the law that the next is of
-        self.realised_restitution = math.nan  # what the contact law really returns: with the paper's law 0.309 for 0.35
-        self.paused = False  # whether rig time stands still, but for steps that are asked for meanwhile
+        self.absent = ""  # peers not discovered in time, separated by commas
+        self._contact: object = None  # the settings of the next contact law
+        # realised restitution of the contact law: with the paper's law 0.309 for 0.35
+        self.realised_restitution = math.nan
+        self.paused = False  # whether rig time stands still except for requested steps
         self.clock_offset_ns = 0
-        self._is_still = False  # altogether: since the pause no step has been asked for
-        self._starved_at: float | None = None  # since when a rig ahead of time waits for samples of a stream
-        self._steps_left, self._stepped_at = 0, -IDLE_S  # blocks owed, and when a step was asked for
+        self._is_still = False  # no step has been requested since the pause
+        # time since which a rig that runs ahead has waited for samples of a stream
+        self._starved_at: float | None = None
+        self._steps_left, self._stepped_at = 0, -IDLE_S  # blocks owed, and time of the last step request
         self._stepping: list[Done] = []
         self._pausing: list[Done] = []
         self._base_ns = 0
         self._history_settled = self._active = False
         self._timer = WorkTimer(node, self._on_timer)
         self._worked_at = self._used_s = self._slice_began = 0.0
-        self._resumed_at, self._resumed_ns = -math.inf, 0  # when this process last resumed: monotonic, system time
+        # time of the last resumption of this process: monotonic, system time
+        self._resumed_at, self._resumed_ns = -math.inf, 0
         self._epoch_ns = time.time_ns() - time.monotonic_ns()
         self._clock_is_set = False  # whether the system clock was set during that suspension or soon after it
         self._commands = [
@@ -259,33 +270,36 @@ class Session:
 
     @property
     def is_lockstep(self) -> bool:
-        """Whether rig time moves by steps only, paused or not."""
+        """Whether rig time advances by steps only, paused or not."""
         return self.node.settings.time.mode == "lockstep"
 
     @property
     def is_idle(self) -> bool:
-        """Whether no step is owed, and for a while nobody has asked for one."""
+        """Whether no step is owed, and none has been requested for a while."""
         return self._steps_left <= 0 and time.monotonic() - self._stepped_at > IDLE_S
 
     @property
     def is_starving(self) -> bool:
-        """Whether the rig has been waiting for samples of a stream for as long as it waits for a peer."""
+        """Whether the rig has waited for samples of a stream for longer than it waits for a peer."""
         patience_s = self.node.settings.time.peer_timeout_s
         return self._starved_at is not None and time.monotonic() - self._starved_at > patience_s
 
     def controllers(self) -> str:
-        """Return who could send samples of a stream, in words."""
+        """Return the possible senders of samples of a stream, as text."""
         found = self.node.get_publishers_info_by_topic(self.node.resolve_topic_name(topics.WAVEFORM.name))
         return " and ".join(sorted({info.node_name for info in found})) or "nobody"
 
-    # Begin and end
+    # Start and end
 
     def configure(self) -> None:
         """Create the publishers."""
         self.publishers = Publishers(self.node, self.node.settings)
 
     def activate(self) -> None:
-        """Begin, once nobody else publishes here; in realtime also once the peers listen, or after `start_wait_s`."""
+        """Start once no other rig publishes here.
+
+        In realtime also once the peers are connected, or after `start_wait_s`.
+        """
         timing = self.node.settings.time
         self.publishers.forget()
         self.duplicates = DuplicatePublishers(self.node, self.publishers.names)
@@ -303,10 +317,10 @@ class Session:
             self.publishers.announce(self.node.settings)
 
     def obstacle(self) -> NodeState | None:
-        """Return what a rig waits for that has not begun.
+        """Return why a rig has not started yet, or None.
 
-        A rig that finds others at its topics waits until they are gone: two rigs in one place would drive each other's
-        shaker and fill one recording. Whoever is there already goes on.
+        A rig that finds another one on its topics waits until that one is gone: two rigs in one namespace would drive
+        each other's shaker and fill one recording. The earlier rig continues.
         """
         if not self._active or self.rig is not None:
             return None
@@ -324,16 +338,17 @@ class Session:
         return NodeState(states.RigWord.NO_PEER, f"waiting for peer {names}, at most {patience_s:g} s")
 
     def _begin(self) -> None:
-        """Start a new rig: scan 0 is now in realtime, at 0 otherwise."""
+        """Start a new rig: scan 0 is now in realtime, and at 0 otherwise."""
         config = self.node.settings
         timing = config.time
         self.absent = ", ".join(self.readers.missing()) if self.is_realtime else ""
-        for subscription in self._commands:  # given to no rig, or to the one before
+        for subscription in self._commands:  # sent to no rig, or to the previous one
             for _message in take_messages(subscription):
-                self.node.refuse("inactive", f"{subscription.topic_name}: it came before this rig began")
+                self.node.refuse("inactive", f"{subscription.topic_name}: sent before this rig started")
         self.clock_offset_ns = time.time_ns() - time.monotonic_ns()
         self._base_ns = time.time_ns() if self.is_realtime else 0
-        self.pacer = Pacer(time.monotonic_ns, timing.factor)  # beside the stamp: both mean the same instant
+        # created together with the stamp: both mean the same instant
+        self.pacer = Pacer(time.monotonic_ns, timing.factor)
         self.rig = Rig(config, self._base_ns)
         if self._latched is not None:
             self.rig.stop(self._latched)
@@ -348,7 +363,7 @@ class Session:
         self._start_timer(config)
 
     def deactivate(self) -> None:
-        """End the rig; what was not published is dropped, and those who wait get the reason. A latch stays."""
+        """End the rig: drop unpublished data, and answer waiting requests with the reason. A latch stays."""
         self._timer.stop()
         if self.rig is not None:
             self._latched = self.rig.latched
@@ -363,7 +378,7 @@ class Session:
         """Return the rig.
 
         Raises:
-            CommandError: there is none, and why.
+            CommandError: there is none; the message says why.
         """
         if self.rig is None:
             raise CommandError(self.why_not())
@@ -373,17 +388,17 @@ class Session:
         """Return why there is no rig."""
         obstacle = self.obstacle()
         if obstacle is not None:
-            return f"the rig has not begun, {obstacle.reason}"
+            return f"the rig has not started: {obstacle.reason}"
         return f"the rig is {self.node.state}, activate it first"
 
     # Work
 
     def _start_timer(self, config: RigConfig) -> None:
-        """Look for work from now on as often as the settings want it."""
+        """Start the work timer, as often as the settings require."""
         period_s = AHEAD_PERIOD_S
         if self.is_realtime:
             block_s = config.daq.block_scans / config.daq.rate_hz / config.time.factor
-            calls = math.ceil(block_s / LONGEST_PERIOD_S)  # a block; one of them when it ends
+            calls = math.ceil(block_s / LONGEST_PERIOD_S)  # calls per block; one of them at its end
             period_s = max(block_s / calls, SHORTEST_PERIOD_S)
         self._timer.start(period_s, self._wait_s() if self.is_realtime else 0.0)
 
@@ -398,9 +413,9 @@ class Session:
             self._timer.keep_in_step(self._wait_s())
 
     def work(self) -> None:
-        """Publish what is due, or as much of it as the time of one call allows; begin first if nothing is in the way.
+        """Publish the blocks that are due, within the time of one call; start the rig first if nothing prevents it.
 
-        An error of the model ends the activation: it cannot go on.
+        An error of the model ends the activation: the rig cannot continue.
         """
         now = self._notice_absence()
         try:
@@ -418,7 +433,7 @@ class Session:
             _answer(self._pausing, True, "paused")
 
     def _notice_absence(self) -> float:
-        """Return the present time [s]; notice whether this process was suspended since the last call."""
+        """Return the present time [s]; detect whether this process was suspended since the last call."""
         now, used_s = time.monotonic(), time.process_time()
         before_ns, self._epoch_ns = self._epoch_ns, time.time_ns() - time.monotonic_ns()
         self._clock_is_set |= abs(self._epoch_ns - before_ns) > STEP_NS
@@ -426,7 +441,8 @@ class Session:
             self.window.excuse()
             if self._starved_at is not None:
                 self._starved_at = now
-            is_busy = used_s - self._used_s > BUSY_SHARE * (now - self._worked_at)  # a new law is compiled, for one
+            # for example, while a new law is compiled
+            is_busy = used_s - self._used_s > BUSY_SHARE * (now - self._worked_at)
             if now - self._worked_at > EXPIRES_S and not is_busy:
                 self._resumed_at, self._resumed_ns = now, time.time_ns()
         elif now - self._resumed_at > CHECKED_S:
@@ -435,13 +451,13 @@ class Session:
         return now
 
     def refuse_backlog(self, sent_ns: int) -> None:
-        """Refuse a command that was queued while this process was suspended.
+        """Reject a command that was queued while this process was suspended.
 
         Args:
-            sent_ns: when it was sent, by the system clock of its sender.
+            sent_ns: time at which it was sent, by the system clock of its sender.
 
         Raises:
-            CommandError: it was.
+            CommandError: it was queued.
         """
         since_s = self._notice_absence() - self._resumed_at
         if since_s > CHECKED_S:
@@ -449,12 +465,12 @@ class Session:
         late_s = (self._resumed_ns - sent_ns) / NS_PER_S
         if self._clock_is_set or sent_ns > time.time_ns() + STEP_NS:
             if since_s < REPEATED_S:
-                raise CommandError("it may have been sent before this rig, which was suspended, went on: send it again")
+                raise CommandError("it may have been sent before this rig resumed from a suspension: send it again")
         elif late_s > 0.0:
-            raise CommandError(f"it was sent {late_s:.1f} s before this rig, which was suspended, went on")
+            raise CommandError(f"it was sent {late_s:.1f} s before this rig resumed from a suspension: send it again")
 
     def _catch_up(self, rig: Rig, deadline: float) -> None:
-        """Publish what is due, or as much of it as the deadline allows: the next call goes on."""
+        """Publish the blocks that are due until the deadline; the next call continues."""
         due_ns = self._base_ns + self.pacer.due_ns(self._simulated_ns(rig))
         while True:
             until_ns = min(due_ns, rig.frontier_ns + CATCH_UP_NS)
@@ -463,9 +479,9 @@ class Session:
                 return
 
     def _simulated_ns(self, rig: Rig) -> int:
-        """Return how much rig time is done for the pacer: part of a block counts, which may be longer than any lag.
+        """Return the simulated rig time for the pacer: part of a block counts, as a block may be longer than any lag.
 
-        Not the last tick, of which more may be simulated than was due.
+        The last tick does not count, because more of it may be simulated than was due.
         """
         return max(rig.next_block_ns, rig.frontier_ns - COMMAND_GRID_NS) - self._base_ns
 
@@ -484,7 +500,7 @@ class Session:
         while limit > 0 and not window.silent():
             room = min(window.room(), limit, batch)
             if room < min(limit, batch, (window.window + 1) // 2):
-                break  # waiting for half a window makes batches worth their overhead
+                break  # waiting for half a window makes batches efficient
             room = rig.blocks_with_samples(room)
             if room == 0:
                 self._starved_at = self._starved_at or time.monotonic()
@@ -504,10 +520,10 @@ class Session:
             _answer(self._stepping, True, f"at {rig.next_block_ns / NS_PER_S:.9f} s")
 
     def _advance(self, rig: Rig, until_ns: int) -> int:
-        """Advance the rig, publish the blocks after the changes that act on them, and return how many there were."""
+        """Advance the rig, publish the blocks after the changes that act on them, and return their number."""
         blocks = rig.advance(until_ns)
         if self.publishers.changes(rig):
-            self.node.report_change()  # a trip, for one
+            self.node.report_change()  # for example, after a trip
         if blocks:
             self.publishers.look(often=self.paused or not self.is_realtime)
         for block in blocks:
@@ -527,15 +543,15 @@ class Session:
     # Steps and pauses
 
     def step(self, steps: int, done: Done) -> None:
-        """Take so many steps; answered when the last block is out and acknowledged."""
+        """Request steps, which are answered when the last block is published and acknowledged."""
         self._steps_left += steps * self.node.settings.step.blocks
         self._stepped_at = time.monotonic()
         self._stepping.append(done)
-        self._is_still = False  # who steps a paused rig wants what was left of steps before, too
+        self._is_still = False  # a step of a paused rig includes what was left of earlier steps
         self.work()
 
     def pause(self, done: Done) -> None:
-        """Let rig time stand still; answered when the peers have processed all that was out."""
+        """Stop rig time; the request is answered when the peers have processed all published blocks."""
         self.running()
         self.paused = self._is_still = True
         self._pausing.append(done)
@@ -543,14 +559,14 @@ class Session:
         self.node.report_change()
 
     def resume(self, done: Done) -> None:
-        """Go on, without what a silent peer has missed."""
+        """Continue, without the blocks that a silent peer has missed."""
         rig = self.running()
         starving = self.is_starving
-        if self.paused or self.window.silent() or starving:  # else it was running: nothing is given up
+        if self.paused or self.window.silent() or starving:  # a running rig gives nothing up
             self.paused = self._is_still = False
-            _answer(self._pausing, False, "told to go on")
+            _answer(self._pausing, False, "resumed by request")
             if not self.is_lockstep:
-                self._end_steps("told to go on")
+                self._end_steps("resumed by request")
             self.window.waive()
             if starving:
                 rig.feed(rig.stream.played + rig.stream.buffered(), ())
@@ -560,16 +576,16 @@ class Session:
         done(True, "running")
 
     def _end_steps(self, message: str) -> None:
-        """Refuse the steps that wait, and drop what is left of them."""
+        """Reject the waiting steps, and drop the rest of them."""
         self._steps_left = 0
         _answer(self._stepping, False, message)
 
     def _refuse_without_peers(self) -> None:
-        """Refuse steps when a peer has not been there for too long."""
+        """Reject steps if a peer has been absent for too long."""
         patience_s = self.node.settings.time.peer_timeout_s
         waited = time.monotonic() - self._stepped_at > patience_s
         if self._stepping and waited and self.readers.overdue(patience_s):
-            self._end_steps(f"peer {', '.join(self.readers.missing())} is not there")
+            self._end_steps(f"peer {', '.join(self.readers.missing())} is absent")
 
     def _on_step(self, _request: Trigger.Request, done: Done) -> None:
         self.running()
@@ -581,12 +597,12 @@ class Session:
     # Other inputs
 
     def reset(self, rig: Rig) -> None:
-        """Begin again from scan 0; steps that wait are refused."""
+        """Start again from scan 0; waiting steps are rejected."""
         rig.reset()
         self._end_steps("the rig was reset")
-        self._starved_at = None  # samples are wanted anew
+        self._starved_at = None  # samples are needed from the start again
         self.publishers.changes(rig)
-        self.counts.faults.clear()  # planned ones begin anew, and say so
+        self.counts.faults.clear()  # planned faults start again and are reported again
         self._publish_configuration(rig)
         self.node.get_logger().info("reset: scan 0")
 
@@ -594,7 +610,7 @@ class Session:
         rig.pluck(self.node.settings.pluck.displacement_m)
 
     def _act(self, act: Callable[[Rig], None], said: str, _request: Trigger.Request, done: Done) -> None:
-        """Do something with the rig, and say what was done."""
+        """Apply an action to the rig, and answer with its description."""
         rig = self.running()
         act(rig)
         self._note_samples(rig)
@@ -625,19 +641,22 @@ class Session:
         try:
             rig.feed(rig.sample_at(table.stamp_ns), table.rows["value"])
         finally:
-            if not self.is_realtime:  # in real time the next block says it
+            if not self.is_realtime:  # in real time the next block reports it
                 self.publishers.stream(rig)
         if self._starved_at is not None:
             self._note_samples(rig)
             self.work()
 
     def _note_samples(self, rig: Rig) -> None:
-        """Note, also while the rig is paused, that it waits for samples no more: some have come, or none are needed."""
+        """Register, also while paused, that the rig does not wait for samples.
+
+        Some have arrived, or none are needed.
+        """
         if self._starved_at is not None and rig.blocks_with_samples(1):
             self._starved_at = None
 
     def _on_ack(self, data: bytes) -> None:
-        """Take an acknowledgement, which every reader may send in every mode; one of a peer makes room for work."""
+        """Process an acknowledgement of any reader, in any mode; that of a peer makes room for work."""
         if not self._active:
             return
         try:
@@ -660,14 +679,14 @@ class Session:
             self.work()
 
     def change(self, settings: RigConfig, changes: dict[str, Any]) -> None:
-        """Give the rig there is new settings, which the validator has accepted.
+        """Apply new settings, which the validator has accepted, to the rig.
 
         Raises:
-            ImpactRigError: it refuses them; nothing is changed.
+            ImpactRigError: the rig rejects them; nothing is changed.
         """
         rig = self.rig
         if rig is not None:
-            rig.adopt(settings, changes)  # first: it may refuse
+            rig.adopt(settings, changes)  # first, because it may raise
         if self._active and "time.peers" in changes:
             self.readers.expect(settings.time.peers)
             self._history_settled = False
@@ -684,7 +703,7 @@ class Session:
         self._publish_configuration(rig)
 
     def _publish_configuration(self, rig: Rig) -> None:
-        """Publish the configuration in force, and the calibration if it is another."""
+        """Publish the active configuration, and the calibration if it has changed."""
         self.publishers.configuration(rig)
         self.publishers.stream(rig)
         if rig.config.contact != self._contact:
@@ -692,7 +711,7 @@ class Session:
 
 
 def _answer(waiting: list[Done], success: bool, message: str) -> None:
-    """Answer all who wait; none of them waits any more, so whatever an answer sets off finds the list empty."""
+    """Answer all waiting requests; the list is empty before the first answer, which may trigger new requests."""
     told, waiting[:] = list(waiting), []
     for done in told:
         done(success, message)

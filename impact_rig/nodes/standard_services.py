@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The services of the package `simulation_interfaces`, offered where it can be imported, feature by feature.
+"""Services of the package `simulation_interfaces`, offered if it can be imported, feature by feature.
 
-They say in the words of that package what `~/pause`, `~/step` and `~/reset` do. A stopped rig is one that they have
-paused and reset and that has not moved since, or one that is not active. Time is never turned back.
+They express `~/pause`, `~/step` and `~/reset` in the terms of that package. A stopped rig is an inactive one, or one
+that they have paused and reset and that has not moved since. Time is never turned back.
 """
 
 from __future__ import annotations
@@ -36,17 +36,17 @@ FEATURES = {
     "StepSimulation": ("STEP_SIMULATION_SINGLE", "STEP_SIMULATION_MULTIPLE"),
     "ResetSimulation": ("SIMULATION_RESET", "SIMULATION_RESET_STATE"),
 }
-"""Features that a service gives the rig, by type."""
-NOTE = f"impact_rig {__version__}; a step is step.blocks blocks; a reset begins again at scan 0, and stamps go on"
-Tell = Callable[[int, str], None]  # answers with a result code and an error text
+"""Features that a service provides, by type."""
+NOTE = f"impact_rig {__version__}; a step is step.blocks blocks; a reset starts again at scan 0 with continuing stamps"
+Tell = Callable[[int, str], None]  # answers with a result code and an error message
 
 
 class StandardServices:
-    """Makes the services, if the package is there, and keeps them."""
+    """Standard services of the rig, if the package is installed."""
 
     def __init__(self, session: Session) -> None:
         self._session, self._node = session, session.node
-        self._stopped: tuple[Rig, int] | None = None  # which rig was stopped, and its next block then
+        self._stopped: tuple[Rig, int] | None = None  # the stopped rig, and its next block at that time
         try:
             self._messages = importlib.import_module(f"{SIMULATION_PACKAGE}.msg")
             services = importlib.import_module(f"{SIMULATION_PACKAGE}.srv")
@@ -58,7 +58,7 @@ class StandardServices:
             LateService(self._node, service_type, name, self._guarded(service_type, name.removeprefix("~/")))
 
     def _guarded(self, service_type: Any, name: str) -> Callable[[Any, int, Callable[[Any], None]], None]:
-        """Return what answers each request, whatever happens."""
+        """Return a function that answers each request, even if an exception occurs."""
         handle = getattr(self, f"_{name}")
         codes = self._messages.Result
 
@@ -78,14 +78,14 @@ class StandardServices:
                 handle(request, response, tell)
             except CommandError as error:
                 tell(codes.RESULT_OPERATION_FAILED, str(error))
-            except Exception as error:  # nothing a request causes may end the process
+            except Exception as error:  # no exception caused by a request may end the process
                 self._node.report_failure(name, describe(error))
                 tell(codes.RESULT_OPERATION_FAILED, describe(error))
 
         return serve
 
     def _done(self, tell: Tell, failed: int) -> Done:
-        """Return what answers once a pause or a step is over."""
+        """Return a function that answers once a pause or a step is complete."""
         return lambda success, message: tell(*((self._messages.Result.RESULT_OK, "") if success else (failed, message)))
 
     def _state(self) -> int:
@@ -113,7 +113,10 @@ class StandardServices:
         if wanted == present:
             tell(response.ALREADY_IN_TARGET_STATE, "")
         elif wanted not in {states.STATE_STOPPED, states.STATE_PLAYING, states.STATE_PAUSED, states.STATE_QUITTING}:
-            tell(codes.RESULT_FEATURE_UNSUPPORTED, f"{wanted} is none of STOPPED, PLAYING, PAUSED and QUITTING")
+            tell(
+                codes.RESULT_FEATURE_UNSUPPORTED,
+                f"unknown state {wanted}: must be STOPPED, PLAYING, PAUSED or QUITTING",
+            )
         elif present == states.STATE_QUITTING:
             tell(response.INCORRECT_TRANSITION, "the rig is quitting")
         elif wanted == states.STATE_QUITTING:
@@ -122,7 +125,7 @@ class StandardServices:
         elif rig is None:
             tell(response.STATE_TRANSITION_ERROR, self._session.why_not())
         elif wanted == states.STATE_PLAYING and self._session.is_lockstep:
-            tell(response.STATE_TRANSITION_ERROR, "time.mode is lockstep: the rig moves by steps only")
+            tell(response.STATE_TRANSITION_ERROR, "time.mode is lockstep: the rig advances by steps only")
         elif wanted == states.STATE_PLAYING:
             self._session.resume(self._done(tell, response.STATE_TRANSITION_ERROR))
         elif wanted == states.STATE_PAUSED:
@@ -157,10 +160,10 @@ class StandardServices:
 
     def _reset_simulation(self, request: Any, _response: Any, tell: Tell) -> None:
         scopes, codes = type(request), self._messages.Result
-        # a bit field, of which every bit must be supported; the default is the same as all
+        # a bit field, of which every bit must be supported; the default means all
         wanted = scopes.SCOPE_ALL if request.scope == scopes.SCOPE_DEFAULT else request.scope
         if wanted & ~scopes.SCOPE_STATE:
-            reason = f"only the state is reset (scope {scopes.SCOPE_STATE}): time goes on, and nothing is spawned"
+            reason = f"only the state can be reset (scope {scopes.SCOPE_STATE}): time continues, and nothing is spawned"
             tell(codes.RESULT_FEATURE_UNSUPPORTED, reason)
             return
         self._reset_rig(stop=self._state() == self._messages.SimulationState.STATE_STOPPED)

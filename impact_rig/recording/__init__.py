@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""MCAP files of a run: written and read. CDR bytes in, CDR bytes out; no ROS needed."""
+"""Reader and writer of MCAP files: CDR bytes in, CDR bytes out, without ROS."""
 
 from impact_rig.recording.description import (
     CONFIGURATION,

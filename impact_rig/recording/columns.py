@@ -11,18 +11,18 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The rows of a table topic by columns, for exports, data frames and datasets.
+"""Columns of a table topic, for exports, data frames and datasets.
 
-Three columns stand in front of those of the table, which a row of any topic has:
+Three columns precede those of the table; the rows of every topic have them:
 
 | column | content |
 |---|---|
-| `time` | seconds since the first scan of the recording, in all topics of a rig: it runs on from message to message |
-| `timestamp` | the same instant as a date, to the nanosecond: rig time, which counts from 1970 as ROS time does |
-| `earlier` | 1 where the message was published before the recording began: a latched topic hands it to a new recorder |
+| `time` | seconds since the first scan of the recording, for all topics of a rig, continuous from message to message |
+| `timestamp` | the same time as a date, to the nanosecond: rig time, which counts from 1970 as ROS time does |
+| `earlier` | 1 if the message was published before the recording began: a latched topic delivers it to a new recorder |
 
-Of a table with a column `time`, seconds since the stamp of its message, each row has the time of its own; the rows of
-other tables have the stamp.
+If a table has a column `time`, seconds since the stamp of its message, each row has its own time. The rows of other
+tables have the stamp.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ if TYPE_CHECKING:
     from impact_rig.recording.reader import Message, Run
 
 TIME, TIMESTAMP, EARLIER = "time", "timestamp", "earlier"
-BATCH_BYTES = 4 * 2**20  # a text takes four times as much when it is decoded, a number when it is written
+BATCH_BYTES = 4 * 2**20  # a text takes four times as much when decoded, a number when written
 
 Columns = dict[str, NDArray[np.generic]]
 
 
 def batches(run: Run, topic: str) -> Iterator[Columns]:
-    """Yield the columns of many messages at a time; text as str. At least one batch, empty if there are no rows.
+    """Yield the columns in batches of many messages; text as str. At least one batch, empty if there are no rows.
 
     Raises:
         RecordingError: the topic carries no tables, holds no message or changes its columns.
@@ -72,25 +72,25 @@ def batches(run: Run, topic: str) -> Iterator[Columns]:
             yield _joined(tables, earlier, origin_ns)
             tables, earlier, waiting = [], [], 0
     if dtype is None:
-        raise RecordingError(f"topic {topic} holds no message, so its columns are not known")
+        raise RecordingError(f"topic {topic} holds no message, so its columns are unknown")
     if tables:
         yield _joined(tables, earlier, origin_ns or 0)
 
 
 def complete(parts: Iterator[Columns]) -> Columns:
-    """Return batches of columns as one."""
+    """Combine batches of columns into one."""
     found = list(parts)
     return {name: np.concatenate([part[name] for part in found]) for name in found[0]}
 
 
 def to_dataframe(run: Run, topic: str) -> Any:
-    """Return a `pandas.DataFrame`, see `Run.to_dataframe`."""
+    """Return a `pandas.DataFrame`; see `Run.to_dataframe`."""
     pandas = extras.load("pandas", "to_dataframe()", "tables")
     return pandas.DataFrame(complete(batches(run, topic)))
 
 
 def to_xarray(run: Run, topic: str) -> Any:
-    """Return an `xarray.Dataset`, see `Run.to_xarray`."""
+    """Return an `xarray.Dataset`; see `Run.to_xarray`."""
     xarray = extras.load("xarray", "to_xarray()", "tables")
     columns = complete(batches(run, topic))
     described = _described(run, topic)
@@ -104,7 +104,7 @@ def to_xarray(run: Run, topic: str) -> Any:
 
 
 def first_scan_ns(run: Run, topic: str) -> int | None:
-    """Return the stamp of the first scan of the rig that a topic is of; None: there is none."""
+    """Return the stamp of the first scan of the rig that a topic belongs to, or None without scans."""
     name = run.resolve(topic)
     prefix = max((one for one in run.prefixes if name.startswith(one)), key=len, default="")
     scans = prefix + topics.SCAN.name
@@ -114,17 +114,17 @@ def first_scan_ns(run: Run, topic: str) -> int | None:
 
 
 def is_earlier(run: Run, message: Message) -> bool:
-    """Return whether a message was published before the recording began; False where its recorder does not say."""
+    """Return whether a message was published before the recording began; False if its recorder does not tell."""
     text = run.provenance.get("wall_start_ns", "")
     if message.publish_time == message.log_time:
-        return False  # its writer knew no publish time: both are rig time
+        return False  # its writer knew no publish time: both times are rig time
     return text.isdecimal() and message.publish_time < int(text)
 
 
 def leading(
     stamps: NDArray[np.int64], since: NDArray[np.float64], earlier: Sequence[bool], origin_ns: int | None
 ) -> Columns:
-    """Return the columns in front, of rows `since` seconds after the stamps of their messages; all of shape (n,)."""
+    """Return the leading columns of rows `since` seconds after the stamps of their messages; all of shape (n,)."""
     known = np.abs(since) <= LONGEST_S
     own = stamps + np.round(np.where(known, since, 0.0) * NS_PER_S).astype(np.int64)
     begin = origin_ns if origin_ns is not None else int(stamps[0]) if len(stamps) else 0
@@ -136,7 +136,7 @@ def leading(
 
 
 def _joined(tables: list[Table], earlier: list[bool], origin_ns: int) -> Columns:
-    """Return the columns of some tables of one type."""
+    """Return the columns of some tables of equal type."""
     rows = np.concatenate([table.rows for table in tables])
     counts = [len(table.rows) for table in tables]
     stamps = np.repeat(np.array([table.stamp_ns for table in tables], np.int64), counts)
@@ -153,7 +153,7 @@ def _joined(tables: list[Table], earlier: list[bool], origin_ns: int) -> Columns
 
 
 def _described(run: Run, topic: str) -> dict[str, dict[str, str]]:
-    """Return unit and meaning of the columns of a topic, as far as interface and calibration say."""
+    """Return unit and description of the columns of a topic, as far as interface and calibration define them."""
     relative = run.relative(run.resolve(topic))
     known = next((one for one in topics.COMMON if one.name == relative), None)
     found = {one.name: {"units": one.unit, "long_name": one.doc} for one in (known.fields if known else ())}

@@ -11,18 +11,18 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What a recording says about its topics and files in the words of rosbag2: type, schema, offered QoS, `metadata.yaml`.
+"""Description of a recording's topics and files in the terms of rosbag2: type, schema, offered QoS, `metadata.yaml`.
 
-A `ros2msg` schema is the `.msg` text of the type, then each type it uses, however deep, once, after a line of 80 `=`
-and `MSG: package/Type`. The texts are those of the installed interfaces; where ROS 2 is not installed, those that came
-with this package (`definitions.json`, generated), so that a run can be written and imported without ROS.
+A `ros2msg` schema is the `.msg` text of the type, followed by each type it uses, directly or indirectly, once, after a
+line of 80 `=` and `MSG: package/Type`. The texts are those of the installed interfaces. Without ROS 2 they are the
+generated `definitions.json` of this package, so that a run can be written and imported without ROS.
 
-Metadata of version 9 has twelve keys under `rosbag2_bagfile_information`; QoS profiles are native YAML with policies as
-words; an empty `custom_data` is null; compression fields are empty because MCAP compresses its own chunks. Source:
+Metadata of version 9 has twelve keys under `rosbag2_bagfile_information`. QoS profiles are native YAML with policies as
+words, an empty `custom_data` is null, and compression fields are empty because MCAP compresses its own chunks. Source:
 rosbag2 0.26, `rosbag2_storage/yaml.hpp`, `qos.cpp` and `rosbag2_cpp/writers/sequential_writer.cpp`.
 
-Where a run comes from stands in the metadata record `impact_rig`. MCAP protects chunks and attachments with a CRC,
-metadata records not: ours carry their own in the key `crc32`, so that a flipped bit in a seed is found, never believed.
+The metadata record `impact_rig` holds the provenance of a run. MCAP protects chunks and attachments with a CRC, but not
+metadata records: those of this package carry their own in the key `crc32`, so that a flipped bit in a seed is detected.
 """
 
 from __future__ import annotations
@@ -46,21 +46,21 @@ from impact_rig.errors import RecordingError
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system import budget, files
 
-INFINITE_NS = 2**63 - 1  # a duration without end, as ROS writes it (RMW_DURATION_INFINITE: 9223372036 s 854775807 ns)
+INFINITE_NS = 2**63 - 1  # an infinite duration in ROS (RMW_DURATION_INFINITE: 9223372036 s 854775807 ns)
 
 SERIALIZATION = "cdr"
 
 MAX_QOS_CHARACTERS = 65_536
-"""Of a text with the profiles that a topic's publishers offered; a hundred publishers have half of that."""
+"""Limit of a text with the profiles offered by a topic's publishers; half of it suffices for a hundred publishers."""
 
 QosYaml = dict[str, str | int | bool | dict[str, int]]
 
 
 @attrs.frozen(kw_only=True)
 class OfferedQos:
-    """The quality of service one publisher offers; policies as rosbag2 spells them: `policy.name.lower()` of rclpy.
+    """Quality of service offered by one publisher; policies as rosbag2 spells them: `policy.name.lower()` of rclpy.
 
-    Fast DDS does not tell history and depth of a remote publisher: `unknown` and 0 are what rosbag2 records as well.
+    Fast DDS does not provide history and depth of a remote publisher; rosbag2, too, records `unknown` and 0.
     """
 
     history: str = "unknown"
@@ -74,7 +74,7 @@ class OfferedQos:
     avoid_ros_namespace_conventions: bool = False
 
     def to_yaml(self) -> QosYaml:
-        """Return the mapping rosbag2 writes (metadata version 9: policies as words)."""
+        """Return the mapping that rosbag2 writes (metadata version 9: policies as words)."""
         return {
             "history": self.history,
             "depth": self.depth,
@@ -90,22 +90,22 @@ class OfferedQos:
 
 @attrs.frozen(kw_only=True)
 class TopicDescription:
-    """A recorded topic."""
+    """Recorded topic."""
 
     name: str  # fully qualified
     type_name: str  # `package/msg/Type`
     schema: str = attrs.field(default=attrs.Factory(lambda self: schema_text(self.type_name), takes_self=True))
-    """`.msg` text with dependencies; by default that of the installed type, see `schema_text`."""
+    """`.msg` text with dependencies; by default that of the installed type; see `schema_text`."""
     type_hash: str = ""  # RIHS01 hash of the type description; empty if unknown
     offered_qos: tuple[OfferedQos, ...] = ()  # one entry per publisher; may be empty
     offered_qos_text: str = attrs.field(
         default=attrs.Factory(lambda self: dump_yaml([qos.to_yaml() for qos in self.offered_qos]), takes_self=True)
     )
-    """The YAML list as it stands in a file; filled by readers, derived from `offered_qos` otherwise."""
-    encoding: str = SERIALIZATION  # of its messages
+    """The YAML list as in the file, set by readers; otherwise derived from `offered_qos`."""
+    encoding: str = SERIALIZATION  # encoding of its messages
 
     def offered_qos_yaml(self) -> list[QosYaml]:
-        """Return the offered profiles as `metadata.yaml` holds them; a text that is no plain list counts as none."""
+        """Return the offered profiles for `metadata.yaml`; a text that is not a plain list counts as none."""
         return [dict(profile) for profile in _profiles(self.offered_qos_text)]
 
     def channel_metadata(self) -> dict[str, str]:
@@ -114,7 +114,7 @@ class TopicDescription:
 
     @classmethod
     def from_channel(cls, channel: Channel, schema: Schema | None) -> TopicDescription:
-        """Return the topic that a channel and its schema describe; without a schema its type has no name."""
+        """Return the topic described by a channel and its schema; without a schema its type has no name."""
         return cls(
             name=channel.topic,
             type_name="" if schema is None else schema.name,
@@ -127,7 +127,7 @@ class TopicDescription:
 
 @functools.lru_cache(maxsize=1024)
 def _profiles(text: str) -> tuple[QosYaml, ...]:
-    """Return the policies in a text, which is somebody else's: each by its name, nothing else, nothing expanded."""
+    """Return the policies in an untrusted text, each by its name; nothing else is accepted or expanded."""
     try:
         found = budget.load_yaml(text, MAX_QOS_CHARACTERS)
     except budget.PlainYamlError:
@@ -147,7 +147,7 @@ def _profile(found: Mapping[object, object]) -> QosYaml:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Block style without anchors, and `~` for nothing, as yaml-cpp writes it."""
+    """YAML dumper with block style, without anchors, and with `~` for null, as in yaml-cpp."""
 
     def ignore_aliases(self, data: object) -> bool:  # noqa: ARG002  (signature of yaml.SafeDumper)
         return True
@@ -157,7 +157,7 @@ _Dumper.add_representer(type(None), lambda dumper, _: dumper.represent_scalar("t
 
 
 def dump_yaml(value: object) -> str:
-    """Return `value` as block-style YAML in the order given."""
+    """Return `value` as block-style YAML, with keys in their order."""
     text: str = yaml.dump(value, Dumper=_Dumper, sort_keys=False, default_flow_style=False, allow_unicode=True)
     return text.rstrip("\n")
 
@@ -169,7 +169,7 @@ def _time(nanoseconds: int) -> dict[str, int]:
 
 ENCODING = "ros2msg"
 DEFINITIONS = Path(__file__).with_name("definitions.json")
-"""`.msg` texts by `package/Type` of what the topics of this package need."""
+"""`.msg` texts, by `package/Type`, of all types that the topics of this package need."""
 
 _SEPARATOR = "=" * 80
 _NAME = re.compile(r"([A-Za-z]\w*)/(?:msg/)?([A-Za-z]\w*)")
@@ -177,11 +177,11 @@ _FIELD = re.compile(r"^[ \t]*([A-Za-z][\w/]*)(?:<=\d+)?(?:\[[^\]\n]*\])?[ \t]+[A
 _PRIMITIVE = re.compile(r"bool|byte|char|float(32|64)|u?int(8|16|32|64)|w?string")
 _MEMBER = re.compile(r"^[ \t]*([A-Za-z][\w/]*)(?:<=\d+)?(\[[^\]\n]*\])?[ \t]+([a-z]\w*)[ \t]*(?![ \t=])", re.MULTILINE)
 _MAX_DEPTH = 8
-_MAX_TYPES = 200  # no message of common_interfaces comes near; a circular or hostile definition does not run away
+_MAX_TYPES = 200  # far above every message of common_interfaces; stops circular or hostile definitions
 
 
 def interface_prefixes() -> tuple[Path, ...]:
-    """Return where interfaces may be installed: the sourced ROS first, then this Python environment."""
+    """Return the directories where interfaces may be installed: the sourced ROS first, then this Python environment."""
     sourced = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     return tuple(Path(prefix) for prefix in [*sourced, sys.prefix] if prefix)
 
@@ -199,10 +199,10 @@ def schema_text(type_name: str) -> str:
 def definitions(type_name: str) -> dict[str, str]:
     """Return the `.msg` texts of `type_name` and of each type it uses, by `package/Type`, its own first.
 
-    Looked for is `share/<package>/msg/<Type>.msg` in all `interface_prefixes`, then in what came with this package.
+    The search for `share/<package>/msg/<Type>.msg` covers all `interface_prefixes`, then the texts of this package.
 
     Raises:
-        RecordingError: the type or one it uses is not there, or the name is not a message type's.
+        RecordingError: the type or one that it uses is missing, or the name is not that of a message type.
     """
     where = interface_prefixes()
     root = _short_name(type_name)
@@ -240,10 +240,10 @@ def starts_with_header(type_name: str, schema: str) -> bool:
 
 
 def members(schema: str) -> list[tuple[str, str, int]]:
-    """Return path, primitive type and count of each member of a message, in order; -1: a sequence of any length.
+    """Return path, primitive type and count of each member of a message, in order; -1 means a sequence of any length.
 
     Args:
-        schema: as `schema_text` makes it.
+        schema: text as made by `schema_text`.
 
     Raises:
         RecordingError: a type is not defined in the text, or there are too many members.
@@ -262,7 +262,7 @@ def members(schema: str) -> list[tuple[str, str, int]]:
             else:
                 inner = next((t for key, t in texts.items() if key == name or key.endswith(f"/{name}")), None)
                 if inner is None or count != 1 or depth > _MAX_DEPTH or len(found) > _MAX_TYPES:
-                    raise RecordingError(f"the member {path + member} of type {name} cannot be read")
+                    raise RecordingError(f"cannot parse the member {path + member} of type {name}")
                 walk(inner, f"{path}{member}.", depth + 1)
 
     walk(root, "", 0)
@@ -305,7 +305,7 @@ Information = dict[str, object]
 
 @attrs.define
 class FileSpan:
-    """The messages of one file (or of all): how many, and from when to when in log time [ns]."""
+    """Messages of one file (or of all): their number, and the first and last log time [ns]."""
 
     path: str
     count: int = 0
@@ -320,7 +320,7 @@ class FileSpan:
 
     @property
     def duration_ns(self) -> int:
-        """Time from the earliest to the latest message; 0 when there is none."""
+        """Time from the earliest to the latest message; 0 without messages."""
         return max(0, self.end_ns - self.start_ns)
 
 
@@ -330,9 +330,9 @@ def bag_information(
     """Return the twelve keys under `rosbag2_bagfile_information`.
 
     Args:
-        topics: each with its number of messages.
-        spans: of the files, in the order they were written; at least one.
-        ros_distro: such as `jazzy`.
+        topics: topics, each with its number of messages.
+        spans: spans of the files, in the order of writing; at least one.
+        ros_distro: name of the distribution, such as `jazzy`.
     """
     start_ns, end_ns = min(span.start_ns for span in spans), max(span.end_ns for span in spans)
     total = FileSpan("", sum(span.count for span in spans), start_ns, end_ns)
@@ -378,39 +378,39 @@ def bag_record(info: Information) -> dict[str, str]:
 
 
 def write_metadata(directory: Path, info: Information) -> None:
-    """Write `metadata.yaml` whole or not at all.
+    """Write `metadata.yaml` completely or not at all.
 
     Raises:
         RecordingError: it cannot be written.
     """
     path = directory / METADATA_FILE
-    with files.errors_as(f"{path} cannot be written"):
+    with files.errors_as(f"cannot write {path}"):
         files.write_text(path, dump_yaml({METADATA_KEY: info}) + "\n")
 
 
 RECORD_NAME = "impact_rig"  # metadata record with the package version, the seed and the wall-clock start
 TOPIC_RECORD_NAME = "impact_rig/topic"
-"""Metadata record repeating a channel and its schema outside the chunks: a lost chunk does not cost the others."""
+"""Metadata record that repeats a channel and its schema outside the chunks: losing a chunk does not affect others."""
 CONFIGURATION = "config.yaml"  # attachment with the resolved configuration
 
 MODE_KEY = "mode"
-MEASURED = "measured"  # mode of a run that was imported
+MEASURED = "measured"  # mode of an imported run
 
 ARITHMETIC_KEY = "arithmetic"
-UNWRITTEN_ARITHMETIC = "1"  # of recordings from before it was written down
+UNWRITTEN_ARITHMETIC = "1"  # version of recordings that do not state one
 
 _CRC_KEY = "crc32"
 
 
 @attrs.frozen(kw_only=True)
 class Provenance:
-    """What a run must say about itself."""
+    """Provenance that every run must state."""
 
     version: str
-    seed: int  # of noise, calibration errors and random drive
-    wall_start_ns: int  # system time when the recording began [ns since the epoch]
+    seed: int  # seed of noise, calibration errors and random drive
+    wall_start_ns: int  # system time at the start of the recording [ns since the epoch]
     extra: Mapping[str, str] = attrs.field(factory=dict)
-    arithmetic: int = ARITHMETIC  # version of the arithmetic that made the samples
+    arithmetic: int = ARITHMETIC  # version of the arithmetic that computed the samples
 
     def to_record(self) -> dict[str, str]:
         """Return the content of the metadata record."""
@@ -424,7 +424,7 @@ class Provenance:
 
     @classmethod
     def from_record(cls, record: Mapping[str, str]) -> Provenance | None:
-        """Return what `to_record` wrote, or None if `record` lacks a part of it."""
+        """Parse the result of `to_record`; return None if a part is missing."""
         extra = dict(record)
         try:
             version, seed, start = extra.pop("version"), int(extra.pop("seed")), int(extra.pop("wall_start_ns"))
@@ -435,18 +435,18 @@ class Provenance:
 
 
 def arithmetic_of(record: Mapping[str, str]) -> str:
-    """Return the version of the arithmetic that a run's metadata record names; of another recorder's file nothing."""
+    """Return the version of the arithmetic in a run's metadata record; empty for files of other recorders."""
     return record.get(ARITHMETIC_KEY, UNWRITTEN_ARITHMETIC) if record else ""
 
 
 def is_measured(record: Mapping[str, str]) -> bool:
-    """Return whether a run's metadata record is that of an imported measurement: there is no simulation behind it."""
+    """Return whether a run's metadata record belongs to an imported measurement, which has no simulation."""
     return record.get(MODE_KEY) == MEASURED
 
 
 @attrs.frozen
 class Attachment:
-    """A file kept inside the recording."""
+    """File stored inside the recording."""
 
     name: str
     data: bytes
@@ -460,7 +460,7 @@ def protect(record: Mapping[str, str]) -> dict[str, str]:
 
 
 def verify(record: Mapping[str, str]) -> dict[str, str] | None:
-    """Return `record` without its checksum, or None if it has none or it does not fit."""
+    """Return `record` without its checksum, or None if it has none or a wrong one."""
     content = {key: value for key, value in record.items() if key != _CRC_KEY}
     return content if record.get(_CRC_KEY) == f"{_checksum(content):08x}" else None
 

@@ -11,11 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Digests of what a recorder wrote: of each topic with all its messages, of the attachments and of the metadata.
+"""Digests of a recording: of each topic with all its messages, of the attachments and of the metadata.
 
-A program that changes a recording renews the checksums of MCAP when it writes the file, so they show damage only. The
-digests show every change of a definition, a message, its order, times and number, an attachment or a metadata record.
-They do not depend on how messages are packed into chunks. They do not show who wrote them: a program may renew them.
+A program that changes a recording renews the checksums of MCAP when it writes the file, so the checksums show only
+damage. The digests show every change of a definition, a message, its order, times and number, an attachment or a
+metadata record. They do not depend on how messages are packed into chunks. They do not prove who wrote them: a program
+may renew them.
 """
 
 from __future__ import annotations
@@ -28,13 +29,13 @@ from collections.abc import Iterator, Mapping
 from mcap.records import Attachment, Channel, Schema
 
 RECORD_NAME = "impact_rig/digests"
-"""The last metadata record of a file; it is in no digest."""
-_TOPIC = "topic "  # what precedes the name of a topic in a key of the record
+"""The last metadata record of a file; no digest covers it."""
+_TOPIC = "topic "  # prefix of a topic's name in a key of the record
 _MESSAGE = struct.Struct("<IQQQ")  # sequence number, log time, publish time, length
 
 
 class Digests:
-    """Digests of one file, which grow with what is written to or read from it."""
+    """Digests of one file, extended with each part that is written or read."""
 
     def __init__(self) -> None:
         self._topics: dict[int, tuple[str, hashlib.blake2b]] = {}  # name and digest, by channel
@@ -42,7 +43,7 @@ class Digests:
         self._metadata = _new()
 
     def add_topic(self, channel: Channel, schema: Schema | None) -> None:
-        """Begin the digest of a topic with its definition."""
+        """Start the digest of a topic with its definition."""
         digest = _new()
         _add(digest, channel.topic, channel.message_encoding, json.dumps(channel.metadata, sort_keys=True))
         if schema is not None:
@@ -52,7 +53,7 @@ class Digests:
     def add_message(
         self, channel: int, sequence: int, log_time: int, publish_time: int, data: bytes | memoryview
     ) -> None:
-        """Add a message to the digest of its topic, in the order of the file; one of an unknown channel is in none."""
+        """Add a message to the digest of its topic, in file order; messages of an unknown channel are ignored."""
         if channel not in self._topics:
             return
         digest = self._topics[channel][1]
@@ -76,7 +77,7 @@ class Digests:
         return {"attachments": self._attachments.hexdigest(), "metadata": self._metadata.hexdigest(), **topics}
 
     def differences(self, recorded: Mapping[str, str]) -> Iterator[str]:
-        """Yield a sentence for each part that is not what its recorder wrote.
+        """Yield a sentence for each part that differs from what the recorder wrote.
 
         Args:
             recorded: content of the metadata record of the same file.
@@ -90,7 +91,7 @@ class Digests:
                 yield f"{name} was not recorded by the recorder of this file"
             elif found[key] != recorded[key]:
                 what = "messages or its definition" if key.startswith(_TOPIC) else "content"
-                yield f"{name}: its digest does not fit, so its {what} changed after the recording"
+                yield f"{name}: its digest does not match, so its {what} changed after the recording"
 
 
 def _new() -> hashlib.blake2b:

@@ -11,13 +11,13 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What is missing in a recording: messages that never reached the recorder, and scans whose stamps leave a gap.
+"""Losses of a recording: messages that never reached the recorder, and gaps between the stamps of scans.
 
-rclpy tells the sequence number of a message and not who sent it. So the numbers of a topic are sorted into streams, one
-per publisher: a message continues the stream whose next number it has. Where it continues none, it begins the stream of
-a publisher that has not been heard yet, if the graph has one; otherwise the numbers in between are lost.
+rclpy provides the sequence number of a message but not its sender. The numbers of a topic are therefore sorted into
+streams, one per publisher. A message continues the stream whose next number it has. If it continues none, it starts the
+stream of a publisher without messages so far, if the graph has one. Otherwise the numbers in between are lost.
 
-The stamp of scan i is `start_ns + i * 10**9 // rate_hz`: exact integers, so that one missing scan in an hour shows.
+The stamp of scan i is `start_ns + i * 10**9 // rate_hz`: exact integers, so one missing scan in an hour is detected.
 """
 
 from __future__ import annotations
@@ -34,27 +34,28 @@ from impact_rig.blocks import Table
 from impact_rig.recording.records import DamageError
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 
-RECORD_NAME = "impact_rig/losses"  # metadata record with what was received and lost, written when a file is finished
-_LONGEST_BLOCK_S = 1e6  # a `time` beyond this (or NaN) is no instant of a block
-WHOLE = 1e-6  # relative departure of a rate from a whole number that rounded times have
-MAX_STREAMS = 64  # streams kept per topic: of publishers that come and go for days only the last ones can still speak
+RECORD_NAME = "impact_rig/losses"  # metadata record of received and lost messages, written when a file is finished
+_LONGEST_BLOCK_S = 1e6  # a larger `time` (or NaN) cannot be that of a block
+WHOLE = 1e-6  # relative tolerance within which a rate is a whole number: times are rounded
+# maximum number of streams per topic: of publishers that come and go for days, only the last are still alive
+MAX_STREAMS = 64
 
 Publishers = Callable[[str], Mapping[str, str]]
-"""Returns who publishes a topic now: an identifier that is never used twice -> a name for people."""
+"""Function that returns the present publishers of a topic: a unique identifier -> a readable name."""
 
 
 @attrs.define
 class PublisherStream:
-    """The messages of one publisher on one topic."""
+    """Messages of one publisher on one topic."""
 
-    publisher: str  # its name where it is certain, else empty
-    first: int  # sequence number of its first message; what was published before is no loss
+    publisher: str  # its name if it is certain, else empty
+    first: int  # sequence number of its first message; earlier messages are no loss
     newest: int  # sequence number of its newest message
     received: int = 1
-    lost: int = 0  # messages between `first` and `newest` that did not
+    lost: int = 0  # number of missing messages between `first` and `newest`
 
     def take(self, sequence: int) -> None:
-        """Count a message, and those that should have come before it."""
+        """Count a message, and the missing ones before it."""
         self.lost += sequence - self.newest - 1
         self.received += 1
         self.newest = sequence
@@ -63,17 +64,17 @@ class PublisherStream:
 @attrs.define
 class _Topic:
     streams: list[PublisherStream] = attrs.field(factory=list)
-    begun: int = 0  # streams, those that were dropped included
+    begun: int = 0  # number of streams, including dropped ones
     known: dict[str, str] = attrs.field(factory=dict)  # publishers seen in the graph so far
     unnumbered: int = 0
-    forgotten: PublisherStream | None = None  # sum of the streams that were dropped
+    forgotten: PublisherStream | None = None  # sum of the dropped streams
 
 
 class Account:
-    """Counts what arrives, and finds what did not.
+    """Account of received and missing messages.
 
     Args:
-        publishers: looks into the graph; None: one publisher per topic, as long as its numbers go up.
+        publishers: query of the graph; None means one publisher per topic, as long as its numbers increase.
     """
 
     def __init__(self, publishers: Publishers | None = None) -> None:
@@ -81,11 +82,11 @@ class Account:
         self._topics: dict[str, _Topic] = {}
 
     def take(self, topic: str, sequence: int) -> str:
-        """Count a message and return the publisher's name, empty where it is not certain.
+        """Count a message and return the publisher's name, or an empty text if it is uncertain.
 
         Args:
             topic: fully qualified name.
-            sequence: publication sequence number; 0: there is none, so that nothing can be found missing.
+            sequence: publication sequence number; 0 means none, so losses cannot be detected.
         """
         known = self._topics.get(topic) or self._topics.setdefault(topic, _Topic())
         if sequence <= 0:
@@ -98,16 +99,16 @@ class Account:
         return self._take_unexpected(topic, known, sequence)
 
     def lost(self) -> dict[str, int]:
-        """Return how many messages are missing, by topic; only topics that lack any."""
+        """Return the number of missing messages by topic; topics without losses are left out."""
         return lost({name: self._streams(name) for name in self._topics})
 
     def writers(self, topic: str) -> list[str]:
-        """Return the publishers of a topic on which more than one has written, as far as the graph has named them."""
+        """Return the publishers of a topic with more than one, as far as the graph has named them."""
         known = self._topics.get(topic)
         return sorted(set(known.known.values())) if known is not None and len(known.streams) > 1 else []
 
     def to_record(self) -> dict[str, str]:
-        """Return the content of the metadata record: by topic a JSON list of its streams."""
+        """Return the content of the metadata record: a JSON list of streams for each topic."""
         return {name: json.dumps([attrs.asdict(s) for s in self._streams(name)]) for name in self._topics}
 
     def _take_unexpected(self, topic: str, known: _Topic, sequence: int) -> str:
@@ -134,20 +135,20 @@ class Account:
 
 
 def lost(streams: Mapping[str, Sequence[PublisherStream]]) -> dict[str, int]:
-    """Return how many messages are missing in streams by topic; only topics that lack any."""
+    """Return the number of missing messages in streams by topic; topics without losses are left out."""
     return {name: count for name, found in streams.items() if (count := sum(stream.lost for stream in found))}
 
 
 def read_record(record: Mapping[str, str]) -> dict[str, list[PublisherStream]]:
-    """Return what `Account.to_record` wrote.
+    """Parse the result of `Account.to_record`.
 
     Raises:
-        DamageError: the record holds something else.
+        DamageError: the record is invalid.
     """
     try:
         return {name: [_stream(entry) for entry in json.loads(text)] for name, text in record.items()}
     except (ValueError, TypeError, RecursionError) as error:
-        raise DamageError(f"the metadata record {RECORD_NAME!r} cannot be understood: {error}") from error
+        raise DamageError(f"invalid metadata record {RECORD_NAME!r}: {error}") from error
 
 
 def _stream(entry: dict[str, object]) -> PublisherStream:
@@ -155,37 +156,40 @@ def _stream(entry: dict[str, object]) -> PublisherStream:
     if not isinstance(stream.publisher, str) or any(
         type(number) is not int or number < 0 for number in (stream.first, stream.newest, stream.received, stream.lost)
     ):
-        raise ValueError(f"{entry} is no count of messages")
+        raise ValueError(f"{entry} is not a valid count of messages")
     return stream
 
 
 @attrs.frozen
 class Gap:
-    """A place where blocks do not follow each other."""
+    """Gap between two blocks."""
 
     block: int  # number of the block after the gap, counted from 0
     expected_ns: int
     stamp_ns: int
     missing_scans: int
-    """Scans between the two; negative if the stamp went back (a reset, a block twice or out of order); 0 if the stamp
-    is none a scan can have."""
+    """Number of scans between the two blocks.
+
+    It is negative if the stamp went back (a reset, a duplicate or out-of-order block), and 0 if the stamp is impossible
+    for a scan.
+    """
 
 
 @attrs.frozen
 class Contiguity:
-    """What the stamps of a sequence of blocks say."""
+    """Contiguity of a sequence of blocks."""
 
     blocks: int
     scans: int
     gaps: tuple[Gap, ...]
     lost_blocks: int
-    """Blocks that would fill the gaps, counted in blocks as long as the one before each gap, rounded up."""
+    """Number of blocks that would fill the gaps, each as long as the one before the gap, rounded up."""
     lost_scans: int
-    restarts: int  # how often the stamps went back
+    restarts: int  # number of times the stamps went back
 
     @property
     def whole(self) -> bool:
-        """Whether nothing is missing and nothing comes twice."""
+        """Whether nothing is missing and nothing is duplicated."""
         return not self.gaps
 
 
@@ -196,16 +200,16 @@ def check_contiguity(
     starts: Iterable[int] = (),
     resets: Iterable[int] = (),
 ) -> Contiguity:
-    """Check that blocks follow each other.
+    """Check that blocks are contiguous.
 
     Args:
-        blocks: stamp [ns] and number of scans of each, in the order they are to be judged.
+        blocks: stamp [ns] and number of scans of each block, in the order to check.
         rate_hz: scans per second.
-        start_ns: rig time of scan 0. None: unknown; then the first block anchors the index (and again one whose stamp
-            does not fit, so that a rig started anew counts as one gap), and where the scan period is no whole number of
-            nanoseconds a stamp may be off by the one nanosecond that its unknown index leaves open.
-        starts: rig times of scan 0 of further rigs: between the last block of one and that of the next nothing is
-            missing.
+        start_ns: rig time of scan 0. None means unknown: the first block then anchors the index (and again a block
+            whose stamp does not fit, so that a restarted rig counts as one gap). If the scan period is not a whole
+            number of nanoseconds, a stamp may then differ by one nanosecond.
+        starts: rig times of scan 0 of further rigs: nothing is missing between the last block of one rig and the first
+            of the next.
         resets: rig times of scan 0 after each reset. A reset drops the scans that do not fill a block: fewer than a
             block and a tick of commands.
     """
@@ -215,7 +219,7 @@ def check_contiguity(
     count = scans = lost_blocks = lost_scans = restarts = 0
     gaps: list[Gap] = []
     anchor_ns = start_ns
-    index = before = 0  # of the next scan, counted from the anchor; scans of the block before
+    index = before = 0  # of the next scan, counted from the anchor; scans of the previous block
     dropped = dict.fromkeys(starts, True) | dict.fromkeys(resets, False)
     begins, newest = deque(sorted(dropped)), 0
     for stamp, length in blocks:
@@ -252,12 +256,12 @@ def check_contiguity(
 
 
 def has_times(table: Table) -> bool:
-    """Return whether a table, which may be anybody's, has a column `time` of numbers."""
+    """Return whether a table of any origin has a numeric column `time`."""
     return "time" in (table.rows.dtype.names or ()) and table.rows.dtype["time"].kind in "iuf"
 
 
 def last_scan_ns(table: Table) -> int:
-    """Return the stamp of the last scan of a block [ns]; that of the block where its `time` column says nothing."""
+    """Return the stamp of the last scan of a block [ns], or that of the block without a valid `time` column."""
     if not len(table.rows) or not has_times(table):
         return table.stamp_ns
     last_s = float(table.rows["time"][-1])
@@ -265,7 +269,7 @@ def last_scan_ns(table: Table) -> int:
 
 
 def scan_rate_hz(table: Table) -> float | None:
-    """Return the rate of a block from its `time` column, an int where it is whole; None with fewer than two scans."""
+    """Return the rate of a block from its `time` column, an int for a whole number; None with fewer than two scans."""
     if not has_times(table) or len(table.rows) < 2:
         return None
     times = table.rows["time"].astype(np.float64)

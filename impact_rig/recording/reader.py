@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Reads a run: a directory or a single MCAP file, message by message in log-time order, every byte checked.
+"""Reader of a run: a directory or a single MCAP file, message by message in log-time order, with all checksums.
 
-Chunks are read and decompressed some ahead in a thread (the decompressor releases the interpreter), so that an analysis
-on another core hardly waits for them.
+A thread reads and decompresses some chunks ahead (the decompressor releases the interpreter lock), so an analysis on
+another core rarely waits.
 
 `McapSource` is one finished file: its summary is checked on opening, its chunks when they are read.
 """
@@ -31,7 +31,7 @@ from collections import deque
 from collections.abc import Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, NamedTuple  # Any: what YAML may hold, and types of libraries that need not be installed
+from typing import Any, NamedTuple  # Any: values of YAML, and types of optional libraries
 
 import attrs
 from mcap import records as mcap_records
@@ -50,20 +50,20 @@ from impact_rig.topics import Topic
 
 DATA_END_BYTES = records.RECORD_HEAD.size + 4
 SEGMENT_BYTES = budget.MIB
-"""How much of a file without chunks is read at once."""
+"""Number of bytes read at once from a file without chunks."""
 SQLITE_MAGIC = b"SQLite format 3\0"
 CONVERT = (
-    "convert it with ROS 2 (printf 'output_bags: [{uri: NEW, storage_id: mcap, all: true}]' > new.yaml; "
-    "ros2 bag convert -i BAG -o new.yaml) or without (pip install rosbags; "
-    "rosbags-convert --src BAG --dst NEW --dst-storage mcap)"
+    "convert it with ROS 2 (printf 'output_bags: [{uri: NEW, storage_id: mcap, all: true}]' > new.yaml; ros2 "
+    "bag convert -i BAG -o new.yaml) or without (pip install rosbags; rosbags-convert --src BAG --dst NEW "
+    "--dst-storage mcap)"
 )
 LEAST_AHEAD, AHEAD_BYTES = 2, 4 * budget.MIB
-"""Chunks that are read before the first of them is needed: at least so many, and as many as are together no larger."""
+"""Chunks read ahead: at least this number, and more up to this total size."""
 _TRAILING_NUMBER = re.compile(r"_(\d+)$")
 
 
 class Message(NamedTuple):
-    """One recorded message; `data` are its CDR bytes, a view of its chunk."""
+    """Recorded message; `data` are its CDR bytes, a view of its chunk."""
 
     topic: str
     type_name: str
@@ -75,7 +75,7 @@ class Message(NamedTuple):
 
 @attrs.frozen
 class RecordedTopic:
-    """A topic and how many messages of it a run holds."""
+    """Topic of a run and its number of messages."""
 
     topic: TopicDescription
     count: int
@@ -83,19 +83,19 @@ class RecordedTopic:
 
 @attrs.frozen
 class Segment:
-    """A part of a file that is read at once: a chunk, or messages that follow each other outside chunks."""
+    """Part of a file that is read at once: a chunk, or consecutive messages outside chunks."""
 
     offset: int
     length: int
-    first_ns: int  # least log time of its messages
+    first_ns: int  # smallest log time of its messages
     last_ns: int
-    size: int  # bytes of its records, decompressed
-    channels: frozenset[int]  # ids of the channels that its messages are of; empty: not known
-    chunk: ChunkIndex | None  # None: outside chunks
+    size: int  # size of its decompressed records
+    channels: frozenset[int]  # ids of the channels of its messages; empty if unknown
+    chunk: ChunkIndex | None  # None if outside chunks
 
     @classmethod
     def of_chunk(cls, index: ChunkIndex) -> Segment:
-        """Return the segment that is a chunk."""
+        """Return a chunk as a segment."""
         times = index.message_start_time, index.message_end_time
         channels = frozenset(index.message_index_offsets)
         return cls(index.chunk_start_offset, index.chunk_length, *times, index.uncompressed_size, channels, chunk=index)
@@ -103,7 +103,7 @@ class Segment:
 
 @attrs.frozen
 class _Place:
-    """A segment of one of the files."""
+    """Segment of one of the files."""
 
     source: McapSource
     segment: Segment
@@ -113,18 +113,18 @@ _Item = tuple[int, int, int, Message]  # log time, running number of the chunk, 
 
 
 class Run:
-    """A recorded run, opened for reading; a context manager.
+    """Recorded run, opened for reading; a context manager.
 
     Attributes:
-        topics: what was recorded, by full name.
-        prefixes: what stands in front of the relative names of each rig.
+        topics: recorded topics by full name.
+        prefixes: prefix of the relative names of each rig.
 
     Args:
         path: a run directory or an MCAP file.
-        rig: namespace of the rig that relative names mean; None: the only one.
+        rig: namespace of the rig that relative names refer to; None means the only rig.
 
     Raises:
-        RecordingError: there is no recording, it is not finished, its index is damaged, or it holds no such rig.
+        RecordingError: there is no recording, it is not finished, its index is damaged, or it has no such rig.
     """
 
     def __init__(self, path: Path, rig: str | None = None) -> None:
@@ -145,8 +145,8 @@ class Run:
             raise
 
     def close(self) -> None:
-        """Close the files; a second call does nothing."""
-        self._ahead.shutdown(cancel_futures=True)  # first: it reads from these files
+        """Close the files; a second call has no effect."""
+        self._ahead.shutdown(cancel_futures=True)  # first, because it reads from these files
         for source in self.sources:
             source.close()
 
@@ -158,7 +158,7 @@ class Run:
 
     @property
     def message_count(self) -> int:
-        """Messages in all files."""
+        """Number of messages in all files."""
         return sum(source.statistics.message_count for source in self.sources)
 
     @property
@@ -173,7 +173,7 @@ class Run:
 
     @property
     def provenance(self) -> dict[str, str]:
-        """What the run says about itself (version, seed, wall_start_ns, …); empty for other recorders' files.
+        """Provenance of the run (version, seed, wall_start_ns, …); empty for files of other recorders.
 
         Raises:
             RecordingError: the record is damaged.
@@ -181,7 +181,7 @@ class Run:
         return self.record(RECORD_NAME)
 
     def record(self, name: str) -> dict[str, str]:
-        """Return the last metadata record of this name that carries its own checksum; empty if there is none.
+        """Return the last metadata record of this name with its own checksum; empty if there is none.
 
         Raises:
             RecordingError: the record is damaged.
@@ -191,12 +191,14 @@ class Run:
                 if found == name:
                     verified = verify(content)
                     if verified is None:
-                        raise DamageError(f"{self.path}: the metadata record {name!r} does not fit its checksum")
+                        raise DamageError(f"{self.path}: the metadata record {name!r} does not match its checksum")
                     return verified
         return {}
 
     def attachments(self) -> dict[str, bytes]:
-        """Return the files kept inside the recording, by name; of several with one name the first: the run's start.
+        """Return the files stored inside the recording, by name; of several with one name, the first.
+
+        That of the start.
 
         Raises:
             RecordingError: one is damaged.
@@ -214,7 +216,7 @@ class Run:
 
     @property
     def prefix(self) -> str:
-        """What stands in front of the relative names of this run's rig: its namespace and a slash.
+        """Prefix of the relative names of this run's rig: its namespace and a slash.
 
         Raises:
             RecordingError: there are several rigs, and none was chosen.
@@ -222,7 +224,7 @@ class Run:
         return rigs.choose(self.prefixes, self._rig, self.path)
 
     def name(self, wanted: str | Topic) -> str:
-        """Return the full name of a topic, recorded or not: an absolute name as it is, others in the rig's namespace.
+        """Return the full name of any topic: an absolute name unchanged, others in the rig's namespace.
 
         Raises:
             RecordingError: there are several rigs, and none was chosen.
@@ -234,7 +236,7 @@ class Run:
         return text if text in self.topics and name not in self.topics else name  # names without any slash are legal
 
     def relative(self, name: str) -> str | None:
-        """Return the name of a recorded topic relative to this run's rig; None if it is not of this rig.
+        """Return the name of a recorded topic relative to this run's rig; None if it belongs to another rig.
 
         Raises:
             RecordingError: there are several rigs, and none was chosen.
@@ -243,7 +245,7 @@ class Run:
         return name.removeprefix(self.prefix) if name.startswith(self.prefix) and not others else None
 
     def resolve(self, wanted: str | Topic) -> str:
-        """Return the full name of a recorded topic: see `name`.
+        """Return the full name of a recorded topic; see `name`.
 
         Raises:
             RecordingError: it was not recorded; or there are several rigs, and none was chosen.
@@ -264,16 +266,16 @@ class Run:
         end_ns: int | None = None,
         recorded_order: bool = False,
     ) -> Generator[Message, None, None]:
-        """Yield messages in log-time order; equal times in the order they were recorded.
+        """Yield messages in log-time order; equal times in recorded order.
 
         Args:
-            topics: only these, by absolute names or relative to the rig's namespace; None: all.
-            start_ns: only messages at or after this log time.
-            end_ns: only messages before this log time.
-            recorded_order: yield them as they arrived at the recorder instead.
+            topics: topics to read, by absolute names or names relative to the rig's namespace; None means all.
+            start_ns: first log time (inclusive).
+            end_ns: last log time (exclusive).
+            recorded_order: whether to yield messages in the order of recording instead.
 
         Raises:
-            RecordingError: a topic is not there, or a chunk is damaged (what was yielded before is right).
+            RecordingError: a topic is missing, or a chunk is damaged (messages yielded before are valid).
         """
         names = None if topics is None else frozenset(self.resolve(topic) for topic in topics)
         return self._merge(names, start_ns, end_ns, recorded_order=recorded_order)
@@ -287,37 +289,38 @@ class Run:
         return self.name(topic) in self.topics
 
     def tables(self, topic: str | Topic, *, recorded_order: bool = False) -> Iterator[Table]:
-        """Yield the tables of a PointCloud2 topic in log-time order, or as they arrived.
+        """Yield the tables of a PointCloud2 topic in log-time order, or in the order of recording.
 
         Args:
-            topic: a name: whatever tables were recorded under it; a row of `topics`: they are `codec.checked`.
-            recorded_order: as they arrived.
+            topic: a name, which yields all tables recorded under it; or a `Topic`, which also checks them
+                (`codec.checked`).
+            recorded_order: whether to use the order of recording.
 
         Raises:
-            RecordingError: the topic is not there, carries no tables, or is damaged; or tables are none of the topic.
+            RecordingError: the topic is missing, carries no tables, or is damaged; or a table does not match the topic.
         """
         known = None if isinstance(topic, str) else topic
         name = self._table_topic(topic)
         return (self.table(message, known) for message in self.messages([name], recorded_order=recorded_order))
 
     def table(self, message: Message, topic: Topic | None = None, needs: tuple[str, ...] = ()) -> Table:
-        """Return the table in a message of this run, `codec.checked` if its topic is given.
+        """Return the table in a message of this run; check it (`codec.checked`) if its topic is given.
 
         Raises:
-            RecordingError: it is none.
+            RecordingError: the message is not a valid table.
         """
         try:
             return codec.decode(message.data, topic, needs)
         except CodecError as error:
             raise RecordingError(
-                f"{self.path}: {message.topic} at {message.log_time} ns is no table that can be read: {error}"
+                f"{self.path}: {message.topic} at {message.log_time} ns is not a valid table: {error}"
             ) from error
 
     def received_tables(self, topic: str) -> Iterator[tuple[Message, Table]]:
-        """Return the tables of a topic like `tables`, each with its message.
+        """Yield the tables of a topic as `tables` does, each with its message.
 
         Raises:
-            RecordingError: as `tables`.
+            RecordingError: as for `tables`.
         """
         name = self._table_topic(topic)
         return ((message, self.table(message)) for message in self.messages([name]))
@@ -328,16 +331,16 @@ class Run:
         Its columns are `time`, `timestamp` and `earlier` (see `impact_rig.recording.columns`) and those of the table.
 
         Raises:
-            RecordingError: as `tables`; the topic holds no message or changes its columns.
+            RecordingError: as for `tables`; or the topic holds no message or changes its columns.
             ImpactRigError: pandas is not installed.
         """
         return columns.to_dataframe(self, topic)
 
     def to_xarray(self, topic: str) -> Any:
-        """Return the rows of a table topic as an `xarray.Dataset` over `time`; variables name unit and meaning.
+        """Return the rows of a table topic as an `xarray.Dataset` over `time`; attributes give unit and description.
 
         Raises:
-            RecordingError: as `tables`; the topic holds no message or changes its columns.
+            RecordingError: as for `tables`; or the topic holds no message or changes its columns.
             ImpactRigError: xarray is not installed.
         """
         return columns.to_xarray(self, topic)
@@ -353,7 +356,7 @@ class Run:
         return [source for source in self.sources if source.statistics.message_count]
 
     def _refuse_excess(self) -> None:
-        """Refuse what the index alone shows to be beyond the budget."""
+        """Reject an index that shows by itself that the budget would be exceeded."""
         account = self._account()
         with _named(self.path):
             for source in self.sources:
@@ -403,7 +406,7 @@ class Run:
                 place.source.refuse_if_closed(place.segment.offset)
                 ahead.append((place, self._ahead.submit(place.source.content, place.segment)))
             place, reading = ahead.popleft()
-            place.source.refuse_if_closed(place.segment.offset)  # its content may have been read before that
+            place.source.refuse_if_closed(place.segment.offset)  # its content may have been read earlier
             content = reading.result()
             with _named(self.path):  # counted before any record becomes an object
                 account.records(records.count(content, most))
@@ -411,7 +414,7 @@ class Run:
             cut = len(pending)
             if not recorded_order:
                 pending.sort()
-                if ahead:  # nothing in the chunks to come is earlier than the next one's start
+                if ahead:  # no later chunk contains anything before the start of the next one
                     cut = bisect.bisect_left(pending, (ahead[0][0].segment.first_ns,))
             for log_time, _, _, message in pending[:cut]:
                 if (start_ns is None or log_time >= start_ns) and (end_ns is None or log_time < end_ns):
@@ -419,16 +422,16 @@ class Run:
             del pending[:cut]
 
     def _refuse_hoard(self, pending: list[_Item], recorded: Sequence[_Place], coming: Iterable[_Place]) -> None:
-        """Refuse to hold many chunks because each has a message that is much later than the others."""
+        """Refuse to hold many chunks in memory because each has a message much later than the others."""
         held = [*(recorded[number] for number in {item[1] for item in pending}), *coming]
         size = _size(*held) + budget.MESSAGE_BYTES * len(pending)
         with _named(self.path):
-            budget.allow("bytes held until their time has come", size, budget.HELD_BYTES)
+            budget.allow("bytes held until their time is reached", size, budget.HELD_BYTES)
 
 
 @contextlib.contextmanager
 def _named(path: Path) -> Iterator[None]:
-    """Say of which run or file something costs too much."""
+    """Add the name of the run or file to a budget error."""
     try:
         yield
     except BudgetError as error:
@@ -445,7 +448,7 @@ def open_run(path: Path | str, rig: str | None = None) -> Run:
 
 
 def run_files(path: Path) -> list[Path]:
-    """Return the MCAP files of a run in the order they were written.
+    """Return the MCAP files of a run in the order of writing.
 
     Raises:
         RecordingError: there are none, or one that `metadata.yaml` lists is missing.
@@ -465,14 +468,14 @@ def run_files(path: Path) -> list[Path]:
 
 
 def _listed(directory: Path, name: str) -> Path:
-    """Return a file that `metadata.yaml` lists: older versions write the folder in front; it may have been unpacked."""
+    """Return a file listed by `metadata.yaml`, which may include the folder (older versions), or be compressed."""
     file = directory / Path(name).name
     unpacked = file.with_suffix("") if file.suffix == ".zstd" else file
     return unpacked if unpacked.exists() else file
 
 
 def mcap_files(directory: Path) -> list[Path]:
-    """Return the MCAP files in a directory in the order they were written, whatever `metadata.yaml` lists."""
+    """Return the MCAP files in a directory in the order of writing; `metadata.yaml` is not used."""
     return sorted(directory.glob("*.mcap"), key=_split_order)
 
 
@@ -492,13 +495,13 @@ def _listed_files(directory: Path) -> list[str]:
     except FileNotFoundError:
         return []
     except OSError as error:
-        raise RecordingError(f"{path} cannot be read: {error.strerror}") from error
+        raise RecordingError(f"cannot read {path}: {error.strerror}") from error
     except (ValueError, KeyError, TypeError) as error:
-        raise RecordingError(f"{path} cannot be understood: {error}") from error
+        raise RecordingError(f"cannot parse {path}: {error}") from error
 
 
 def _wanted(source: McapSource, segment: Segment, names: frozenset[str] | None) -> bool:
-    if names is None or not segment.channels:  # it may hold anything
+    if names is None or not segment.channels:  # unknown channels
         return True
     return any(source.topics[i].name in names for i in segment.channels if i in source.topics)
 
@@ -506,7 +509,7 @@ def _wanted(source: McapSource, segment: Segment, names: frozenset[str] | None) 
 def _items(
     place: _Place, content: memoryview, names: frozenset[str] | None, number_of_place: int, account: Spending
 ) -> list[_Item]:
-    """Return the wanted messages of a segment, each with its sort key."""
+    """Return the selected messages of a segment, each with its sort key."""
     topics = place.source.topics
     wanted = None if names is None else frozenset(i for i, topic in topics.items() if topic.name in names)
     items = []
@@ -525,15 +528,15 @@ def _items(
     return items
 
 
-_REMEDY = "impact-rig recover gives back what is whole"
+_REMEDY = "impact-rig recover saves the intact messages"
 _BEING_WRITTEN = (
-    "it is being recorded now: it can be read when the recording has ended (Ctrl-C, or ~/stop of the recorder); "
-    "impact-rig recover gives a copy of what is there so far"
+    "it is still being recorded: read it when the recording has ended (Ctrl-C, or ~/stop of the recorder), or "
+    "copy its present content with impact-rig recover"
 )
 
 
 class McapSource:
-    """A finished MCAP file, opened for reading.
+    """Finished MCAP file, opened for reading.
 
     Raises:
         RecordingError: it cannot be opened, is not finished or is damaged.
@@ -541,7 +544,7 @@ class McapSource:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        with files.errors_as(f"{path} cannot be opened"):
+        with files.errors_as(f"cannot open {path}"):
             self._fd = files.open_regular(path)
         try:
             self.size = os.fstat(self._fd).st_size
@@ -564,25 +567,25 @@ class McapSource:
             raise BudgetError(f"{path}: {error}") from error
         except OSError as error:
             self.close()
-            raise RecordingError(f"{path} cannot be read: {error.strerror}") from error
+            raise RecordingError(f"cannot read {path}: {error.strerror}") from error
 
     def close(self) -> None:
-        """Close the file; a second call does nothing."""
+        """Close the file; a second call has no effect."""
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
 
     def refuse_if_closed(self, offset: int) -> None:
-        """Refuse to go on with a segment of a file that has been closed.
+        """Raise an error if the file of a segment has been closed.
 
         Raises:
             RecordingError: it has.
         """
         if self._fd < 0:
-            raise RecordingError(f"{self.path} cannot be read at byte {offset}: it has been closed")
+            raise RecordingError(f"cannot read {self.path} at byte {offset}: it has been closed")
 
     def _is_being_written(self) -> bool:
-        """Return whether the process lives that writes the file: it holds a lock on it."""
+        """Return whether the process that writes the file is alive: it holds a lock on the file."""
         try:
             fcntl.flock(self._fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -593,12 +596,12 @@ class McapSource:
         return False
 
     def _segments(self) -> list[Segment]:
-        """Return the parts that hold messages, in the order of the file."""
+        """Return the parts that contain messages, in file order."""
         chunks = [Segment.of_chunk(index) for index in self.summary.chunk_indexes]
         return chunks if chunks or not self.statistics.message_count else list(self._outside_chunks())
 
     def _outside_chunks(self) -> Iterator[Segment]:
-        """Walk the records of a file without chunks, and yield the messages that follow each other."""
+        """Scan a file without chunks, and yield consecutive messages."""
         position, view, base = len(records.MAGIC), b"", 0
         begun = ended = 0
         times: list[int] = []
@@ -628,13 +631,13 @@ class McapSource:
             position = end
 
     def content(self, segment: Segment) -> memoryview:
-        """Return the records of a segment, decompressed and checked where they carry a checksum.
+        """Return the records of a segment, decompressed, and checked if they carry a checksum.
 
         Raises:
             RecordingError: it is damaged.
         """
         if segment.chunk is None:
-            with files.errors_as(f"{self.path} cannot be read at byte {segment.offset}"):
+            with files.errors_as(f"cannot read {self.path} at byte {segment.offset}"):
                 return memoryview(os.pread(self._fd, segment.length, segment.offset))
         try:
             chunk = records.parse(mcap_records.Chunk, self._record(segment.chunk, records.CHUNK))
@@ -655,7 +658,7 @@ class McapSource:
         return [Attachment(record.name, bytes(record.data), record.media_type) for record in found]
 
     def attachment_records(self) -> list[tuple[mcap_records.Attachment, bool]]:
-        """Return the attachment records, and for each whether it carries a checksum, which then fits.
+        """Return the attachment records, and for each whether it carries a (matching) checksum.
 
         Raises:
             RecordingError: one is damaged.
@@ -667,7 +670,7 @@ class McapSource:
                 attachment = records.parse(mcap_records.Attachment, content)
                 fits = records.attachment_crc(content)
                 if fits is False:
-                    raise DamageError("its checksum does not fit")  # noqa: TRY301  (one place words both kinds of damage)
+                    raise DamageError("its checksum does not match")  # noqa: TRY301  (one place words both kinds of damage)
             except DamageError as error:
                 raise DamageError(f"{self.path}: the attachment at byte {index.offset} is damaged: {error}") from error
             found.append((attachment, fits is not None))
@@ -696,21 +699,21 @@ class McapSource:
         return self._fd
 
     def crc(self, segment: Segment) -> int:
-        """Return the checksum that the head of a chunk holds; 0: it carries none.
+        """Return the checksum in the head of a chunk; 0 means none.
 
         Raises:
             RecordingError: it cannot be read.
         """
         head = records.RECORD_HEAD.size + records.CHUNK_HEAD.size
-        with files.errors_as(f"{self.path} cannot be read at byte {segment.offset}"):
+        with files.errors_as(f"cannot read {self.path} at byte {segment.offset}"):
             data = os.pread(self._fd, head, segment.offset)
         return int(records.CHUNK_HEAD.unpack_from(data, records.RECORD_HEAD.size)[-1]) if len(data) == head else 0
 
     def data_end(self) -> int:
-        """Return where the record is that ends the data section.
+        """Return the offset of the record that ends the data section.
 
         Raises:
-            DamageError: it is not in front of the summary.
+            DamageError: it is not directly before the summary.
         """
         tail_bytes = records.FOOTER_BYTES + len(records.MAGIC)
         tail = os.pread(self._fd, tail_bytes, self.size - tail_bytes)
@@ -718,12 +721,12 @@ class McapSource:
         return records.parse(mcap_records.Footer, content).summary_start - DATA_END_BYTES
 
     def record_at(self, offset: int, opcode: int) -> memoryview:
-        """Return the content of the record at a place.
+        """Return the content of the record at an offset.
 
         Raises:
-            DamageError: there is none of this kind.
+            DamageError: there is no record of this kind.
         """
-        with files.errors_as(f"{self.path} cannot be read at byte {offset}"):
+        with files.errors_as(f"cannot read {self.path} at byte {offset}"):
             head = os.pread(self._fd, records.RECORD_HEAD.size, offset)
         if len(head) < records.RECORD_HEAD.size:
             raise DamageError("the file is shorter than its index says")
@@ -740,7 +743,8 @@ class McapSource:
         if length > self.size - offset:
             raise DamageError(f"it claims {length} bytes of a file of {self.size}")
         budget.allow("bytes in a record", length, budget.CHUNK_BYTES + budget.MIB)
-        with files.errors_as(f"{self.path} cannot be read at byte {offset}"):  # a bad sector, or it has been closed
+        # a bad sector, or the file has been closed
+        with files.errors_as(f"cannot read {self.path} at byte {offset}"):
             view = memoryview(os.pread(self._fd, length, offset))
         if len(view) != length:
             raise DamageError("the file is shorter than its index says")
@@ -751,11 +755,11 @@ class McapSource:
 
 
 class ForeignBagError(RecordingError):
-    """A recording in another format than MCAP."""
+    """Recording in another format than MCAP."""
 
 
 def refuse_foreign(fd: int) -> None:
-    """Refuse a bag of rosbag2 in another format, with a command that converts it.
+    """Reject a bag of rosbag2 in another format, with a command that converts it.
 
     Raises:
         ForeignBagError: the file is in SQLite, or compressed as a whole.
@@ -773,7 +777,7 @@ def read_summary(fd: int, size: int) -> Summary:
     """Read and check the summary of an open MCAP file of `size` bytes.
 
     Raises:
-        DamageError: the file is no finished MCAP file, or the summary is damaged.
+        DamageError: the file is not a finished MCAP file, or the summary is damaged.
     """
     magic, tail_bytes = len(records.MAGIC), records.FOOTER_BYTES + len(records.MAGIC)
     refuse_foreign(fd)
@@ -796,12 +800,12 @@ def read_summary(fd: int, size: int) -> Summary:
     section = os.pread(fd, footer_offset - start, start)
     guarded = records.FOOTER_BYTES - 4  # the checksum covers the footer up to itself
     if crc not in (0, zlib.crc32(tail[:guarded], zlib.crc32(section))):
-        raise DamageError("the checksum of its index does not fit")
+        raise DamageError("the checksum of its index does not match")
     return parse_summary(memoryview(section))
 
 
 def parse_summary(section: memoryview) -> Summary:
-    """Return the content of a summary section.
+    """Parse a summary section.
 
     Raises:
         DamageError: it is not a sequence of records, or there are no statistics.
@@ -834,7 +838,7 @@ def parse_summary(section: memoryview) -> Summary:
 
 
 def _refuse_shared_bytes(chunks: list[ChunkIndex]) -> None:
-    """Refuse an index that lists a chunk, or a part of one, twice: a short file would have to be read for ever."""
+    """Reject an index that lists a chunk, or a part of one, twice: a short file would be read forever."""
     ends_at = 0
     for index in sorted(chunks, key=lambda index: index.chunk_start_offset):
         offset = index.chunk_start_offset
@@ -847,7 +851,7 @@ def topics_of(summary: Summary) -> dict[int, TopicDescription]:
     """Return the topic of every channel id.
 
     Raises:
-        DamageError: a channel refers to a schema that is not there.
+        DamageError: a channel refers to a missing schema.
         BudgetError: there are too many.
     """
     budget.allow("topics", len(summary.channels), budget.TOPICS)

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Strict reading of MCAP records: every length is compared with what is there, every checksum with what it guards.
+"""Strict reader of MCAP records: every length and every checksum is verified.
 
-The library `mcap` reads what a record holds. What is our own is where it trusts lengths (a short read passes for a
-whole record) and sizes (memory for whatever a chunk claims), and so hands out wrong data from damaged files and falls
-to hostile ones. Source: the MCAP format specification, version 0.
+The library `mcap` parses the content of records. It trusts lengths (a short read passes for a complete record) and
+sizes (memory for whatever a chunk claims), so it returns wrong data from damaged files and is open to attacks. This
+module replaces those parts. Source: the MCAP format specification, version 0.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ import zlib
 from collections.abc import Iterator
 from typing import Final, NamedTuple, TypeVar
 
-import lz4.frame  # type: ignore[import-untyped]  # ships no stubs
+import lz4.frame  # type: ignore[import-untyped]  # has no type stubs
 import zstandard
 from mcap import records as mcap_records
 from mcap.data_stream import ReadDataStream
@@ -46,15 +46,15 @@ Bytes = bytes | memoryview
 
 
 class DamageError(RecordingError):
-    """Bytes are not the record they claim to be."""
+    """Damage: bytes are not the record they claim to be."""
 
 
 class UncheckedError(DamageError):
-    """Bytes carry no checksum, and one was wanted."""
+    """Lack of a required checksum."""
 
 
 class RawMessage(NamedTuple):
-    """A message inside a chunk; `data` is a view of the chunk."""
+    """Message inside a chunk; `data` is a view of the chunk."""
 
     channel_id: int
     sequence: int
@@ -64,21 +64,21 @@ class RawMessage(NamedTuple):
 
 
 class _Strict(ReadDataStream):
-    """The library's reader of fields, which trusts lengths, on a view: nothing is copied, no field is cut short."""
+    """The library's reader of fields on a view, with checks of lengths: no copies, no truncated fields."""
 
     def __init__(self, view: memoryview) -> None:
         super().__init__(io.BytesIO())
         self._view = view
 
-    def read(self, length: int) -> memoryview:  # type: ignore[override]  # what is made of it takes both
-        """Return the next bytes, all of them.
+    def read(self, length: int) -> memoryview:  # type: ignore[override]  # the callers accept both types
+        """Return the next bytes.
 
         Raises:
             DamageError: there are fewer.
         """
         left = len(self._view) - self._count
         if length > left:
-            raise DamageError(f"a field of {length} bytes does not fit the {left} bytes left of its record")
+            raise DamageError(f"a field of {length} bytes does not fit into the {left} bytes left of its record")
         self._count += length
         return self._view[self._count - length : self._count]
 
@@ -87,14 +87,14 @@ Record = TypeVar("Record", bound=mcap_records.McapRecord)
 
 
 def parse(kind: type[Record], content: memoryview) -> Record:
-    """Return the record of a kind that takes all of `content`; the data in it are views.
+    """Parse all of `content` as a record of one kind; the data in it are views.
 
     Raises:
-        DamageError: it is none, or bytes are left.
+        DamageError: it is invalid, or bytes are left over.
     """
     stream = _Strict(content)
     try:
-        record: Record = kind.read(stream)  # type: ignore[attr-defined]  # each kind has it, their base class has not
+        record: Record = kind.read(stream)  # type: ignore[attr-defined]  # all kinds have it, but not their base class
     except UnicodeDecodeError as error:
         raise DamageError(f"a string is not UTF-8: {error}") from error
     if stream.count != len(content):
@@ -103,7 +103,7 @@ def parse(kind: type[Record], content: memoryview) -> Record:
 
 
 def attachment_crc(content: memoryview) -> bool | None:
-    """Return whether the checksum of an attachment fits; None if it carries none (0)."""
+    """Return whether the checksum of an attachment matches; None if it carries none (0)."""
     crc = int.from_bytes(content[-4:], "little")
     return zlib.crc32(content[:-4]) == crc if crc else None
 
@@ -112,11 +112,11 @@ def split(view: memoryview, offset: int, *, end: int | None = None) -> tuple[int
     """Return opcode, content and end of the record at `offset`.
 
     Raises:
-        DamageError: the record does not fit before `end` (default: the end of `view`).
+        DamageError: the record ends after `end` (default: the end of `view`).
     """
     stop = len(view) if end is None else end
     if offset + RECORD_HEAD.size > stop:
-        raise DamageError(f"no whole record at byte {offset}")
+        raise DamageError(f"no complete record at byte {offset}")
     opcode, length = RECORD_HEAD.unpack_from(view, offset)
     start = offset + RECORD_HEAD.size
     if length > stop - start:
@@ -127,7 +127,7 @@ def split(view: memoryview, offset: int, *, end: int | None = None) -> tuple[int
 def decompress(chunk: mcap_records.Chunk, *, need_crc: bool = False) -> memoryview:
     """Return the records of `chunk`, checked against its size and checksum; memory stays within its claimed size.
 
-    One without a checksum (0) is taken, unless `need_crc`.
+    A chunk without a checksum (0) is accepted, unless `need_crc`.
 
     Raises:
         DamageError: size or checksum differ, or the data cannot be decompressed.
@@ -141,7 +141,7 @@ def decompress(chunk: mcap_records.Chunk, *, need_crc: bool = False) -> memoryvi
     if chunk.uncompressed_crc == 0 and need_crc:
         raise UncheckedError("a chunk carries no checksum")
     if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
-        raise DamageError("the checksum of a chunk does not fit its content")
+        raise DamageError("the checksum of a chunk does not match its content")
     return memoryview(data)
 
 
@@ -150,11 +150,11 @@ ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 
 
 def plain_message(data: memoryview, most: int) -> memoryview:
-    """Return the CDR bytes of a message, decompressed if its recorder compressed each message by itself with zstd.
+    """Return the CDR bytes of a message; decompress them if the recorder compressed each message with zstd.
 
     Args:
-        data: of a message in CDR, or a zstd frame with one.
-        most: largest size to decompress to [bytes].
+        data: message in CDR, or a zstd frame that contains one.
+        most: largest decompressed size [bytes].
 
     Raises:
         DamageError: it cannot be decompressed, or is larger.
@@ -172,7 +172,7 @@ def plain_message(data: memoryview, most: int) -> memoryview:
 
 
 def messages(records: memoryview, wanted: frozenset[int] | None) -> Iterator[RawMessage]:
-    """Yield the messages of the wanted channels (None: of all) from decompressed, checked chunk content.
+    """Yield the messages of the selected channels (None: all) from decompressed, checked chunk content.
 
     Raises:
         DamageError: the content is not a sequence of records.
@@ -185,7 +185,7 @@ def messages(records: memoryview, wanted: frozenset[int] | None) -> Iterator[Raw
             _, length, channel_id, sequence, log_time, publish_time = unpack(records, offset)
             end = offset + RECORD_HEAD.size + length
             if length < skip or end > stop:
-                raise DamageError(f"a message of {length} bytes does not fit its chunk")
+                raise DamageError(f"a message of {length} bytes does not fit into its chunk")
             if wanted is None or channel_id in wanted:
                 yield RawMessage(channel_id, sequence, log_time, publish_time, records[offset + head : end])
             offset = end
@@ -194,7 +194,7 @@ def messages(records: memoryview, wanted: frozenset[int] | None) -> Iterator[Raw
 
 
 def positions(records: memoryview) -> Iterator[tuple[int, int, int]]:
-    """Yield channel, log time and place of each message in decompressed chunk content, as a message index has them.
+    """Yield channel, log time and offset of each message in decompressed chunk content, as in a message index.
 
     Raises:
         DamageError: the content is not a sequence of records.
@@ -211,7 +211,7 @@ def positions(records: memoryview) -> Iterator[tuple[int, int, int]]:
 
 
 def count(records: memoryview, most: int) -> int:
-    """Return how many records decompressed chunk content holds, or a number above `most` as soon as it is that many.
+    """Return the number of records in decompressed chunk content; counting stops just above `most`.
 
     Raises:
         DamageError: the content is not a sequence of records.
@@ -220,12 +220,12 @@ def count(records: memoryview, most: int) -> int:
     unpack, head = RECORD_HEAD.unpack_from, RECORD_HEAD.size
     while offset < stop and found <= most:
         if offset + head > stop:
-            raise DamageError(f"no whole record at byte {offset}")
+            raise DamageError(f"no complete record at byte {offset}")
         _, length = unpack(records, offset)
         offset += head + length
         found += 1
     if offset > stop:
-        raise DamageError(f"a record ends {offset - stop} bytes behind its chunk")
+        raise DamageError(f"a record ends {offset - stop} bytes after its chunk")
     return found
 
 
@@ -259,7 +259,7 @@ def _unzstd(data: Bytes, size: int) -> Bytes:
 
 
 def _unlz4(data: Bytes, size: int) -> Bytes:
-    # the incremental decompressor never makes more than asked for, whatever size the frame claims
+    # the incremental decompressor never produces more than requested, whatever size the frame claims
     decompressor = lz4.frame.LZ4FrameDecompressor()
     try:
         content: bytes = decompressor.decompress(data, max_length=size)

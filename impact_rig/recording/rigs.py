@@ -11,10 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Rigs in a recording: their namespaces, and the whole names of their topics.
+"""Rigs in a recording: their namespaces, and the full names of their topics.
 
-A topic belongs to a rig if its name is the rig's namespace followed by the topic's whole relative name. The ending of a
-name decides nothing: `/rig/plot/envelope/laser` is not the monitor `laser`, and `/rig/truth/impacts` is not `impacts`.
+A topic belongs to a rig if its name is the rig's namespace followed by the topic's full relative name. The last part of
+a name alone decides nothing: `/rig/plot/envelope/laser` is not the monitor `laser`, and `/rig/truth/impacts` is not
+`impacts`.
 """
 
 from __future__ import annotations
@@ -25,22 +26,22 @@ from impact_rig import topics
 from impact_rig.errors import RecordingError
 
 OPTION = "--rig"
-"""Command line option that chooses one of several rigs."""
+"""Command line option that selects one of several rigs."""
 
 _RELATIVE = sorted((topic for topic in topics.COMMON if not topic.name.startswith("/")), key=lambda one: -len(one.name))
 
 
 def prefix_of(name: str, topic: topics.Topic) -> str | None:
-    """Return what stands in front of a topic's relative name (`/rig/`); None if the name is not of that topic."""
+    """Return the prefix of a topic's relative name (`/rig/`); None if the name does not belong to that topic."""
     if name == topic.name:
         return ""
     return name.removesuffix(topic.name) if name.endswith(f"/{topic.name}") else None
 
 
 def prefixes(types: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the prefixes of the topics of each rig, such as `/rig/`, in the order of the names.
+    """Return the topic prefix of each rig, such as `/rig/`, in the order of the names.
 
-    A rig publishes `daq/scan`. In a recording without any, every known topic tells of a rig, by the longest relative
+    A rig publishes `daq/scan`. In a recording without any, every known topic indicates a rig, by the longest relative
     name that fits.
 
     Args:
@@ -59,20 +60,20 @@ def _longest(name: str) -> str | None:
 
 
 def namespace(prefix: str) -> str:
-    """Return the namespace that people write for a prefix: `/rig`, or `/`."""
+    """Return the namespace of a prefix as users write it: `/rig`, or `/`."""
     return prefix.rstrip("/") or "/"
 
 
 def choose(known: Iterable[str], wanted: str | None, where: object) -> str:
-    """Return the prefix of the rig that is meant.
+    """Return the prefix of the requested rig.
 
     Args:
         known: prefixes of the rigs in a recording.
-        wanted: namespace, with or without slashes around it; None: the only one.
+        wanted: namespace, with or without slashes around it; None means the only rig.
         where: recording, for the error.
 
     Raises:
-        RecordingError: there is no such rig, or several and none was chosen.
+        RecordingError: there is no such rig, or there are several and none was chosen.
     """
     found = list(known)
     names = ", ".join(map(namespace, found)) or "none"

@@ -11,15 +11,15 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Writes a run: a directory with MCAP files any ROS 2 tool opens, and `metadata.yaml` as rosbag2 writes it.
+"""Writer of a run: a directory with MCAP files for any ROS 2 tool, and `metadata.yaml` as in rosbag2.
 
-A chunk is closed when it is full or has been open for half a second of wall time, and handed to the operating system
-at once: a process killed at any instant loses the open chunk, unless a tail holds it as well. `metadata.yaml` appears
-when the run is finished; a directory without it was cut short; `recover` writes what is whole of it to a new run.
+A chunk is closed when it is full or has been open for half a second of wall time, and passed to the operating system at
+once. A killed process loses only the open chunk, and not even that if there is a tail. `metadata.yaml` is written when
+the run is finished. A directory without it is incomplete; `recover` writes its intact messages to a new run.
 
-Whole records are on disk or nothing: `mcap.writer.Writer` composes them into memory, so that a failing disk never
-leaves it half way; `McapFile.commit` moves what is complete to the file and cuts the file back to the last whole record
-if that fails. Writing stops before the disk or the file size limit does.
+Only complete records are on disk: `mcap.writer.Writer` composes them in memory, so a failing disk never leaves it half
+way. `McapFile.commit` moves complete records to the file, and truncates the file to the last complete record if that
+fails. Writing stops before the disk or the file size limit is reached.
 """
 
 from __future__ import annotations
@@ -66,15 +66,15 @@ from impact_rig.system import files
 from impact_rig.system.files import NEW_FILE
 
 CONTINUES_RECORD_NAME = "impact_rig/continues"
-"""Metadata record of a file of a split run that another one follows: its name."""
+"""Metadata record of a file of a split run: the name of the next file."""
 CHUNK_BYTES = 512 * 1024
 """Uncompressed size at which a chunk is closed: 4 MiB stall the writer for 25 ms, a few hundred KiB for 1-3 ms."""
-CHUNK_OPEN_S = 0.5  # wall time after which an open chunk is closed, however little it holds
+CHUNK_OPEN_S = 0.5  # wall time after which an open chunk is closed, even if it is small
 
 
 @attrs.define
 class _Channel:
-    """A topic of the run and its place in the current file."""
+    """Topic of the run with its channel in the current file."""
 
     topic: TopicDescription
     has_header: bool
@@ -84,25 +84,26 @@ class _Channel:
 
 
 class RunWriter:
-    """Records one run.
+    """Recorder of one run.
 
     Args:
-        directory: the run directory, created with its parents; files are named after it. It may exist, but must hold
-            neither `*.mcap`, `*.mcap.tail` nor `metadata.yaml` (nothing is ever overwritten), and be one's own.
-        provenance: goes into the `impact_rig` metadata record of every file; None: there is no such record.
-        attachments: go into every file, see `attach`.
-        account: counts what is received and finds what is lost; None: one of its own, that knows no graph.
-        closing: asked for further metadata records, by name, when a file is finished.
-        clock: monotonic seconds of wall time; decides when an open chunk is due.
+        directory: the run directory, created with its parents; files are named after it. It may exist, but must belong
+            to this user and contain neither `*.mcap`, `*.mcap.tail` nor `metadata.yaml`: nothing is overwritten.
+        provenance: content of the `impact_rig` metadata record of every file; None means no record.
+        attachments: attachments of every file; see `attach`.
+        account: account of received and lost messages; None means a new one without access to the graph.
+        closing: returns further metadata records, by name, when a file is finished.
+        clock: monotonic wall clock [s]; decides when an open chunk is due.
         compression: `none`, `lz4` or `zstd`.
         chunk_bytes: see `CHUNK_BYTES`.
-        max_file_bytes: begin a new file beyond this size; 0: one file.
-        max_file_duration_ns: begin a new file when a message is later than this after the file's first; 0: one file.
-        tail: keep what the open chunk holds in a second file, so that `secure` can promise it.
-        ros_distro: for `metadata.yaml`.
+        max_file_bytes: size beyond which a new file is started; 0 means one file.
+        max_file_duration_ns: duration since the first message of a file after which a new one is started; 0 means one
+            file.
+        tail: whether to keep the content of the open chunk in a second file, as needed by `secure`.
+        ros_distro: name of the distribution for `metadata.yaml`.
 
     Raises:
-        RecordingError: the directory cannot be made, holds a recording already, or has no room.
+        RecordingError: the directory cannot be created, contains a recording, or its disk is full.
     """
 
     def __init__(
@@ -148,17 +149,17 @@ class RunWriter:
 
     @property
     def closed(self) -> bool:
-        """Whether the run is over: finished, or stopped by an error."""
+        """Whether the run has ended: finished, or stopped by an error."""
         return self._closed
 
     @property
     def message_count(self) -> int:
-        """Messages accepted so far."""
+        """Number of messages accepted so far."""
         return sum(span.count for span in self._spans) + len(self._early)
 
     @property
     def bytes_written(self) -> int:
-        """Bytes on disk in all files of the run."""
+        """Number of bytes on disk in all files of the run."""
         return self._bytes_before + self._file.size
 
     @property
@@ -167,24 +168,25 @@ class RunWriter:
         return [self.directory / span.path for span in self._spans]
 
     def add_topic(self, topic: TopicDescription) -> None:
-        """Make a topic known; may be called at any time. Known with the same type: nothing happens.
+        """Register a topic; may be called at any time. A topic already known with the same type is ignored.
 
         Raises:
-            RecordingError: the topic is known with another type (the run goes on), or the file cannot be written.
+            RecordingError: the topic is known with another type (the run continues), or the file cannot be written.
         """
         self._refuse_if_closed()
         known = self._channels.get(topic.name)
         if known is None:
             channel = _Channel(topic, starts_with_header(topic.type_name, topic.schema), _carries_scans(topic))
             with _StoppingOnError(self):
-                self._file.close_chunk()  # the tail of the open one knows only the topics of its beginning
+                self._file.close_chunk()  # the tail of the open chunk knows only the topics at its start
                 self._commit()
                 self._register(channel)
                 self._file.commit()
             self._channels[topic.name] = channel
         elif known.topic.type_name != topic.type_name:
             raise RecordingError(
-                f"topic {topic.name} is recorded as {known.topic.type_name}: what is {topic.type_name} is ignored"
+                f"topic {topic.name} is recorded as {known.topic.type_name}: messages of type {topic.type_name} are "
+                "ignored"
             )
 
     def write(
@@ -193,14 +195,14 @@ class RunWriter:
         """Record one message.
 
         Args:
-            topic_name: of a topic added before.
+            topic_name: name of a registered topic.
             data: CDR bytes as received.
             publish_time_ns: DDS source time.
-            sequence: publication sequence number of the publisher (its low 32 bits are kept); 0: it has none.
-            table: in `data`, where that has been decoded.
+            sequence: publication sequence number of the publisher (its low 32 bits are kept); 0 means none.
+            table: the table in `data`, if it has been decoded.
 
         Raises:
-            RecordingError: unknown topic (the run goes on); or the run had to stop, now or earlier: see `closed`.
+            RecordingError: unknown topic (the run continues); or the run had to stop, now or earlier: see `closed`.
         """
         channel = self._channels.get(topic_name)
         if channel is None:
@@ -223,7 +225,10 @@ class RunWriter:
         self._write(channel, data, self._clock_ns.now_ns, publish_time_ns, sequence, counted=True)
 
     def _begin_without_scans(self) -> None:
-        """Write what came before any scan: at its newest stamp, or where nothing is stamped at its publish times."""
+        """Write the messages of a run without scans.
+
+        At their newest stamp, or without stamps at their publish times.
+        """
         stamps = [_stamp(one.data) for one in self._early if one.channel.has_header]
         newest_ns = max(stamps, default=0)
         for one in self._early:
@@ -232,7 +237,7 @@ class RunWriter:
         self._early, self._early_bytes = [], 0
 
     def _write_early(self) -> None:
-        """Write what came before the first scan, at the time of that."""
+        """Write the messages received before the first scan, at its time."""
         for one in self._early:
             self._write_one(one)
         self._early, self._early_bytes = [], 0
@@ -243,7 +248,7 @@ class RunWriter:
         self._write(one.channel, one.data, now_ns, one.publish_time_ns, one.sequence, counted=True)
 
     def write_at(self, topic_name: str, data: bytes, log_time_ns: int, publish_time_ns: int, sequence: int = 0) -> None:
-        """Record one message at a log time that is known already, without account; otherwise like `write`."""
+        """Record one message at a given log time, without the account; otherwise like `write`."""
         self._write(self._channels[topic_name], data, log_time_ns, publish_time_ns, sequence, counted=False)
 
     def _write(
@@ -260,7 +265,7 @@ class RunWriter:
                 self._chunk_opened_s = self._clock()
             channel.count += 1
             self._spans[-1].add(log_time_ns)
-            if counted:  # after a file before has been finished, and before this message can be the last one
+            if counted:  # after the previous file has been finished, and before this message can be the last one
                 self._account.take(channel.topic.name, sequence)
             message = (channel.id, log_time_ns, data, min(max(0, publish_time_ns), INFINITE_NS), sequence)
             if self._with_tail:
@@ -274,7 +279,7 @@ class RunWriter:
                 self._flush_if_due()
 
     def secure(self) -> None:
-        """Make sure that what was accepted survives a killed process; needs `tail`.
+        """Make sure that all accepted messages survive a killed process; requires `tail`.
 
         Raises:
             RecordingError: the run had to stop, now or earlier.
@@ -295,11 +300,11 @@ class RunWriter:
                 self._flush_if_due()
 
     def attach(self, attachment: Attachment, instead_of: str = "") -> None:
-        """Keep a file inside the recording; a further file of a split run repeats what is in force then.
+        """Store a file inside the recording; a further file of a split run repeats those active at its start.
 
         Args:
             attachment: the file.
-            instead_of: what it supersedes: the name that the first of its series had.
+            instead_of: the attachment that it supersedes, by the name of the first of the series.
 
         Raises:
             RecordingError: the run had to stop, now or earlier.
@@ -311,14 +316,14 @@ class RunWriter:
             self._file.commit()
 
     def supersede(self, attachment: Attachment, instead_of: str = "") -> None:
-        """Let further files of a split run hold this instead; the present one keeps what it has."""
+        """Replace an attachment in further files of a split run; the present file is unchanged."""
         self._in_force[instead_of or attachment.name] = attachment
 
     def finish(self) -> Path:
-        """Finish the run and return its directory; a second call, or one after an error, does nothing.
+        """Finish the run and return its directory; a second call, or one after an error, has no effect.
 
         Raises:
-            RecordingError: there is no room for index or `metadata.yaml`; the messages on disk are whole.
+            RecordingError: there is no room for index or `metadata.yaml`; the messages on disk are intact.
         """
         if not self._closed:
             self._begin_without_scans()
@@ -390,7 +395,7 @@ class RunWriter:
             self._close()
 
     def _close(self) -> None:
-        """Close what is open, as it is; a tail that was not made superfluous stays."""
+        """Close all open files as they are; a tail that is still needed stays."""
         self._file.close()
         if self._tail is not None:
             self._tail.close()
@@ -431,9 +436,9 @@ class RunWriter:
             raise RecordingError(f"the recording {self.directory} is finished")
 
     def stop(self, error: RecordingError) -> None:
-        """End the run because of `error`, which every later call repeats.
+        """End the run because of `error`, which every later call raises again.
 
-        Files that were finished before it stay a readable run; one that was being written is closed as it is.
+        Files finished before it remain a readable run; the open file is closed as it is.
         """
         self._failure = error
         finished = self._file.finished and not self._closed
@@ -445,9 +450,9 @@ class RunWriter:
 
 
 class _StoppingOnError:
-    """A run that failed to write is over: later calls repeat the error instead of damaging what is there.
+    """Context that ends a run that failed to write: later calls repeat the error instead of causing damage.
 
-    A class, not a generator: every message goes through it.
+    It is a class, not a generator, because every message passes through it.
     """
 
     def __init__(self, writer: RunWriter) -> None:
@@ -462,12 +467,12 @@ class _StoppingOnError:
 
 
 MOST_EARLY, MOST_EARLY_BYTES = 20_000, 16 * 2**20
-"""Messages, and bytes of them, that wait for the first scan, which says at what rig time they were received."""
+"""Limits, in messages and bytes, of what waits for the first scan, which defines the rig time of reception."""
 
 
 @attrs.frozen
 class _Early:
-    """A message received before the first scan."""
+    """Message received before the first scan."""
 
     channel: _Channel
     data: bytes
@@ -476,18 +481,18 @@ class _Early:
 
 
 class LogClock:
-    """Log time of a recording: the rig time at which a message is received, by the scans received until then.
+    """Log time of a recording: the rig time at which a message is received, from the scans received so far.
 
-    It never goes back. Where stamps do (a rig that was restarted), it goes on from where it was, at their rate.
+    It never goes back. If stamps do (a restarted rig), it continues from its last value at their rate.
     """
 
     def __init__(self) -> None:
-        self.now_ns: int | None = None  # None: not known yet
-        self._end_ns = 0  # of the block that is being logged
-        self._offset_ns = 0  # from the stamps of a restarted rig to log times
+        self.now_ns: int | None = None  # None if not known yet
+        self._end_ns = 0  # end of the block that is being logged
+        self._offset_ns = 0  # offset from the stamps of a restarted rig to log times
 
     def go_on(self, now_ns: int) -> None:
-        """Go on to a time."""
+        """Advance to a time."""
         self.now_ns = max(_clamp(now_ns), self.now_ns or 0)
 
     def begin_block(self, first_ns: int, last_ns: int) -> int:
@@ -506,7 +511,7 @@ class LogClock:
         return log_time
 
     def end_block(self) -> None:
-        """Go on to the last scan of the block that began."""
+        """Advance to the last scan of the current block."""
         self.now_ns = self._end_ns
 
 
@@ -515,7 +520,7 @@ def _carries_scans(topic: TopicDescription) -> bool:
 
 
 def _clamp(time_ns: int) -> int:
-    """Return what rosbag2 can read: its times are signed, MCAP's are not."""
+    """Limit a time to the range of rosbag2: its times are signed, those of MCAP are not."""
     return min(max(0, time_ns), INFINITE_NS)
 
 
@@ -527,7 +532,7 @@ def _stamp(data: bytes) -> int:
 
 
 def _block(data: bytes, table: Table | None) -> tuple[int, int] | None:
-    """Return the times of a block's first and last scan, or None if it is no table with scans."""
+    """Return the times of a block's first and last scan, or None if it is not a table with scans."""
     try:
         table = table or codec.decode(data)
     except CodecError:
@@ -536,10 +541,10 @@ def _block(data: bytes, table: Table | None) -> tuple[int, int] | None:
 
 
 def make_room(directory: Path) -> None:
-    """Make the directory of a run, with its parents, unless it is there.
+    """Create the directory of a run, with its parents, if needed.
 
     Raises:
-        RecordingError: it cannot be made, is not ours, or holds a recording already: nothing is ever overwritten.
+        RecordingError: it cannot be created, belongs to another user, or contains a recording: nothing is overwritten.
     """
     try:
         files.make_folder(directory)
@@ -548,7 +553,7 @@ def make_room(directory: Path) -> None:
     except FileExistsError as error:
         raise RecordingError(f"{directory} is a file, not a directory to record into") from error
     except OSError as error:
-        raise RecordingError(f"the run directory {directory} cannot be made: {error.strerror}") from error
+        raise RecordingError(f"cannot create the run directory {directory}: {error.strerror}") from error
     for name in present:
         if name.endswith((".mcap", f".mcap{TAIL_SUFFIX}")) or name == description.METADATA_FILE:
             raise RecordingError(f"{directory} holds a recording already ({name}); nothing is overwritten")
@@ -564,14 +569,14 @@ COMPRESSIONS: Mapping[str, CompressionType] = {
 }
 
 MIN_FREE_BYTES = 8 * 2**20
-"""A recording stops when less is free: enough for its index and for whatever else the machine must still log."""
+"""Free disk space below which a recording stops: enough for its index and for the machine's other logs."""
 _INDEX_BYTES_PER_CHUNK = 128  # a ChunkIndex record without its 10 bytes per channel
-_CLOSING_BYTES_PER_TOPIC = 1024  # its part of the metadata records that end a file
+_CLOSING_BYTES_PER_TOPIC = 1024  # size of its part of the metadata records at the end of a file
 _INDEX_BYTES_FIXED = 4096  # statistics, summary offsets, footer, metadata and attachment indexes
 
 
 class _Buffer(io.BytesIO):
-    """Memory that knows its place in the file."""
+    """Memory buffer that knows its offset in the file."""
 
     committed = 0
 
@@ -591,12 +596,12 @@ class _Buffer(io.BytesIO):
 
 
 class McapFile:
-    """An MCAP file of profile `ros2`, opened exclusively.
+    """MCAP file of profile `ros2`, opened exclusively.
 
     Args:
-        path: must not exist.
+        path: path of a new file.
         compression: `none`, `lz4` or `zstd`.
-        chunk_bytes: a chunk is closed when it holds more than this.
+        chunk_bytes: size above which a chunk is closed.
         chunked: whether messages and definitions go into chunks.
 
     Raises:
@@ -609,11 +614,11 @@ class McapFile:
         self.path = path
         self._chunk_bytes = chunk_bytes
         self._largest_message = 0
-        self._messages: list[tuple[int, int, bytes, int, int]] = []  # of the open chunk
-        self._open_bytes = 0  # what the open chunk holds
+        self._messages: list[tuple[int, int, bytes, int, int]] = []  # messages of the open chunk
+        self._open_bytes = 0  # size of the open chunk
         self._chunks = 0
         self._channels = 0
-        self._schemas: dict[str, Schema | None] = {"": None}  # by name of the type
+        self._schemas: dict[str, Schema | None] = {"": None}  # schemas by type name
         self._index_bytes = _INDEX_BYTES_FIXED
         self.finished = False
         self._digests = digests.Digests()
@@ -626,7 +631,7 @@ class McapFile:
             self._writer.start(PROFILE, LIBRARY)
             self.commit()
             if shortage := self.shortage():
-                raise RecordingError(f"{self.path} cannot be recorded: {shortage}")  # noqa: TRY301  # to be undone, too
+                raise RecordingError(f"{self.path} cannot be recorded: {shortage}")  # noqa: TRY301  # undone as well
         except RecordingError:
             os.close(self._fd)
             path.unlink()
@@ -634,7 +639,7 @@ class McapFile:
 
     @property
     def size(self) -> int:
-        """Bytes on disk."""
+        """Number of bytes on disk."""
         return self._buffer.committed
 
     def add_topic(self, topic: TopicDescription) -> int:
@@ -660,7 +665,7 @@ class McapFile:
         return number
 
     def add_message(self, channel: int, log_time: int, data: bytes, publish_time: int, sequence: int) -> bool:
-        """Add a message to the open chunk; return whether that closed the chunk (then it waits for `commit`)."""
+        """Add a message to the open chunk; return whether that closed the chunk (which then waits for `commit`)."""
         self._largest_message = max(self._largest_message, len(data))
         sequence &= SEQUENCE_MASK
         self._messages.append((channel, log_time, data, publish_time, sequence))
@@ -686,20 +691,20 @@ class McapFile:
         )
 
     def add_record(self, record: bytes) -> None:
-        """Add a complete record as it is; it waits for `commit`."""
+        """Add a complete record unchanged; it waits for `commit`."""
         self._buffer.write(record)
 
     def take_back(self) -> bytes:
-        """Return the records that wait for `commit`, which they then do no more."""
+        """Return the records that wait for `commit`, and withdraw them."""
         self.close_chunk()
         records = self._buffer.getvalue()
         self._buffer.empty()
         return records
 
     def close_chunk(self) -> None:
-        """End the open chunk, if it holds a message; it waits for `commit`.
+        """Close the open chunk if it contains a message; it then waits for `commit`.
 
-        The library gets the messages of a chunk all at once: one by one, each costs it three times as long.
+        The library receives all messages of a chunk together; one by one, each would cost three times as much.
         """
         for message in self._messages:
             self._writer.add_message(*message)
@@ -708,10 +713,10 @@ class McapFile:
         self._writer.flush()  # type: ignore[no-untyped-call]  # mcap annotates arguments, not results
 
     def commit(self) -> None:
-        """Hand all complete records to the operating system.
+        """Pass all complete records to the operating system.
 
         Raises:
-            RecordingError: they cannot be written; the file ends with the last record that could.
+            RecordingError: they cannot be written; the file ends with the last complete record.
         """
         if not self._buffer.pending():
             return
@@ -723,15 +728,15 @@ class McapFile:
             with contextlib.suppress(OSError):
                 os.ftruncate(self._fd, self._buffer.committed)
             raise RecordingError(
-                f"{self.path} cannot be written: {error.strerror}; it ends with its last whole record"
-                f" ({self.size} bytes) and has no index yet: impact-rig recover completes it"
+                f"cannot write {self.path}: {error.strerror}; it ends with its last complete record "
+                f"({self.size} bytes) and has no index yet: impact-rig recover completes it"
             ) from error
         finally:
             data.release()
         self._buffer.drain()
 
     def shortage(self) -> str:
-        """Return why one more chunk and the index might not fit, or an empty string."""
+        """Return the reason why one more chunk and the index might not fit, or an empty text."""
         index = self._index_bytes + (self._chunks + 2) * (_INDEX_BYTES_PER_CHUNK + 10 * self._channels)
         needed = self._chunk_bytes + self._largest_message + index
         limit, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -744,10 +749,10 @@ class McapFile:
         return ""
 
     def finish(self) -> None:
-        """Write summary, index and statistics and close the file.
+        """Write summary, index and statistics, and close the file.
 
         Raises:
-            RecordingError: there is no room for them; the records before them are whole.
+            RecordingError: there is no room for them; the records before them are intact.
         """
         try:
             self.close_chunk()
@@ -766,21 +771,21 @@ class McapFile:
 
 
 def _length(record: McapRecord) -> int:
-    """Return how many bytes a record takes."""
+    """Return the size of a record in bytes."""
     builder = RecordBuilder()
     record.write(builder)
     return builder.count
 
 
 def _create(path: Path) -> int:
-    """Create a file, locked as long as this process writes it: a reader sees by that whether its writer lives."""
+    """Create a file that is locked while this process writes it: readers can detect that its writer is alive."""
     try:
         fd = os.open(path, NEW_FILE, 0o644)
     except FileExistsError as error:
         raise RecordingError(f"{path} exists already and is not overwritten") from error
     except OSError as error:
-        raise RecordingError(f"{path} cannot be created: {error.strerror}") from error
-    with contextlib.suppress(OSError):  # a file system without locks
+        raise RecordingError(f"cannot create {path}: {error.strerror}") from error
+    with contextlib.suppress(OSError):  # file systems without locks
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
     return fd
 
@@ -788,11 +793,11 @@ def _create(path: Path) -> int:
 def _write_all(fd: int, data: memoryview) -> None:
     done = 0
     while done < len(data):
-        with data[done:] as rest:  # a traceback that held it would keep the buffer from being freed
+        with data[done:] as rest:  # a traceback that held it would keep the buffer alive
             done += os.write(fd, rest)
 
 
-TAIL_SUFFIX = ".tail"  # what follows the name of the recording
+TAIL_SUFFIX = ".tail"  # suffix of the recording's name
 TAIL_RECORD_NAME = "impact_rig_tail"
 FOLLOWS = "follows"  # key of that record: size of the recording when its open chunk began [bytes]
 
@@ -800,18 +805,18 @@ _SIZES = struct.Struct("<IQ")
 
 
 def tail_of(recording: Path) -> Path:
-    """Return where the tail of an MCAP file is, if there is one."""
+    """Return the path of the tail of an MCAP file, which may not exist."""
     return recording.with_name(recording.name + TAIL_SUFFIX)
 
 
 class Tail(McapFile):
-    """The tail of one chunk.
+    """Tail: file with the content of one open chunk.
 
     Args:
         recording: the MCAP file.
         follows: its size [bytes].
-        topics: in the order they were registered there, so that they have the same ids here.
-        chunk_bytes: of the recording.
+        topics: topics in the order of registration there, so that ids are equal.
+        chunk_bytes: chunk size of the recording.
 
     Raises:
         RecordingError: it exists, or cannot be written.
@@ -825,7 +830,7 @@ class Tail(McapFile):
         self.commit()
         for topic in topics:
             self.add_topic(topic)
-        self._records = [self.take_back()]  # definitions are believed inside a chunk only: it has a checksum
+        self._records = [self.take_back()]  # definitions are trusted only inside a chunk, which has a checksum
 
     def add_message(self, channel: int, log_time: int, data: bytes, publish_time: int, sequence: int) -> bool:
         """Keep a message for the next `secure`; nothing waits for `commit`."""
@@ -836,11 +841,11 @@ class Tail(McapFile):
         return False
 
     def shortage(self) -> str:
-        """Return nothing: the recording leaves room for one more chunk, and for much more."""
+        """Return an empty text: the recording leaves room for much more than one chunk."""
         return ""
 
     def secure(self) -> None:
-        """Hand the messages since the last call to the operating system.
+        """Pass the messages since the last call to the operating system.
 
         Raises:
             RecordingError: they cannot be written.
@@ -851,19 +856,19 @@ class Tail(McapFile):
         self.commit()
 
     def remove(self) -> None:
-        """Remove the file: the chunk is written.
+        """Remove the file, because the chunk is written.
 
         Raises:
             RecordingError: it cannot be removed.
         """
         self.close()
-        with files.errors_as(f"{self.path} cannot be removed"):
+        with files.errors_as(f"cannot remove {self.path}"):
             self.path.unlink(missing_ok=True)
 
 
 def _chunk(content: bytes, first_ns: int, last_ns: int) -> bytes:
     """Return an uncompressed Chunk record (MCAP format specification, version 0) of definitions and messages."""
     head = CHUNK_HEAD.pack(first_ns, last_ns, len(content), zlib.crc32(content))
-    sizes = _SIZES.pack(0, len(content))  # no name of a compression
+    sizes = _SIZES.pack(0, len(content))  # an empty compression name
     length = len(head) + len(sizes) + len(content)
     return b"".join((RECORD_HEAD.pack(CHUNK, length), head, sizes, content))

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The rig without ROS: physics and instruments on one time base, with deterministic commands and a journal."""
+"""Virtual rig without ROS: physics and instruments on one time base, with deterministic commands and a journal."""
 
 from typing import TYPE_CHECKING
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from impact_rig.rig.journal import InputKind, Journal, takes_effect
     from impact_rig.rig.resimulation import resimulate
 
-__getattr__ = lazily(  # `rig.config` does without compiled code
+__getattr__ = lazily(  # `rig.config` works without compiled code
     __name__, Block="core", takes_effect="journal", Rig="core", Journal="journal", InputKind="journal",
     resimulate="resimulation",
 )  # fmt: skip

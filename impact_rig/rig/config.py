@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`RigConfig`: everything that decides what a rig does, as one frozen value, and the ways in and out of it.
+"""`RigConfig`: the complete configuration of a rig as one frozen value, with its readers and writers.
 
-Laws and instruments bring their own sections; here the tree is put together. Nothing compiled is imported.
+Laws and instruments define their own sections; this module combines them. No compiled code is imported.
 """
 
 from __future__ import annotations
@@ -31,15 +31,17 @@ from impact_rig.errors import ConfigError
 from impact_rig.instruments.section import Instruments, row_type_of
 from impact_rig.physics.contact import Contact
 
-_OVERHEAD_BYTES = 1000  # more than what a table's message holds besides its rows: header and columns
+_OVERHEAD_BYTES = 1000  # upper limit of header and columns in a table's message
 
 
 @attrs.frozen(kw_only=True)
 class RigConfig:
-    """One section per part of the rig; the defaults are the paper's rig as identified (`config/nominal.yaml`).
+    """Configuration of a rig, one section per part.
+
+    The defaults are the paper's rig as identified (`config/nominal.yaml`).
 
     Raises:
-        ConfigError: sections contradict each other; single values are checked by the sections.
+        ConfigError: sections contradict each other; each section checks its own values.
     """
 
     structure: Structure = attrs.field(factory=Structure)
@@ -89,7 +91,7 @@ def load_config(path: Path | str, overrides: Mapping[str, object] | None = None)
     """Read a rig configuration from a YAML file.
 
     Args:
-        path: a file with the sections of `RigConfig`, or a ROS 2 parameter file; values that it leaves out are default.
+        path: a file with the sections of `RigConfig`, or a ROS 2 parameter file; missing values are default.
         overrides: values by full name, such as `barriers.gap_m`, that replace those of the file.
 
     Raises:

@@ -11,19 +11,19 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`Rig`: drive, mechanics, instruments and the journal, put together. Pure: time is an argument, nothing ever sleeps.
+"""`Rig`: drive, mechanics, instruments and the journal combined. It is pure: time is an argument, and nothing sleeps.
 
-Everything happens on the command grid. The rig has simulated whole ticks of 10 ms up to its *frontier*; an input takes
-effect there, at the first instant not yet simulated, and is journaled with the first scan it acts on. Blocks are cut
-from what the instruments have measured, so neither their length nor the way `advance` is called changes a sample.
-Values that are legal one by one may be none together: a short trial tells before they are taken.
+Everything happens on the command grid. The rig has simulated whole ticks of 10 ms up to its *frontier*. An input takes
+effect there, at the first time not yet simulated, and is journaled with the first scan it acts on. Blocks are cut from
+the measured scans, so neither their length nor the pattern of calls of `advance` changes a sample. Individually valid
+values may be jointly infeasible, so each new configuration is tried in a short simulation first.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any  # members of a journal entry
+from typing import Any  # Any: members of a journal entry
 
 import attrs
 import numpy as np
@@ -59,9 +59,11 @@ from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S, TICKS_
 
 TRIAL_TICKS = 3
 SLOWEST_RATE, FASTEST_RATE = 0.5, 1e5
-"""Of the modes of structure and shaker, whose coil is one [1/s]. A slower one creeps in a tick of 10 ms by less than
-the rounding of the position it creeps to, a faster one (a coil of L < 10 µs · R) makes the steps of a contact, which
-resolve it, so short that a sphere at rest on a wall cannot be followed in real time."""
+"""Limits for the rates of the modes of structure and shaker, including the coil [1/s].
+
+A slower mode moves in a tick of 10 ms by less than the rounding of its position. A faster one (a coil of L < 10 µs · R)
+requires such short contact steps that a sphere at rest on a wall cannot be simulated in real time.
+"""
 DRIVE_SEED = 0  # `spawn_key` of the drive's random numbers under `daq.seed`; the instruments use their own
 
 
@@ -69,7 +71,7 @@ def new_generator(config: RigConfig) -> FunctionGenerator:
     """Return a new drive at its initial command.
 
     Raises:
-        ConfigError: the shaker does not take that command.
+        ConfigError: the command exceeds the limits of the shaker.
     """
     seeds = np.random.SeedSequence(config.daq.seed, spawn_key=(DRIVE_SEED,))
     try:
@@ -80,10 +82,10 @@ def new_generator(config: RigConfig) -> FunctionGenerator:
 
 
 def tried_model(config: RigConfig) -> Model:
-    """Return the model of values that are not only legal one by one but give finite motion together.
+    """Return the model of a configuration after a short trial simulation with finite motion.
 
     Raises:
-        ConfigError: they do not.
+        ConfigError: the values are jointly infeasible.
     """
     try:
         model = build(config)
@@ -103,7 +105,11 @@ def tried_model(config: RigConfig) -> Model:
 
 
 def _check_together(config: RigConfig, model: Model) -> None:
-    """Raise ConfigError where the mechanics does not resolve masses and modes together."""
+    """Check that the mechanics can resolve the combination of masses and modes.
+
+    Raises:
+        ConfigError: it cannot.
+    """
     mass_kg, structure_kg = float(model.parameters["m"][0]), config.structure.mass_kg
     if mass_kg > structure_kg:
         raise ConfigError(
@@ -121,39 +127,40 @@ def _check_together(config: RigConfig, model: Model) -> None:
 
 @attrs.frozen(eq=False)
 class Block:
-    """Consecutive scans and what is true about them."""
+    """Consecutive scans with their truth."""
 
-    number: int  # blocks since the start or reset
+    number: int  # number of blocks since the start or reset
     first_scan: int  # index of the first scan since the start or reset
-    end_ns: int  # stamp of the first scan after the block: when it is complete
+    end_ns: int  # stamp of the first scan after the block: the time at which it is complete
     scan: Table  # `daq/scan`
     impacts: Table | None  # `truth/impacts`: the contacts that ended in this block; None if there were none
     monitor_states: NDArray[np.void]
     """True state at the monitor instants, rows of `blocks.TRUTH_SCAN`, time since the stamp of `scan`."""
     monitor_scans: NDArray[np.int64]  # rows of `scan` at the monitor instants
-    truth: Table | None  # `truth/scan`, if asked for
+    truth: Table | None  # `truth/scan`, if configured
     faults: Table | None  # `truth/faults`: faults that start or end in this block; None if there are none
     lost: bool  # a lost_block fault acts on one of its scans: the scans are withheld, truth and monitors are not
 
     def tables(self) -> list[tuple[topics.Topic, Table]]:
-        """Return its tables in the order they are published: scans first, then what is true about them."""
+        """Return its tables in the order of publication: scans first, then their truth."""
         order = (topics.SCAN, topics.IMPACTS_TRUTH, topics.FAULTS, topics.TRUTH_SCAN)
         tables = (None if self.lost else self.scan, self.impacts, self.faults, self.truth)
         return [(topic, table) for topic, table in zip(order, tables, strict=True) if table is not None]
 
 
-BATCH_TICKS = 50  # ticks simulated in one call: enough to make the overhead of a call small, few enough to bound memory
+BATCH_TICKS = 50  # ticks per call: enough to amortise the overhead of a call, few enough to limit memory
 EMERGENCY = "emergency stop"
 
 
 class Rig:
-    """The virtual test rig.
+    """Virtual test rig.
 
     Raises:
-        ConfigError: the configuration's initial drive is beyond the shaker, or the instruments cannot run at this rate.
+        ConfigError: the initial drive of the configuration exceeds the shaker, or the instruments do not support this
+            rate.
     """
 
-    start_ns: int  # stamp of scan 0; moves on to the present at a reset
+    start_ns: int  # stamp of scan 0; a reset moves it to the present
     _generator: FunctionGenerator
     _simulation: Simulation
     _interlock: Interlock
@@ -165,8 +172,8 @@ class Rig:
         self.config = config
         self.rate_hz = config.daq.rate_hz
         self._journal = Journal(self.rate_hz, start_ns)
-        self._certificate: NDArray[np.void] | None = None  # of the instruments as they are; made when it is asked for
-        self.take_journal = self._journal.take  # returns the new entries of the journal and forgets them
+        self._certificate: NDArray[np.void] | None = None  # certificate of the present instruments; computed on demand
+        self.take_journal = self._journal.take  # returns and drops the new entries of the journal
         self._applied: list[Table] = []
         self._latched: str | None = None
         self._tripped: frozenset[str] = frozenset()  # reasons of the interlock since the shaker was last free
@@ -176,12 +183,12 @@ class Rig:
 
     @property
     def frontier_ns(self) -> int:
-        """The first instant not yet simulated, on the command grid: where an input would take effect."""
+        """First time not yet simulated, on the command grid: the time at which an input would take effect."""
         return self.start_ns + self._ticks * COMMAND_GRID_NS
 
     @property
     def frontier_sample(self) -> int:
-        """The first scan an input would act on."""
+        """First scan that an input would act on."""
         return -(-self._ticks * self.rate_hz // TICKS_PER_S)
 
     @property
@@ -191,17 +198,17 @@ class Rig:
 
     @property
     def frequency_hz(self) -> float:
-        """Drive frequency in force at the frontier."""
+        """Active drive frequency at the frontier."""
         return float(self._generator.frequency_hz)
 
     @property
     def target_amplitude(self) -> float:
-        """Drive amplitude commanded (a ramp leads there); A, m or V by `drive.kind`."""
+        """Commanded drive amplitude (a ramp leads to it); A, m or V by `drive.kind`."""
         return float(self._generator.target_amplitude)
 
     @property
     def latched(self) -> str | None:
-        """Why the shaker is stopped until `clear_trip`, or None."""
+        """Reason why the shaker is stopped until `clear_trip`, or None."""
         return self._latched
 
     @property
@@ -211,12 +218,12 @@ class Rig:
 
     @property
     def simulation(self) -> Simulation:
-        """The mechanics, for figures of diagnostics (energy balance)."""
+        """Simulation of the mechanics, for figures of diagnostics (energy balance)."""
         return self._simulation
 
     @property
     def is_driven(self) -> bool:
-        """Whether an amplitude is commanded, or samples of a stream are in force."""
+        """Whether an amplitude is commanded, or samples of a stream are active."""
         stream = self._generator.stream
         return self.target_amplitude != 0.0 if stream is None else stream.state is StreamState.PLAYING
 
@@ -227,17 +234,17 @@ class Rig:
 
     @property
     def stream(self) -> Stream:
-        """The stream that drives the rig.
+        """Stream that drives the rig.
 
         Raises:
-            CommandError: the drive is another one.
+            CommandError: the drive is not a stream.
         """
         if self._generator.stream is None:
-            raise CommandError(f"the drive is {self._drive.waveform}, no stream: set drive.waveform and reset")
+            raise CommandError(f"the drive is {self._drive.waveform}, not a stream: set drive.waveform and reset")
         return self._generator.stream
 
     def blocks_with_samples(self, most: int) -> int:
-        """Return how many of the next blocks the stream has samples for; all, where it does not wait for any."""
+        """Return how many of the next blocks the stream has samples for; all, if the rig does not wait for samples."""
         stream = self._generator.stream
         whole = stream.whole_ticks() if stream is not None and self._drive.stream_wait else None
         if whole is None:
@@ -246,7 +253,7 @@ class Rig:
         return min(most, max(0, end_scan - self._next_scan) // self.config.daq.block_scans)
 
     def stream_state(self) -> Table:
-        """Return `shaker/stream`; its stamp is that of the sample that is wanted next."""
+        """Return `shaker/stream`, with the stamp of the next sample needed."""
         stream = self.stream
         buffered, playing = stream.buffered(), float(stream.state is StreamState.PLAYING)
         late, refused = self._late_samples, self._refused_blocks
@@ -254,11 +261,11 @@ class Rig:
         return Table(self.start_ns + stream.time_ns(stream.played), np.array([row], STREAM))
 
     def block_end_ns(self, blocks: int) -> int:
-        """Return when `blocks` more blocks are complete."""
+        """Return the time at which `blocks` more blocks are complete."""
         return self._stamp(self._next_scan + blocks * self.config.daq.block_scans)
 
     def info(self) -> Table:
-        """Return `daq/info`; its stamp is the instant from which it holds."""
+        """Return `daq/info`, with the time from which it applies as its stamp."""
         if self._certificate is None:
             self._certificate = self._chain.info()
         rows, stamp = self._certificate.copy(), self._stamp(self._info_sample)
@@ -268,14 +275,14 @@ class Rig:
     # Time
 
     def advance(self, until_ns: int) -> list[Block]:
-        """Simulate until every block that is over by `until_ns` is complete, and return those blocks.
+        """Simulate until every block that ends by `until_ns` is complete, and return those blocks.
 
-        Ticks that end by then are simulated even if their block is not over: a long block is not computed all at once.
-        The tick in which the last of those blocks ends is simulated whole.
+        Ticks that end by then are simulated even if their block is incomplete, so a long block is not computed all at
+        once. The last tick of a complete block is always simulated completely.
         """
         size = self.config.daq.block_scans
         elapsed = until_ns - self.start_ns
-        ended = ((elapsed + 1) * self.rate_hz - 1) // NS_PER_S  # scans that are over: the next one has begun
+        ended = ((elapsed + 1) * self.rate_hz - 1) // NS_PER_S  # number of complete scans: the next one has begun
         complete = (ended - self._next_scan) // size
         blocks: list[Block] = []
         needed = max(elapsed // COMMAND_GRID_NS, self._ticks)
@@ -291,8 +298,8 @@ class Rig:
             self._simulate(min(needed - self._ticks, BATCH_TICKS))
 
     def _simulate(self, ticks: int) -> None:
-        """Simulate at most `ticks` ticks; fewer where something happens inside them."""
-        self._time_out_if_due()  # at once where the timeout was shortened
+        """Simulate at most `ticks` ticks; fewer if an event occurs in them."""
+        self._time_out_if_due()  # immediately, if the timeout was shortened
         due = self._timeout_tick()
         if due is not None:
             ticks = min(ticks, due - self._ticks)
@@ -306,7 +313,7 @@ class Rig:
         before = (self._simulation.copy(), self._generator.copy(), self._interlock.copy()) if ticks > 1 else None
         motion = self._simulation.advance(self._generator.segments(ticks))
         trip = self._watch(motion, tick_s)
-        if trip is not None and trip.tick < ticks - 1:  # beyond that tick the drive must already be ramping down
+        if trip is not None and trip.tick < ticks - 1:  # after that tick the drive must already be ramping down
             assert before is not None
             self._simulation, self._generator, self._interlock = before
             ticks = trip.tick + 1
@@ -316,14 +323,14 @@ class Rig:
         self._chain.acquire(motion, self._ticks, ticks, tick_s)
         self._ticks += ticks
         underrun = self._journal_stream()
-        trip = trip or underrun  # of both in one tick, what the interlock has seen
+        trip = trip or underrun  # if both occur in one tick, that of the interlock
         if trip is not None:
             self._trip(trip)
         else:
             self._time_out_if_due()
 
     def _journal_stream(self) -> Trip | None:
-        """Journal what happened to the stream; return the trip of an underrun, where that is asked for."""
+        """Journal the events of the stream; return the trip of an underrun, if configured."""
         stream, trip = self._generator.stream, None
         if stream is None or not stream.events:
             return None
@@ -360,18 +367,20 @@ class Rig:
     # Inputs: commands and parameters act at the frontier and are journaled there; faults and samples at their own scans
 
     def accept(self, frequency_hz: float | None = None, amplitude: float | None = None) -> Table:
-        """Take commanded frequency and amplitude (A peak; m, V by `drive.kind`; rms if random); return the applied row.
+        """Apply a commanded frequency and amplitude (A peak; m, V by `drive.kind`; rms if random).
+
+        Return the applied row.
 
         Raises:
-            CommandError: out of range, not finite, not what the waveform takes (a frequency is for a sine alone), or
+            CommandError: out of range, not finite, not accepted by the waveform (a frequency is for a sine alone), or
                 the shaker is latched or locked; nothing is changed.
         """
         self._refuse_if_stopped()
         if self._generator.stream is not None:
-            raise CommandError("the drive is a stream: it takes samples on shaker/waveform, no frequency or current")
+            raise CommandError("the drive is a stream: it accepts samples on shaker/waveform, no frequency or current")
         if frequency_hz is not None:
             if self._drive.waveform != "sine":
-                raise CommandError(f"the drive is {self._drive.waveform}: it takes no frequency, only an amplitude")
+                raise CommandError(f"the drive is {self._drive.waveform}: it accepts no frequency, only an amplitude")
             check_frequency(frequency_hz, self.config.shaker)
         if amplitude is not None:
             check_amplitude(amplitude, self._drive, self.config.shaker)
@@ -385,19 +394,19 @@ class Rig:
         return self._add_applied()
 
     def feed(self, first_sample: int, values: ArrayLike) -> int:
-        """Take samples of the stream from number `first_sample` on; return how many of them came too late.
+        """Store samples of the stream from number `first_sample` on; return the number of late ones.
 
-        Sample k lies k · 10⁹ // `drive.stream_rate_hz` ns after scan 0. One that is not yet in force may be replaced,
-        and one that has come twice counts once. No samples at all end the stream at `first_sample`: where others are
-        missing, that is an underrun.
+        Sample k has the time k · 10⁹ // `drive.stream_rate_hz` ns after scan 0. A sample that is not yet active may be
+        replaced, and a repeated sample counts once. An empty array ends the stream at `first_sample`. Other missing
+        samples cause an underrun.
 
         Args:
             first_sample: number of the first sample.
             values: A, m or V by `drive.kind`, shape (n,).
 
         Raises:
-            CommandError: a value is not finite or beyond the shaker, the samples reach beyond `drive.stream_buffer_s`,
-                the shaker is latched or locked, or the drive is no stream; none of them is taken then.
+            CommandError: a value is not finite or exceeds the shaker, the samples reach beyond `drive.stream_buffer_s`,
+                the shaker is latched or locked, or the drive is not a stream; none of the samples is stored then.
         """
         stream = self.stream
         try:
@@ -412,10 +421,10 @@ class Rig:
         return late
 
     def sample_at(self, stamp_ns: int) -> int:
-        """Return the number of the sample of the stream that lies at an instant.
+        """Return the number of the stream's sample at a time.
 
         Raises:
-            CommandError: the instant is more than a quarter of a sample off.
+            CommandError: the time is more than a quarter of a sample off.
         """
         rate, since = self.stream.rate_hz, stamp_ns - self.start_ns
         sample = (2 * since * rate + NS_PER_S) // (2 * NS_PER_S)
@@ -428,11 +437,11 @@ class Rig:
     def configure(self, changes: Mapping[str, object]) -> RigConfig:
         """Change configuration values, all or none, at the frontier; return the new configuration.
 
-        Gap, law, sphere and every other part of the mechanics, the instruments and the interlock's limits change at
-        once. On a change of the mechanics (all of structure, shaker, sphere, barriers and contact but limits and ramp
-        of the shaker) the sphere rests at `sphere.start` again, and the energy account begins anew. The drive's initial
-        values and the seed are taken at the next reset. A line added to the planned faults is injected, its `start_s`
-        counted from now; one taken away is cleared.
+        Gap, law, sphere and all other parts of the mechanics, the instruments and the interlock's limits change at
+        once. After a change of the mechanics (all of structure, shaker, sphere, barriers and contact except limits and
+        ramp of the shaker) the sphere rests at `sphere.start` again, and the energy account restarts. The drive's
+        initial values and the seed apply at the next reset. A line added to the planned faults is injected, with its
+        `start_s` counted from now; a removed line is cleared.
 
         Raises:
             ConfigError: unknown key, bad value, bad combination, or a value fixed at start; nothing is changed.
@@ -445,7 +454,7 @@ class Rig:
         return config
 
     def adopt(self, config: RigConfig, changed: Mapping[str, Value]) -> None:
-        """Take a configuration that differs from the present one in the values `changed`, as `configure` does.
+        """Apply a configuration that differs from the present one in the values `changed`, as `configure` does.
 
         Raises:
             ConfigError: a bad combination; nothing is changed.
@@ -456,13 +465,13 @@ class Rig:
         new_instruments = any(name.startswith(INSTRUMENT_SECTIONS) and name != PLANNED for name in changed)
         replan = self._planned_faults.replan(config.instruments.faults.planned, self.frontier_sample)
         if any(name.startswith("drive.") for name in changed):
-            new_generator(config)  # taken at the next reset, refused here
-        model = tried_model(mechanics) if new_mechanics else None  # refused here, before anything is changed
-        if config.drive.kind != self._drive.kind:  # so is what the next reset would make of them
+            new_generator(config)  # applies at the next reset, but is checked here
+        model = tried_model(mechanics) if new_mechanics else None  # checked here, before anything is changed
+        if config.drive.kind != self._drive.kind:  # what the next reset would use is checked as well
             tried_model(config)
         if new_instruments:
             Chain(instruments)
-        self._chain.reconfigure(instruments)  # always: the structure's mass and the fastest drive decide readings, too
+        self._chain.reconfigure(instruments)  # always: the structure's mass and the fastest drive affect readings, too
         if model is not None:
             self._simulation.configure(mechanics, model)
         if "shaker.ramp_s" in changed:
@@ -477,9 +486,9 @@ class Rig:
             self._info_sample, self._certificate = self.frontier_sample, None
 
     def reset(self) -> None:
-        """Begin again at the frontier with the present configuration: scan 0, everything at rest and as new.
+        """Start again at the frontier with the present configuration: scan 0, everything at rest and new.
 
-        Scans measured but not yet cut into a block are dropped; stamps go on, so none is used twice.
+        Scans measured but not yet cut into a block are dropped. Stamps continue, so none is used twice.
 
         Raises:
             CommandError: the shaker is latched; a reset must not clear an emergency stop.
@@ -489,7 +498,7 @@ class Rig:
         self._begin(InputKind.RESET, self.frontier_ns)
 
     def pluck(self, displacement_m: float) -> None:
-        """Lock the base, put x_1 at `displacement_m` and let it go: free decay until the next reset.
+        """Lock the base, put x_1 at `displacement_m` and release it: free decay until the next reset.
 
         Raises:
             CommandError: not finite.
@@ -504,13 +513,13 @@ class Rig:
     def stop(self, reason: str = EMERGENCY) -> None:
         """Ramp the shaker to zero within `shaker.stop_ramp_s` and latch it until `clear_trip`: the emergency stop.
 
-        A rig that has not simulated anything yet never begins to move.
+        A rig that has not simulated anything yet never starts to move.
         """
         self._add_entry(InputKind.STOP)
         self._latch(reason)
 
     def clear_trip(self) -> None:
-        """Release the latch, if there is one; the amplitude stays zero until the next command."""
+        """Release the latch, if any; the amplitude stays zero until the next command."""
         self._add_entry(InputKind.CLEAR_TRIP)
         if self._latched is not None:
             self._latched, self._tripped = None, frozenset()
@@ -532,7 +541,7 @@ class Rig:
         self._add_entry(InputKind.CLEAR_FAULT, value=None if number is None else float(number))
 
     def take_applied(self) -> list[Table]:
-        """Return the new rows of shaker/applied and forget them."""
+        """Return and drop the new rows of shaker/applied."""
         applied, self._applied = self._applied, []
         return applied
 
@@ -540,12 +549,12 @@ class Rig:
 
     @property
     def _drive(self) -> Drive:
-        """The drive since the last reset; `config.drive` is that of the next."""
+        """Drive since the last reset; `config.drive` applies at the next one."""
         return self._simulation.config.drive
 
     def _begin(self, kind: InputKind, start_ns: int) -> None:
         config = self.config
-        parts = new_generator(config), tried_model(config), Chain(config)  # what they refuse leaves everything as it is
+        parts = new_generator(config), tried_model(config), Chain(config)  # an error leaves everything unchanged
         self._generator, model, self._chain = parts
         self._simulation = Simulation(config, account=True, model=model)
         self.start_ns = start_ns
@@ -591,7 +600,7 @@ class Rig:
         self._add_applied()
 
     def _timeout_tick(self) -> int | None:
-        """Return the tick at which the drive ramps down for want of commands."""
+        """Return the tick at which the drive ramps down because commands are missing."""
         timeout = self.config.output.command_timeout_s
         if timeout <= 0 or self._timed_out or self._latched is not None or self.target_amplitude == 0:
             return None

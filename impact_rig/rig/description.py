@@ -11,11 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The rig as URDF: what `robot_description` carries, so that RViz and robot_state_publisher know the bodies.
+"""URDF of the rig: the content of `robot_description`, from which RViz and robot_state_publisher know the bodies.
 
-Joint positions on `truth/joint_states` are absolute, so the three prismatic joints all hang on the fixed frame `rig`.
-The barriers are visuals of the superior base: the gap moves them and no transform. Masses are the configuration's;
-inertias are those of the bodies drawn; shapes and heights are chosen to be looked at, the paper gives none.
+Joint positions on `truth/joint_states` are absolute, so all three prismatic joints are attached to the fixed frame
+`rig`. The barriers are visuals of the superior base: the gap moves them, but no transform. Masses are those of the
+configuration; inertias are those of the bodies drawn. Shapes and heights are chosen for a clear picture; the paper
+gives none.
 """
 
 from __future__ import annotations
@@ -34,9 +35,9 @@ from impact_rig.rig.config import RigConfig
 
 JOINTS = ("base", "structure", "sphere")  # the joints, in the order of `truth/joint_states`
 ROOT = "rig"
-"""The fixed frame: x along the rig, positive to the right, its origin where bases and sphere rest in the middle."""
+"""The fixed frame: x along the rig, positive to the right; its origin is the middle position of bases and sphere."""
 BASE, STRUCTURE, SPHERE = "inferior_base", "superior_base", "sphere"
-"""The links of the joints; the accelerometer sits on the superior base and has its frame."""
+"""Links of the joints; the accelerometer is on the superior base and shares its frame."""
 
 Size = tuple[float, float, float]
 
@@ -48,8 +49,8 @@ SENSOR: Size = (0.03, 0.02, 0.02)
 SHAKER: Size = (0.06, 0.12, 0.10)
 Z_TABLE = 0.08
 Z_TOP = Z_TABLE + 0.5 * TABLE[2] + COLUMN[2] + 0.5 * TOP[2]
-X_COLUMN = 0.055  # of the two columns, either side of the middle [m]
-FREE_M = 1.0  # travel of the joints that nothing limits [m]
+X_COLUMN = 0.055  # positions of the two columns, either side of the middle [m]
+FREE_M = 1.0  # travel of the joints without limits [m]
 MATERIALS = {
     "steel": "0.72 0.74 0.78 1",
     "aluminium": "0.86 0.88 0.90 1",
@@ -65,7 +66,10 @@ _SHOWN = operator.itemgetter(
 
 
 def joints(truth: np.void) -> tuple[list[float], list[float], list[float]]:
-    """Return what is told of a true state: positions [m], velocities [m/s] and the contact force on each body [N]."""
+    """Return the published quantities of a true state.
+
+    Positions [m], velocities [m/s], contact force on each body [N].
+    """
     *moving, left, right = _SHOWN(truth.item())
     push = left - right  # both walls push the sphere
     return moving[:3], moving[3:], [0.0, -push, push]
@@ -76,7 +80,7 @@ def robot_description(config: RigConfig) -> str:
     return _urdf(config.structure, config.shaker, config.sphere, config.barriers, config.instruments.laser)
 
 
-@functools.lru_cache(maxsize=4)  # most changes of a configuration do not change how the rig looks
+@functools.lru_cache(maxsize=4)  # most configuration changes do not affect the appearance of the rig
 def _urdf(structure: Structure, shaker: Shaker, sphere: Sphere, barriers: Barriers, laser: Laser) -> str:
     robot = ET.Element("robot", name="impact_rig")
     for name, colour in MATERIALS.items():
@@ -92,7 +96,7 @@ def _urdf(structure: Structure, shaker: Shaker, sphere: Sphere, barriers: Barrie
 
 
 def _moving_base(robot: ET.Element, shaker: Shaker) -> None:
-    """The table with the armature; the columns are clamped to it."""
+    """Add the table with the armature; the columns are clamped to it."""
     link = _link(robot, BASE)
     _inertial(link, shaker.armature_mass_kg + shaker.base_mass_kg, _of_box(TABLE))
     _box(link, TABLE, (0.0, 0.0, 0.0), "steel")
@@ -102,7 +106,7 @@ def _moving_base(robot: ET.Element, shaker: Shaker) -> None:
 
 
 def _superior_base(robot: ET.Element, structure: Structure, sphere: Sphere, barriers: Barriers) -> None:
-    """The plate with the two barriers: the sphere touches them where x_2 - x_1 = ± gap / 2."""
+    """Add the plate with the two barriers: the sphere touches them where x_2 - x_1 = ± gap / 2."""
     radius = 0.5 * sphere.diameter_m
     face = 0.5 * barriers.gap_m + radius
     plate = (max(TOP[0], 2.0 * (face + 2.0 * WALL[0])), TOP[1], TOP[2])
@@ -126,7 +130,7 @@ def _sphere(robot: ET.Element, sphere: Sphere) -> None:
 
 
 def _instruments(robot: ET.Element, setup: Laser) -> None:
-    """The frames that readings are stamped with; the accelerometer's is the superior base."""
+    """Add the frames of the readings; the accelerometer's is the superior base."""
     _fixed(robot, "daq", (0.0, 0.0, 0.0), 0.0)
     side = 0.5 * TOP[0]
     # sensor_msgs/Range: x along the beam, from the right towards the superior base

@@ -11,21 +11,21 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The gap of a rig as one number that also stands for a rig without its sphere: its configuration and its label."""
+"""Gap of a rig as one number that also represents a rig without its sphere, for configuration and label."""
 
 from __future__ import annotations
 
 from impact_rig.config.tree import Value
 
 NO_SPHERE = 0.0
-"""The gap that stands for a run without the sphere, as in the analysis's labels; `none` in a campaign file."""
+"""Gap value that represents a run without the sphere, as in the analysis's labels; `none` in a campaign file."""
 
 
 def case_of(gap_m: float) -> str:
-    """Return the words for a gap, or for no sphere."""
+    """Return the text for a gap, or for no sphere."""
     return "no sphere" if gap_m == NO_SPHERE else f"gap {gap_m * 1e3:g} mm"
 
 
 def gap_values(gap_m: float) -> dict[str, Value]:
-    """Return the configuration of a gap; without a sphere the barriers do not matter and stay as they are."""
+    """Return the configuration of a gap; without a sphere the barriers have no effect and stay unchanged."""
     return {"sphere.present": False} if gap_m == NO_SPHERE else {"sphere.present": True, "barriers.gap_m": gap_m}

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The journal: every input that changes what the rig will do, with the first scan that it acts on.
+"""Journal: every input that changes the future of the rig, with the first scan that it acts on.
 
-Each entry is one JSON object on `rig/journal`. One journal, from its `start` or `reset` on, is all that a re-simulation
-needs: its first entry holds the configuration (what differs from the default `RigConfig`), and entries are numbered, so
-a missing one is detected. This module also knows what a change of a parameter touches, and when it takes effect.
+Each entry is one JSON object on `rig/journal`. A journal, from its `start` or `reset` on, is all that a re-simulation
+needs. Its first entry holds the configuration (the differences from the default `RigConfig`). Entries are numbered, so
+a missing one is detected. This module also defines what a parameter change affects, and when it takes effect.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import enum
 import json
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Any  # what JSON may hold
+from typing import Any  # Any: values of JSON
 
 import attrs
 
@@ -38,8 +38,8 @@ from impact_rig.simtime import stamp_ns
 Value = bool | int | float | str | tuple[str, ...]
 
 PUBLISHING_SECTIONS = ("time.", "step.", "pluck.", "output.")
-"""Sections that change when and what is published, but not one sample: they are not in the journal."""
-SAMPLE_DECIDING = frozenset({"output.command_timeout_s"})  # exceptions in `PUBLISHING_SECTIONS`: they decide samples
+"""Sections that change when and what is published, but no sample: they are not in the journal."""
+SAMPLE_DECIDING = frozenset({"output.command_timeout_s"})  # exceptions in `PUBLISHING_SECTIONS`: they affect samples
 
 
 class InputKind(enum.Enum):
@@ -48,7 +48,7 @@ class InputKind(enum.Enum):
     doc: str
 
     def __new__(cls, value: str, doc: str = "") -> InputKind:  # looked up by value alone
-        """Make a member: its value is the word in the entry."""
+        """Create a member whose value is the word in the entry."""
         member = object.__new__(cls)
         member._value_ = value
         member.doc = doc
@@ -59,8 +59,8 @@ class InputKind(enum.Enum):
     COMMAND = "command", "name = frequency [Hz] or current [A; m or V by `drive.kind`], value = its new value."
     PARAMETER = "parameter", "Configuration values change; values = the new ones by full name."
     PLUCK = "pluck", "value = displacement of x_1 [m]."
-    STOP = "stop", "The emergency stop."
-    CLEAR_TRIP = "clear_trip", "The latch is released."
+    STOP = "stop", "Emergency stop."
+    CLEAR_TRIP = "clear_trip", "Release of the latch."
     FAULT = "fault", "An instrument fault begins at `sample`; fault = its members."
     CLEAR_FAULT = "clear_fault", "value = number of the fault; without a value, all faults."
     TRIP = (
@@ -87,13 +87,13 @@ RESULTS = (InputKind.TRIP, InputKind.TIMEOUT, InputKind.STREAM)  # entries that 
 
 @attrs.frozen
 class JournalEntry:
-    """One entry of a journal."""
+    """Entry of a journal."""
 
     sequence: int  # number of the entry, from 0 at `start` or `reset`
     kind: InputKind
     sample: int  # index of the first scan that it acts on
-    stamp_ns: int  # of that scan
-    name: str = ""  # what it concerns: a command, the quantity that tripped, an event of the stream
+    stamp_ns: int  # stamp of that scan
+    name: str = ""  # subject: a command, the quantity that tripped, an event of the stream
     value: float | None = None
     text: str = ""
     values: Mapping[str, Value] = attrs.field(factory=dict)  # configuration values by full name
@@ -101,12 +101,12 @@ class JournalEntry:
 
     @property
     def number(self) -> float:
-        """The value of an entry whose kind always has one."""
+        """Value of an entry whose kind always has one."""
         assert self.value is not None
         return self.value
 
     def line(self) -> str:
-        """Return the entry as one line of JSON; members that say nothing are left out."""
+        """Return the entry as one line of JSON, without empty members."""
         content: dict[str, Any] = {
             "sequence": self.sequence, "kind": self.kind.value, "sample": self.sample, "stamp_ns": self.stamp_ns
         }  # fmt: skip
@@ -119,7 +119,7 @@ class JournalEntry:
 
     @classmethod
     def from_line(cls, line: str) -> JournalEntry:
-        """Return the entry that one line of JSON holds.
+        """Parse one line of JSON as an entry.
 
         Raises:
             ConfigError: the line is not a journal entry of this version.
@@ -160,7 +160,7 @@ _MEMBERS: dict[str, tuple[type, ...]] = {
     "sequence": (int,), "kind": (str,), "sample": (int,), "stamp_ns": (int,), "name": (str,), "value": (float, int),
     "text": (str,), "values": (dict,), "fault": (dict,),
 }  # fmt: skip
-_OF_FAULT = {field.name for field in attrs.fields(Fault)} - {"start_sample"}  # it begins at the entry's sample
+_OF_FAULT = {field.name for field in attrs.fields(Fault)} - {"start_sample"}  # it starts at the entry's sample
 _NEED_VALUE = (InputKind.COMMAND, InputKind.PLUCK, InputKind.TRIP, InputKind.STREAM)
 _LARGEST = 2**53
 
@@ -173,7 +173,7 @@ def _float(name: str, value: float) -> float:
 
 
 def _typed(name: str, value: Any) -> Value:
-    """Return a value of JSON as the type of a configuration value's default."""
+    """Convert a JSON value to the type of a configuration value's default."""
     if name not in _DEFAULTS:
         raise ConfigError(f"journal entry of unknown configuration value {name!r}")
     default = _DEFAULTS[name]
@@ -200,15 +200,15 @@ def _fault(content: Mapping[str, Any], sample: int) -> Fault:
 
 
 def encode(entry: JournalEntry) -> bytes:
-    """Return an entry as a message of `rig/journal`."""
+    """Encode an entry as a message of `rig/journal`."""
     return codec.encode_text(entry.line())
 
 
 def decode(data: codec.Buffer) -> JournalEntry:
-    """Return the entry in a message of `rig/journal`.
+    """Decode a message of `rig/journal`.
 
     Raises:
-        ConfigError: the message holds no journal entry of this version.
+        ConfigError: the message is not a journal entry of this version.
     """
     try:
         return JournalEntry.from_line(codec.text(data))
@@ -217,7 +217,7 @@ def decode(data: codec.Buffer) -> JournalEntry:
 
 
 class Journal:
-    """Writer of a rig's journal: it numbers the entries and hands them over."""
+    """Writer of a rig's journal, which numbers and queues the entries."""
 
     def __init__(self, rate_hz: int, start_ns: int) -> None:
         self._rate_hz = rate_hz
@@ -226,17 +226,17 @@ class Journal:
         self._pending: list[JournalEntry] = []
 
     def restart(self, start_ns: int) -> None:
-        """Begin a new journal; entries of the old one that were not taken yet come first."""
+        """Start a new journal; queued entries of the old one come first."""
         self._start_ns, self._sequence = start_ns, 0
 
     def add(self, sample: int, kind: InputKind, **members: Any) -> None:
-        """Append one entry: see `JournalEntry`."""
+        """Append one entry; see `JournalEntry`."""
         stamp = stamp_ns(sample, self._rate_hz, self._start_ns)
         self._pending.append(JournalEntry(self._sequence, kind, sample, stamp, **members))
         self._sequence += 1
 
     def take(self) -> list[JournalEntry]:
-        """Return the new entries and forget them."""
+        """Return the new entries and drop them."""
         pending, self._pending = self._pending, []
         return pending
 
@@ -244,14 +244,14 @@ class Journal:
 class JournalView:
     """State of a rig according to its journal, entry by entry.
 
-    The journal need not be complete: one that is received from its middle on gives what it can.
+    The journal need not be complete: one received from its middle on gives a partial state.
 
     Attributes:
-        configuration: every value by full name; the default where no entry has changed it.
+        configuration: every value by full name; the default if no entry has changed it.
         drive: the last commands, `frequency` [Hz] and `current` [A; m or V by `drive.kind`].
-        latched: the entry that latched the shaker, kind `trip` or `stop`; None: it is not latched.
+        latched: the entry that latched the shaker, kind `trip` or `stop`; None if it is not latched.
         plucked: whether the base is locked after a pluck, until the next reset.
-        start_ns: stamp of scan 0; None: no start was received.
+        start_ns: stamp of scan 0; None if no start was received.
     """
 
     def __init__(self) -> None:
@@ -262,7 +262,7 @@ class JournalView:
         self.plucked = False
 
     def follow(self, entry: JournalEntry) -> None:
-        """Take one entry."""
+        """Update the state by one entry."""
         if entry.kind in BEGINNINGS:
             self.start_ns, self.latched, self.plucked = entry.stamp_ns, None, False
             self.configuration, self.drive = dict(_DEFAULTS), {}
@@ -278,7 +278,7 @@ class JournalView:
 
 
 def last_journal(entries: Iterable[JournalEntry]) -> list[JournalEntry]:
-    """Return the last journal in these entries: from its `start` or `reset` on, in order.
+    """Return the last journal in these entries, from its `start` or `reset` on, in order.
 
     Raises:
         ConfigError: there is no beginning, or entries are missing.
@@ -296,7 +296,7 @@ def last_journal(entries: Iterable[JournalEntry]) -> list[JournalEntry]:
 
 
 def deciding_samples(values: Mapping[str, Value]) -> dict[str, Value]:
-    """Return those configuration values that decide samples."""
+    """Return the configuration values that affect samples."""
     return {
         name: value
         for name, value in values.items()
@@ -305,7 +305,7 @@ def deciding_samples(values: Mapping[str, Value]) -> dict[str, Value]:
 
 
 def not_default(configuration: RigConfig) -> dict[str, Value]:
-    """Return the values of `configuration` that decide samples and differ from the default rig."""
+    """Return the values of `configuration` that affect samples and differ from the default rig."""
     return deciding_samples(differences(configuration))
 
 
@@ -316,21 +316,21 @@ LIMITS = frozenset({
     "shaker.travel_limit_m", "shaker.current_limit_a_rms", "shaker.frequency_min_hz", "shaker.frequency_max_hz",
     "shaker.ramp_s", "shaker.stop_ramp_s",
 })  # fmt: skip
-"""Values in the mechanics' sections that stand in no equation of motion: a change of them leaves the state as it is."""
+"""Values in the mechanics' sections that are in no equation of motion: changing them leaves the state unchanged."""
 INSTRUMENT_SECTIONS = ("instruments.", "daq.")
 PLANNED = "instruments.faults.planned"
-AT_RESET = ("drive.", "daq.seed")  # what is drawn or commanded at the beginning only
+AT_RESET = ("drive.", "daq.seed")  # values used at the beginning only
 
 
 def is_mechanics(name: str) -> bool:
-    """Return whether the equations of motion have a parameter: a change of it puts the sphere back to its start."""
+    """Return whether a parameter is in the equations of motion: changing it puts the sphere back to its start."""
     return name.startswith(MECHANICAL_SECTIONS) and name not in LIMITS
 
 
 def takes_effect(name: str) -> str:
-    """Return from when on a new value of a parameter acts on a running rig, in words."""
+    """Return the time from which a new parameter value acts on a running rig, as text."""
     if name == PLANNED:
-        return "next command instant, for the lines that are new or gone"
+        return "next command instant, for added or removed lines"
     if name.startswith(AT_RESET):
         return "next reset"
     if name.startswith(PUBLISHING_SECTIONS) and name not in SAMPLE_DECIDING:
@@ -341,7 +341,7 @@ def takes_effect(name: str) -> str:
 
 
 def until_reset(present: InstrumentSetup, config: RigConfig) -> RigConfig:
-    """Return `config` with the seed and the planned faults of `present`: the instruments draw both at a reset."""
+    """Return `config` with the seed and the planned faults of `present`: the instruments use both at a reset."""
     return attrs.evolve(
         config,
         daq=attrs.evolve(config.daq, seed=present.daq.seed),
@@ -351,14 +351,14 @@ def until_reset(present: InstrumentSetup, config: RigConfig) -> RigConfig:
 
 @attrs.frozen
 class Replan:
-    """What one change of the list does: the lines that go, and the lines that come with the faults they make."""
+    """Effect of one change of the list: removed lines, and added lines with their faults."""
 
     gone: tuple[str, ...]
     new: tuple[tuple[str, Fault], ...]
 
 
 class PlanInForce:
-    """Which line made which faults.
+    """Assignment of active faults to lines of the plan.
 
     Args:
         lines: `instruments.faults.planned` at the beginning; the fault board has numbered their faults from 1.
@@ -372,14 +372,14 @@ class PlanInForce:
             self._numbers[line].append(number)
 
     def replan(self, lines: Iterable[str], sample: int) -> Replan:
-        """Return what turns the present lines into these; nothing changes before `put_into_force`.
+        """Return the change from the present lines to these; nothing changes before `put_into_force`.
 
         Args:
-            lines: as they shall be.
+            lines: the new lines.
             sample: the first scan they act on; the `start_s` of new lines count from there.
 
         Raises:
-            ConfigError: an added line describes no fault, or one that starts too late to be written down.
+            ConfigError: an added line is not a valid fault, or starts too late to be represented.
         """
         before = Counter({line: len(numbers) for line, numbers in self._numbers.items()})
         after = Counter(_written(lines))
@@ -387,10 +387,10 @@ class PlanInForce:
         return Replan(tuple((before - after).elements()), new)
 
     def put_into_force(self, replan: Replan, clear: Callable[[int], None], inject: Callable[[Fault], int]) -> None:
-        """Clear the faults of the lines that go, then inject those of the lines that come.
+        """Clear the faults of removed lines, then inject those of added lines.
 
         Args:
-            replan: as `replan` returned it, with no other change in between.
+            replan: result of `replan`, with no other change in between.
             clear: ends the fault of a number, which may have ended already.
             inject: starts a fault and returns its number.
         """
@@ -408,5 +408,5 @@ class PlanInForce:
 
 
 def _written(lines: Iterable[str]) -> Iterator[str]:
-    """Yield the lines that say something, as `FaultPlan.faults` reads them."""
+    """Yield the lines with content, as `FaultPlan.faults` reads them."""
     return (line for line in lines if line.split())

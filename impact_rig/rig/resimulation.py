@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Run a rig again from its journal: the proof that nothing but the journal decided its samples."""
+"""Re-simulation of a rig from its journal: the proof that only the journal determined its samples."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ Samples = NDArray[np.float64]
 
 
 class Sent(NamedTuple):
-    """A block of shaker/waveform as received: its stamp, and the end of the newest scans at that time [ns]."""
+    """Block of shaker/waveform as received: its stamp, and the end of the newest scans at that time [ns]."""
 
     stamp_ns: int
     samples: Samples
@@ -52,9 +52,9 @@ def resimulate(
     """Yield the blocks of the rig that wrote this journal, from its last start or reset on, without end.
 
     Args:
-        journal: the entries of rig/journal, in order; the last `start` or `reset` in them begins.
-        base: what the first entry does not decide (`daq.block_scans` is in it): publishing options; default none.
-        waveform: what came on shaker/waveform, in order, where the drive is a stream.
+        journal: the entries of rig/journal, in order; the last `start` or `reset` begins.
+        base: publishing options, which the first entry does not contain (except `daq.block_scans`); default: none.
+        waveform: messages of shaker/waveform, in order, if the drive is a stream.
 
     Raises:
         ConfigError: the journal is incomplete or does not fit this version; the message says why.
@@ -63,7 +63,7 @@ def resimulate(
 
 
 def _first_sample_from(rig: Rig, stamp_ns: int) -> int:
-    """Return the number of the first sample that is not before an instant."""
+    """Return the number of the first sample at or after a time."""
     return -(-(stamp_ns - rig.start_ns) * rig.stream.rate_hz // NS_PER_S)
 
 
@@ -82,7 +82,7 @@ class RecordedSamples(Buffer):
             rig.stream.capacity + 1 + _first_sample_from(rig, max((sent.received_ns for sent in waveform), default=0))
         )
         for stamp_ns, samples, received_ns, is_doubtful in waveform:
-            with contextlib.suppress(CommandError):  # what the rig had refused as well
+            with contextlib.suppress(CommandError):  # the rig had rejected it, too
                 check_stream(samples, rig.config.drive, rig.config.shaker)
                 first = rig.sample_at(stamp_ns)
                 if 0 <= first + len(samples) <= most:
@@ -96,7 +96,7 @@ class RecordedSamples(Buffer):
             self._recorded[numbers[taken]] = samples[taken]
             self._are_there[numbers[taken]] = True
             is_certain[numbers[taken]] = not is_doubtful
-        self._switches = [0]  # samples are in force from each odd one of these to the next
+        self._switches = [0]  # samples are active from each odd one of these to the next
         for entry in entries:
             if entry.kind is InputKind.STREAM and entry.name in (Event.BEGIN, Event.END):
                 self._switches.append(int(entry.number))
@@ -105,7 +105,7 @@ class RecordedSamples(Buffer):
         self._sample_s = 1.0 / rig.stream.rate_hz
 
     def there(self, first: int, end: int) -> NDArray[np.bool_]:
-        """Return which of the samples first … end − 1 were in force.
+        """Return which of the samples first … end − 1 were active.
 
         Raises:
             ConfigError: one of them is not in the recording.
@@ -118,7 +118,7 @@ class RecordedSamples(Buffer):
         lacking = numbers[wanted & ~held]
         if len(lacking) and (lacking[0] < len(self._recorded) or lacking[0] < self._switches[-1]):
             raise ConfigError(
-                f"the recording lacks sample {lacking[0]} of {topics.WAVEFORM.name}, which was in force "
+                f"the recording lacks sample {lacking[0]} of {topics.WAVEFORM.name}, which was active "
                 f"{lacking[0] * self._sample_s:.6f} s after the start"
             )
         held &= wanted
@@ -130,30 +130,30 @@ class RecordedSamples(Buffer):
         return found
 
     def first_missing(self, first: int) -> int:
-        """Return the number of the first sample from `first` on that was not in force."""
+        """Return the number of the first inactive sample from `first` on."""
         at = int(np.searchsorted(self._switches, first, side="right"))
         if at % 2:
             return first
         return self._switches[at] if at < len(self._switches) else max(first, len(self._recorded))
 
     def first_there(self, first: int) -> int | None:
-        """Return the number of the first sample from `first` on that was in force, or None."""
+        """Return the number of the first active sample from `first` on, or None."""
         at = int(np.searchsorted(self._switches, first, side="right"))
         if at % 2 == 0:
             return first
         return self._switches[at] if at < len(self._switches) else None
 
     def clear(self) -> None:
-        """Keep all samples: what was not in force after a stop is known."""
+        """Keep all samples: those inactive after a stop are known."""
 
 
 class Resimulation:
-    """The rig that wrote a journal, run again: see `resimulate`.
+    """Re-simulated rig that wrote a journal; see `resimulate`.
 
     Attributes:
         rig: the rig, ahead of the blocks that were taken.
         blocks: its blocks, without end.
-        calibrations: `daq/info` whenever it became another one.
+        calibrations: `daq/info` after each change.
         configurations: the configuration at the start and after each change.
     """
 
@@ -170,9 +170,9 @@ class Resimulation:
             self.rig.stream.buffer = RecordedSamples(self.rig, inputs, waveform)
 
     def finish(self, until_ns: int) -> None:
-        """Give the rig what its journal says up to an instant, at which it was reset."""
+        """Apply the journal up to the time of a reset."""
         while self._coming and (
-            self._coming[0].kind is InputKind.FAULT  # ordered ahead of the scan that its entry names
+            self._coming[0].kind is InputKind.FAULT  # planned before the scan that its entry names
             or self._instant(self._coming[0]) <= until_ns
         ):
             next(self.blocks)
@@ -181,9 +181,9 @@ class Resimulation:
         rig = self.rig
         while self._coming:
             change = self._coming[0]
-            if change.kind is not InputKind.FAULT:  # a fault was ordered ahead of the scan that its entry names
+            if change.kind is not InputKind.FAULT:  # a fault was planned before the scan that its entry names
                 until_ns = self._instant(change)
-                while rig.frontier_ns < until_ns:  # in parts: nobody knows how far away a damaged row is
+                while rig.frontier_ns < until_ns:  # in steps: a damaged row may be arbitrarily far away
                     yield from rig.advance(min(until_ns, rig.frontier_ns + NS_PER_S))
             apply(rig, self._coming.popleft())
             if change.kind is InputKind.PARAMETER:
@@ -195,12 +195,15 @@ class Resimulation:
             yield from rig.advance(rig.block_end_ns(1))
 
     def _instant(self, change: JournalEntry) -> int:
-        """Return the instant of the command grid at which an input took effect: the tick whose first scan it names."""
+        """Return the time on the command grid at which an input took effect.
+
+        The tick that contains the scan it names first.
+        """
         return self.rig.start_ns + change.sample * TICKS_PER_S // self.rig.rate_hz * COMMAND_GRID_NS
 
 
 def apply(rig: Rig, change: JournalEntry) -> None:
-    """Give the rig, at its frontier, one input as journaled."""
+    """Apply one journaled input to the rig at its frontier."""
     if change.kind is InputKind.PARAMETER:
         rig.configure(change.values)
     elif change.kind is InputKind.COMMAND and change.name == "frequency":
@@ -217,7 +220,7 @@ def apply(rig: Rig, change: JournalEntry) -> None:
         rig.inject(change.fault)
     elif change.kind is InputKind.CLEAR_FAULT:
         if change.value is not None and not change.value.is_integer():
-            raise ConfigError(f"journal entry {change.sequence}: no fault has the number {change.value!r}")
+            raise ConfigError(f"journal entry {change.sequence}: there is no fault with the number {change.value!r}")
         rig.clear_fault(None if change.value is None else int(change.value))
     elif change.kind not in RESULTS:
-        raise ConfigError(f"journal entry {change.sequence}: {change.kind.value!r} cannot be inside a journal")
+        raise ConfigError(f"journal entry {change.sequence}: {change.kind.value!r} is not allowed within a journal")

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What is done with recorded runs: summed up, checked, analysed again, simulated again, recovered, exported, drawn."""
+"""Operations on recorded runs: summary, verification, reanalysis, re-simulation, recovery, export and drawing."""
 
 from impact_rig.recording.losses import Contiguity, Gap, check_contiguity, scan_rate_hz
 from impact_rig.runs.exports import export

@@ -40,20 +40,20 @@ if TYPE_CHECKING:
 
 NAMES = ("time_traces", "phase_plane", "spectrum", "curves")
 TRACED_CYCLES = 8
-SMOOTHED_CYCLE = 40.0  # the velocity of the phase plane is smoothed over this part of a cycle
+SMOOTHED_CYCLE = 40.0  # fraction of a cycle over which the velocity of the phase plane is smoothed
 SHOWN = (("laser", "1"), ("base", "b"), ("accelerometer", "1"), ("current", ""))
-"""Channel and index of its symbol: the first that a run has is that of its phase plane and spectrum."""
+"""Channel and index of its symbol: phase plane and spectrum show the first of these that a run has."""
 HARMONICS = 10.5
-UNDRIVEN_HZ = 100.0  # the spectrum ends after so many harmonics of the drive, or here where none is known
+UNDRIVEN_HZ = 100.0  # the spectrum ends after this many harmonics of the drive, or at this frequency without a drive
 
 
 def prepare(directory: Path, formats: Sequence[str], names: Sequence[str] = NAMES) -> None:
-    """Make the directory of the figures, so that a long analysis does not end in an error that could be foreseen.
+    """Create the directory of the figures before a long analysis, so that it cannot fail at the end.
 
     Raises:
-        RecordingError: it cannot be made or written to, or there are figures in it already.
+        RecordingError: it cannot be created or written to, or it contains figures already.
     """
-    with files.errors_as(f"figures cannot be written to {directory}"):
+    with files.errors_as(f"cannot write figures to {directory}"):
         files.make_folder(directory)
         with tempfile.TemporaryFile(dir=directory):
             pass
@@ -66,7 +66,7 @@ def prepare(directory: Path, formats: Sequence[str], names: Sequence[str] = NAME
 def draw(
     run: Run, found: Sequence[Findings], directory: Path, formats: Sequence[str] = FIGURE_FORMATS
 ) -> tuple[Excerpt, list[Path]]:
-    """Draw a run and return what was drawn, and the files written to `directory`.
+    """Draw a run; return the excerpt that is drawn and the files written to `directory`.
 
     Raises:
         RecordingError: too few scans, or a file cannot be written.
@@ -99,7 +99,7 @@ def channel_units(run: Run) -> dict[str, str]:
 
 
 def main_motion(rows: NDArray[np.void], units: Mapping[str, str]) -> tuple[str, float, str, str]:
-    """Return the channel of which phase plane and spectrum are drawn, its factor, unit and name in a drawing."""
+    """Return the channel of the phase plane and spectrum, its factor, its unit and its name in a drawing."""
     channel, index = next(one for one in SHOWN if one[0] in (rows.dtype.names or ()))
     factor, _, unit = drawings.MOTIONS[units[channel]]
     return channel, factor, unit, drawings.symbol(index, units[channel]) if index else f"the {channel}"
@@ -108,7 +108,7 @@ def main_motion(rows: NDArray[np.void], units: Mapping[str, str]) -> tuple[str, 
 def measured_curves(rows: NDArray[np.void]) -> dict[str, NDArray[np.void]]:
     """Return label -> settled rows of `transmissibility/table`, one curve per gap and direction of the sweep.
 
-    A gap measured at one frequency only is no curve: there are curves where one gap has at least two frequencies.
+    A gap measured at a single frequency is no curve, so it is left out if another gap has at least two frequencies.
     """
     rows = rows[rows["settled"] == 1.0]
     curves: dict[str, NDArray[np.void]] = {}
@@ -118,7 +118,7 @@ def measured_curves(rows: NDArray[np.void]) -> dict[str, NDArray[np.void]]:
         if not np.any(steps):
             continue
         moves = np.flatnonzero(steps)
-        # a point goes with the step that led to it, the first ones with the step that follows
+        # a point belongs to the step that led to it; the first points belong to the step that follows
         upwards = steps[moves[np.maximum(np.searchsorted(moves, np.arange(len(steps) + 1)) - 1, 0)]] > 0
         label = "gap unknown" if math.isinf(gap) else f"gap {gap * 1e3:g} mm" if gap else "no sphere"
         for way, there in (("up", upwards), ("down", ~upwards)):
@@ -130,7 +130,7 @@ def measured_curves(rows: NDArray[np.void]) -> dict[str, NDArray[np.void]]:
 
 
 def aliasing(info: NDArray[np.void]) -> str:
-    """Return what the rate of scans does to the pulses of the accelerometer; empty where it resolves them."""
+    """Return a note on how the scan rate aliases the pulses of the accelerometer; empty if it resolves them."""
     found = info[info["name"] == b"accelerometer"]
     if not len(found):
         return ""
@@ -139,20 +139,20 @@ def aliasing(info: NDArray[np.void]) -> str:
     if not band_hz > rate_hz / 2.0:
         return ""
     return (
-        f"at {rate_hz / 1e3:g} kS/s, a scan every {1e6 / rate_hz:g} µs, pulses {band_hz / 1e3:g} kHz wide are aliased: "
-        "when they come is true, how high they stand is chance"
+        f"at {rate_hz / 1e3:g} kS/s, a scan every {1e6 / rate_hz:g} µs, pulses {band_hz / 1e3:g} kHz wide are "
+        "aliased: their times are right, their heights are random"
     )
 
 
 def titled(figure: Figure, run: Run, what: str = "") -> Figure:
-    """Write over a figure which run it shows, and what of it; return it."""
-    name = run.path.name.replace("$", r"\$")  # beside the symbols of `what`
+    """Add a title to a figure with the run and an optional description; return the figure."""
+    name = run.path.name.replace("$", r"\$")  # next to the mathematical symbols of `what`
     figure.suptitle(f"{name}: {what}" if what else name, fontsize="medium")
     return figure
 
 
 def save(figure: Figure, stem: Path, formats: Sequence[str]) -> list[Path]:
-    """Write a figure in some formats and return the paths; nothing is overwritten.
+    """Write a figure in some formats and return the paths; existing files are not overwritten.
 
     Raises:
         RecordingError: it cannot be written.
@@ -161,7 +161,7 @@ def save(figure: Figure, stem: Path, formats: Sequence[str]) -> list[Path]:
     paths = [stem.with_name(f"{stem.name}.{kind}") for kind in formats]
     for path, kind in zip(paths, formats, strict=True):
         with (
-            files.errors_as(f"{path} cannot be written"),
+            files.errors_as(f"cannot write {path}"),
             files.written_whole(path, replace=False) as file,
             style(),
         ):

@@ -11,15 +11,14 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Table topics as files other programs read: CSV, NumPy's NPZ, Parquet, and universal files (dataset 58).
+"""Export of table topics to CSV, NumPy's NPZ, Parquet, and universal files (dataset 58).
 
 The columns are those of `impact_rig.recording.columns`: time, date and `earlier`, then the table's own. Numbers in CSV
-are written so that reading them back gives the same bits.
+files read back to the same bits.
 
-A universal file holds one dataset 58b (binary, double precision) per column of numbers: a time response over `time`.
-Of `transmissibility/table` and other tables with frequency, transmissibility and phase it is one
-frequency response function more per gap, or per word in a column `curve`, complex, over the frequency: what modal
-analysis reads.
+A universal file holds one dataset 58b (binary, double precision) per numeric column: a time response over `time`. A
+table with frequency, transmissibility and phase, such as `transmissibility/table`, gives one more dataset per gap, or
+per word in a column `curve`: a complex frequency response function for modal analysis.
 """
 
 from __future__ import annotations
@@ -51,19 +50,19 @@ CURVE = "curve"
 
 
 def export(run: Run, topic: str, target: Path) -> Path:
-    """Write a table topic to `target` and return it; the suffix says the format: .csv, .npz, .parquet or .uff.
+    """Write a table topic to `target` and return it; the suffix selects the format: .csv, .npz, .parquet or .uff.
 
-    NPZ and UFF are put together in memory, the others are written as they are read.
+    NPZ and UFF files are built in memory, the others are streamed.
 
     Raises:
-        RecordingError: unknown suffix, `target` exists or cannot be written, the topic carries no tables or changes
-            its columns, or a library is missing: pyarrow for Parquet, pyuff for UFF.
+        RecordingError: unknown suffix, `target` exists or cannot be written, the topic carries no tables or changes its
+            columns, or a library is missing: pyarrow for Parquet, pyuff for UFF.
     """
     return write_columns(lambda: _batches(run, topic), target)
 
 
 def write_columns(batches: Callable[[], Iterator[Columns]], target: Path) -> Path:
-    """Write columns to `target` and return it, see `export`."""
+    """Write columns to `target` and return it; see `export`."""
     write = _WRITERS.get(target.suffix)
     if write is None:
         raise RecordingError(f"{target} must end in one of {', '.join(_WRITERS)}")
@@ -83,7 +82,7 @@ def write_columns(batches: Callable[[], Iterator[Columns]], target: Path) -> Pat
 
 
 def _batches(run: Run, topic: str) -> Iterator[Columns]:
-    """Yield the columns of a table topic, or of the journal, many messages at a time."""
+    """Yield the columns of a table topic, or of the journal, in batches of many messages."""
     if run.resolve(topic) == run.name(topics.JOURNAL):
         yield _journal_columns(run)
     else:
@@ -91,7 +90,7 @@ def _batches(run: Run, topic: str) -> Iterator[Columns]:
 
 
 def _journal_columns(run: Run) -> Columns:
-    """Return the journal, one row per entry; values and faults as JSON."""
+    """Return the journal, one row per entry, with values and faults as JSON."""
     found = [
         (is_earlier(run, message), entry)
         for message in run.messages([topics.JOURNAL.name], recorded_order=True)
@@ -128,13 +127,13 @@ def _write_csv(file: BinaryIO, batches: Iterator[Columns]) -> None:
 
 
 def _plain(column: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Return a column for a text file: dates as ISO 8601 has them, to the nanosecond."""
+    """Return a column for a text file, with dates in ISO 8601 to the nanosecond."""
     return np.datetime_as_string(column, unit="ns") if column.dtype.kind == "M" else column  # type: ignore[call-overload]
 
 
 def _write_npz(file: BinaryIO, batches: Iterator[Columns]) -> None:
     columns = complete(batches)
-    # np.savez would take columns called `file` or `allow_pickle` for its own arguments
+    # np.savez would take columns named `file` or `allow_pickle` for its own arguments
     with zipfile.ZipFile(file, "w") as archive:
         for name, column in columns.items():
             with archive.open(f"{file_name(name)}.npy", "w", force_zip64=True) as member:
@@ -160,13 +159,13 @@ def _write_uff(file: BinaryIO, batches: Iterator[Columns]) -> None:
     with tempfile.TemporaryDirectory(prefix="impact_rig_uff_") as folder:  # pyuff opens files by name only
         path = Path(folder) / "all.uff"
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ResourceWarning)  # it leaves files to the garbage collection
+            warnings.simplefilter("ignore", ResourceWarning)  # pyuff leaves files to the garbage collection
             pyuff.UFF(str(path)).write_sets([{"type": 58, **one} for one in _datasets(columns)], "add")
         file.write(path.read_bytes())
 
 
 def _datasets(columns: Columns) -> list[dict[str, object]]:
-    """Return the functions of a universal file; values that are no numbers stay out."""
+    """Return the functions of a universal file; non-numeric columns are left out."""
     found: list[dict[str, object]] = []
     numbers = {name: np.asarray(column, float) for name, column in columns.items() if column.dtype.kind in "fiu"}
     x = numbers.pop(TIME, None)
@@ -187,7 +186,7 @@ def _datasets(columns: Columns) -> list[dict[str, object]]:
 def _response_functions(
     numbers: Mapping[str, NDArray[np.float64]], curve: NDArray[np.generic] | None
 ) -> Iterator[dict[str, object]]:
-    """Yield X_1/X_b over the frequency, one function per curve or gap; rows without a measurement stay out."""
+    """Yield X_1/X_b over frequency, one function per curve or gap; rows without a measurement are left out."""
     ratio = numbers["transmissibility"] * np.exp(1j * numbers["phase"])
     order = np.arange(len(ratio))
     if curve is None:
@@ -198,15 +197,16 @@ def _response_functions(
         own = np.flatnonzero(np.isfinite(ratio) & (curve == name))
         own = own[np.argsort(numbers["frequency"][own], kind="stable")]
         if len(own) < 2:
-            continue  # no function: pyuff refuses it
+            continue  # pyuff rejects a function without points
         title = f"X_1/X_b, {name}" if name else "X_1/X_b"
         yield _dataset(title, _RESPONSE_FUNCTION, numbers["frequency"][own], ratio[own], "Hz")
 
 
 def _dataset(name: str, kind: int, x: NDArray[np.float64], y: NDArray[np.generic], unit: str) -> dict[str, object]:
-    """Return a function as pyuff wants it; the abscissa is written out unless it is even, which readers like better.
+    """Return a function in pyuff's format; the abscissa is written out unless it is evenly spaced.
 
-    Of an even one the file has begin and step with six digits each, from which readers make all others.
+    For an even abscissa the file holds start and step with six digits each, from which readers compute the other
+    values.
     """
     begin, step = (float(f"{one:.5e}") for one in (x[0], x[1] - x[0]))
     line = one_line(name, 80)  # a line of its own in the file
@@ -219,7 +219,7 @@ def _dataset(name: str, kind: int, x: NDArray[np.float64], y: NDArray[np.generic
     }  # fmt: skip
 
 
-_EVEN = 1e-6  # in steps: how far an even abscissa may be off
+_EVEN = 1e-6  # tolerance for an even abscissa, in steps
 _TIME_RESPONSE, _RESPONSE_FUNCTION = 1, 4  # function types of dataset 58
 
 _WRITERS: Mapping[str, Callable[[BinaryIO, Iterator[Columns]], None]] = {

@@ -11,7 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What a run holds and whether it is whole, for one screen: every message is read, so every checksum is checked."""
+"""One-screen summary of a run: its contents and integrity.
+
+Every message is read, so every checksum is checked.
+"""
 
 from __future__ import annotations
 
@@ -41,12 +44,12 @@ from impact_rig.runs.origin import origin
 from impact_rig.runs.recovery import Recovered
 from impact_rig.simtime import NS_PER_S
 
-SAME_RATE = 1e-6  # relative departure of the rate of the times in a block from that of the calibration
+SAME_RATE = 1e-6  # relative deviation of the scan rate, by the times in a block, from that of the calibration
 
 
 @attrs.frozen
 class TopicInfo:
-    """A topic in figures.
+    """Figures of one topic.
 
     Attributes:
         first_ns, last_ns: earliest and latest log time; 0 without messages.
@@ -56,36 +59,36 @@ class TopicInfo:
     type_name: str
     count: int
     rate_hz: float | None
-    """Messages per second of rig time between its first and last; None with fewer than two instants."""
+    """Messages per second of rig time between its first and last message; None with fewer than two stamps."""
     first_ns: int
     last_ns: int
-    bytes: int  # CDR bytes of all its messages
+    bytes: int  # size of the CDR bytes of all its messages
 
 
 @attrs.frozen
 class RunInfo:
-    """A run in figures."""
+    """Figures of one run."""
 
     path: Path
     files: tuple[tuple[str, int], ...]
     start_ns: int
     end_ns: int
-    topics: tuple[TopicInfo, ...]  # in the order they were registered
-    rate_hz: float | None  # scans per second of `daq/scan`, of the first where there are two; None without it
-    last_block_s: float  # how long the newest block of it is [s]; 0 where that is not known
-    rig_s: float | None  # rig time spanned by the stamps of the scans [s], of the rig with most; None without scans
-    scans: Contiguity | None  # whether its blocks follow each other; None without it
-    provenance: Mapping[str, str]  # version, seed, wall_start_ns, ...; empty for other recorders' files
+    topics: tuple[TopicInfo, ...]  # in order of registration
+    rate_hz: float | None  # scans per second of `daq/scan`, of the first rig if there are two; None without scans
+    last_block_s: float  # duration of its newest block [s]; 0 if unknown
+    rig_s: float | None  # rig time spanned by the stamps of the scans [s], the longest of all rigs; None without scans
+    scans: Contiguity | None  # whether its blocks are contiguous; None without scans
+    provenance: Mapping[str, str]  # version, seed, wall_start_ns, ...; empty for files of other recorders
     attachments: Mapping[str, int]
     configuration: str | None
-    lost: Mapping[str, int]  # messages that never reached the recorder, by topic; only topics that lack any
+    lost: Mapping[str, int]  # messages that never reached the recorder, by topic; topics without losses are left out
     accounted: bool
-    recovered: Recovered | None  # what a recovery has left out; None: this is the run as it was recorded
-    intact: bool  # whether every checksum there is fits and nothing is known to be missing
+    recovered: Recovered | None  # losses of a recovery; None for an original recording
+    intact: bool  # whether all checksums match and nothing is known to be missing
     verdict: str
     checksums: structure.Checksums
     rigs: tuple[str, ...]  # namespaces
-    origin: Mapping[str, str]  # of an imported run: what was read, assumed and left out; empty of others
+    origin: Mapping[str, str]  # for an imported run: what was read, assumed and left out; empty for others
 
     @property
     def log_s(self) -> float:
@@ -94,12 +97,12 @@ class RunInfo:
 
     @property
     def duration_s(self) -> float:
-        """Rig time that the stamps of `daq/scan` span, first scan to end of the last [s]; `log_s` without scans."""
+        """Rig time spanned by `daq/scan` [s], from the first scan to the end of the last; `log_s` without scans."""
         return self.log_s if self.rig_s is None else self.rig_s
 
     @property
     def messages(self) -> int:
-        """Messages read."""
+        """Number of messages read."""
         return sum(topic.count for topic in self.topics)
 
     @property
@@ -109,14 +112,14 @@ class RunInfo:
 
 
 def info(path: Path | str) -> RunInfo:
-    """Read a whole run and return what it holds.
+    """Read a whole run and return its summary.
 
     Args:
         path: a run directory or an MCAP file.
 
     Raises:
-        RecordingError: there is no recording, it is not finished or its index is damaged. A damaged chunk does not
-            raise: the verdict names it, and the figures are of what comes before it.
+        RecordingError: there is no recording, it is not finished, or its index is damaged. A damaged chunk does not
+            raise: the verdict names it, and the figures cover the messages before it.
     """
     with open_run(path) as run:
         tally = _Tally(run)
@@ -143,7 +146,7 @@ def info(path: Path | str) -> RunInfo:
         scans = _judged(rigs)
         lost = losses.lost(account)
         missing = [*_absent_files(run), *_gaps(scans), *_losses(lost), *_left_out(recovered)]
-        if recovered is None:  # an account of what was recorded, not of what could be given back
+        if recovered is None:  # the account covers what was recorded, not what was recovered
             missing += _unaccounted(account, tally)
         configuration = attachments.get(CONFIGURATION)
         return RunInfo(
@@ -180,16 +183,16 @@ def _verdict(
     accounted: bool,
     recovered: bool,
 ) -> str:
-    """Return the sentence; only a run whose recorder kept account and missed nothing is called whole."""
+    """Return the verdict; a run is complete only if its recorder kept an account and missed nothing."""
     begin = f"recovered: {checked}" if recovered else str(checked)
     if missing:
         return f"{begin}, but {'; '.join(missing)}"
     found = f"there is no {topics.SCAN.name}"
     if blocks := sum(len(rig.blocks) for rig in tally.rigs.values()):
-        judged = "without a gap" if scans else "whose rate is not known, so that nobody can tell whether one is missing"
+        judged = "without a gap" if scans else "of an unknown rate, so gaps cannot be detected"
         found = f"{blocks} blocks of {topics.SCAN.name} {judged}"
     if recovered:
-        return f"{begin}, {found}; what the recorder had missed is not known"
+        return f"{begin}, {found}; losses of the original recorder are unknown"
     if not accounted:
         return f"{begin}, {found}; its recorder kept no account of lost messages"
     whole = "whole: " if checked.complete else ""
@@ -197,9 +200,9 @@ def _verdict(
 
 
 def _judged(rigs: Sequence[_RigScans]) -> Contiguity | None:
-    """Return whether the blocks of each rig follow each other; None where a rate is not known.
+    """Return whether the blocks of each rig are contiguous; None if a rate is unknown.
 
-    Of several rigs in one recording the blocks come in turn, and follow those of their own rig only.
+    If a recording has several rigs, their blocks alternate, and each block follows a block of the same rig.
     """
     found = [
         check_contiguity(rig.blocks, rig.rate_hz, starts=rig.starts, resets=rig.resets) for rig in rigs if rig.rate_hz
@@ -234,7 +237,7 @@ def _losses(lost: Mapping[str, int]) -> list[str]:
 
 
 def _absent_files(run: Run) -> list[str]:
-    """Return which files of a run are not there, as far as the others tell."""
+    """Return the missing files of a run, as far as the others name them."""
     last = run.sources[-1]
     follows = [content.get("file", "") for name, content in last.metadata() if name == CONTINUES_RECORD_NAME]
     missing = [f"{last.path.name} is not the last file of its run: {follows[-1]} is missing"] if follows else []
@@ -244,7 +247,7 @@ def _absent_files(run: Run) -> list[str]:
 
 
 def _unaccounted(account: Mapping[str, list[losses.PublisherStream]], tally: _Tally) -> list[str]:
-    """Return where the files and the account of the recorder contradict each other, message by message."""
+    """Return the contradictions between the files and the recorder's account, message by message."""
     short, twice, untold = [], [], []
     for name, numbers in tally.sequences.items():
         streams = account.get(name)
@@ -261,18 +264,18 @@ def _unaccounted(account: Mapping[str, list[losses.PublisherStream]], tally: _Ta
         if name not in tally.sequences and any(stream.received for stream in streams):
             short.append(f"{sum(stream.received for stream in streams)} of {name}")
     said = {"messages that were received are not in it": short, "messages are in it twice": twice}
-    said["its recorder kept no account of"] = untold
+    said["without an account by the recorder"] = untold
     return [f"{what}: {', '.join(which)}" for what, which in said.items() if which]
 
 
 def _compared(numbers: NDArray[np.uint64], streams: list[losses.PublisherStream]) -> tuple[int, int]:
-    """Return how many messages are there more than once, and how many of those received are not there.
+    """Return the number of duplicate messages, and of received messages that are missing.
 
-    A file does not say who sent a message. So the numbers of a topic are held against all of its publishers together:
-    no number may be there more often than there are publishers that have sent it.
+    A file does not name the sender of a message. The sequence numbers of a topic are therefore compared with all of its
+    publishers together: no number may occur more often than there are publishers that sent it.
     """
     if any(not stream.first or stream.newest >= 2**32 for stream in streams):
-        return 0, 0  # messages without a number, publishers that were forgotten, numbers of which a part is kept
+        return 0, 0  # messages without a number, publishers that were dropped, or partly kept numbers
     present, counts = np.unique(numbers, return_counts=True)
     sent = sum(((present >= stream.first) & (present <= stream.newest)).astype(np.int64) for stream in streams)
     again = int(np.maximum(counts - sent, 0).sum())
@@ -283,7 +286,7 @@ def _left_out(recovered: Recovered | None) -> list[str]:
     if recovered is None or not recovered.incomplete:
         return []
     count = "an unknown number of" if recovered.missing_messages is None else str(recovered.missing_messages)
-    return [f"{count} messages ({recovered.lost_bytes} bytes in {recovered.damages} places) could not be given back"]
+    return [f"{count} messages ({recovered.lost_bytes} bytes in {recovered.damages} places) could not be recovered"]
 
 
 @attrs.define
@@ -296,20 +299,20 @@ class _Count:
 
 @attrs.define
 class _RigScans:
-    """What one rig says of its scans."""
+    """Facts about the scans of one rig."""
 
     blocks: list[tuple[int, int]] = attrs.field(factory=list)
     starts: list[int] = attrs.field(factory=list)  # scan 0 of each start in the journal [ns]
     resets: list[int] = attrs.field(factory=list)  # scan 0 of each reset in the journal [ns]
-    rates: list[float] = attrs.field(factory=list)  # by the calibration
+    rates: list[float] = attrs.field(factory=list)  # from the calibration
     from_times: float | None = None
 
     @property
     def rate_hz(self) -> float | None:
-        """Scans per second: by the times in a block, by the calibration, or by the stamps of two blocks of one scan."""
+        """Scans per second: from the times in a block, the calibration, or the stamps of two one-scan blocks."""
         found = self.from_times or next(iter(self.rates), None)
         if self.rates and found and abs(self.rates[0] / found - 1.0) < SAME_RATE:
-            found = self.rates[0]  # with all its digits
+            found = self.rates[0]  # with full precision
         if found is None:
             steps = [after[0] - one[0] for one, after in itertools.pairwise(self.blocks) if one[1] == 1]
             least = min((step for step in steps if step > 0), default=0)
@@ -318,7 +321,7 @@ class _RigScans:
 
     @property
     def span_s(self) -> float:
-        """Rig time from the first scan to the end of the last [s]; where stamps go back, a further stretch begins."""
+        """Rig time from the first scan to the end of the last [s]; a new stretch begins where stamps go back."""
         total_ns = begin_ns = end_ns = 0
         for number, (stamp_ns, length) in enumerate(self.blocks):
             if number == 0 or stamp_ns < begin_ns:
@@ -329,12 +332,12 @@ class _RigScans:
 
     @property
     def last_block_s(self) -> float:
-        """How long the newest block is [s]; 0 where that is not known."""
+        """Duration of the newest block [s]; 0 if unknown."""
         return max(self.blocks)[1] / self.rate_hz if self.rate_hz and self.blocks else 0.0
 
 
 class _Tally:
-    """Adds up the messages of a run."""
+    """Counts over the messages of a run."""
 
     def __init__(self, run: Run) -> None:
         self._types = {name: recorded.topic.type_name for name, recorded in run.topics.items()}
@@ -345,10 +348,10 @@ class _Tally:
         self._info_topics = {prefix + topics.INFO.name for prefix in prefixes}
         self.rigs: defaultdict[str, _RigScans] = defaultdict(_RigScans)  # by namespace
         self.sequences = {name: array("Q") for name in run.topics}
-        """Numbers of the messages of every topic as their publishers gave them."""
+        """Sequence numbers of the messages of each topic, as given by their publishers."""
 
     def add(self, message: Message) -> None:
-        """Count one message; a block of scans is also noted with its stamp."""
+        """Count one message; for a block of scans, also keep its stamp."""
         count = self._counts[message.topic]
         count.first_ns = message.log_time if not count.count else min(count.first_ns, message.log_time)
         count.last_ns = max(count.last_ns, message.log_time)
@@ -358,7 +361,7 @@ class _Tally:
         if message.topic in self._scan_topics:
             self._add_block(message)
         elif message.topic in self._info_topics:
-            with contextlib.suppress(CodecError):  # what no analysis understands says no rate
+            with contextlib.suppress(CodecError):  # an invalid table gives no rate
                 rates = self._rig(message, topics.INFO).rates
                 rates += codec.decode(message.data, topics.INFO).rows["rate"][:1].tolist()
         elif message.topic in self._journals:
@@ -371,7 +374,7 @@ class _Tally:
                         rig.resets.append(entry.stamp_ns)
 
     def _rig(self, message: Message, topic: topics.Topic) -> _RigScans:
-        """Return the rig whose topic a message is of."""
+        """Return the rig that a message belongs to."""
         prefix = prefix_of(message.topic, topic)
         assert prefix is not None
         return self.rigs[prefix]
@@ -380,7 +383,7 @@ class _Tally:
         try:
             table = codec.decode(message.data)
         except CodecError as error:
-            raise DamageError(f"{message.topic} at {message.log_time} ns is no table: {error}") from error
+            raise DamageError(f"{message.topic} at {message.log_time} ns is not a valid table: {error}") from error
         rig = self._rig(message, topics.SCAN)
         rig.blocks.append((table.stamp_ns, len(table.rows)))
         if rig.from_times is None:

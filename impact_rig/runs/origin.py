@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Origin of an imported run: what was read from its file, what was assumed about it, and what was left out."""
+"""Origin of an imported run: what was read from its file, what was assumed, and what was left out."""
 
 from __future__ import annotations
 
@@ -19,12 +19,15 @@ import json
 from collections.abc import Iterator, Mapping
 
 SOURCE = "source.json"  # attachment of an imported run
-LARGEST_BYTES = 4_000_000  # of the attachment; Rattlesnake, the widest source known, has some hundred channels
-MOST_LISTED = 12  # parts of the file that are listed one by one
+LARGEST_BYTES = 4_000_000  # limit of the attachment; Rattlesnake, the widest known source, has about a hundred channels
+MOST_LISTED = 12  # maximum number of items listed individually
 
 
 def origin(attachments: Mapping[str, bytes]) -> dict[str, str]:
-    """Return the origin that a run's attachments state, as headings and texts; empty: the run was not imported."""
+    """Return the origin that a run's attachments state, as headings and texts.
+
+    Empty for a run that was not imported.
+    """
     text = attachments.get(SOURCE, b"")
     if not text or len(text) > LARGEST_BYTES:
         return {}

@@ -11,10 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Analyse a recorded run by the live node's `Tracker` on the live node's messages, and compare with what it found.
+"""Reanalysis of a recorded run by the live node's `Tracker`, and comparison with the live results.
 
-A measurement begins at the last change (a command, a label, a reset) or where the data begin. So live and file agree
-from the first change on that both saw; before it, one of them has seen more, and the two cannot be compared.
+A measurement begins at the last change (a command, a label, a reset) or at the start of the data. Live and recorded
+results therefore agree from the first change that both saw. Before it, one of them has seen more, and the two cannot be
+compared.
 """
 
 from __future__ import annotations
@@ -50,15 +51,15 @@ def analyze(
     settings: TrackerSettings | None = None,
     instead: Callable[[topics.Topic, Table], Table] = lambda _, table: table,
 ) -> Iterator[Findings]:
-    """Yield what the analysis finds in a run, message by message.
+    """Yield the findings of the analysis in a run, message by message.
 
     Args:
         run: an open run.
-        settings: of the measurement; None: those of the live analysis.
-        instead: returns what the analysis sees in the place of a table of calibration or scans.
+        settings: settings of the measurement; None means those of the live analysis.
+        instead: replaces tables of calibration or scans before the analysis sees them.
 
     Raises:
-        RecordingError: a topic that the analysis needs was not recorded, or a message is damaged or of another kind.
+        RecordingError: a topic that the analysis needs was not recorded, or a message is damaged or of another type.
     """
     live, labels = as_set_live(run)
     tracker = Tracker(settings or live)
@@ -80,11 +81,11 @@ def analyze(
 
 
 def _in_force_first(run: Run, names: Mapping[str, topics.Topic]) -> Iterator[Message]:
-    """Yield scans as they were received, and what else the rig published between the scans it published it between.
+    """Yield scans in the order received, and other messages between the scans between which the rig published them.
 
-    Each topic comes to a recorder on a way of its own: on a busy machine a change may arrive many scans late, and what
-    is latched comes late to a recorder that comes while the rig runs. Without a calibration nothing can be measured, so
-    the first one comes first in any case.
+    Each topic reaches a recorder independently. On a busy machine a change may arrive many scans late, and latched
+    messages arrive late at a recorder that starts while the rig runs. Without a calibration nothing can be measured, so
+    the first one is always yielded first.
     """
     scan = next(name for name, topic in names.items() if topic is topics.SCAN)
     first = next(run.messages([scan], recorded_order=True), None)
@@ -93,7 +94,7 @@ def _in_force_first(run: Run, names: Mapping[str, topics.Topic]) -> Iterator[Mes
     others = sorted(run.messages(set(names) - {scan}, recorded_order=True), key=lambda one: one.publish_time)
     calibration = next((message for message in others if names[message.topic] is topics.INFO), None)
     if calibration is None:
-        raise RecordingError(f"{run.path} holds no {topics.INFO.name}: what its scans mean is not known")
+        raise RecordingError(f"{run.path} holds no {topics.INFO.name}: the meaning of its scans is unknown")
     if calibration.publish_time >= first.publish_time:
         others.remove(calibration)
         yield calibration
@@ -101,9 +102,9 @@ def _in_force_first(run: Run, names: Mapping[str, topics.Topic]) -> Iterator[Mes
 
 
 def as_set_live(run: Run) -> tuple[TrackerSettings, list[GapLabel]]:
-    """Return the settings and labels of the live analysis; the operator's remarks and defaults where there was none.
+    """Return the settings and labels of the live analysis; without one, the operator's remarks and defaults.
 
-    They are read first: a label names the scan it acts on, and may have been recorded after it.
+    They are read first: a label names the scan it acts on, and may have been recorded after that scan.
     """
     if not run.holds(topics.ANALYSIS_SETTINGS):
         return TrackerSettings(), [label for label in map(parse_label, remarks(run)) if label is not None]
@@ -115,20 +116,21 @@ def as_set_live(run: Run) -> tuple[TrackerSettings, list[GapLabel]]:
 
 @attrs.frozen(eq=False)
 class _Told:
-    """Settings of a live analysis, and since when they hold."""
+    """Settings of a live analysis, and the time from which they apply."""
 
     since_ns: int
     table: Table
-    again: bool  # whether an analysis that was started again told them
-    in_turn: bool  # whether one told them that another had spoken after: two at once, and whose a label is nobody knows
+    again: bool  # whether they come from a restarted analysis
+    # whether another analysis published in between: with two analyses at once, the source of a label is unknown
+    in_turn: bool
 
 
 def _settings_told(run: Run) -> list[_Told]:
-    """Return the settings in the order in which they were told; what is no such table costs nothing but itself.
+    """Return the settings in the order of publication; invalid tables are skipped.
 
-    An analysis labels whatever it will see, from stamp 0 on. One that was started again while the run went on saw
-    nothing of before: what it says holds since it came. What one had said that ended before the run is latched, and
-    says nothing of it.
+    An analysis labels everything it will see, from stamp 0 on. An analysis that was restarted during the run has seen
+    nothing before, so its settings apply from its start. Those of an analysis that ended before the run are latched and
+    do not apply to it.
     """
     topic = topics.ANALYSIS_SETTINGS
     if not run.holds(topic):
@@ -160,7 +162,7 @@ def _settings_told(run: Run) -> list[_Told]:
 
 
 def _received_ns(run: Run, topic: topics.Topic, number: int) -> int:
-    """Return the rig time at which a message of a topic was received: the stamp of the newest scan before it."""
+    """Return the rig time at which a message was received: the stamp of the newest scan before it."""
     name, scan = run.resolve(topic), run.resolve(topics.SCAN)
     newest_ns, count = 0, 0
     for message in run.messages([name, scan], recorded_order=True):
@@ -174,12 +176,12 @@ def _received_ns(run: Run, topic: topics.Topic, number: int) -> int:
 
 
 def remarks(run: Run) -> list[str]:
-    """Return what the operator noted, in order."""
+    """Return the operator's remarks, in order."""
     return texts(run, topics.NOTES)
 
 
 def measurements(findings: Iterator[Findings]) -> list[Table]:
-    """Return the measurements in findings, one table each."""
+    """Return the measurements among the findings, one table each."""
     return [table for found in findings for table in found.measurements]
 
 
@@ -189,7 +191,7 @@ def rows(tables: list[Table]) -> NDArray[np.void]:
 
 
 def newest_settled(tables: list[Table]) -> NDArray[np.void]:
-    """Return the last settled measurement at each gap, unknown ones first, and frequency; ascending, shape (n,)."""
+    """Return the last settled measurement at each gap (unknown ones first) and frequency, ascending; shape (n,)."""
     found = rows(tables)
     settled: NDArray[np.void] = found[found["settled"] == 1.0]
     keys = zip(np.nan_to_num(settled["gap"], nan=-1.0).tolist(), settled["frequency"].tolist(), strict=True)
@@ -225,26 +227,26 @@ def _text(cdr: bytes | memoryview) -> str:
     return bytes(cdr[8 : 8 + max(0, length - 1)]).decode(errors="replace")
 
 
-TOLERANCE = 1e-9  # relative, between machines that differ in the last bits
+TOLERANCE = 1e-9  # relative tolerance between machines that differ in the last bits
 ABSOLUTE = frozenset({"phase", "phase_uncertainty", "frequency_deviation", "thd", "spread"})
-"""Columns that can be near zero beside what they were computed from: compared to 1e-9 of their unit."""
-DEFAULT_AHEAD, MOST_AHEAD = 16, 1000  # blocks that a rig may run ahead of its peers (time.ack_window)
-EDGE = 2  # measurements by which two topics of one analysis may differ at the begin and the end of a recording
+"""Columns that can be nearly zero compared with their inputs; their tolerance is 1e-9 of their unit."""
+DEFAULT_AHEAD, MOST_AHEAD = 16, 1000  # number of blocks that a rig may run ahead of its peers (time.ack_window)
+EDGE = 2  # measurements by which two topics of one analysis may differ at the start and the end of a recording
 LAG_S = 1.0
-"""Topics overtake each other: what was published of this last stretch may not have reached a recorder that stops."""
+"""Topics overtake each other: messages of this last stretch may not have reached a recorder that stops."""
 
 _TABLE = topics.TRANSMISSIBILITY_TABLE
 
 
 @attrs.frozen
 class Compared:
-    """What comparing one topic found."""
+    """Comparison result of one topic."""
 
     topic: str
-    count: int = 0  # rows or messages that were compared and agree
-    difference: str = ""  # the first one; empty: none
-    left_out: str = ""  # what could not be compared, and why; empty: nothing
-    what: str = "rows"  # what was counted
+    count: int = 0  # number of rows or messages that were compared and agree
+    difference: str = ""  # the first difference; empty if there is none
+    left_out: str = ""  # what could not be compared, and why; empty if all could
+    what: str = "rows"  # unit of the count
 
     def __str__(self) -> str:
         if self.difference:
@@ -256,26 +258,30 @@ class Compared:
 
 @attrs.frozen
 class Agreement:
-    """What comparing found."""
+    """Comparison result of a run."""
 
-    same: bool | None  # whether all that could be compared agrees; None: nothing could be
+    same: bool | None  # whether everything comparable agrees; None if nothing is comparable
     identical: bool = False  # whether it agrees bit for bit
-    compared: int = 0  # rows compared
+    compared: int = 0  # number of rows compared
     elsewhere: bool | None = None
-    """Whether the live analysis ran on another machine or with other libraries; None: not recorded."""
-    reason: str = ""  # the first difference, or why nothing could be compared; empty where all agrees
-    left_out: tuple[int, int] = (0, 0)  # live and offline rows that could not be compared
-    others: tuple[Compared, ...] = ()  # what came of comparing the other topics of the analysis
+    """Whether the live analysis ran on another machine or with other libraries; None if not recorded."""
+    reason: str = ""  # the first difference, or why nothing could be compared; empty if all agrees
+    left_out: tuple[int, int] = (0, 0)  # number of live and offline rows that could not be compared
+    others: tuple[Compared, ...] = ()  # comparison results of the other topics of the analysis
 
     def __str__(self) -> str:
         if self.same is None:
             return f"nothing to compare with: {self.reason}"
         live, offline = self.left_out
         rest = (
-            f"; rows made from scans that only one of the two saw are not compared: {live} of the live analysis, "
+            f"; rows from scans that only one of the two saw are not compared: {live} of the live analysis, "
             f"{offline} of this one"
         )
-        where = "it is not recorded on which machine" if self.elsewhere is None else "on another machine or libraries"
+        where = (
+            "on a machine that is not recorded"
+            if self.elsewhere is None
+            else "on another machine or with other libraries"
+        )
         if not self.same:
             found = f"not identical to the live results: {self.reason}"
         elif self.identical:
@@ -287,7 +293,7 @@ class Agreement:
 
 @attrs.frozen
 class _Blind:
-    """Scans that one side has not seen: those after `begin`, up to `end`."""
+    """Scans not seen by one side: those after `begin`, up to `end`."""
 
     begin: float
     end: float
@@ -295,7 +301,7 @@ class _Blind:
 
 @attrs.frozen(eq=False)
 class _Row:
-    """A measurement: the stretch it belongs to begins after scan `begin` and it ends with scan `end`."""
+    """Measurement whose stretch begins after scan `begin` and ends with scan `end`."""
 
     begin: int
     end: int
@@ -308,24 +314,24 @@ class _Row:
 
 
 def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None = None) -> Agreement:
-    """Compare what an offline analysis found with what the live one published.
+    """Compare the results of an offline analysis with those of the live one.
 
     Args:
         run: an open run.
         offline: measurements found in it.
-        impacts: impacts found in it; None: they are not compared.
+        impacts: impacts found in it; None skips their comparison.
 
     Raises:
-        RecordingError: the run is damaged, or a table in it is none of its topic.
+        RecordingError: the run is damaged, or contains an invalid table.
     """
     if is_measured(run.provenance):
-        return Agreement(None, reason="this run was imported, no analysis saw it live")
+        return Agreement(None, reason="this run was imported; it has no live analysis")
     version = arithmetic_of(run.provenance)
     if version not in ("", str(ARITHMETIC)):
         return Agreement(None, reason=f"the live results were made with arithmetic {version}, this is {ARITHMETIC}")
     settings = _settings_told(run)
     if any(one.in_turn for one in settings):
-        return Agreement(None, reason="two analyses labelled this run at once: whose gap a row has is not known")
+        return Agreement(None, reason="two analyses labelled this run at once: the source of each gap label is unknown")
     calibration = next(run.tables(topics.INFO), None) if run.holds(topics.INFO) else None
     if calibration is None or not len(calibration.rows):
         return Agreement(None, reason=f"no {topics.INFO.name} is in this run")
@@ -340,7 +346,7 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
     our_blind = [_Blind(-math.inf, data_begin)]
     our_blind += [_Blind(*(_scan(at, rate_hz) - 1 for at in (gap.expected_ns, gap.stamp_ns))) for gap in gaps]
     live_blind = _blind(live)
-    # an analysis that was started again knows nothing of before, and nobody measured between the two
+    # a restarted analysis knows nothing of earlier scans, and no analysis measured in between
     again = next((one.since_ns for one in settings if one.again), None)
     live_end = data_end if again is None else max((row.end for row in live if row.stamp_ns < again), default=data_begin)
     theirs = [row for row in live if row.end <= live_end and _comparable(row, live_blind, our_blind, ours)]
@@ -351,9 +357,8 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
     if not theirs:
         return Agreement(
             None,
-            reason="live analysis and recording saw no change from the same data on: "
-            f"live from scan {live_blind[0].end:.0f}, recorded from {data_begin}, "
-            f"here from {ours[0].begin if ours else 'none'}",
+            reason=f"live analysis and recording share no change: live from scan {live_blind[0].end:.0f}, recorded "
+            f"from {data_begin}, here from {ours[0].begin if ours else 'none'}",
         )
     machines = {machine for one in settings if (machine := machine_of(one.table)) is not None}
     elsewhere = machines != {fingerprint()} if machines else None
@@ -370,7 +375,7 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
 
 
 def lag_s(run: Run, block_s: float) -> float:
-    """Return how far other topics may lag behind the scans at the end of a recording [s].
+    """Return the largest lag of other topics behind the scans at the end of a recording [s].
 
     A rig that is not paced runs ahead of its peers by `time.ack_window` blocks.
 
@@ -388,7 +393,7 @@ def lag_s(run: Run, block_s: float) -> float:
 def _recorded(run: Run) -> tuple[list[tuple[int, int]], list[Table]]:
     """Return stamp and length of every block, and the live measurements of these blocks.
 
-    What a latched topic hands to a recorder that comes was measured before its first scan.
+    Latched measurements from before the first recorded scan are left out.
     """
     scans, name = run.resolve(topics.SCAN.name), run.resolve(_TABLE.name)
     blocks: list[tuple[int, int]] = []
@@ -405,7 +410,7 @@ def _recorded(run: Run) -> tuple[list[tuple[int, int]], list[Table]]:
 
 
 def _plotted(run: Run, live: Sequence[_Row]) -> Compared:
-    """Compare the settled values for plotters with the rows they come from."""
+    """Compare the settled values for plotters with their source rows."""
     name = topics.TRANSMISSIBILITY.name
     if not run.holds(name):
         return Compared(name, left_out="it is not in this run")
@@ -413,7 +418,7 @@ def _plotted(run: Run, live: Sequence[_Row]) -> Compared:
     settled = [float(row.values["transmissibility"]) for row in live if row.values["settled"] == 1.0]
     if not shown or not settled:
         return Compared(name, left_out="nothing settled in this run")
-    # the two topics do not begin and end with the same measurement where a recorder came or went
+    # the two topics may begin and end with different measurements at the ends of a recording
     shift = next((k for k in range(-EDGE, EDGE + 1) if _agree(shown, settled, k)), None)
     if shift is None:
         return Compared(name, difference=f"its values are not those of the settled rows of {_TABLE.name}")
@@ -421,21 +426,21 @@ def _plotted(run: Run, live: Sequence[_Row]) -> Compared:
 
 
 def _agree(shown: Sequence[float], settled: Sequence[float], shift: int) -> bool:
-    """Return whether values are the same where both are, `shown` beginning `shift` later; the ends may differ."""
+    """Return whether values agree where both exist, with `shown` beginning `shift` later; the ends may differ."""
     ours, theirs = shown[max(0, -shift) :], settled[max(0, shift) :]
     both = min(len(ours), len(theirs))
     return both > 0 and abs(len(ours) - len(theirs)) <= EDGE and ours[:both] == theirs[:both]
 
 
 def _number(cdr: bytes | memoryview) -> float:
-    """Return the number in a serialized std_msgs/Float64; NaN where there is none."""
+    """Return the number in a serialized std_msgs/Float64, or NaN if it is invalid."""
     return float(np.frombuffer(cdr, "<f8", 1, 4)[0]) if len(cdr) >= 12 else math.nan
 
 
 def _impacts(run: Run, offline: Iterable[Table], rate_hz: int, span: tuple[int, int]) -> Compared:
     """Compare the detected impacts of the scans in `span`, which both sides have seen.
 
-    Peaks are compared to `TOLERANCE`: what the filter remembers of the scans before depends on where each side began.
+    Peaks are compared to `TOLERANCE`: the state of the filter depends on where each side began.
     """
     name = topics.IMPACTS.name
     if not run.holds(topics.IMPACTS):
@@ -483,13 +488,13 @@ def _scan(stamp_ns: int, rate_hz: int) -> int:
 
 
 def _blind(live: Sequence[_Row]) -> list[_Blind]:
-    """Return the scans that the live analysis has not seen: those before its first, and lost ones."""
+    """Return the scans not seen by the live analysis: those before its first, and lost ones."""
     lost = (_Blind(before.end, row.begin) for before, row in itertools.pairwise(live) if before.lost_blocks)
     return [_Blind(-math.inf, min(row.begin for row in live)), *lost]
 
 
 def _comparable(row: _Row, own: Sequence[_Blind], other: Sequence[_Blind], others: Sequence[_Row]) -> bool:
-    """Return whether the other side saw all that a measurement was made from, and began it at the same change."""
+    """Return whether the other side saw all scans of a measurement, and began it at the same change."""
     if row.lost_blocks or any(row.begin < blind.end and row.end > blind.begin for blind in other):
         return False
     begins = {blind.end for blind in other} | {one.begin for one in others}
@@ -515,7 +520,7 @@ def _difference(live: Sequence[_Row], ours: Sequence[_Row], late: int, *, exact:
         return f"the live result at {live[len(ours)].stamp_ns / NS_PER_S:.9f} s was not found again", False
     missing = [row for row in ours[len(live) :] if row.end <= late]
     if missing:
-        return f"the live analysis said nothing at {missing[0].stamp_ns / NS_PER_S:.9f} s: had it ended?", False
+        return f"the live analysis published nothing at {missing[0].stamp_ns / NS_PER_S:.9f} s; had it ended?", False
     return "", identical
 
 

@@ -11,11 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Reader of the journal in recordings of this version and of the third, where the journal was a table and not text.
+"""Reader of recorded journals, including those of the third version, in which the journal was a table.
 
-A row of such a table named a configuration value by the last 32 bytes of its name, and a text took one row per 32
-bytes. A value that this version does not know is left out: such recordings are shown and analysed, but not simulated
-again.
+A row of such a table names a configuration value by the last 32 bytes of its name, and a text takes one row per 32
+bytes. Values unknown to this version are left out: such recordings can be shown and analysed, but not simulated again.
 """
 
 from __future__ import annotations
@@ -60,7 +59,7 @@ def of_run(run: Run) -> Iterator[JournalEntry]:
 
     Raises:
         RecordingError: no journal was recorded.
-        ConfigError: a message holds no journal.
+        ConfigError: a message is not a valid journal.
     """
     for message in run.messages([topics.JOURNAL.name], recorded_order=True):
         yield from entries(message)
@@ -70,7 +69,7 @@ def entries(message: Message) -> list[JournalEntry]:
     """Return the entries in a recorded message of `rig/journal`; its type tells the version.
 
     Raises:
-        ConfigError: the message holds no journal.
+        ConfigError: the message is not a valid journal.
     """
     if message.type_name != topics.TABLE:
         return [decode(message.data)]
@@ -138,4 +137,4 @@ def _fault(key: str, value: float, text: str, sample: int) -> Fault:
             kind=kind, channel=channel, start_sample=sample, samples=samples, value=value, seed=seed, rate_hz=rate
         )
     except (ValueError, struct.error, CommandError) as error:
-        raise ConfigError(f"not a fault of a journal: key {key!r}, text {text!r}") from error
+        raise ConfigError(f"not a valid fault of a journal: key {key!r}, text {text!r}") from error

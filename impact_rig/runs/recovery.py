@@ -11,16 +11,15 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Gives back what is whole in a run that was cut short or damaged: a new run, index and statistics complete.
+"""Recover the intact messages of a truncated or damaged run: a new run with complete index and statistics.
 
-Only messages whose chunk fits its checksum are handed out, only attachments that fit theirs, only metadata that carries
-one: everything in the result is as it was recorded. What is left out is listed, and counted where anything tells how
-much it was.
+Only messages of chunks whose checksum matches are recovered, and only attachments and metadata with a matching
+checksum: everything in the result is as it was recorded. Losses are listed, and counted as far as possible.
 
-A damaged file is walked record by record (`DamagedFile`). A record is believed only if its own lengths agree with each
-other and with the file. Where they do not, the walk looks for the next place that is built like a chunk, an attachment
-or metadata and goes on there. The work grows in proportion to the file, whatever it holds: the search never goes back,
-and a chunk whose content is damaged is stepped over.
+A damaged file is read record by record (`DamagedFile`). A record is accepted only if its lengths agree with each other
+and with the file. Otherwise the search continues at the next position that looks like a chunk, an attachment or
+metadata. The work is proportional to the size of the file, whatever it contains: the search never goes back, and a
+chunk with damaged content is skipped.
 """
 
 from __future__ import annotations
@@ -66,14 +65,15 @@ _RECORD_PATTERN = re.compile(
     rb"|\x09.{4}\x00{4}.{16}[\x01-\x7f]\x00{3}[!-~]",
     re.DOTALL,
 )
-_PATTERN_BYTES = 64  # at least what the pattern can match
-_FIRST_WINDOW_BYTES = 4096  # doubled until the next chunk is found: many damages do not read the same bytes many times
+_PATTERN_BYTES = 64  # at least the longest possible match of the pattern
+# doubled until the next chunk is found: many damaged parts do not cause repeated reads of the same bytes
+_FIRST_WINDOW_BYTES = 4096
 _LAST_WINDOW_BYTES = 8 * 2**20
 
 
 @attrs.frozen
 class Found:
-    """A structurally whole record: opcode, place in the file and length with its head."""
+    """Structurally valid record: opcode, offset in the file, and length including its head."""
 
     opcode: int
     offset: int
@@ -82,7 +82,7 @@ class Found:
 
 @attrs.frozen
 class Damage:
-    """A part of a file that is lost [bytes], and what does not fit there."""
+    """Lost part of a file [bytes], and the reason."""
 
     file: str
     offset: int
@@ -91,7 +91,7 @@ class Damage:
 
 
 class DamagedFile:
-    """A file that may be cut short or damaged anywhere, opened for salvage; a context manager.
+    """File that may be truncated or damaged anywhere, opened for salvage; a context manager.
 
     Raises:
         RecordingError: it cannot be opened or read.
@@ -99,7 +99,7 @@ class DamagedFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        with files.errors_as(f"{path} cannot be opened"):
+        with files.errors_as(f"cannot open {path}"):
             self.fd = files.open_regular(path)
             self.size = os.fstat(self.fd).st_size
         try:
@@ -115,7 +115,7 @@ class DamagedFile:
         os.close(self.fd)
 
     def read(self, found: Found) -> bytes:
-        """Return a record with its head."""
+        """Return a record including its head."""
         return self._read(found.offset, found.length)
 
     def content(self, found: Found) -> memoryview:
@@ -123,7 +123,7 @@ class DamagedFile:
         return memoryview(self.read(found))[RECORD_HEAD.size :]
 
     def walk(self) -> Iterator[Found | Damage]:
-        """Yield the records of the data section, and what lies between them where they do not follow each other."""
+        """Yield the records of the data section, and the damaged parts between them."""
         position = 0
         if self._read(0, len(records.MAGIC)) == records.MAGIC:
             position = len(records.MAGIC)
@@ -163,14 +163,14 @@ class DamagedFile:
         return found
 
     def _next_record(self, start: int) -> int:
-        """Return the next offset from `start` built like a chunk, attachment or metadata; the file's size without."""
+        """Return the next offset from `start` that looks like a chunk, attachment or metadata; else the file's size."""
         window, width = start, _FIRST_WINDOW_BYTES
         while window < self.size:
             data = self._read(window, width + _PATTERN_BYTES)
             position = 0
             while match := _RECORD_PATTERN.search(data, position):
                 if match.start() >= width:
-                    break  # the next window sees it whole
+                    break  # the next window contains it completely
                 try:
                     return self._record_at(window + match.start()).offset
                 except DamageError:
@@ -181,7 +181,7 @@ class DamagedFile:
 
     def _read(self, offset: int, length: int) -> bytes:
         parts = []
-        with files.errors_as(f"{self.path} cannot be read at byte {offset}"):
+        with files.errors_as(f"cannot read {self.path} at byte {offset}"):
             while length > 0 and (part := os.pread(self.fd, length, offset)):
                 parts.append(part)
                 offset += len(part)
@@ -210,7 +210,7 @@ def _check_message(content: memoryview) -> None:
 def _check_message_index(content: memoryview) -> None:
     length = int.from_bytes(content[2:6], "little")
     if len(content) != 6 + length or length % 16:
-        raise DamageError(f"a message index of {len(content)} bytes does not hold whole entries")
+        raise DamageError(f"a message index of {len(content)} bytes does not consist of complete entries")
 
 
 _CHECKS: Mapping[int, Callable[[memoryview], object]] = {
@@ -236,7 +236,7 @@ ACCEPT = "--accept-unchecked"
 
 @attrs.define
 class _Blocks:
-    """Blocks of one rig that are given back."""
+    """Recovered blocks of one rig."""
 
     _found: list[tuple[int, int]] = attrs.field(factory=list)  # stamp [ns] and number of scans
     _rate_hz: float | None = None
@@ -259,20 +259,20 @@ class _Blocks:
 
 @attrs.define
 class FileReport:
-    """What came out of one file, its tail included."""
+    """Recovery result of one file, including its tail."""
 
     name: str
     size: int
-    messages: int = 0  # messages given back
-    chunks: int = 0  # whole chunks they came from
-    expected: Statistics | None = None  # what the file's index counts; None: it has none that can be believed
-    lost_bytes: int = 0  # bytes that are left out
-    _scans: dict[str, _Blocks] = attrs.field(factory=dict)  # of each rig, by topic
+    messages: int = 0  # number of recovered messages
+    chunks: int = 0  # number of intact chunks that contained them
+    expected: Statistics | None = None  # statistics of the file's index; None without a credible index
+    lost_bytes: int = 0  # number of bytes left out
+    _scans: dict[str, _Blocks] = attrs.field(factory=dict)  # blocks of each rig, by topic
     _first_ns: int | None = None
     _last_ns: int = 0
 
     def count(self, topic: TopicDescription, message: RawMessage) -> None:
-        """Count a message that is given back."""
+        """Count a recovered message."""
         self.messages += 1
         time_ns = message.log_time
         self._first_ns = time_ns if self._first_ns is None else min(self._first_ns, time_ns)
@@ -283,17 +283,17 @@ class FileReport:
 
     @property
     def missing_messages(self) -> int | None:
-        """Messages that the index counts and that are not given back; None without an index."""
+        """Number of messages counted by the index and not recovered; None without an index."""
         return None if self.expected is None else max(0, self.expected.message_count - self.messages)
 
     @property
     def given_s(self) -> float:
-        """Scans given back [s of rig time], of the rig with most."""
+        """Duration of the recovered scans [s of rig time], the longest of all rigs."""
         return max((one.seconds for one in self._scans.values()), default=0.0)
 
     @property
     def missing_s(self) -> float | None:
-        """Scans missing between those given back, and time before and after them [s]; None without an index."""
+        """Duration of the scans missing between, before and after the recovered ones [s]; None without an index."""
         if self.expected is None:
             return None
         if self._first_ns is None:
@@ -305,39 +305,39 @@ class FileReport:
 
 @attrs.define
 class RecoverReport:
-    """What `recover` found."""
+    """Result of `recover`."""
 
     directory: Path
     files: list[FileReport] = attrs.field(factory=list)
-    damages: list[Damage] = attrs.field(factory=list)  # what is left out and why, in order (at most 1000 are listed)
+    damages: list[Damage] = attrs.field(factory=list)  # damaged parts and reasons, in order (at most 1000)
     damage_count: int = 0
     account: Spending = attrs.field(factory=lambda: Spending(0), repr=False)
 
     @property
     def messages(self) -> int:
-        """Messages given back."""
+        """Number of recovered messages."""
         return sum(file.messages for file in self.files)
 
     @property
     def chunks(self) -> int:
-        """Whole chunks they came from."""
+        """Number of intact chunks that contained them."""
         return sum(file.chunks for file in self.files)
 
     @property
     def expected_messages(self) -> int | None:
-        """How many there were, if the index of every file tells; None otherwise."""
+        """Original number of messages if every file has an index; None otherwise."""
         counts = [None if file.expected is None else file.expected.message_count for file in self.files]
         known = [count for count in counts if count is not None]
         return sum(known) if len(known) == len(counts) else None
 
     @property
     def missing_messages(self) -> int | None:
-        """How many of them are not given back; None where an index is missing."""
+        """Number of messages not recovered; None if an index is missing."""
         return None if self.expected_messages is None else max(0, self.expected_messages - self.messages)
 
     @property
     def lost_bytes(self) -> int:
-        """Bytes that are left out."""
+        """Number of bytes left out."""
         return sum(file.lost_bytes for file in self.files)
 
     @property
@@ -346,13 +346,13 @@ class RecoverReport:
         return self.damage_count == 0 and not self.missing_messages
 
     def file(self, path: Path) -> FileReport:
-        """Return the report of a file, which begins with this."""
+        """Start and return the report of a file."""
         found = FileReport(path.name, path.stat().st_size)
         self.files.append(found)
         return found
 
     def note(self, damage: Damage) -> None:
-        """Count and list a damage."""
+        """Count and list a damaged part."""
         self.damage_count += 1
         for file in self.files:
             if file.name == damage.file.removesuffix(TAIL_SUFFIX):
@@ -361,7 +361,7 @@ class RecoverReport:
             self.damages.append(damage)
 
     def heal(self, file: str, offset: int) -> None:
-        """Take back the damage that begins at `offset`: what was lost there is found elsewhere."""
+        """Withdraw the damage that begins at `offset`: its content is found elsewhere."""
         for damage in self.damages:
             if (damage.file, damage.offset) == (file, offset):
                 self.damages.remove(damage)
@@ -372,23 +372,23 @@ class RecoverReport:
                 return
 
 
-RECORD_NAME = "impact_rig/recovered"  # metadata record of a run that `recover` has written
+RECORD_NAME = "impact_rig/recovered"  # metadata record of a recovered run
 
 
 @attrs.frozen
 class Recovered:
-    """What a recovery has left out."""
+    """Losses of a recovery."""
 
     source: str
     damages: int
     lost_bytes: int
     missing_messages: int | None
-    """Messages the damaged run's index counts and that are not given back; None: it has no index."""
-    unfinished: bool  # whether the damaged run was never finished, so that nobody knows what it should have held
+    """Messages counted by the damaged run's index and not recovered; None without an index."""
+    unfinished: bool  # whether the damaged run was never finished, so its intended content is unknown
 
     @property
     def incomplete(self) -> bool:
-        """Whether anything is known to be left out."""
+        """Whether anything is known to be missing."""
         return self.damages > 0 or bool(self.missing_messages)
 
     def to_record(self) -> dict[str, str]:
@@ -399,10 +399,10 @@ class Recovered:
 
 
 def read_record(record: Mapping[str, str]) -> Recovered | None:
-    """Return what `Recovered.to_record` wrote; None for a run that was not recovered, which has no such record.
+    """Parse the record written by `Recovered.to_record`; None for a run without one, which was not recovered.
 
     Raises:
-        DamageError: the record holds something else.
+        DamageError: the record is invalid.
     """
     if not record:
         return None
@@ -411,19 +411,19 @@ def read_record(record: Mapping[str, str]) -> Recovered | None:
         counts = int(record["damages"]), int(record["lost_bytes"])
         return Recovered(record["source"], *counts, missing, record["unfinished"] == "1")
     except (KeyError, ValueError) as error:
-        raise DamageError(f"the metadata record {RECORD_NAME!r} cannot be understood: {error}") from error
+        raise DamageError(f"invalid metadata record {RECORD_NAME!r}: {error}") from error
 
 
 def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False) -> RecoverReport:
-    """Write every whole chunk of a damaged or unfinished run, and of its tail, to the new run directory `out`.
+    """Write every intact chunk of a damaged or unfinished run, and of its tail, to the new run directory `out`.
 
     Args:
         path: a run directory or an MCAP file; it is only read.
-        out: the new run directory; must not hold a recording.
-        accept_unchecked: also take chunks without a checksum, as rosbag2 writes them by default: they may be wrong.
+        out: the new run directory; must not contain a recording.
+        accept_unchecked: whether to accept chunks without a checksum, as rosbag2 writes by default: they may be wrong.
 
     Raises:
-        RecordingError: nothing whole was found (then nothing is written), `path` cannot be read or `out` written.
+        RecordingError: nothing intact was found (then nothing is written), `path` cannot be read or `out` written.
     """
     source, target = Path(path), Path(out)
     report = RecoverReport(target)
@@ -431,7 +431,7 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
     report.account = Spending(_bytes(files))
     salvages = [_Salvage(file, report, accept_unchecked=accept_unchecked) for file in files]
     origin = next((salvage.provenance for salvage in salvages if salvage.provenance is not None), None)
-    attachments: dict[str, Attachment] = {}  # of several with one name the first: the run's start
+    attachments: dict[str, Attachment] = {}  # of several with one name, the first: that of the run's start
     for one in itertools.chain.from_iterable(salvage.attachments for salvage in salvages):
         attachments.setdefault(one.name, one)
     earlier = next((salvage.recovered for salvage in reversed(salvages) if salvage.recovered is not None), None)
@@ -472,7 +472,7 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
 
 
 def _record(source: Path, report: RecoverReport, earlier: Recovered | None) -> Recovered:
-    """Return what this recovery has left out, and an earlier one whose result it was given."""
+    """Return the losses of this recovery, including those of an earlier one of the same data."""
     before = earlier or Recovered(source.name, 0, 0, 0, unfinished=False)
     missing, missed = report.missing_messages, before.missing_messages
     return Recovered(
@@ -488,7 +488,7 @@ def _files(path: Path, report: RecoverReport) -> list[Path]:
     try:
         return run_files(path)
     except (RecordingError, BudgetError) as error:
-        # what metadata.yaml says of a damaged run may be damaged too: the files that are there count
+        # metadata.yaml of a damaged run may be damaged, too, so the existing files count
         files = mcap_files(path)
         if not files:
             raise
@@ -505,12 +505,12 @@ _Key = tuple[int, int, int, int, int]
 
 
 def _key(message: records.RawMessage) -> _Key:
-    """Return what tells a message of one file from every other."""
+    """Return a key that distinguishes a message from all others in its file."""
     return message.channel_id, message.sequence, message.log_time, message.publish_time, zlib.crc32(message.data)
 
 
 class _Salvage:
-    """One damaged file: first pass on construction (definitions, attachments, provenance), second for the messages."""
+    """Salvage of one damaged file: definitions, attachments and provenance on construction, then the messages."""
 
     def __init__(
         self,
@@ -524,7 +524,7 @@ class _Salvage:
         self.path = path
         self.attachments: list[Attachment] = []
         self.follows: int | None = None
-        """Of a tail: size of the recording when the chunk began whose messages it holds [bytes]."""
+        """For a tail: size of the recording when the chunk began whose messages the tail holds [bytes]."""
         self.provenance: Provenance | None = None
         self.losses: dict[str, str] = {}
         self.recovered: Recovered | None = None
@@ -550,12 +550,15 @@ class _Salvage:
                     report.note(self._damage(found, reason))
 
     def introduce_topics(self, writer: RunWriter) -> None:
-        """Make all topics that are known so far known to `writer`, in the order they were registered."""
+        """Register all topics known so far in `writer`, in the order of registration."""
         for _, topic in sorted(self._topics.items()):
             self.introduce(topic, writer)
 
     def introduce(self, topic: TopicDescription, writer: RunWriter) -> bool:
-        """Make a topic known to `writer`; return False if it contradicts another of that name, which is noted."""
+        """Register a topic in `writer`.
+
+        Return False, with an entry in the report, if its name has another definition.
+        """
         try:
             writer.add_topic(topic)
         except RecordingError as error:
@@ -566,9 +569,9 @@ class _Salvage:
         return True
 
     def messages(self) -> Iterator[tuple[TopicDescription, records.RawMessage]]:
-        """Yield the messages of all whole chunks in the order of the file, and those of the chunk that was open."""
-        last = -1  # where the last whole chunk begins
-        newest: set[_Key] = set()  # what it holds
+        """Yield the messages of all intact chunks in file order, then those of the chunk that was open."""
+        last = -1  # offset of the last intact chunk
+        newest: set[_Key] = set()  # messages in it
         has_tail = os.path.lexists(tail_of(self.path))
         with DamagedFile(self.path) as file:
             for found in file.walk():
@@ -585,13 +588,13 @@ class _Salvage:
             yield from self._open_chunk(last, newest)
 
     def _open_chunk(self, last: int, newest: Set[_Key]) -> Iterator[tuple[TopicDescription, records.RawMessage]]:
-        """Yield the messages of the tail, unless the last whole chunk holds them: it makes the tail superfluous.
+        """Yield the messages of the tail, unless the last intact chunk contains them, which makes the tail superfluous.
 
-        The tail says where the recording ended when its chunk began; where that is lost, its first message decides.
+        The tail records the size of the recording when its chunk began. If that is lost, its first message decides.
 
         Args:
-            last: where the last whole chunk of the recording begins.
-            newest: what that chunk holds.
+            last: offset of the last intact chunk of the recording.
+            newest: messages in that chunk.
         """
         tail = tail_of(self.path)
         try:
@@ -604,7 +607,7 @@ class _Salvage:
             if superfluous:
                 return
             if found.follows is not None:
-                # the chunk itself may have been cut in the writing
+                # the chunk itself may have been truncated while it was written
                 self._report.heal(self.path.name, self._chunk_from(found.follows))
             yield from _Salvage(
                 tail, self._report, accept_unchecked=False, figures=self.figures, topics=self._topics
@@ -613,7 +616,7 @@ class _Salvage:
             self._report.note(Damage(tail.name, 0, 0, str(error)))
 
     def _chunk_from(self, follows: int) -> int:
-        """Return where the chunk is that was open when the file had this size: an attachment may be before it."""
+        """Return the offset of the chunk that was open when the file had this size; an attachment may precede it."""
         with DamagedFile(self.path) as file:
             for found in file.walk():
                 if found.offset >= follows and os.pread(file.fd, 1, found.offset) == bytes([records.CHUNK]):
@@ -637,7 +640,7 @@ class _Salvage:
         yield from known
 
     def _unpack(self, found: Found, content: memoryview) -> Iterator[tuple[TopicDescription, records.RawMessage]]:
-        """Yield the messages in the records of a chunk, or in one outside chunks, decompressed."""
+        """Yield the decompressed messages of a chunk, or of one record outside chunks."""
         unknown = 0
         for message in records.messages(content, None):
             topic = self._topics.get(message.channel_id)
@@ -658,7 +661,7 @@ class _Salvage:
             summary = reader.read_summary(file.fd, file.size)
             self._topics.update(reader.topics_of(summary))
         except (DamageError, BudgetError):
-            return  # the chunks say what they hold, and their bound is that of every reader
+            return  # the chunks have their own statistics, and the limit is that of every reader
         self._schemas.update(summary.schemas)
         self.figures.expected = summary.statistics
 
@@ -690,7 +693,7 @@ class _Salvage:
         record = records.parse(mcap_records.Metadata, file.content(found))
         name, content = record.name, record.metadata
         if name == description.BAG_RECORD_NAME:
-            return  # written anew
+            return  # the new run has its own
         verified = description.verify(content)
         if verified is None:
             self._report.note(
@@ -718,7 +721,7 @@ class _Salvage:
             topic = TopicDescription.from_channel(channel, schema)
             self._know(channel_id, self._topics.get(channel_id, topic))
         except (KeyError, ValueError, BudgetError) as error:
-            self._report.note(self._damage(found, f"the definition of a topic cannot be taken: {error}"))
+            self._report.note(self._damage(found, f"cannot use the definition of a topic: {error}"))
 
     def _damage(self, found: Found, reason: str, *, length: int | None = None) -> Damage:
         return Damage(self.path.name, found.offset, found.length if length is None else length, reason)

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Structure of a recording: its checksums and digests, and whether its index and statistics fit its messages.
+"""Structure of a recording: its checksums and digests, and whether index and statistics match its messages.
 
-A reader finds messages by the index. A topic that the index leaves out looks as if it had never been recorded, whatever
-the checksums of the chunks say. So both are compared, record by record.
+A reader finds messages by the index. A topic missing in the index looks as if it had never been recorded, even if the
+checksums of all chunks match. Therefore both are compared, record by record.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ _READ_BYTES = 2**20
 
 @attrs.define
 class Checksums:
-    """Which parts of a recording carry a checksum."""
+    """Coverage of a recording by checksums."""
 
     chunks: int = 0
     checked_chunks: int = 0
-    outside: int = 0  # files whose messages are outside chunks
-    checked_outside: int = 0  # those of them whose data section carries a checksum, which fits
+    outside: int = 0  # number of files with messages outside chunks
+    checked_outside: int = 0  # number of those with a matching checksum of the data section
     attachments: int = 0
     checked_attachments: int = 0
 
@@ -56,13 +56,13 @@ class Checksums:
         )
 
     def __str__(self) -> str:
-        """Return the sentence of a verdict, for a recording in which no checksum is wrong."""
+        """Return the sentence of a verdict, for a recording without a wrong checksum."""
         parts = self.chunks + self.outside
         checked = self.checked_chunks + self.checked_outside
         if not checked and parts:
             messages = "its messages carry no checksums"
         elif checked < parts:
-            messages = f"every checksum there is fits, {checked} of {parts} chunks carry one"
+            messages = f"every existing checksum fits, {checked} of {parts} chunks carry one"
         else:
             messages = "every checksum fits"
         bare = self.attachments - self.checked_attachments
@@ -70,10 +70,10 @@ class Checksums:
 
 
 def checksums(run: Run) -> Checksums:
-    """Return which checksums a recording carries; those of chunks and attachments are checked where they are read.
+    """Return the checksums of a recording; those of chunks and attachments are checked when they are read.
 
     Raises:
-        RecordingError: the checksum of a data section does not fit, or a file cannot be read.
+        RecordingError: the checksum of a data section does not match, or a file cannot be read.
     """
     found = Checksums()
     for source in run.sources:
@@ -96,25 +96,25 @@ def _check_data_section(source: McapSource) -> bool:
     if crc == 0:
         return False
     found, position = 0, 0
-    with files.errors_as(f"{source.path} cannot be read"):
+    with files.errors_as(f"cannot read {source.path}"):
         while position < end:
             part = os.pread(source.fd, min(_READ_BYTES, end - position), position)
             if not part:
                 raise DamageError(f"{source.path} is shorter than its index says")
             found, position = zlib.crc32(part, found), position + len(part)
     if found != crc:
-        raise DamageError(f"{source.path}: the checksum of its data section does not fit")
+        raise DamageError(f"{source.path}: the checksum of its data section does not match")
     return True
 
 
 @attrs.frozen
 class Examination:
-    """What the records of a recording say about each other."""
+    """Consistency of the records of a recording."""
 
     contradictions: tuple[str, ...]
-    """Where index, statistics and definitions contradict the messages, one sentence each."""
+    """Contradictions between index, statistics or definitions and the messages, one sentence each."""
     changes: tuple[str, ...]
-    """What was changed after the recording, by the digests, one sentence each."""
+    """Changes made after the recording, detected by the digests, one sentence each."""
     has_digests: bool
     """Whether every file has digests."""
 
@@ -146,7 +146,7 @@ def examine(run: Run) -> Examination:
 
 
 def _contradictions(source: McapSource, digest: digests.Digests) -> Iterator[str]:
-    """Yield where a file contradicts itself, and add its topics and messages to the digests."""
+    """Yield the contradictions within a file, and add its topics and messages to the digests."""
     for defined in source.summary.channels.values():
         digest.add_topic(defined, source.summary.schemas.get(defined.schema_id))
     counts: Counter[int] = Counter()
@@ -209,10 +209,10 @@ def _index_problems(
         yield f"{where} gives other log times than its messages"
     offsets = segment.chunk.message_index_offsets
     if not offsets:
-        return  # a writer may leave message indexes out
+        return  # message indexes are optional
     if set(offsets) != set(index):
         names = sorted(source.topics[one].name for one in set(offsets) ^ set(index) if one in source.topics)
-        yield f"{where} does not fit its messages of {', '.join(names) or 'unknown channels'}"
+        yield f"{where} does not match its messages of {', '.join(names) or 'unknown channels'}"
         return
     for channel, offset in offsets.items():
         try:
@@ -221,5 +221,5 @@ def _index_problems(
             yield f"{where}: the message index at byte {offset} is damaged: {error}"
             return
         if record.channel_id != channel or sorted(record.records) != sorted(index[channel]):
-            yield f"{where}: the message index of {source.topics[channel].name} does not fit its messages"
+            yield f"{where}: the message index of {source.topics[channel].name} does not match its messages"
             return

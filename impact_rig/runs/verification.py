@@ -11,12 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Prove a run: published = logged = re-simulated, or name the first difference.
+"""Verification of a run: published, logged and re-simulated data are identical, or the first difference is named.
 
-Compared is what the rig publishes about itself: scans, the truth beside them, what was applied, the journal,
-calibration and configuration, and the readings in its monitors. Scans must be there from the first recorded one on;
-what else is missing counts where messages of its topic come before and after, since a recorder subscribes to one topic
-after the other.
+Everything that the rig publishes about itself is compared: scans, their truth, applied commands, the journal,
+calibration and configuration, and the readings in its monitors. Scans must be complete from the first recorded one on.
+Other messages count as missing if messages of the same topic precede and follow, since a recorder subscribes to one
+topic after the other.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any  # what a message holds
+from typing import Any  # content of a message
 
 import attrs
 import numpy as np
@@ -56,31 +56,31 @@ from impact_rig.runs.recovery import RECORD_NAME as RECOVERED_RECORD
 from impact_rig.runs.recovery import read_record
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, stamp_ns
 
-_NO_JOURNAL = (ConfigError, CommandError, SimulationError)  # what a journal raises that is incomplete, or no rig's
+_NO_JOURNAL = (ConfigError, CommandError, SimulationError)  # errors of an incomplete journal, or one of no rig
 _NOT_COMPARED = {
-    topics.CLOCK.name: "rig time, which the stamps hold",
-    topics.STREAM.name: "how far ahead a controller was, which no sample depends on",
+    topics.CLOCK.name: "rig time, which the stamps contain",
+    topics.STREAM.name: "lead of a controller, which no sample depends on",
     "analysis": "made by the analysis: `impact-rig analyze` compares it",
-    "plot": "made for plotters from tables that are compared",
+    "plot": "derived for plotters from tables that are compared",
     "stepped_sine": "made by an operator from the measurements",
-    "client": "an input: the journal has what became of it",
-    "every node": "what nodes say about themselves",
+    "client": "an input: the journal has its effect",
+    "every node": "status reports of nodes",
 }
-"""Why a topic is not compared, by its name or publisher."""
+"""Reason why a topic is not compared, by its name or publisher."""
 _FAMILIES = {topics.envelope("", "").name.rstrip("/"): "plot", topics.spectrum("", "").name.rstrip("/"): "plot"}
-"""Publisher of the topics that exist for each channel, by what their names begin with."""
+"""Publisher of the topics that exist for each channel, by the prefix of their names."""
 _FOREIGN = "not of this rig"
-_UNKNOWN = "no topic of a rig"
+_UNKNOWN = "not a topic of a rig"
 
 
 NOT_CHECKED = (
     "metadata.yaml, which other tools read",
-    "how messages are packed into chunks",
-    "who wrote the digests, which a program may renew",
+    "packing of messages into chunks",
+    "origin of the digests, which a program may renew",
 )
-"""What a verdict says nothing about."""
+"""Aspects not covered by a verdict."""
 NOT_CHECKED_WITHOUT_DIGESTS = (
-    "commands and remarks of clients (the journal has what became of them)",
+    "commands and remarks of clients (the journal has their effects)",
     "what the analysis publishes (`impact-rig analyze` compares it)",
     "diagnostics and topics of other nodes",
     "publish times, log times and sequence numbers (`impact-rig info` compares these with the account)",
@@ -89,18 +89,18 @@ NOT_CHECKED_WITHOUT_DIGESTS = (
     f"attachments other than {CONFIGURATION}",
     "metadata.yaml, and metadata records other than the version of the arithmetic",
 )
-"""What a verdict says nothing about if the recorder wrote no digests: only the recorder of this package does."""
+"""Aspects not covered by a verdict if the recorder wrote no digests; only the recorder of this package does."""
 
 
 @attrs.frozen
 class Verification:
-    """What `verify` found."""
+    """Result of `verify`."""
 
-    identical: bool | None  # True, False, or None where the run cannot be verified
-    scans: int  # scans that were compared
-    reason: str = ""  # the first difference, or why the run cannot be verified; empty when identical
+    identical: bool | None  # True, False, or None if the run cannot be verified
+    scans: int  # number of scans compared
+    reason: str = ""  # the first difference, or why the run cannot be verified; empty if identical
     topics: tuple[Compared, ...] = attrs.field(default=(), eq=False)
-    """What was compared and what could not be, topic by topic."""
+    """Compared and uncompared content, topic by topic."""
     not_checked: tuple[str, ...] = attrs.field(default=NOT_CHECKED_WITHOUT_DIGESTS, eq=False)
 
     def __str__(self) -> str:
@@ -123,7 +123,7 @@ def verify(run: Run) -> Verification:
     if is_measured(run.provenance):
         return Verification(None, 0, "a measurement: there is nothing to re-simulate")
     examined = structure.examine(run)
-    if examined.contradictions:  # what the index leaves out would pass for what was never recorded
+    if examined.contradictions:  # a topic missing in the index would pass for one that was never recorded
         return Verification(False, 0, examined.contradictions[0])
     changes = examined.changes
     if not examined.has_digests and any(name.startswith(PROVENANCE_RECORD) for name in _metadata_names(run)):
@@ -190,7 +190,7 @@ def _verify_all(
     compared, rest = 0, None
     for number, stretch in itertools.groupby(_assigned(scans, journals, first), key=lambda pair: pair[0]):
         begun = journals[number][0]
-        is_reset = begun.kind is not InputKind.START  # else it is unknown when the rig before ended
+        is_reset = begun.kind is not InputKind.START  # otherwise the end of the previous rig is unknown
         if rest is not None and is_reset and _is_missing(rest, begun.stamp_ns):
             return _missing(rest, compared)
         following = journals[number + 1][0] if number + 1 < len(journals) else None
@@ -202,14 +202,17 @@ def _verify_all(
 
 
 def _journals(run: Run) -> tuple[list[list[JournalEntry]], list[list[Sent]], int, int]:
-    """Return the journals of a run, what came on shaker/waveform in each, and which the first scan belongs to.
+    """Return the journals of a run, the messages of shaker/waveform in each, and the journal of the first scan.
 
-    A journal goes from its start or reset on; entries before the first are one without its beginning. Messages of
-    another publisher that are not entries are left out and counted: if they were ours, entries would be missing.
+    A journal lasts from its start or reset; entries before the first one form a journal without a beginning. Messages
+    of another publisher that are not entries are skipped and counted: if they came from this rig, entries would be
+    missing.
     """
     found: list[list[JournalEntry]] = []
     if run.topics[run.resolve(topics.JOURNAL.name)].topic.type_name == topics.TABLE:
-        raise RecordingError("the journal is a table, as earlier versions wrote it: only their own program verifies it")
+        raise RecordingError(
+            "the journal is a table of an earlier version: verify it with the program that recorded it"
+        )
     scan, journal = run.resolve(topics.SCAN.name), run.resolve(topics.JOURNAL.name)
     waveform = run.resolve(topics.WAVEFORM.name) if run.holds(topics.WAVEFORM) else ""
     sent: list[list[Sent]] = [[]]
@@ -217,11 +220,11 @@ def _journals(run: Run) -> tuple[list[list[JournalEntry]], list[list[Sent]], int
     for message in run.messages([scan, journal, *([waveform] if waveform else [])], recorded_order=True):
         if message.topic == scan:
             scans_seen = True
-            if waveform:  # what is received is received at the time of the newest scan
+            if waveform:  # messages have the time of the newest scan before them
                 received_ns = last_scan_ns(run.table(message, topics.SCAN))
             continue
         if message.topic == waveform:
-            with contextlib.suppress(RecordingError):  # what is no table was refused by the rig, too
+            with contextlib.suppress(RecordingError):  # the rig rejected invalid tables, too
                 table = run.table(message, topics.WAVEFORM)
                 sent[-1].append(Sent(table.stamp_ns, table.rows["value"].astype(float), received_ns))
             continue
@@ -241,10 +244,10 @@ def _journals(run: Run) -> tuple[list[list[JournalEntry]], list[list[Sent]], int
 
 
 def _overlapping(journals: list[list[JournalEntry]], sent: list[list[Sent]]) -> list[list[Sent]]:
-    """Return what came on shaker/waveform for each journal, if topics overtake each other where a reset ends one.
+    """Return the messages of shaker/waveform for each journal, as topics may overtake each other at a reset.
 
-    Stamps go on over a reset: a block that was recorded behind it with an earlier stamp belongs to the journal before,
-    and one that was recorded ahead of it with a later stamp may belong to the journal behind.
+    Stamps continue across a reset. A block recorded after it with an earlier stamp belongs to the journal before, and
+    one recorded before it with a later stamp may belong to the journal after it.
     """
     found = [list(blocks) for blocks in sent]
     for number, journal in enumerate(journals[1:], start=1):
@@ -263,9 +266,9 @@ def _assigned(scans: Iterable[Table], journals: list[list[JournalEntry]], first:
         while number + 1 < len(journals):
             following, begun_ns = journals[number + 1][0], journals[number][0].stamp_ns
             if following.kind is InputKind.RESET or following.stamp_ns > begun_ns:
-                is_next = table.stamp_ns >= following.stamp_ns  # stamps go on
+                is_next = table.stamp_ns >= following.stamp_ns  # stamps continue
             else:
-                is_next = before_ns is not None and table.stamp_ns <= before_ns  # the rig was started anew, at 0 again
+                is_next = before_ns is not None and table.stamp_ns <= before_ns  # the rig was restarted, again at 0
             if not is_next:
                 break
             number, before_ns = number + 1, None
@@ -276,13 +279,13 @@ def _assigned(scans: Iterable[Table], journals: list[list[JournalEntry]], first:
 def _verify(
     journal: list[JournalEntry], scans: Iterator[Table], beside: _Beside, following: JournalEntry | None
 ) -> tuple[Verification, Block | None]:
-    """Compare the blocks of one journal; return also the block that would come next."""
+    """Compare the blocks of one journal; also return the block that would come next."""
     compared = 0
     try:
         again = beside.begin(journal)
         for table in scans:
             block = next(again.blocks)
-            while block.scan.stamp_ns < table.stamp_ns:  # the recorder came later than the rig's first block
+            while block.scan.stamp_ns < table.stamp_ns:  # the recorder started after the rig's first block
                 if compared and not block.lost:
                     return _missing(block, compared), None
                 beside.take(block)
@@ -292,12 +295,12 @@ def _verify(
                 return Verification(False, compared, f"{topics.SCAN.name}{difference}"), None
             beside.take(block)
             compared += len(table.rows)
-        # nothing is simulated beyond the recorded scans, which the rig may never have reached: only up to a reset
+        # nothing is simulated beyond the recorded scans, which the rig may never have reached, except up to a reset
         rest = None
         reset_ns = _reset_ns(following)
         if reset_ns is not None:
             rest = _next(again)
-            while rest is not None and rest.lost and rest.end_ns <= reset_ns:  # withheld to the end
+            while rest is not None and rest.lost and rest.end_ns <= reset_ns:  # withheld until the end
                 beside.take(rest)
                 rest = _next(again)
         beside.end(reset_ns, last=following is None)
@@ -307,12 +310,12 @@ def _verify(
 
 
 def _reset_ns(following: JournalEntry | None) -> int | None:
-    """Return the instant of the reset that ends a journal; None if something else ends it."""
+    """Return the time of the reset that ends a journal; None if it ends otherwise."""
     return following.stamp_ns if following is not None and following.kind is InputKind.RESET else None
 
 
 def _next(again: Resimulation) -> Block | None:
-    """Return the next block; None where the recording lacks what it needs, since it may lie behind a reset."""
+    """Return the next block; None if the recording lacks its inputs, since it may be after a reset."""
     try:
         return next(again.blocks)
     except ConfigError:
@@ -320,9 +323,9 @@ def _next(again: Resimulation) -> Block | None:
 
 
 def _is_missing(block: Block, reset_ns: int) -> bool:
-    """Return whether a block should have come before a reset.
+    """Return whether a block should have been published before a reset.
 
-    The rig simulates whole ticks, and a reset drops what it has not yet cut into a block: less than a tick.
+    The rig simulates whole ticks. A reset drops the scans not yet assembled into a block: less than a tick.
     """
     on_grid = (block.end_ns - block.scan.stamp_ns) % COMMAND_GRID_NS == 0
     return not block.lost and block.end_ns + (0 if on_grid else COMMAND_GRID_NS) <= reset_ns
@@ -333,7 +336,7 @@ def _missing(block: Block, compared: int) -> Verification:
 
 
 def _difference(logged: Table, again: Table) -> str:
-    """Return the first difference of two tables (stamp, row, both values), or nothing."""
+    """Return the first difference of two tables (stamp, row, both values), or an empty text."""
     if logged.stamp_ns != again.stamp_ns or len(logged.rows) != len(again.rows):
         return (
             f": logged {len(logged.rows)} rows at {_s(logged.stamp_ns)} s, "
@@ -352,7 +355,7 @@ def _difference(logged: Table, again: Table) -> str:
 
 
 def _bits(column: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Return a column's bits as integers: NaN equals NaN, and 0.0 differs from -0.0."""
+    """Return the bits of a column as integers: NaN equals NaN, and 0.0 differs from -0.0."""
     packed = np.ascontiguousarray(column)
     return packed if packed.dtype.kind == "S" else packed.view(f"u{packed.dtype.itemsize}")
 
@@ -362,11 +365,11 @@ def _s(time_ns: int) -> str:
 
 
 class _Recorded:
-    """The recorded messages of one topic, walked beside what the re-simulation gives, both in order.
+    """Recorded messages of one topic, compared in order with the re-simulated ones.
 
     Args:
         read: returns stamp and content of a message.
-        differ: returns the first difference of two contents, recorded and re-simulated, or nothing.
+        differ: returns the first difference of two contents, recorded and re-simulated, or an empty text.
     """
 
     def __init__(
@@ -383,7 +386,7 @@ class _Recorded:
         self._step()
 
     def begin(self, start_ns: int, ended_ns: int) -> None:
-        """A journal begins at an instant; where that is before the end of the last one, a rig was started anew."""
+        """Start a journal at a time; if that is before the end of the previous one, a rig was restarted."""
         if start_ns < ended_ns:
             while self.coming is not None and self.coming[0] >= ended_ns:
                 self._outside += 1
@@ -391,7 +394,7 @@ class _Recorded:
         self._last_ns = start_ns
 
     def expect(self, stamp_ns: int, content: Any, *, optional: bool = False) -> None:
-        """Compare the next message with what the re-simulation published at an instant; optional: if it is that."""
+        """Compare the next message with the re-simulated one of this time; with `optional`, only if the times match."""
         self._leave_out_before(stamp_ns)
         if optional and (
             self.coming is None or self.coming[0] != stamp_ns or self._differ(self.coming[1], content) != ""
@@ -406,18 +409,18 @@ class _Recorded:
             self.compare(content)
 
     def before(self, end_ns: int, first_ns: int) -> Iterator[int]:
-        """Yield the stamps of coming messages from one instant until before another; each is to be compared."""
+        """Yield the stamps of the next messages in a time range; each must then be compared."""
         self._leave_out_before(first_ns)
         while self.coming is not None and self.coming[0] < end_ns and not self.difference:
             yield self.coming[0]
 
     def compare(self, content: Any) -> None:
-        """Compare the coming message, with nothing (None) where the re-simulation published none."""
+        """Compare the next message, with None if the re-simulation published none."""
         assert self.coming is not None
         stamp, recorded = self.coming
         difference = "" if content is None else self._differ(recorded, content)
         if content is None:
-            self._differs(f" at {_s(stamp)} s: no rig with this journal has published that")
+            self._differs(f"at {_s(stamp)} s: this journal does not lead to it")
         elif difference:
             self._differs(difference if difference.startswith((" at", ":")) else f" at {_s(stamp)} s: {difference}")
         else:
@@ -426,12 +429,12 @@ class _Recorded:
         self._step()
 
     def end(self, end_ns: int, *, anew: bool, lag_ns: int) -> None:
-        """The scans of a journal end at an instant: what is of before it and was not compared is nobody's.
+        """End the scans of a journal at a time: earlier messages that were not compared are unexpected.
 
         Args:
-            end_ns: the instant.
-            anew: another rig comes, with stamps that go back: what comes may be of that.
-            lag_ns: what was published in this last stretch may not have reached the recorder.
+            end_ns: the time.
+            anew: whether another rig follows, with stamps that go back; the next messages may belong to it.
+            lag_ns: duration of the last stretch, whose messages may not have reached the recorder.
         """
         if not anew and self.coming is not None and self.count and self._last_ns <= self.coming[0] < end_ns:
             self.compare(None)
@@ -440,17 +443,17 @@ class _Recorded:
         self._absent_ns = None
 
     def close(self) -> None:
-        """Read no more."""
+        """Stop reading."""
         self._messages.close()
 
     def compared(self, present: bool) -> Compared:
-        """Return what came of it."""
+        """Return the result."""
         while self.coming is not None:
             self._outside += 1
             self._step()
         if not present:
             return Compared(self.topic.name, left_out="it is not in this run")
-        rest = f"{self._outside} more are of times without a recorded scan" if self._outside else ""
+        rest = f"{self._outside} more belong to times without a recorded scan" if self._outside else ""
         return Compared(self.topic.name, self.count, self.difference, rest, "messages")
 
     def _leave_out_before(self, stamp_ns: int) -> None:
@@ -476,12 +479,12 @@ class _Recorded:
 
 
 class _Beside:
-    """Compares what the rig published beside its scans.
+    """Comparison of all topics except the scans.
 
     Args:
-        foreign: messages on `rig/journal` that were left out.
-        waveforms: each journal, and what came on `shaker/waveform` meanwhile.
-        blocks: number of blocks of scans that are compared; None: all.
+        foreign: number of skipped messages on `rig/journal`.
+        waveforms: each journal with its messages of `shaker/waveform`.
+        blocks: number of blocks of scans to compare; None means all.
     """
 
     def __init__(
@@ -514,12 +517,12 @@ class _Beside:
         self._end_ns = 0
 
     def begin(self, journal: list[JournalEntry]) -> Resimulation:
-        """Begin to re-simulate a journal."""
+        """Start the re-simulation of a journal."""
         every_scan = self._truth.coming is not None or self._joints.coming is not None
         entries, sent = last_journal(journal), next(sent for one, sent in self._waveforms if one is journal)
         try:
             self._again = Resimulation(journal, from_flat(RigConfig(), {"output.truth_scan": every_scan}), sent)
-        except ConfigError:  # the truth of such long blocks has no place in a message
+        except ConfigError:  # the truth of such long blocks does not fit into a message
             self._again = Resimulation(journal, None, sent)
         self._entries: list[JournalEntry] = entries
         self._made: list[JournalEntry] = []
@@ -531,7 +534,7 @@ class _Beside:
         return self._again
 
     def take(self, block: Block) -> None:
-        """Compare what was published with a block, recorded or withheld."""
+        """Compare the messages published with a block, recorded or withheld."""
         self._drain()
         self._end_ns = block.end_ns
         for recorded, table in ((self._impacts, block.impacts), (self._faults, block.faults)):
@@ -549,7 +552,10 @@ class _Beside:
         self._compare_monitors(block)
 
     def _compare_monitors(self, block: Block) -> None:
-        """Compare what monitors are made of; their rate is no part of a journal, so each that was ever set counts."""
+        """Compare the monitor messages of a block.
+
+        Their rate is not part of a journal, so every configured rate counts.
+        """
         rig = self._again.rig
         if not self._filters:
             there = [one.channel for one in self._monitors if one.channel in (block.scan.rows.dtype.names or ())]
@@ -564,7 +570,7 @@ class _Beside:
         self._hear_monitors(end - self._filters[-1].half)
 
     def _hear_monitors(self, end: float = math.inf) -> None:
-        """Compare what monitors say of scans before `end`."""
+        """Compare the monitor messages of scans before `end`."""
         rig = self._again.rig
         fitted = [one for config in self._again.configurations for one in config.instruments.fitted()]
         for sample in sorted(sample for sample in self._smoothed if sample < end):
@@ -575,14 +581,14 @@ class _Beside:
                     monitor.hear(stamp, made, fitted, self._again.calibrations)
 
     def end(self, reset_ns: int | None, *, last: bool) -> None:
-        """The blocks of a journal end: by a reset at an instant (None: otherwise), the last ones with the recording."""
+        """End the blocks of a journal: by a reset at a time (None: otherwise); the last ones end with the recording."""
         if reset_ns is not None:
             self._again.finish(reset_ns)
             self._end_ns = reset_ns
         self._hear_monitors()
         self._drain()
         monitored_ns = self._end_ns
-        if last and self._filters:  # of the last instants a monitor weighs scans that nobody has recorded
+        if last and self._filters:  # the last monitor messages depend on scans that are not recorded
             monitored_ns += -self._filters[-1].half * NS_PER_S // self._again.rig.rate_hz
         ends_ns = {one.recorded: monitored_ns for one in self._monitors}
         rig = self._again.rig
@@ -597,7 +603,7 @@ class _Beside:
             self._descriptions.add(robot_description(config))
 
     def compared(self) -> Iterator[Compared]:
-        """Yield what came of each topic of the run, compared or not."""
+        """Yield the result of each topic of the run, compared or not."""
         yield self._journal
         known = {topics.SCAN.name, topics.JOURNAL.name}
         for recorded in self._ordered():
@@ -619,7 +625,7 @@ class _Beside:
                 yield Compared(relative, left_out=why)
 
     def close(self) -> None:
-        """Read no more."""
+        """Stop reading."""
         for recorded in self._ordered():
             recorded.close()
 
@@ -628,11 +634,11 @@ class _Beside:
         return *beside, *(one.recorded for one in self._monitors)
 
     def _drain(self) -> None:
-        """Compare what inputs have caused since the last block."""
+        """Compare the effects of inputs since the last block."""
         rig = self._again.rig
         applied = rig.take_applied()
         for table, after in itertools.zip_longest(applied, applied[1:]):
-            # two commands of one instant may have been given together, which publishes what both have led to
+            # two commands of one instant may have been sent together, which publishes only their combined effect
             together = after is not None and after.stamp_ns == table.stamp_ns
             self._applied.expect(table.stamp_ns, table, optional=together)
         for table in self._again.calibrations[self._calibrations :]:
@@ -641,9 +647,9 @@ class _Beside:
         self._made += rig.take_journal()
 
     def _compare_journal(self, whole: bool, lag_ns: int) -> None:
-        """Compare the recorded entries with those that the re-simulation wrote; the first names version and kind."""
+        """Compare the recorded entries with the re-simulated ones; the first entry names version and kind."""
         end = self._end_ns
-        # ordered ahead of its scan, a fault is compared only if the re-simulation has come to it
+        # a fault planned ahead is compared only if the re-simulation has reached its scan
         due = [e for e in self._entries if whole or e.stamp_ns < end]
         count = 0
         for recorded, made in zip(self._entries[1:], self._made[1:], strict=False):
@@ -658,8 +664,7 @@ class _Beside:
         if reached and reached[-1].sequence >= len(self._made):
             extra = next(e for e in reached if e.sequence >= len(self._made))
             self._journal_differs(
-                f"entry {extra.sequence} at {_s(extra.stamp_ns)} s: no rig with this journal has written "
-                f"{_quoted(extra)}"
+                f"entry {extra.sequence} at {_s(extra.stamp_ns)} s: this journal does not lead to {_quoted(extra)}"
             )
         elif len(self._made) > len(self._entries) and self._made[len(self._entries)].stamp_ns < end - lag_ns:
             missing = self._made[len(self._entries)]
@@ -671,7 +676,7 @@ class _Beside:
         self._journal = attrs.evolve(self._journal, difference=self._journal.difference or what)
 
     def _compare_configuration(self) -> Compared:
-        """Compare each configuration that was published or attached with those the journal has led to."""
+        """Compare each published or attached configuration with those that the journal leads to."""
         name = topics.CONFIGURATION.name
         told = texts(self._run, topics.CONFIGURATION, self._blocks)
         attached = self._run.attachments().get(CONFIGURATION)
@@ -684,7 +689,7 @@ class _Beside:
         self._descriptions |= {robot_description(config) for config in found}
         published = [_deciding(config) for config in found]
         other = [number for number, config in enumerate(published) if config not in self._configurations]
-        since = other[-1] + 1 if other else 0  # what is older may be of before the first recorded scan
+        since = other[-1] + 1 if other else 0  # older ones may belong to times before the first recorded scan
         if other and (since == len(published) or self._explained(published[since:]) < self._explained(published)):
             return Compared(name, count, f"text {other[-1]}: {self._unlike(published[other[-1]])}")
         count = len(published) - since
@@ -692,11 +697,11 @@ class _Beside:
             return Compared(name, count, f"attachment {CONFIGURATION}: {self._unlike(_deciding(opened))}")
         if not told:
             return Compared(name, left_out="it is not in this run")
-        rest = f"{len(told) - count} are of before the first scan" if count < len(told) else ""
+        rest = f"{len(told) - count} belong to times before the first scan" if count < len(told) else ""
         return Compared(name, count, left_out=rest, what="texts")
 
     def _explained(self, published: Sequence[dict[str, object]]) -> int:
-        """Return how many of the journal's changes of configuration are there, one after the other."""
+        """Return how many of the journal's configuration changes are found, in order."""
         wanted = [one for one, _ in itertools.groupby(self._configurations)]
         count = 0
         for config in published:
@@ -706,10 +711,10 @@ class _Beside:
     def _unlike(self, config: dict[str, object]) -> str:
         """Return the first value that the journal does not explain."""
         if not self._configurations:
-            return "no journal says what it was"
+            return "no journal contains its value"
         nearest = min(self._configurations, key=lambda one: sum(config[key] != one[key] for key in config))
         key = next(key for key in config if config[key] != nearest[key])
-        return f"{key} is {quoted(config[key])}, which by the journal it never was"
+        return f"{key} is {quoted(config[key])}, which it never was according to the journal"
 
     def _compare_description(self) -> Compared:
         name = topics.ROBOT_DESCRIPTION.name
@@ -717,14 +722,14 @@ class _Beside:
             return Compared(name, left_out="it is not in this run")
         told = texts(self._run, topics.ROBOT_DESCRIPTION, self._blocks)
         wrong = [text for text in told if text not in self._descriptions]
-        return Compared(name, len(told), "it is not that of the configuration" if wrong else "", what="texts")
+        return Compared(name, len(told), "it does not match the configuration" if wrong else "", what="texts")
 
 
 class _Monitor:
-    """The monitor of one channel: its recorded messages beside the filtered scans of the re-simulation.
+    """Monitor of one channel: its recorded messages and the filtered scans of the re-simulation.
 
-    A filter begins where the rate of the monitors changes, and weighs only what comes from there on: the first messages
-    of a series that follow on one another are not compared.
+    A filter restarts when the rate of the monitors changes and uses only later scans. The first messages of a
+    contiguous series are therefore not compared.
     """
 
     def __init__(self, run: Run, channel: str) -> None:
@@ -739,18 +744,18 @@ class _Monitor:
 
         self.recorded = _Recorded(run, topic, read, self._differ)
         self.following: Counter[int] = Counter()
-        """Messages that have followed on one another, by scans per monitor period."""
+        """Number of contiguous messages, by scans per monitor period."""
 
     def hear(
         self, stamp_ns: int, made: list[tuple[int, Smoothed]], fitted: list[Instrument], calibrations: list[Table]
     ) -> None:
-        """Compare the message of a monitor instant, if there is one.
+        """Compare the monitor message of a time, if there is one.
 
         Args:
-            stamp_ns: of the instant.
-            made: what the message may be made of, by scans per monitor period.
-            fitted: the instruments of every configuration until now.
-            calibrations: `daq/info` of every calibration until now.
+            stamp_ns: the time.
+            made: possible contents of the message, by scans per monitor period.
+            fitted: the instruments of all configurations so far.
+            calibrations: `daq/info` of all calibrations so far.
         """
         comes = False
         for _ in self.recorded.before(stamp_ns + 1, stamp_ns):
@@ -761,7 +766,7 @@ class _Monitor:
             self.following[step] = self.following[step] + 1 if comes else 0
 
     def _differ(self, found: dict[str, Any], made: tuple[Any, ...]) -> str:
-        """Return in what a message differs from all that configurations and calibrations until now allow."""
+        """Return the difference of a message from all that the configurations and calibrations so far allow."""
         if not made:
             return ""
         smoothed, fitted, infos = made
@@ -777,23 +782,23 @@ class _Monitor:
 
 
 def _monitor_rates_hz(run: Run) -> set[float]:
-    """Return the rates of the monitors in the configurations that were recorded."""
+    """Return the monitor rates of all recorded configurations."""
     usual_hz = RigConfig().output.monitor_rate_hz
     told = [text.encode() for text in texts(run, topics.CONFIGURATION)]
     rates_hz = set() if told else {usual_hz}
     for found in [*told, run.attachments().get(CONFIGURATION)]:
-        with contextlib.suppress(ConfigError):  # told where configurations are compared
+        with contextlib.suppress(ConfigError):  # reported by the comparison of configurations
             rates_hz |= {parse(found).output.monitor_rate_hz} if found is not None else set()
     return rates_hz or {usual_hz}
 
 
 def _fields_differ(found: dict[str, Any], wanted: Mapping[str, object]) -> str:
-    """Return which field of a monitor message is another one than its scans give."""
+    """Return the field of a monitor message that does not match its scans."""
     for path, value in wanted.items():
         ours, theirs = (np.array(one, np.float64).reshape(-1) for one in (value, found.get(path, math.nan)))
         if ours.shape == theirs.shape:
             with np.errstate(over="ignore"):
-                same = (theirs == ours) | (theirs == ours.astype(np.float32))  # by the field's precision
+                same = (theirs == ours) | (theirs == ours.astype(np.float32))  # with the precision of the field
             if same.all():
                 continue
         return f"{path}: logged {quoted(found.get(path))}, re-simulated {quoted(value)}"
@@ -805,7 +810,7 @@ def _stamped(table: Table) -> tuple[int, Table]:
 
 
 def _joints_differ(recorded: tuple[NDArray[np.float64], ...], truth: np.void) -> str:
-    """Return which true quantity was not published as it was."""
+    """Return the true quantity whose published value differs."""
     for what, found, values in zip(("position", "velocity", "effort"), recorded, joints(truth), strict=True):
         true = np.array(values, np.float64)
         if len(found) != len(true) or (_bits(found) != _bits(true)).any():
@@ -814,7 +819,7 @@ def _joints_differ(recorded: tuple[NDArray[np.float64], ...], truth: np.void) ->
 
 
 def _deciding(config: RigConfig) -> dict[str, object]:
-    """Return what of a configuration decides samples; planned faults are in the journal as they were injected."""
+    """Return the values of a configuration that determine samples; planned faults are in the journal once injected."""
     return {name: value for name, value in deciding_samples(to_flat(config)).items() if name != PLANNED}
 
 

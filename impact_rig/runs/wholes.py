@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Measurements of a run as a whole record, next to the live node's path: frequency response and sines.
+"""Measurements of a run as one record, in addition to the live node's method: frequency response and sines.
 
 An excerpt is a stretch of contiguous scans that is drawn, or measured as one record.
 """
@@ -40,31 +40,31 @@ from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Status
 
 UNSETTLED_S, UNSETTLED_CYCLES, UNSETTLED_SCANS = 5.0, 24, 200
-"""Length of what is drawn of a run in which nothing settled: the longest of so many seconds, cycles and scans."""
+"""Length of the excerpt of a run in which nothing settled: the longest of these seconds, cycles and scans."""
 FEWEST_DRAWN = 16  # scans
-HELD_S = 0.5  # a measurement is reported at most this long after its last scan
+HELD_S = 0.5  # maximum delay of a measurement's report after its last scan
 FEWEST_SCANS = 100
-MOST_SCANS = 20_000_000  # of a record that is measured as one; 740 MB of scans
+MOST_SCANS = 20_000_000  # maximum length of a record; 740 MB of scans
 
 
 @attrs.frozen(eq=False)
 class Excerpt:
-    """Contiguous scans that are drawn."""
+    """Contiguous scans for a drawing."""
 
     rows: NDArray[np.void]  # scans (`daq/scan`), `time` [s since the first scan of the run], shape (n,)
     rate_hz: float  # scans per second
     drive_hz: float  # drive frequency, 0 if unknown
-    impact_times: NDArray[np.float64]  # of the impacts detected in it [s as the rows' time], shape (k,)
+    impact_times: NDArray[np.float64]  # times of the impacts detected in it [s, as the rows' time], shape (k,)
     settled: bool  # whether it is a settled measurement; the end of the run otherwise
 
     def newest(self, cycles: int) -> Excerpt:
-        """Return the last cycles of the drive; everything where there is none."""
+        """Return the last cycles of the drive, or everything without a drive."""
         scans = round(cycles / self.drive_hz * self.rate_hz) if self.drive_hz else len(self.rows)
         rows = self.rows[-scans:]
         return attrs.evolve(self, rows=rows, impact_times=self.impact_times[self.impact_times >= rows["time"][0]])
 
     def __str__(self) -> str:
-        """Return for people which scans these are."""
+        """Return a readable description of these scans."""
         where = "of the last settled measurement" if self.settled else "of the end of the run; nothing settled"
         return f"{self.rows['time'][0]:.2f} s to {self.rows['time'][-1]:.2f} s, {where}"
 
@@ -98,8 +98,8 @@ def last_excerpt(run: Run, found: Sequence[Findings]) -> Excerpt:
     within = (rows["time"] > end_s - span_s) & (rows["time"] < end_s + 0.5 / rate_hz)
     if np.count_nonzero(within) < FEWEST_DRAWN:
         raise RecordingError(
-            f"{run.path}: {np.count_nonzero(within)} scans without a gap at its end are too few to draw or fit, "
-            f"at least {FEWEST_DRAWN} are needed"
+            f"{run.path}: the {np.count_nonzero(within)} contiguous scans at its end are too few to draw or "
+            f"fit; at least {FEWEST_DRAWN} are needed"
         )
     rows = rows[within]
     impacts = [_joined(one.impacts, origin_ns)["time"] for one in found[first : last + 1] if one.impacts]
@@ -109,7 +109,7 @@ def last_excerpt(run: Run, found: Sequence[Findings]) -> Excerpt:
 
 
 def last_record(run: Run) -> Excerpt:
-    """Return the last scans of a run without a gap, at most `MOST_SCANS`, whatever the drive did meanwhile.
+    """Return the last contiguous scans of a run, at most `MOST_SCANS`, under any drive.
 
     Raises:
         RecordingError: there are too few.
@@ -117,9 +117,7 @@ def last_record(run: Run) -> Excerpt:
     rate_hz = float(calibration_rows(run)["rate"][0])
     _, _, rows = _newest_scans(run, sys.maxsize, MOST_SCANS / rate_hz, rate_hz)
     if len(rows) < FEWEST_SCANS:
-        raise RecordingError(
-            f"{run.path}: {len(rows)} scans without a gap at its end, at least {FEWEST_SCANS} are needed"
-        )
+        raise RecordingError(f"{run.path}: {len(rows)} contiguous scans at its end; at least {FEWEST_SCANS} are needed")
     return Excerpt(rows, rate_hz, 0.0, np.empty(0), settled=False)
 
 
@@ -131,14 +129,14 @@ def calibration_rows(run: Run) -> NDArray[np.void]:
     """
     tables = list(run.tables(topics.INFO.name))
     if not tables:
-        raise RecordingError(f"{run.path} holds no daq/info: what its scans mean is not known")
+        raise RecordingError(f"{run.path} holds no daq/info: the meaning of its scans is unknown")
     return tables[-1].rows
 
 
 def _newest_scans(run: Run, last: int, span_s: float, rate_hz: float) -> tuple[int, int, NDArray[np.void]]:
     """Return the contiguous scans before block `last`: number and origin [ns] of their time, and the rows.
 
-    Origin is the first scan of the run, or that after the last reset.
+    The origin is the first scan of the run, or the first after the last reset.
     """
     kept: deque[Table] = deque()
     first, origin_ns = 0, 0
@@ -157,7 +155,7 @@ def _newest_scans(run: Run, last: int, span_s: float, rate_hz: float) -> tuple[i
 
 
 def _joined(tables: Iterable[Table], origin_ns: int) -> NDArray[np.void]:
-    """Return the rows of tables, one after the other, `time` since `origin_ns`."""
+    """Return the rows of tables, one after the other, with `time` since `origin_ns`."""
     parts = []
     for table in tables:
         rows = table.rows.copy()
@@ -166,8 +164,9 @@ def _joined(tables: Iterable[Table], origin_ns: int) -> NDArray[np.void]:
     return np.concatenate(parts)
 
 
-REFERENCES = ("current", "base", "laser", "accelerometer")  # of phases and frequency: the first that was measured
-COHERENT = 0.9  # coherence that some excited line has at least
+# reference of phases and frequency: the first channel that was measured
+REFERENCES = ("current", "base", "laser", "accelerometer")
+COHERENT = 0.9  # coherence that at least one excited line must have
 
 
 def response_of(
@@ -177,12 +176,13 @@ def response_of(
 
     Args:
         run: an open run.
-        segment_s: length of a segment [s]: the lines lie 1 / segment_s apart; None for what resolves the resonance.
-        window: of `analysis.frf`.
-        damping_ratio: of the resonance, instead of what is found.
+        segment_s: length of a segment [s]: the lines are 1 / segment_s apart; None selects a length that resolves the
+            resonance.
+        window: window of `analysis.frf`.
+        damping_ratio: damping ratio of the resonance, instead of the estimated one.
 
     Raises:
-        RecordingError: the record is too short, stands still, or nothing in it is excited well enough.
+        RecordingError: the record is too short, has no motion, or has no line with enough excitation.
     """
     excerpt = last_record(run)
     need_motions(run, excerpt.rows)
@@ -196,17 +196,17 @@ def response_of(
         raise RecordingError(f"{run.path}: no frequency response of its last {seconds:g} s: {error}") from error
     if not np.any(np.nan_to_num(found.coherence[found.excited]) >= COHERENT):
         raise RecordingError(
-            f"{run.path}: the base moves the laser's object with a coherence of {COHERENT} at no frequency: drive the "
+            f"{run.path}: at no frequency is the coherence between base and laser {COHERENT} or more: drive the "
             "rig with a chirp or noise (drive.waveform), or take longer segments"
         )
     return found
 
 
 def need_motions(run: Run, rows: NDArray[np.void]) -> None:
-    """Refuse scans without the motion of structure or base.
+    """Check that scans contain the motion of structure and base.
 
     Raises:
-        RecordingError: names what is missing.
+        RecordingError: one is missing; the message names it.
     """
     missing = [name for name in ("laser", "base") if name not in channels_of(rows)]
     if missing:
@@ -217,15 +217,17 @@ def need_motions(run: Run, rows: NDArray[np.void]) -> None:
 
 @attrs.frozen(eq=False)
 class Sines:
-    """An excerpt as sines of one frequency."""
+    """Sines of one frequency fitted to an excerpt."""
 
     reference: SineFit
-    """The first of current, base, laser and accelerometer that was measured, with its frequency refined: four
-    parameters and the harmonics."""
+    """First measured channel of current, base, laser and accelerometer, with its frequency refined.
+
+    Four parameters and the harmonics.
+    """
     reference_name: str
-    fits: dict[str, SineFit]  # every channel at that frequency, by name
+    fits: dict[str, SineFit]  # fit of every channel at that frequency, by name
     measured: Measurement | None
-    """The transmissibility of the whole excerpt at the commanded frequency; None: laser or base was not measured."""
+    """Transmissibility of the whole excerpt at the commanded frequency; None if laser or base was not measured."""
     excerpt: Excerpt
 
 
@@ -233,7 +235,7 @@ def sines_of(run: Run, excerpt: Excerpt, harmonics: int = 1) -> Sines:
     """Fit sines to an excerpt of a run.
 
     Raises:
-        RecordingError: no drive frequency is known, or the reference holds no sine of about that frequency.
+        RecordingError: the drive frequency is unknown, or the reference has no sine near that frequency.
     """
     if not excerpt.drive_hz > 0.0:
         raise RecordingError(f"{run.path} holds no drive frequency (shaker/applied) for {excerpt}")
@@ -242,7 +244,7 @@ def sines_of(run: Run, excerpt: Excerpt, harmonics: int = 1) -> Sines:
     reference = fit_sine_frequency(samples[name], excerpt.rate_hz, excerpt.drive_hz, harmonics)
     if reference.status is not Status.OK:
         raise RecordingError(
-            f"{run.path}: the {name} is no sine of {excerpt.drive_hz:g} Hz, {excerpt}: {reference.status.value}"
+            f"{run.path}: the {name} is not a sine of {excerpt.drive_hz:g} Hz, {excerpt}: {reference.status.value}"
         )
     return Sines(
         reference=reference,

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The machine around the programs: signals, budgets, files, compiled code kept, plain YAML, what computed a result."""
+"""Services of the machine for programs: signals, budgets, files, caches of compiled code, plain YAML and provenance."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from collections.abc import Callable
 
 
 def lazily(package: str, **homes: str) -> Callable[[str], object]:
-    """Return the `__getattr__` of a package whose public names live elsewhere."""
+    """Return the `__getattr__` of a package whose public names are defined in other modules."""
 
     def find(name: str) -> object:
         if name not in homes:

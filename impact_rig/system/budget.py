@@ -11,14 +11,14 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What reading somebody's recording, campaign or configuration may cost, before it is refused; one way to raise it.
+"""Limits on the cost of reading an untrusted recording, campaign or configuration, and one way to raise them.
 
-Memory has fixed limits; work is bounded in proportion to the size of the files. What is honest stays far below; what is
-made to fill the memory or to run for ever is refused by the figure that gives it away. What a page may send is bounded
-in `lab.protocol`.
+Memory has fixed limits. Work is limited in proportion to the size of the files. Honest files stay far below both. Files
+made to fill the memory or to run forever are rejected with the figure that exceeds a limit. `lab.protocol` limits the
+messages of a page.
 
-Plain YAML holds values, never objects of Python, and a short text never stands for a long one: an alias names one value
-in many places, or inside itself, and whoever prints or copies what was read pays for all of them.
+Plain YAML holds values, never Python objects, and a short text never expands to a long one. An alias would name one
+value in many places, or within itself, and every later copy or print would pay for all of them.
 """
 
 from __future__ import annotations
@@ -33,32 +33,33 @@ from yaml.composer import Composer
 
 from impact_rig.errors import ImpactRigError
 
-VARIABLE = "IMPACT_RIG_BUDGET"  # environment: every limit times this number, at least 1
+VARIABLE = "IMPACT_RIG_BUDGET"  # environment variable: factor for all limits, at least 1
 
 MIB = 2**20
-CHUNK_BYTES = 32 * MIB  # of a chunk when decompressed, and of every other record of a recording
-HELD_BYTES = 64 * MIB  # of decompressed chunks that are in memory at once, because their messages are not in order
-MESSAGE_BYTES = 500  # what a message in memory costs besides its content
-INDEX_BYTES = 16 * MIB  # of the index of one file
+CHUNK_BYTES = 32 * MIB  # limit of a decompressed chunk, and of every other record of a recording
+# limit of decompressed chunks in memory at once, which are needed when their messages are out of order
+HELD_BYTES = 64 * MIB
+MESSAGE_BYTES = 500  # memory overhead of a message
+INDEX_BYTES = 16 * MIB  # limit of the index of one file
 DECOMPRESSED_BYTES, DECOMPRESSED_PER_BYTE = 64 * MIB, 250
-"""Of all chunks together: so many, and so many per byte of the files."""
+"""Limit of all chunks together: a constant, and a number per byte of the files."""
 RECORDS, RECORDS_PER_BYTE = 100_000, 1
-"""Records in all chunks together, messages above all: so many, and so many per byte of the files."""
+"""Limit of the records in all chunks together, mostly messages: a constant, and a number per byte of the files."""
 TOPICS = 5000
-QOS_CHARACTERS = 4 * MIB  # of the texts of all topics that say which quality of service was offered
-METADATA_BYTES = 512 * 1024  # of `metadata.yaml`; one that lists a thousand files has half of that
-POINTS = 20_000  # measurements that a campaign asks for, repetitions included
+QOS_CHARACTERS = 4 * MIB  # limit of the texts of all topics that state the offered quality of service
+METADATA_BYTES = 512 * 1024  # limit of `metadata.yaml`; half of it suffices for a thousand files
+POINTS = 20_000  # measurements requested by a campaign, including repetitions
 
 
 class BudgetError(ImpactRigError):
-    """Something from outside asks for more than the budget."""
+    """Rejection of external input that exceeds the budget."""
 
 
 def allow(what: str, amount: float, limit: float) -> None:
-    """Refuse `amount` of something if it is above `limit` times the factor in the environment.
+    """Raise an error if `amount` is above `limit` times the factor in the environment.
 
     Raises:
-        BudgetError: it is; names both and how to raise the limit.
+        BudgetError: it is above; the message names both, and how to raise the limit.
     """
     if amount > limit and amount > limit * factor():
         now = f"{limit * factor():.0f}"
@@ -66,10 +67,10 @@ def allow(what: str, amount: float, limit: float) -> None:
 
 
 def factor() -> float:
-    """Return by how much the user has raised all limits.
+    """Return the factor by which the user has raised all limits.
 
     Raises:
-        BudgetError: what the environment says is no number >= 1.
+        BudgetError: the environment variable is not a number >= 1.
     """
     text = os.environ.get(VARIABLE, "1")
     try:
@@ -83,14 +84,14 @@ def factor() -> float:
 
 @attrs.define
 class Spending:
-    """What one pass through the chunks of a recording has cost so far."""
+    """Cost so far of one pass through the chunks of a recording."""
 
-    size: int  # of its files [bytes]
+    size: int  # size of its files [bytes]
     _decompressed: int = attrs.field(default=0, init=False)
     _records: int = attrs.field(default=0, init=False)
 
     def chunk(self, size: int) -> None:
-        """Take a chunk of `size` bytes into account, before it is decompressed.
+        """Count a chunk of `size` bytes, before it is decompressed.
 
         Raises:
             BudgetError: it is too large, or all are too large together.
@@ -101,7 +102,7 @@ class Spending:
         allow(f"bytes in the chunks of {self.size} bytes of files", self._decompressed, limit)
 
     def records(self, count: int) -> None:
-        """Take the records of a chunk into account.
+        """Count the records of a chunk.
 
         Raises:
             BudgetError: a chunk has too many to be held in memory, or all have too many together.
@@ -111,19 +112,20 @@ class Spending:
         allow(f"records in {self.size} bytes of files", self._records, RECORDS + RECORDS_PER_BYTE * self.size)
 
 
-_Fastest: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's scanner is fast; PyYAML may be built without
-MAX_DEPTH = 100  # libyaml's loader takes the stack for each level, and all of it ends the process
+# libyaml's scanner is fast; PyYAML may have been built without it
+_Fastest: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+MAX_DEPTH = 100  # libyaml's loader uses the stack for each level; a stack overflow would end the process
 
 
 class PlainYamlError(ValueError):
-    """A text is not YAML, nested too deeply, or more than plain YAML."""
+    """Invalid YAML: a syntax error, too deep nesting, or a feature beyond plain YAML."""
 
 
 def load_yaml(text: str, limit: int) -> object:
-    """Return what a plain YAML text of at most `limit` characters holds.
+    """Parse a plain YAML text of at most `limit` characters.
 
     Raises:
-        PlainYamlError: it is longer, no YAML, has an alias, a key twice, or is nested deeper than `MAX_DEPTH`.
+        PlainYamlError: it is longer, invalid, has an alias or a duplicate key, or is nested deeper than `MAX_DEPTH`.
     """
     if len(text) > limit:
         raise PlainYamlError(f"it has more than {limit} characters")
@@ -133,12 +135,12 @@ def load_yaml(text: str, limit: int) -> object:
             return loader.get_single_data()
         finally:
             loader.dispose()
-    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: a date that is none
+    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: an invalid date
         raise PlainYamlError(" ".join(str(error).split())) from error
 
 
 class _Loader(Composer, _Fastest):  # type: ignore[misc]  # chosen at run time
-    """Refuses, while it composes the nodes, what a plain text has not got: nothing is read twice."""
+    """Loader that rejects features beyond plain YAML while it composes the nodes, so the text is parsed once."""
 
     def __init__(self, text: str) -> None:
         Composer.__init__(self)
@@ -160,10 +162,10 @@ class _Loader(Composer, _Fastest):  # type: ignore[misc]  # chosen at run time
 
 
 def _refuse_twice(mapping: yaml.MappingNode) -> None:
-    """Refuse a key that is there twice: the later value would silently take the place of the first."""
+    """Reject a duplicate key: the later value would silently replace the first."""
     seen = set()
     for key, _ in mapping.value:
         if isinstance(key, yaml.ScalarNode):
             if (key.tag, key.value) in seen:
-                raise PlainYamlError(f"the key {key.value!r} is there twice, again in line {key.start_mark.line + 1}")
+                raise PlainYamlError(f"duplicate key {key.value!r} in line {key.start_mark.line + 1}")
             seen.add((key.tag, key.value))

@@ -11,12 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""How a program of this package ends when it is told to, by SIGINT, SIGTERM or the end of the process that started it.
+"""Orderly end of a program on SIGINT, SIGTERM or the end of its parent process.
 
-The program's first import installs this, before anything heavy is loaded. While nothing is begun (imports), it ends on
-the spot. Afterwards the first signal raises `SignalReceived` in the main thread, so that files and processes are closed
-on the way out; more signals change nothing. What must not be interrupted on that way stands in `unhurried`. An
-exception that somebody else's code swallows, as callbacks do, is raised again.
+The program's first import installs the handlers, before anything heavy is loaded. During the imports, a signal ends the
+program immediately. Afterwards the first signal raises `SignalReceived` in the main thread, so that files and processes
+are closed on the way out; further signals have no effect. Code that must not be interrupted runs in `unhurried`. If
+third-party code swallows the exception, as callbacks do, it is raised again.
 """
 
 from __future__ import annotations
@@ -32,30 +32,30 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-AGAIN_S = 1.0  # when `SignalReceived` is raised again, if the program has not ended
-LAST_S = 5.0  # how long the interpreter may take for its own end
-PATIENCE_S = 15.0  # how long an ending may take before it is cut short
+AGAIN_S = 1.0  # delay until `SignalReceived` is raised again, if the program has not ended
+LAST_S = 5.0  # time limit for the shutdown of the interpreter
+PATIENCE_S = 15.0  # time limit for an orderly end
 PARENT_VARIABLE = "IMPACT_RIG_EXIT_WITH"
-"""Environment: id of the process with which this one ends, however that one ended."""
+"""Environment variable: id of the process with which this one ends, however that one ended."""
 _WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 
 
 class SignalReceived(KeyboardInterrupt):
-    """The program was told to end."""
+    """Request to end the program."""
 
 
 class Ending:
-    """Takes SIGINT and SIGTERM for a program; until `run`, they end it on the spot.
+    """Handler of SIGINT and SIGTERM for a program; until `run`, they end it immediately.
 
     Args:
-        name: of the program, for the one line that is printed when it is told to end.
-        code: exit code for a signal by its number; default: 128 + number, as shells have it.
+        name: name of the program, for the line printed when a signal arrives.
+        code: exit code for a signal by its number; default: 128 + number, as in shells.
     """
 
     def __init__(self, name: str, code: Callable[[int], int] = lambda number: 128 + number) -> None:
         self.name = name
-        self.told = 0  # number of the first signal; 0: none yet
-        self.reason = ""  # why, where the signal alone does not say it
+        self.told = 0  # number of the first signal; 0 before
+        self.reason = ""  # reason, if the signal alone does not tell it
         self.code = code
         self._told_at = 0.0
         self._cut_short = False
@@ -67,20 +67,20 @@ class Ending:
         """Do the work, and return its exit code or that of the first signal.
 
         Args:
-            work: what the program does.
-            interrupting: a signal raises `SignalReceived`; otherwise the work looks at `told` itself.
+            work: main function of the program.
+            interrupting: whether a signal raises `SignalReceived`; otherwise the work checks `told` itself.
         """
         signal.signal(signal.SIGALRM, self._remind)
         sys.unraisablehook = self._unraisable
         code = 0
         try:
             code = self._do(work, self._interrupt if interrupting else lambda: None)
-        except SignalReceived:  # in the very moment when the work was done
+        except SignalReceived:  # a signal at the moment the work was done
             self._over()
         if self.told:
             self._say()
             code = self.code(self.told)
-            last = threading.Timer(LAST_S, os._exit, (code,))  # threads of others may not come to an end
+            last = threading.Timer(LAST_S, os._exit, (code,))  # threads of other libraries may never end
             last.daemon = True
             last.start()
         return code
@@ -89,7 +89,7 @@ class Ending:
         try:
             self._answer = answer
             return work()
-        except BaseException:  # what the first signal became on its way through somebody else's code
+        except BaseException:  # exception into which other code has turned the first signal
             if not self.told:
                 raise
             return 0
@@ -97,14 +97,14 @@ class Ending:
             self._over()
 
     def _over(self) -> None:
-        """Take no notice of signals any more: the work is done, and its exit code is known."""
+        """Ignore signals from now on: the work is done, and its exit code is known."""
         ignored = False
         while not ignored:
-            with contextlib.suppress(SignalReceived):  # a signal may come in between
+            with contextlib.suppress(SignalReceived):  # a signal may arrive in between
                 for number in (
                     *SIGNALS,
                     signal.SIGALRM,
-                ):  # Python would restore the default, which kills, on its way out
+                ):  # Python would restore the default handler, which kills, on its way out
                     signal.signal(number, signal.SIG_IGN)
                 ignored = True
         signal.setitimer(signal.ITIMER_REAL, 0.0)
@@ -124,19 +124,19 @@ class Ending:
         _raise_unless_unhurried()
 
     def _end_here(self) -> None:
-        if self._cut_short:  # a signal came again while a stream waited for a lock that nobody gives back
+        if self._cut_short:  # a second signal arrived while a stream waited for a lock that is never released
             os._exit(self.code(self.told))
         self._cut_short = True
         self._say()
         for stream in (sys.stdout, sys.stderr):
-            with contextlib.suppress(OSError, ValueError, RuntimeError):  # closed, or being written to just now
+            with contextlib.suppress(OSError, ValueError, RuntimeError):  # closed, or being written at this moment
                 stream.flush()
         os._exit(self.code(self.told))
 
     def _say(self) -> None:
-        if not self.reason and self.code(self.told) == 0:  # a signal is how this program ends well
+        if not self.reason and self.code(self.told) == 0:  # a signal is the regular end of this program
             return
-        with contextlib.suppress(OSError):  # who listened may be gone
+        with contextlib.suppress(OSError):  # the reader may be gone
             os.write(2, f"{self.name}: {_WORDS[signal.Signals(self.told)]}{self.reason}\n".encode())
 
     def _unraisable(self, unraisable: sys.UnraisableHookArgs) -> None:
@@ -145,7 +145,7 @@ class Ending:
 
 
 class _Unhurried:
-    """Depth of `unhurried` blocks of the main thread."""
+    """Depth of nested `unhurried` blocks in the main thread."""
 
     depth = 0
     owed = False
@@ -153,7 +153,7 @@ class _Unhurried:
 
 @contextlib.contextmanager
 def unhurried() -> Iterator[None]:
-    """Finish this block before a signal is answered, in the main thread: it closes files or ends processes."""
+    """Finish this block in the main thread before a signal takes effect: it closes files or ends processes."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -169,7 +169,7 @@ def unhurried() -> Iterator[None]:
 
 @contextlib.contextmanager
 def held() -> Iterator[None]:
-    """Let signals wait during this block; processes and threads that begin in it get none, unless they want to."""
+    """Block signals during this block; processes and threads started in it receive none, unless they unblock them."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
         yield
@@ -178,15 +178,15 @@ def held() -> Iterator[None]:
 
 
 def end_with(process: int, end: Callable[[], None]) -> None:
-    """Call `end` in a thread when another process has ended, however it ended, or at once if it is gone already."""
+    """Call `end` in a thread when another process has ended, or immediately if it is already gone."""
     try:
         descriptor = os.pidfd_open(process)
     except ProcessLookupError:
         end()
         return
-    except OSError:  # a kernel or container without it: watch whether somebody else becomes the parent
+    except OSError:  # a kernel or container without pidfd: watch for a change of the parent
         parent = os.getppid()
-        wait: Callable[[], object] = lambda: _poll(parent)  # noqa: E731  # the other one is a method
+        wait: Callable[[], object] = lambda: _poll(parent)  # noqa: E731  # the other alternative is a method
     else:
         waiter = select.poll()
         waiter.register(descriptor, select.POLLIN)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Libraries that only an extra of the package installs."""
+"""Optional libraries, installed by an extra of the package."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from typing import Any
 from impact_rig.errors import ImpactRigError
 
 
-def load(module: str, purpose: str, extra: str) -> Any:  # a module, whose names no type checker knows
+def load(module: str, purpose: str, extra: str) -> Any:  # a module, whose names a type checker cannot know
     """Import a library of an extra.
 
     Args:
         module: name of the module.
-        purpose: what needs it, for the message.
+        purpose: feature that needs it, for the message.
         extra: name of the extra in `setup.py`.
 
     Raises:

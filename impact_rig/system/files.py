@@ -11,18 +11,18 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Files in directories that others may write to: what is opened is a regular file, what is written was never a link.
+"""Safe files in directories that other users can write to: only regular files are opened, links are never followed.
 
-Reading never waits (a FIFO has no writer), never runs on (a device has no end) and stops at a limit. Writing goes to a
-new file, which is put in place when it is complete: a link or file that another user created under its name is not
-followed. What a killed process left of such a file is removed when the file is written again.
+Reading never blocks (a FIFO has no writer), never runs on (a device has no end) and stops at a limit. Writing creates a
+new file and moves it into place when it is complete, so it never follows a link or file that another user created under
+that name. The next write removes what a killed process left behind.
 
-A lock is held by one process of this machine at a time and ends with it, however that ends. It is on a file in a
-directory of this user, which stays and means nothing.
+A lock is held by one process of this machine at a time and is released when the process ends, for whatever reason. Its
+file is in a directory of this user; the file itself stays and has no meaning.
 
-The package's own files: a checkout has `config/` and `launch/` next to the package; pip, colcon and Debian put them in
-`share/impact_rig` of the prefix that holds the package (`<prefix>/lib/python3.x/site-packages/impact_rig`): a checkout
-and an installed version never mix, as no environment variable is asked.
+The package's own files: a checkout has `config/` and `launch/` next to the package. pip, colcon and Debian put them in
+`share/impact_rig` of the prefix that holds the package (`<prefix>/lib/python3.x/site-packages/impact_rig`). No
+environment variable decides, so a checkout and an installed version never mix.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ from impact_rig.system.endings import unhurried
 
 T = TypeVar("T")
 NEW_FILE = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
-"""How a file is opened that must not be there yet, not even as a link."""
+"""Flags for opening a file that must not exist yet, not even as a link."""
 
 
 def open_regular(path: Path) -> int:
@@ -59,7 +59,7 @@ def open_regular(path: Path) -> int:
     Raises:
         OSError: it cannot be opened, or is a directory, FIFO, socket or device.
     """
-    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)  # a FIFO is not waited for
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)  # do not wait for the writer of a FIFO
     mode = os.fstat(descriptor).st_mode
     if not stat.S_ISREG(mode):
         os.close(descriptor)
@@ -73,7 +73,7 @@ def read_bytes(path: Path, limit: int) -> bytes:
     """Return the content of a regular file of at most `limit` bytes.
 
     Raises:
-        OSError: it cannot be read, is no regular file, or is larger; nothing of a larger one is read.
+        OSError: it cannot be read, is not a regular file, or is larger; a larger file is not read at all.
     """
     with os.fdopen(open_regular(path), "rb") as file:
         if os.fstat(file.fileno()).st_size <= limit:
@@ -85,17 +85,17 @@ def read_bytes(path: Path, limit: int) -> bytes:
 
 @contextlib.contextmanager
 def written_whole(path: Path, *, replace: bool = True) -> Iterator[BinaryIO]:
-    """Give a new file, open for writing, and put it in the place `path` after the block.
+    """Yield a new file, open for writing, and move it to `path` after the block.
 
-    If the block fails, nothing is left. What is in the place already is replaced, a link itself and not what it points
-    to; or, with `replace=False`, kept.
+    If the block fails, nothing is left. An existing file or link is replaced (the link itself, not its target); with
+    `replace=False` it is kept.
 
     Args:
-        path: where the file shall be.
-        replace: whether something else may be there.
+        path: path of the file.
+        replace: whether an existing file may be replaced.
 
     Raises:
-        OSError: the file cannot be made or put in its place; FileExistsError if it must not replace what is there.
+        OSError: the file cannot be created or moved; FileExistsError if it must not replace an existing one.
     """
     descriptor, partial = _create_partial(path)
     try:
@@ -113,7 +113,7 @@ def written_whole(path: Path, *, replace: bool = True) -> Iterator[BinaryIO]:
 
 
 def _create_partial(path: Path) -> tuple[int, Path]:
-    """Create the file that becomes `path`, locked while this process writes it, in the place of one that was left.
+    """Create the file that becomes `path`, locked while this process writes it; replace one left by a killed process.
 
     Raises:
         OSError: it cannot be created.
@@ -123,7 +123,7 @@ def _create_partial(path: Path) -> tuple[int, Path]:
         left = os.open(usual, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
         try:
             if stat.S_ISREG(os.fstat(left).st_mode):
-                fcntl.flock(left, fcntl.LOCK_EX | fcntl.LOCK_NB)  # otherwise its writer lives
+                fcntl.flock(left, fcntl.LOCK_EX | fcntl.LOCK_NB)  # otherwise its writer is alive
                 usual.unlink()
         finally:
             os.close(left)
@@ -132,16 +132,16 @@ def _create_partial(path: Path) -> tuple[int, Path]:
             descriptor = os.open(partial, NEW_FILE, 0o666)
         except FileExistsError:
             continue
-        with contextlib.suppress(OSError):  # a file system without locks
+        with contextlib.suppress(OSError):  # file systems without locks
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         if os.fstat(descriptor).st_nlink:
             return descriptor, partial
-        os.close(descriptor)  # another process took it for one that was left
+        os.close(descriptor)  # another process mistook it for one left behind
     raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(usual))
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file whole or not at all; what is there is replaced.
+    """Write a text file completely or not at all; an existing file is replaced.
 
     Raises:
         OSError: it cannot be written.
@@ -151,7 +151,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Write a table as CSV: numbers read back as the same doubles, NaN becomes an empty cell, no text is a formula.
+    """Write a table as CSV: numbers read back as the same doubles, NaN becomes an empty cell, texts are never formulas.
 
     Raises:
         OSError: it cannot be written.
@@ -167,14 +167,14 @@ def write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[object]]
 
 @contextlib.contextmanager
 def results_in(directory: Path, prepare: Callable[[], T]) -> Iterator[T]:
-    """Prepare a directory for results and yield what `prepare` returns.
+    """Prepare a directory for results and yield the return value of `prepare`.
 
-    If the block fails before it has added a file, a directory that was not there before is removed: a half-made one
-    would look like a result, and would block the next attempt.
+    If the block fails before it has added a file, a newly created directory is removed: it would look like a result,
+    and would block the next attempt.
 
     Args:
-        directory: the directory that `prepare` makes.
-        prepare: function that makes the directory and writes what stands there before the first result.
+        directory: the directory that `prepare` creates.
+        prepare: function that creates the directory and its initial files.
     """
     is_new, prepared = not directory.exists(), set[Path]()
     try:
@@ -188,7 +188,7 @@ def results_in(directory: Path, prepare: Callable[[], T]) -> Iterator[T]:
 
 
 def plain(value: object) -> object:
-    """Return what JSON knows: no NaN, no infinity, no numpy, no bytes."""
+    """Convert a value to JSON types: no NaN, no infinity, no numpy, no bytes."""
     if isinstance(value, (bool, int, str)) or value is None:
         return value
     if isinstance(value, (float, np.floating)):
@@ -206,38 +206,38 @@ def plain(value: object) -> object:
 
 @contextlib.contextmanager
 def errors_as(what: str) -> Iterator[None]:
-    """Tell what the system refuses in the block as a `RecordingError`: what could not be done, and why."""
+    """Turn errors of the system in the block into a `RecordingError`: what failed, and why."""
     try:
         yield
-    except RecordingError:  # has its words already
+    except RecordingError:  # has its message already
         raise
     except OSError as error:
         raise RecordingError(f"{what}: {error.strerror}") from error
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder within a directory of results, with its parents, unless it is there; never write through a link.
+    """Create a folder, with its parents, within a directory of results if needed; never write through a link.
 
-    Who may write to the directory could have laid out a link under the name that the folder always has, to a place
-    that only its user may write to.
+    Another user with access to the directory could have created a link under the folder's name, to a place that only
+    this user may write to.
 
     Raises:
-        OSError: it cannot be made, or is a link.
+        OSError: it cannot be created, or is a link.
     """
     if not path.is_symlink():
         path.mkdir(parents=True, exist_ok=True)
     if path.is_symlink():
-        raise OSError(errno.ELOOP, "it is a link, and nothing is written through one", str(path))
+        raise OSError(errno.ELOOP, "it is a link; links are not followed for writing", str(path))
 
 
 def state_dir(name: str) -> Path:
-    """Return a folder for what the program keeps for this user between runs, made if it is missing.
+    """Return a folder for the program's data of this user between runs; create it if needed.
 
-    Where the user's folder of states (`XDG_STATE_HOME`, else `~/.local/state`) cannot be written, it is a new temporary
-    one.
+    If the user's folder of states (`XDG_STATE_HOME`, else `~/.local/state`) cannot be written, a new temporary one is
+    returned.
     """
     base = os.environ.get("XDG_STATE_HOME")
-    with contextlib.suppress(OSError, RuntimeError):  # no home at all
+    with contextlib.suppress(OSError, RuntimeError):  # no home directory
         folder = (Path(base) if base else Path.home() / ".local" / "state") / "impact_rig" / name
         folder.mkdir(parents=True, exist_ok=True)
         if os.access(folder, os.W_OK | os.X_OK):
@@ -246,10 +246,10 @@ def state_dir(name: str) -> Path:
 
 
 def refuse_foreign(directory: Path) -> None:
-    """Refuse a directory, or a link to one, that belongs to somebody else: the owner can change what is in it.
+    """Reject a directory, or a link to one, that belongs to another user: the owner can change its content.
 
     Raises:
-        PermissionError: it does; the error says whose it is.
+        PermissionError: it does; the message names the owner.
     """
     owners = {directory.stat().st_uid, directory.lstat().st_uid} - {os.geteuid()}
     if owners:
@@ -257,35 +257,35 @@ def refuse_foreign(directory: Path) -> None:
 
 
 def _put(partial: Path, path: Path) -> None:
-    """Move a file to a place where nothing is, not even a link that leads nowhere."""
+    """Move a file to a path that must not exist, not even as a dangling link."""
     try:
         os.link(partial, path)
     except FileExistsError:
         raise
-    except OSError:  # a file system without hard links: hold the place, then fill it
+    except OSError:  # a file system without hard links: reserve the name, then replace it
         os.close(os.open(path, NEW_FILE, 0o666))
         partial.replace(path)
 
 
-LOCK_PARENTS = tuple(map(Path, ("/dev/shm", "/run/lock", "/var/tmp", "/tmp")))  # noqa: S108  # 0700 folders in these
-"""Where the directory of locks may be. No variable decides: two jobs of one machine must find the same."""
-PLACES = "impact_rig_places"  # folder of the locks on places in the graph
+LOCK_PARENTS = tuple(map(Path, ("/dev/shm", "/run/lock", "/var/tmp", "/tmp")))  # noqa: S108  # 0700 folders
+"""Candidates for the directory of locks. No variable decides: two jobs on one machine must find the same."""
+PLACES = "impact_rig_places"  # folder of the locks on namespaces of the graph
 
 
 def place(domain_id: int, namespace: str) -> str:
-    """Return the name of the lock that a rig of a domain and namespace holds."""
+    """Return the name of the lock of a rig's domain and namespace."""
     return f"{domain_id}{namespace.replace('/', '.').rstrip('.')}"
 
 
 def hold(folder: str, name: str) -> int | None:
-    """Return the descriptor that holds a lock, until it is closed; None: it is held, by this process or another.
+    """Acquire a lock and return the descriptor that holds it until closed; None if any process holds it already.
 
     Args:
-        folder: where its file is, within `lock_directory`.
-        name: of the lock, part of a file name.
+        folder: folder of its file, within `lock_directory`.
+        name: name of the lock, used in the file name.
 
     Raises:
-        OSError: the file can be neither made nor opened, so there is no telling.
+        OSError: the file can be neither created nor opened, so the state of the lock is unknown.
     """
     handle = _open(folder, name)
     try:
@@ -300,9 +300,9 @@ def hold(folder: str, name: str) -> int | None:
 
 
 def is_held_by_others(folder: str, name: str) -> bool:
-    """Return whether a lock is surely held by a process that did not take it by `hold`, and so means nothing."""
+    """Return whether a lock is certainly held by a process that did not use `hold`, and so has no meaning."""
     holding = holder(folder, name)
-    if not holding:  # nobody holds it, or a process in another container
+    if not holding:  # the lock is free, or its holder is in another container
         return False
     with contextlib.suppress(OSError):
         handle = _open(folder, name)
@@ -314,7 +314,7 @@ def is_held_by_others(folder: str, name: str) -> bool:
 
 
 def holder(folder: str, name: str) -> int | None:
-    """Return the id of the process that holds a lock; None: nobody does, or there is no telling."""
+    """Return the id of the process that holds a lock; None if it is free or the holder is unknown."""
     try:
         handle = _open(folder, name)
     except OSError:
@@ -333,7 +333,7 @@ def holder(folder: str, name: str) -> int | None:
 
 
 def can_hold(folder: str, name: str) -> bool:
-    """Return whether `hold` can tell who holds a lock."""
+    """Return whether `hold` can determine the state of a lock."""
     try:
         os.close(_open(folder, name))
     except OSError:
@@ -342,12 +342,12 @@ def can_hold(folder: str, name: str) -> bool:
 
 
 def lock_directory() -> Path:
-    """Return the directory of this user's locks: the same for all processes of the user, whatever their environment.
+    """Return the directory of this user's locks: the same for all processes of the user in any environment.
 
-    Nobody else can open what is in it, so no other user can hold a lock, or lay out a link, there.
+    No other user can open its files, so no other user can hold a lock or create a link there.
 
     Raises:
-        OSError: no candidate can be used; names the last one and the reason.
+        OSError: no candidate can be used; the message names the last one and the reason.
     """
     problem = OSError(errno.ENOENT, os.strerror(errno.ENOENT), str(LOCK_PARENTS))
     for parent in LOCK_PARENTS:
@@ -359,7 +359,7 @@ def lock_directory() -> Path:
             if not stat.S_ISDIR(status.st_mode):
                 raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(directory))
             if status.st_uid != os.geteuid() or status.st_mode & 0o077:
-                raise PermissionError(errno.EPERM, "other users may change what is in it", str(directory))
+                raise PermissionError(errno.EPERM, "other users may change its content", str(directory))
             if not os.access(directory, os.W_OK | os.X_OK):
                 raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(directory))
         except OSError as error:
@@ -381,7 +381,7 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def share_dir(package: Path = _PACKAGE) -> Path:
-    """Return the directory that holds `config/`, `launch/` and `package.xml`.
+    """Return the directory that contains `config/`, `launch/` and `package.xml`.
 
     Raises:
         ImpactRigError: the package was copied without them.
@@ -390,7 +390,10 @@ def share_dir(package: Path = _PACKAGE) -> Path:
     for candidate in candidates:
         if (candidate / "package.xml").is_file() and (candidate / "config").is_dir():
             return candidate
-    raise ImpactRigError(f"config/ and package.xml are neither beside {package} nor in share/{package.name} above it")
+    raise ImpactRigError(
+        f"config/ and package.xml are neither next to {package} nor in share/{package.name} above "
+        "it; reinstall the package"
+    )
 
 
 def config_dir() -> Path:

@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Which machine and libraries computed a result: on the same ones it can be asked for again bit for bit.
+"""Machine and libraries that computed a result: the same ones reproduce it bit for bit.
 
-Floating point is not the same everywhere: BLAS, the C library and compiled code choose instructions by the processor.
+Floating point differs between machines: BLAS, the C library and compiled code select instructions by the processor.
 """
 
 from __future__ import annotations
@@ -31,28 +31,28 @@ import numpy as np
 from impact_rig import kernels
 
 _DECIDING = ("OPENBLAS_CORETYPE", "GLIBC_TUNABLES", "NPY_DISABLE_CPU_FEATURES")
-"""Environment variables by which the same machine computes as another one."""
-_FINGERPRINT_BYTES = 6  # of a hash: exact as a 64-bit float, the only number that travels in a table
+"""Environment variables that change the arithmetic of a machine."""
+_FINGERPRINT_BYTES = 6  # length of a hash: exact as a 64-bit float, the only number type in a table
 
 
 NOT_INSTALLED = "not installed"
 
 
 def versions(distributions: Sequence[str]) -> dict[str, str]:
-    """Return the installed version of each distribution, by name; `NOT_INSTALLED` where there is none."""
+    """Return the installed version of each distribution, by name; `NOT_INSTALLED` if it is missing."""
     return {name: _version(name) for name in distributions}
 
 
 def _version(distribution: str) -> str:
     try:
         return metadata.version(distribution)
-    except metadata.PackageNotFoundError:  # an optional one, or one that is importable without its metadata
+    except metadata.PackageNotFoundError:  # optional, or importable without its metadata
         return NOT_INSTALLED
 
 
 @functools.cache
 def identity() -> dict[str, str]:
-    """Return what decides the last bits of a result, by name."""
+    """Return everything that determines the last bits of a result, by name."""
     processor = _processor()
     overrides = (f"{name}={os.environ[name]}" for name in _DECIDING if name in os.environ)
     return {
@@ -67,13 +67,13 @@ def identity() -> dict[str, str]:
 
 
 def fingerprint() -> int:
-    """Return a number below 2**48 that is the same for the same identity."""
+    """Return a number below 2**48 that is equal for equal identities."""
     text = "\n".join(f"{name}={value}" for name, value in sorted(identity().items()))
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:_FINGERPRINT_BYTES], "big")
 
 
 def _processor() -> dict[str, str]:
-    """Return what the system says of the first processor, by name; nothing where it has no /proc/cpuinfo."""
+    """Return the system's description of the first processor, by name; empty without /proc/cpuinfo."""
     try:
         text = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
     except OSError:

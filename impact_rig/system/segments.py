@@ -11,15 +11,15 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Segments of shared memory that a killed process has left half made: all others would wait for it for ever.
+"""Repair of shared-memory segments that a killed process left half created: all other processes would wait forever.
 
-Fast DDS opens the port of a peer through Boost, which makes the segment where there is none, and waits without end
-where somebody is making it. Meanwhile it holds what every message of the process needs. Who is killed between making
-the file and finishing its first word, be it only to send to another that was killed, stops everybody who sends there or
-begins there. Seen in Fast DDS 2.14, by the stacks of three processes that waited for one empty file. A segment that is
-marked as corrupt is given up and made anew, by Fast DDS itself.
+Fast DDS opens the port of a peer through Boost, which creates the segment if it is missing, and waits without limit
+while another process creates it. Meanwhile it holds a lock that every message of the process needs. A process killed
+between creating the file and finishing its first word therefore blocks all processes that send to that port or start
+there. This was observed in Fast DDS 2.14, in the stacks of three processes that waited for one empty file. Fast DDS
+itself discards and recreates a segment that is marked as corrupt.
 
-A process that begins may wait with Python's lock held, and can look no more: it looks before.
+A starting process may wait with Python's lock held and cannot check any more, so it checks before.
 """
 
 from __future__ import annotations
@@ -34,21 +34,25 @@ from pathlib import Path
 
 from impact_rig.system.endings import held
 
-SHARED = Path("/dev/shm")  # noqa: S108  # where Fast DDS keeps its ports and segments on Linux
+SHARED = Path("/dev/shm")  # noqa: S108  # directory of ports and segments of Fast DDS on Linux
 LOOK_S = 1.0
-"""Between two looks. Making a segment takes a fraction of a millisecond: who is seen at it twice was killed."""
+"""Interval between two checks. Creating a segment takes a fraction of a millisecond.
+
+A process seen doing so twice was killed.
+"""
 _PORT = re.compile(r"fastrtps_port\d+")
 _WORD = struct.Struct("<I")
-_MADE, _CORRUPT = 2, 3  # the first word of a segment, as Boost's `managed_open_or_create_impl` has it; before: 0 and 1
-_BYTES = 52_400  # of such a segment
+# first word of a segment, as in Boost's `managed_open_or_create_impl`; 0 and 1 while it is created
+_MADE, _CORRUPT = 2, 3
+_BYTES = 52_400  # size of such a segment
 
 
 class Watch:
-    """Looks for such segments as long as its context lasts, in a thread of its own.
+    """Watch for such segments, in a thread that lasts as long as the context.
 
     Args:
-        directory: where the segments are.
-        look_s: between two looks.
+        directory: directory of the segments.
+        look_s: interval between two checks [s].
     """
 
     def __init__(self, directory: Path = SHARED, look_s: float = LOOK_S) -> None:
@@ -72,19 +76,21 @@ class Watch:
     def _run(self) -> None:
         before: set[tuple[str, int]] = set()
         while not self._end.wait(self._look_s):
-            with contextlib.suppress(OSError):  # there is no such directory here, or it is not ours to read
+            with contextlib.suppress(OSError):  # the directory is missing or not readable
                 before = look(self._directory, before)
 
 
 def look(directory: Path, before: set[tuple[str, int]]) -> set[tuple[str, int]]:
-    """Mark as corrupt what was half made at the look before and still is; return what is half made, by name and inode.
+    """Mark as corrupt the segments that are still half created since the last check; return all half-created ones.
+
+    The result identifies them by name and inode.
 
     Raises:
         OSError: the directory cannot be read.
     """
     found = set()
     for path in [path for path in directory.iterdir() if _PORT.fullmatch(path.name)]:
-        with contextlib.suppress(OSError):  # it is gone, somebody else's, or a link
+        with contextlib.suppress(OSError):  # it is gone, owned by another user, or a link
             descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
             try:
                 status = os.fstat(descriptor)

@@ -11,16 +11,16 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Tools for tests of a pipeline, as `docs/how-to/testing.md` shows; `impact_rig.client` is for everything else.
+"""Tools for tests of a pipeline, described in `docs/how-to/testing.md`; other programs use `impact_rig.client`.
 
-Through the pytest plugin's fixtures `virtual_rig`, `ros_rig` and `golden`, or by themselves:
+Use them through the pytest plugin's fixtures `virtual_rig`, `ros_rig` and `golden`, or directly:
 
 - `LocalRig`: a rig in the test's process, without ROS; the pipeline is a function of blocks.
-- `RosRig`: a rig on a ROS domain of its own, in lockstep with the nodes under test.
+- `RosRig`: a rig on its own ROS domain, in lockstep with the nodes under test.
 - `Fault`: a fault of the instruments at exact samples.
-- `Golden`: comparison with a run, or with numbers, that were right once.
+- `Golden`: comparison with a run, or with numbers, that were checked once.
 
-Importing this imports neither rclpy nor compiled code: both are loaded when something that needs them is asked for.
+Importing this package imports neither rclpy nor compiled code; both are loaded with the first name that needs them.
 """
 
 from __future__ import annotations

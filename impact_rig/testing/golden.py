@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Golden runs and golden values: what a pipeline gave when it was right, kept beside its tests.
+"""Golden runs and golden values: checked results of a pipeline, kept next to its tests.
 
-A golden run is an MCAP run like any other, so every tool opens it. A comparison names the first difference: topic,
-instant, row, column and both values.
+A golden run is an ordinary MCAP run, so every tool opens it. A comparison names the first difference: topic, time, row,
+column and both values.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ UPDATE_OPTION = "--rig-update-golden"
 
 
 class Golden:
-    """The golden data of one test.
+    """Golden data of one test.
 
     Args:
-        directory: where they are, beside the test file.
-        update: write what is there now instead of comparing.
+        directory: directory of the data, next to the test file.
+        update: whether to write the present results instead of comparing them.
     """
 
     def __init__(self, directory: Path, *, update: bool) -> None:
@@ -56,7 +56,7 @@ class Golden:
     def run(
         self, rig: RigDriver, topics: Sequence[str] = (SCAN.name,), tolerances: Mapping[str, float] | None = None
     ) -> None:
-        """Compare what a rig has published with the golden run.
+        """Compare the messages published by a rig with the golden run.
 
         Raises:
             AssertionError: the first difference, or that there is no golden run yet.
@@ -102,19 +102,19 @@ class Golden:
             raise AssertionError(f"different from {where} (rel {rel:g}, abs {abs:g}): {'; '.join(wrong)}")
 
     def _absent(self, where: Path) -> str:
-        return f"there is no {where} yet: run pytest once with {UPDATE_OPTION}, look at what it wrote, and keep it"
+        return f"there is no {where} yet: run pytest once with {UPDATE_OPTION}, check the result, and keep it"
 
 
 def first_difference(found: Iterable[Table], expected: Iterable[Table], tolerances: Mapping[str, float]) -> str:
-    """Return the first difference of two streams of tables, or nothing.
+    """Return the first difference of two streams of tables, or an empty text.
 
     Args:
-        found: what is judged.
-        expected: what is right.
-        tolerances: column -> largest absolute difference; NaN equals NaN; every other column must agree bit for bit.
+        found: tables to check.
+        expected: correct tables.
+        tolerances: column -> largest absolute difference. NaN equals NaN. Every other column must agree bit for bit.
 
     Raises:
-        ConfigError: a tolerance is for a column that is not there.
+        ConfigError: a tolerance names a missing column.
     """
     got, right = list(found), list(expected)
     for one, other in zip(got, right, strict=False):
@@ -128,7 +128,7 @@ def first_difference(found: Iterable[Table], expected: Iterable[Table], toleranc
             return f"columns {one.rows.dtype.names}, golden {names}"
         unknown = set(tolerances) - set(names)
         if unknown:
-            raise ConfigError(f"tolerances for columns that are not there: {', '.join(sorted(unknown))}")
+            raise ConfigError(f"tolerances for missing columns: {', '.join(sorted(unknown))}")
         for name in names:
             bad = np.flatnonzero(~_agree(one.rows[name], other.rows[name], tolerances.get(name)))
             if len(bad):

@@ -11,16 +11,16 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The pytest plugin: fixtures that start rigs, end them, and leave the run of every failed test as MCAP.
+"""Pytest plugin: fixtures that start and end rigs, and keep the run of every failed test as MCAP.
 
-Loaded by pytest through its entry point wherever the package is installed, so it imports neither rclpy nor numba: a
-fixture does, when it is used.
+Pytest loads it through its entry point wherever the package is installed, so it imports neither rclpy nor numba; a
+fixture imports them when it is used.
 
-| fixture | gives |
+| fixture | value |
 |---|---|
-| `virtual_rig` | a function that starts a rig in the test's process, without ROS: see `LocalRig` |
-| `ros_rig` | a function that starts a rig on a ROS domain of its own: see `RosRig` |
-| `golden` | comparison with golden data beside the test file: see `Golden` |
+| `virtual_rig` | function that starts a rig in the test's process, without ROS: see `LocalRig` |
+| `ros_rig` | function that starts a rig on its own ROS domain: see `RosRig` |
+| `golden` | comparison with golden data next to the test file: see `Golden` |
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ import re
 import shutil
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar  # Any: what a rig is started with
+from typing import TYPE_CHECKING, Any, TypeVar  # Any: arguments of a rig
 
 import pytest
 
@@ -49,10 +49,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the plugin's options."""
     group = parser.getgroup("impact_rig", "virtual test rig")
     group.addoption(
-        "--rig-runs", metavar="DIR", help=f"where runs of failed tests are left (default: {DEFAULT_DIRECTORY})"
+        "--rig-runs", metavar="DIR", help=f"directory for the runs of failed tests (default: {DEFAULT_DIRECTORY})"
     )
     group.addoption("--rig-update-golden", action="store_true", help="write golden data instead of comparing with them")
-    parser.addini("rig_runs", "where runs of failed tests are left, relative to the rootdir", default=DEFAULT_DIRECTORY)
+    parser.addini(
+        "rig_runs", "directory for the runs of failed tests, relative to the rootdir", default=DEFAULT_DIRECTORY
+    )
 
 
 @pytest.fixture
@@ -69,7 +71,7 @@ def virtual_rig(request: pytest.FixtureRequest) -> Iterator[Callable[..., LocalR
 
 @pytest.fixture
 def ros_rig(request: pytest.FixtureRequest) -> Iterator[Callable[..., RosRig]]:
-    """Return a function that starts a rig on a ROS domain of its own: `ros_rig({"barriers.gap_m": 0.004})`."""
+    """Return a function that starts a rig on its own ROS domain: `ros_rig({"barriers.gap_m": 0.004})`."""
 
     def make(*args: Any, **kwargs: Any) -> RosRig:
         from impact_rig.driver.ros_rig import RosRig  # noqa: PLC0415  # needs ROS
@@ -81,7 +83,7 @@ def ros_rig(request: pytest.FixtureRequest) -> Iterator[Callable[..., RosRig]]:
 
 @pytest.fixture
 def golden(request: pytest.FixtureRequest) -> Golden:
-    """Return what compares with the golden data of this test, kept in `golden/` beside its file."""
+    """Return the golden data of this test, kept in `golden/` next to its file."""
     from impact_rig.testing.golden import Golden  # noqa: PLC0415  # not needed by most tests
 
     directory = request.path.parent / "golden" / request.path.stem / _UNSAFE.sub("_", request.node.name)
@@ -92,20 +94,20 @@ def golden(request: pytest.FixtureRequest) -> Golden:
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Save the runs of a test that fails, while its rigs are still there, and say where."""
+    """Save the runs of a failed test while its rigs still exist, and report where."""
     report = yield
     rigs = item.stash.get(_RIGS, [])
     if rigs and report.when != "teardown" and report.failed and call.excinfo is not None:
         directory = _directory(item)
-        shutil.rmtree(directory, ignore_errors=True)  # of an earlier failure of this test
+        shutil.rmtree(directory, ignore_errors=True)  # left by an earlier failure of this test
         report.sections.append(("impact_rig", "\n".join(_keep(rig, directory, item) for rig in rigs)))
     return report
 
 
 def _keep(rig: RigDriver, directory: Path, item: pytest.Item) -> str:
-    """Save a rig's run and return what to tell about it; a test's own error is never hidden by one of ours.
+    """Save a rig's run and return a line for the report; an error here never hides the test's own error.
 
-    The same is told in properties of the test, which are in a JUnit file.
+    The same information is in properties of the test, which a JUnit file contains.
     """
     try:
         run = str(rig.save(directory / rig.name))
@@ -122,14 +124,14 @@ def _keep(rig: RigDriver, directory: Path, item: pytest.Item) -> str:
 
 
 def _directory(item: pytest.Item) -> Path:
-    """Return where the runs of a failed test are left: named after it."""
+    """Return the directory for the runs of a failed test, named after the test."""
     wanted = item.config.getoption("--rig-runs")
     root = Path(wanted).absolute() if wanted else item.config.rootpath / str(item.config.getini("rig_runs"))
     return root / _UNSAFE.sub("_", item.nodeid).strip("_")
 
 
 def _starting(request: pytest.FixtureRequest, make: Callable[..., R]) -> Iterator[Callable[..., R]]:
-    """Yield `make` with a name for each rig of a test; the test's rigs are kept for its report, and closed after it."""
+    """Yield `make` with a name for each rig of a test; keep the rigs for the test's report, then close them."""
     rigs = request.node.stash.setdefault(_RIGS, [])
 
     def start(*args: Any, **kwargs: Any) -> R:

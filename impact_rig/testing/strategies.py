@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Tests that look for failures by themselves: what an operator, a board and a line do to a rig, drawn by Hypothesis.
+"""Search for failures: scenarios of operator actions, parameter changes and faults, drawn by Hypothesis.
 
-A scenario is a list of actions, which are data: they are drawn, shrunk, printed, and played again. `search` plays many
-on new rigs, each under the test's own `check`, and gives back the shortest that fails, with three lines that repeat it.
-Comes with the extra `impact_rig[strategies]`.
+A scenario is a list of actions. Actions are data: they are drawn, shrunk, printed and played again. `search` plays many
+scenarios on new rigs, each with the test's own `check`, and reports the shortest that fails, with three lines that
+repeat it. Requires the extra `impact_rig[strategies]`.
 """
 
 from __future__ import annotations
@@ -35,37 +35,37 @@ from impact_rig.instruments.registry import INSTRUMENTS
 
 __all__ = ["Command", "Inject", "ParameterChange", "Pause", "Silence", "repeat", "scenarios", "search"]
 
-AFTERWARDS = 3  # blocks after the last action, so that a pipeline sees its end
+AFTERWARDS = 3  # blocks after the last action, so that the pipeline sees its effect
 MOST_BLOCKS = 20
 
 
 @attrs.frozen
 class Command:
-    """The operator commands frequency [Hz] and current [A]; None: as it is."""
+    """Operator's command of frequency [Hz] and current [A]; None leaves a value unchanged."""
 
     frequency_hz: float | None = None
     current_a: float | None = None
 
     def do(self, rig: RigDriver) -> None:
-        """Command."""
+        """Send the command."""
         rig.command(self.frequency_hz, self.current_a)
 
 
 @attrs.frozen
 class ParameterChange:
-    """Somebody changes a parameter."""
+    """Change of a parameter."""
 
     key: str
     value: float | bool
 
     def do(self, rig: RigDriver) -> None:
-        """Change it."""
+        """Change the parameter."""
         rig.configure({self.key: self.value})
 
 
 @attrs.frozen
 class Inject:
-    """A fault of the instruments begins with the next scan and lasts so many blocks."""
+    """Fault of the instruments that begins with the next scan and lasts this many blocks."""
 
     kind: str
     channel: str = ""
@@ -73,30 +73,30 @@ class Inject:
     value: float = 0.0
 
     def do(self, rig: RigDriver) -> None:
-        """Inject it."""
+        """Inject the fault."""
         begin, length = rig.frontier_sample, self.blocks * rig.block_scans
         rig.inject(Fault(kind=self.kind, channel=self.channel, start_sample=begin, samples=length, value=self.value))
 
 
 @attrs.frozen
 class Pause:
-    """So many blocks pass in which nobody does anything."""
+    """Pause of this many blocks without any action."""
 
     blocks: int = 1
 
     def do(self, rig: RigDriver) -> None:
-        """Let them pass."""
+        """Advance by these blocks."""
         rig.step(self.blocks)
 
 
 @attrs.frozen
 class Silence:
-    """The controller is silent for so many blocks, of a rig that ramps down after half of that without a command."""
+    """Silence of the controller for this many blocks; the rig ramps down after half of them without a command."""
 
     blocks: int = 2
 
     def do(self, rig: RigDriver) -> None:
-        """Be silent."""
+        """Advance without a command."""
         before = rig.config.output.command_timeout_s
         seconds = self.blocks * rig.block_scans / rig.rate_hz
         rig.configure({"output.command_timeout_s": 0.5 * seconds})
@@ -105,7 +105,7 @@ class Silence:
 
 
 Action = Command | ParameterChange | Inject | Pause | Silence
-"""What happens to a rig. One that the rig refuses is no failure of the pipeline."""
+"""Action on a rig. If the rig rejects it, this is not a failure of the pipeline."""
 
 
 def scenarios(
@@ -114,8 +114,8 @@ def scenarios(
     """Return a strategy for scenarios.
 
     Args:
-        changes: parameters that may be changed, and their values; None: the gap.
-        most_actions: in one.
+        changes: parameters that may be changed, and their values; None means the gap.
+        most_actions: maximum number of actions.
     """
     blocks = st.integers(1, MOST_BLOCKS)
     values = changes if changes is not None else {"barriers.gap_m": st.sampled_from([0.002, 0.004, 0.006, 0.010])}
@@ -137,7 +137,10 @@ def scenarios(
 
 
 Check = Callable[[RigDriver], Callable[[], object] | None]
-"""Joins a pipeline to a rig, and returns what is asserted in the end; it may raise AssertionError on the way, too."""
+"""Function that connects a pipeline to a rig and returns the final assertion.
+
+It may also raise AssertionError earlier.
+"""
 
 
 def repeat(rig: RigDriver, check: Check, actions: Sequence[Action]) -> None:
@@ -159,17 +162,17 @@ def search(
     among: st.SearchStrategy[list[Action]] | None = None,
     examples: int = 100,
 ) -> None:
-    """Play scenarios until one fails; raise its error, with the shortest scenario that does and how to repeat it.
+    """Play scenarios until one fails; raise its error with the shortest failing scenario and how to repeat it.
 
-    Called from a test with its fixture `virtual_rig` or `ros_rig`: the rig of the shortest scenario is the one whose
-    recording the failed test leaves.
+    Call this from a test with its fixture `virtual_rig` or `ros_rig`: the failed test then keeps the recording of the
+    shortest scenario.
 
     Args:
         make_rig: the fixture.
-        check: of the pipeline.
-        parameters: of every rig.
-        among: scenarios; None: `scenarios()`.
-        examples: played at most, before something fails.
+        check: check of the pipeline.
+        parameters: parameters of every rig.
+        among: scenarios; None means `scenarios()`.
+        examples: maximum number of scenarios played.
     """
     last: list[RigDriver] = []
     played: list[list[Action]] = []

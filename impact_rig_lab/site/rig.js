@@ -1,4 +1,4 @@
-// The rig in WebAssembly: rig.h of impact_rig/embedded, for JavaScript. Its readings have the bits of the rig in Python.
+// The rig in WebAssembly: rig.h of impact_rig/embedded, for JavaScript. Its readings equal those of the rig in Python bit for bit.
 
 export const QUANTITIES = ["x_b", "x_1", "x_2", "v_b", "v_1", "v_2", "a_b", "a_1", "a_2", "current", "force_left", "force_right"];
 export const TICK_S = 0.01, MOST_TICKS = 25;
@@ -37,7 +37,7 @@ export class Rig {
   /** @param {number} frequency [Hz] @param {number} amplitude peak current [A] */
   command(frequency, amplitude) { this.checked(this.calls.ir_rig_command(this.rig, frequency, amplitude)); }
 
-  /** @param {number} gap total gap [m]; the sphere begins at its start again */
+  /** @param {number} gap total gap [m]; the sphere returns to its start */
   setGap(gap) { this.checked(this.calls.ir_rig_set_gap(this.rig, gap)); }
 
   reset() { this.calls.ir_rig_reset(this.rig); }
@@ -54,7 +54,7 @@ export class Rig {
   }
 
   /**
-   * The true motion at an instant of the last call.
+   * Return the true motion at a time of the last call.
    * @param {number} tick of the call, from 0 on @param {number} offset within it [s] @returns {Float64Array} QUANTITIES
    */
   sample(tick, offset) {

@@ -1,7 +1,7 @@
 // Signals of the page: the amplitude spectrum of readings, and the transmissibility by lock-in.
 
 /**
- * Amplitudes by a fast Fourier transform with Hann's window.
+ * Return amplitudes by a fast Fourier transform with Hann's window.
  * @param {Float64Array} values as many as a power of two @returns {Float32Array} peak amplitudes up to half the rate
  */
 export function spectrum(values) {
@@ -27,7 +27,7 @@ export function spectrum(values) {
   return Float32Array.from({ length: n / 2 }, (_, i) => 2 * Math.hypot(re[i], im[i]) / n);
 }
 
-/** Amplitude of one frequency over whole cycles. @param {Float64Array} values @param {number} cyclesPerScan */
+/** Return the amplitude of one frequency over whole cycles. @param {Float64Array} values @param {number} cyclesPerScan */
 function amplitude(values, cyclesPerScan) {
   let a = 0, b = 0;
   values.forEach((value, i) => {
@@ -38,7 +38,7 @@ function amplitude(values, cyclesPerScan) {
 }
 
 /**
- * |X_1| / |X_b| of the fundamentals.
+ * Return |X_1| / |X_b| of the fundamentals.
  * @param {Float64Array} structure @param {Float64Array} base readings over whole cycles @param {number} cyclesPerScan
  */
 export function transmissibility(structure, base, cyclesPerScan) {

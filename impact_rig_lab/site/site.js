@@ -43,7 +43,7 @@ worker.onmessage = ({ data }) => {
   for (let at = 0; at < data.contacts.length; at += 5) now.impacts.push(data.contacts[at]);
 };
 
-/** The last readings of a channel. @param {number} channel @param {number} count */
+/** Return the last readings of a channel. @param {number} channel @param {number} count */
 function newest(channel, count) {
   const n = Math.min(count, now.scans, KEPT);
   return Float64Array.from({ length: n }, (_, i) => rings[channel][(now.scans - n + i) % KEPT]);
@@ -68,7 +68,7 @@ function showFigures() {
   const frequency = knob("frequency"), channel = byId("channel").selectedIndex;
   byId("time").textContent = `${now.time.toFixed(2)} s`;
   const cycles = Math.min(LOCK_IN_CYCLES, Math.floor(KEPT / RATE_HZ * frequency)), count = Math.round(cycles / frequency * RATE_HZ);
-  const isSettled = now.scans - now.since > (SETTLING_CYCLES + cycles) / frequency * RATE_HZ; // nearly: decays take longer
+  const isSettled = now.scans - now.since > (SETTLING_CYCLES + cycles) / frequency * RATE_HZ; // approximately: decays take longer
   byId("dt").textContent = isSettled ? transmissibility(newest(1, count), newest(2, count), frequency / RATE_HZ).toFixed(2) : "–";
   now.impacts = now.impacts.filter((time) => time > now.time - 5);
   byId("rate").textContent = (now.impacts.length / Math.min(5, Math.max(now.time, 0.1)) / frequency).toFixed(1);

@@ -1,4 +1,4 @@
-// The rig in a Web Worker. It takes and posts objects; docs/how-to/browser.md describes them.
+// The rig in a Web Worker. It exchanges objects with the page; docs/how-to/browser.md describes them.
 
 import { MOST_TICKS, Rig, TICK_S } from "./rig.js";
 
@@ -6,7 +6,7 @@ const PERIOD_MS = 40, SAMPLES = 5; // of the motion in a tick
 let rig = null, module = null, snapshots = {}, drive = { frequency: 9.1, amplitude: 0.52 };
 let speed = 1, running = false, due = 0, last = 0;
 
-/** Simulate ticks and post what happened. @param {number} ticks */
+/** Simulate ticks and post the results. @param {number} ticks */
 function advance(ticks) {
   const begin = rig.time, scans = rig.advance(ticks), states = [];
   for (let tick = 0; tick < ticks; tick++) {

@@ -1,12 +1,12 @@
-// The transmissibility over frequency: points with error bars, earlier gaps in grey; as lines the rig without sphere
-// and what theory predicts with it, dashed where such a motion does not last.
+// The transmissibility over frequency: points with error bars, other gaps in grey. Lines show the rig without sphere and
+// the prediction with sphere, dashed where that motion is unstable.
 
 import { axis, clipped, colour, stacked, stroke } from "./paper.js";
 
 /* global uPlot */
 
 /**
- * @typedef {{lines: [boolean, [number, number][]][], words: string}} Prediction whether each line lasts, frequency and DT
+ * @typedef {{lines: [boolean, [number, number][]][], words: string}} Prediction whether each line is stable, frequency and DT
  * @typedef {{f: number, dt: number, u: number, gap: number | null, settled: boolean, t: number} & Record<string, any>} Row
  */
 
@@ -24,14 +24,14 @@ export class CurveView {
     /** @type {number[][]} */ this.closed = [];
     /** @type {Prediction["lines"]} */ this.predicted = [];
     this.gap = null;
-    /** @type {Set<string>} points that were taken away */
+    /** @type {Set<string>} removed points */
     this.removed = new Set();
     this.make();
     new ResizeObserver(() => this.plot.setSize({ width: place.clientWidth, height: Math.max(100, place.clientHeight) })).observe(place);
     place.addEventListener("click", (event) => this.pick(event));
   }
 
-  /** Make the plot, in the colours of the theme. */
+  /** Create the plot in the colours of the theme. */
   make() {
     this.place.replaceChildren();
     this.plot = new uPlot({
@@ -63,7 +63,7 @@ export class CurveView {
     this.redraw();
   }
 
-  /** Take a point away; it stays in the recording. @param {Row | undefined} row */
+  /** Remove a point from the curve; it stays in the recording. @param {Row | undefined} row */
   remove(row) {
     if (!row) return;
     this.removed.add(key(row));
@@ -94,7 +94,7 @@ export class CurveView {
     this.plot.setData([x, this.closed.length ? this.closed.map((p) => p[1]) : [null, null]]);
   }
 
-  /** Draw what is predicted, and say in the corner which line is what. @private */
+  /** Draw the predictions, with a legend in the corner. @private */
   theory(plot) {
     const g = clipped(plot), ratio = devicePixelRatio || 1, { left, top } = plot.bbox;
     g.strokeStyle = colour("drive");
@@ -156,5 +156,5 @@ export class CurveView {
   }
 }
 
-/** What tells a point from the others. @param {Row} row */
+/** Key of a point. @param {Row} row */
 function key(row) { return `${row.t} ${row.f}`; }

@@ -1,10 +1,10 @@
-// Numbers for people, and the scales of plots; nothing here knows the page.
+// Formatting of numbers, and the scales of plots; independent of the page.
 
 /** @param {number | null | undefined} value @param {number} digits after the point @returns {string} */
 export function fixed(value, digits) {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";
   const text = value.toFixed(digits);
-  return Number(text) === 0 ? text.replace("-", "") : text; // what is shown as zero has no sign
+  return Number(text) === 0 ? text.replace("-", "") : text; // no negative zero
 }
 
 /** @param {number} seconds @returns {string} e.g. 12.3 s, 4:05.2, 1:02:03 */
@@ -42,7 +42,7 @@ export function withUncertainty(value, u) {
 }
 
 /**
- * Limits of an axis that hold still: they grow at once and shrink only when half is empty.
+ * Stable limits of an axis: they grow at once and shrink only when half is empty.
  * @param {[number, number] | null} before @param {number} low @param {number} high
  * @returns {[number, number]}
  */
@@ -60,7 +60,7 @@ export function limits(before, low, high) {
 export function decibel(amplitude) { return 20 * Math.log10(Math.max(amplitude, 1e-12)); }
 
 /**
- * Interleave minima and maxima to one line that goes through both in every column.
+ * Interleave minima and maxima into one line that goes through both in every column.
  * @param {Float32Array} low @param {Float32Array} high @param {number} column length of a column
  * @returns {[number[], (number | null)[]]} abscissa and ordinate
  */

@@ -1,4 +1,4 @@
-// Decodes the binary frames of the WebSocket; see impact_rig_lab/protocol.py.
+// Decoder of the binary frames of the WebSocket; see impact_rig_lab/protocol.py.
 
 export const Kind = { STATE: 1, REPLY: 2, TRACE: 3, MOTION: 4, IMPACTS: 5, DETECTED: 6, SPECTRUM: 7, TRACE_B: 8 };
 
@@ -6,8 +6,8 @@ export const Kind = { STATE: 1, REPLY: 2, TRACE: 3, MOTION: 4, IMPACTS: 5, DETEC
  * @typedef {object} Trace one window of the scope
  * @property {number} begin time of the first column [s]
  * @property {number} column length of a column [s]
- * @property {number} trigger instant of the trigger, NaN where there is none [s]
- * @property {number} now end of what is known [s]
+ * @property {number} trigger time of the trigger, NaN without one [s]
+ * @property {number} now end of the data [s]
  * @property {Float32Array[]} low minima by channel
  * @property {Float32Array[]} high maxima by channel
  * @property {Uint8Array} status bits by column
@@ -16,7 +16,7 @@ export const Kind = { STATE: 1, REPLY: 2, TRACE: 3, MOTION: 4, IMPACTS: 5, DETEC
 /**
  * Decode one frame.
  * @param {ArrayBuffer} buffer the frame
- * @returns {{kind: number, number: number, content: any}} what is in it
+ * @returns {{kind: number, number: number, content: any}} its content
  */
 export function decode(buffer) {
   const view = new DataView(buffer);

@@ -1,11 +1,11 @@
-// Keyboard: one table for what keys do and for the sheet that says so.
+// Keyboard: one table for the actions of keys and for the help sheet.
 
 import { element } from "./page.js";
 
 /** @typedef {{keys: string[], text: string, run: () => void}} Binding */
 
 /**
- * Listen for keys, except where somebody writes.
+ * Listen for keys, except in text fields.
  * @param {Binding[]} bindings
  */
 export function listen(bindings) {
@@ -21,7 +21,7 @@ export function listen(bindings) {
     event.preventDefault();
     binding.run();
   });
-  document.addEventListener("click", (event) => { // one that was clicked must not be pressed again by space
+  document.addEventListener("click", (event) => { // the space bar must not press a clicked button again
     const button = /** @type {HTMLElement} */ (event.target).closest?.("button, summary");
     if (event.detail > 0 && button) /** @type {HTMLElement} */ (button).blur();
   });

@@ -1,4 +1,4 @@
-// The knobs: slider, number field, keys; pending until the rig echoes, refusals in its own words beside the knob.
+// The knobs: slider, number field, keys. They are pending until the rig confirms; a rejection is shown next to the knob.
 
 import { steps } from "./format.js";
 import { byId, element } from "./page.js";
@@ -62,7 +62,7 @@ export class KnobPanel {
     const slider = element("input", { type: "range", min: knob.min, max: knob.max, step: knob.fine });
     slider.setAttribute("aria-label", `${knob.label} slider`);
     field.addEventListener("input", () => { field.dataset.written = "yes"; this.forgive(); });
-    const written = () => { // by Enter, or by leaving the field: once
+    const written = () => { // once, by Enter or by leaving the field
       if (!field.dataset.written) return;
       delete field.dataset.written;
       this.turn(knob, field.valueAsNumber);
@@ -103,7 +103,7 @@ export class KnobPanel {
     this.turn(knob, Number((now + step).toFixed(6)));
   }
 
-  /** Refusals whose cause may have gone are not shown any more. */
+  /** Hide rejections whose cause may have disappeared. */
   forgive() {
     this.knobs.forgive();
     this.refresh();
@@ -112,7 +112,7 @@ export class KnobPanel {
   /**
    * Ask the rig for a value.
    * @param {Knob | string} which @param {number | string} shown as in the field
-   * @returns {Promise<boolean>} whether it is in force
+   * @returns {Promise<boolean>} whether it is active
    */
   async turn(which, shown) {
     const knob = typeof which === "string" ? /** @type {Knob} */ (KNOBS.find((one) => one.name === which)) : which;
@@ -125,7 +125,7 @@ export class KnobPanel {
     field.value = String(shown);
     this.refresh();
     const { ok, text } = await answer;
-    if (ok) this.values[knob.name] = value; // what the page has heard of the rig may be older than the answer
+    if (ok) this.values[knob.name] = value; // the last report of the rig may be older than the answer
     this.knobs.answer(knob.name, id, ok, text);
     this.refresh();
     return ok;
@@ -140,7 +140,7 @@ export class KnobPanel {
     this.refresh();
   }
 
-  /** What is in force now. @param {Record<string, number | string | null>} values in SI, by name */
+  /** Show the active values. @param {Record<string, number | string | null>} values in SI, by name */
   show(values) {
     Object.assign(this.values, values);
     this.refresh();
@@ -161,7 +161,7 @@ export class KnobPanel {
       const told = value !== null && value !== undefined;
       slider?.classList.toggle("untold", !told);
       if (!this.knobs.follows(knob.name) || field.dataset.written) continue;
-      if (!told) { // what another rig said is no value of this one
+      if (!told) { // the value belongs to another rig
         if (field.dataset.shown !== undefined) field.value = "";
         delete field.dataset.shown;
         continue;
@@ -169,14 +169,14 @@ export class KnobPanel {
       const shown = typeof value === "number" ? String(Number((value * (knob.factor ?? 1)).toPrecision(6))) : value;
       const focused = document.activeElement === field;
       if (!focused || field.dataset.shown !== shown) field.value = shown;
-      if (focused && slider && field.dataset.shown !== shown) field.select(); // who writes now replaces it: 4 and 6 are not 46
+      if (focused && slider && field.dataset.shown !== shown) field.select(); // typing replaces it: 4 and 6 must not become 46
       field.dataset.shown = shown;
       if (slider && document.activeElement !== slider) slider.value = shown;
     }
   }
 }
 
-/** What is held, in which unit a person writes it, how many of that are one SI unit, and what to begin with. */
+/** Held quantities: unit of the field, its factor to the SI unit, and the initial value. */
 const HELD = { base: ["mm", 1e3, 0.06], superior: ["mm", 1e3, 3], current: ["A", 1, 0.3] };
 
 export class SweepForm {
@@ -187,7 +187,7 @@ export class SweepForm {
     this.choose();
   }
 
-  /** Show the target in its unit, where there is one. */
+  /** Show the target in its unit, if it has one. */
   choose() {
     const hold = byId("sweep-hold").value, held = HELD[hold], target = byId("sweep-target");
     target.disabled = !held;
@@ -196,7 +196,7 @@ export class SweepForm {
     byId("sweep-start").textContent = hold === "phase" ? "Lock" : "Sweep";
   }
 
-  /** @returns {{frequencies: number[], direction: string, hold: string, target: number}} what is asked for */
+  /** @returns {{frequencies: number[], direction: string, hold: string, target: number}} the requested sweep */
   values() {
     const number = (id) => byId(id).valueAsNumber, hold = byId("sweep-hold").value;
     return {

@@ -1,4 +1,4 @@
-// The WebSocket: connects again for ever, numbers requests, hands answers to who asked.
+// The WebSocket: it reconnects forever, numbers requests, and returns answers to the callers.
 
 import { decode, Kind } from "./frames.js";
 import { patience } from "./store.js";
@@ -17,14 +17,14 @@ export class Link {
     /** @type {Map<number, (answer: {ok: boolean, text: string}) => void>} */
     this.waiting = new Map();
     this.view = null;
-    /** @type {string | null} instance of the rig that is shown: what is asked is meant for it alone */
+    /** @type {string | null} instance of the rig shown: requests are for it alone */
     this.rig = null;
     this.connect();
   }
 
   /** @private */
   connect() {
-    const socket = new WebSocket(`ws://${location.host}/socket${location.search}`); // the token, and the runs asked for
+    const socket = new WebSocket(`ws://${location.host}/socket${location.search}`); // the token and the requested runs
     socket.binaryType = "arraybuffer";
     this.socket = socket;
     socket.onopen = () => {
@@ -50,7 +50,7 @@ export class Link {
   }
 
   /**
-   * Ask for something.
+   * Send a request.
    * @param {string} what @param {object} [values]
    * @returns {{id: number, answer: Promise<{ok: boolean, text: string}>}}
    */
@@ -61,16 +61,16 @@ export class Link {
     return { id, answer: new Promise((resolve) => this.waiting.set(id, resolve)) };
   }
 
-  /** @param {number} frame the picture that was drawn */
+  /** @param {number} frame number of the drawn picture */
   acknowledge(frame) { this.send({ do: "ack", frame }); }
 
-  /** @param {object} view what the scope is to show */
+  /** @param {object} view settings of the scope */
   look(view) {
     this.view = view;
     this.send({ do: "view", ...view });
   }
 
-  /** @private what is sent to a socket that is closing is lost, and asked for again later */
+  /** @private messages to a closing socket are lost and requested again later */
   send(request) {
     if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(request));
   }

@@ -1,4 +1,4 @@
-// The page: takes frames, keeps the snapshot, draws at most once per animation frame, and only what has changed.
+// The page: it receives frames, keeps the snapshot, and draws at most once per animation frame, only what has changed.
 
 import { CurveView } from "./curveview.js";
 import { clock, fixed, withUncertainty } from "./format.js";
@@ -27,7 +27,7 @@ const slow = { factor: 1, time: NaN };
 const drawn = { trace: null, number: 0, other: null, beside: null, epoch: -1, pictures: 0, script: 0, last: 0, phaseAt: 0, rigAt: 0 };
 const calm = matchMedia("(prefers-reduced-motion: reduce)");
 
-const LOST_S = 5; // how long a loss is news, in rig time
+const LOST_S = 5; // rig time for which a loss is shown in full
 let answeredAt = 0, lastLost = { words: "", at: 0 };
 const link = new Link(onFrame, onConnection);
 const act = (what, values = {}) => {
@@ -40,7 +40,7 @@ const act = (what, values = {}) => {
   return { id, answer };
 };
 const knobs = new KnobPanel(byId("knob-list"), (what, values) => {
-  setText("answer", ""); // a knob says beside itself what came of it
+  setText("answer", ""); // a knob shows its own result
   return link.ask(what, values);
 });
 const scope = new ScopeView(byId("traces"), byId("cursor"));
@@ -49,7 +49,7 @@ const spectrum = new SpectrumView(byId("spectrum-plot"));
 const player = new Player(act);
 window.lab = { now, drawn, motion, link, scope, curve, spectrum }; // for tests and benchmarks
 
-// What comes in
+// Input
 
 function onFrame({ kind, number, content }) {
   if (kind === Kind.STATE) {
@@ -60,7 +60,7 @@ function onFrame({ kind, number, content }) {
     explain();
     return;
   }
-  if (kind === Kind.TRACE) { // what came beside it, if anything, is of the same picture
+  if (kind === Kind.TRACE) { // other frames before it belong to the same picture
     Object.assign(drawn, { trace: content, number, other: drawn.beside, beside: null });
     return;
   }
@@ -85,7 +85,7 @@ function newRecord(epoch) {
 function onConnection(connected) {
   if (!connected) {
     knobs.knobs.lose();
-    drawn.epoch = -1; // a lab that was started anew counts its records anew
+    drawn.epoch = -1; // a restarted lab counts its records from 0
   }
   knobs.refresh();
   showStatus();
@@ -174,7 +174,7 @@ const SHOW = {
   },
 };
 
-// What is shown
+// Display
 
 function showPlayer() {
   if (now.playback && now.journal) showJournal(now.journal);
@@ -189,7 +189,7 @@ function showStatus() {
   setText("word", said.word);
   const rig = now.rig ?? {};
   const known = `${said.word} ${rig.instance ?? ""}`;
-  if (document.body.dataset.known !== known) { // what was refused before may be taken now
+  if (document.body.dataset.known !== known) { // values rejected before may be accepted now
     document.body.dataset.known = known;
     knobs.forgive();
     if (byId("answer").classList.contains("bad") && Date.now() - answeredAt > 1000) setText("answer", "");
@@ -211,7 +211,7 @@ function showNotice(said) {
   const buttons = [];
   if (said.word === "tripped") buttons.push(["Clear trip (C)", () => act("clear_trip")]);
   if (said.word === "choose") for (const name of now.rigs ?? []) buttons.push([name, () => act("choose", { value: name })]);
-  if (said.word === "silent peer") buttons.push(["Go on without it", () => act("pause", { value: false })]);
+  if (said.word === "silent peer") buttons.push(["Continue without it", () => act("pause", { value: false })]);
   if (said.word === "dead" && rig.own) buttons.push(["Start again", () => act("restart")]);
   const gone = ["analysis", "recorder"].filter((name) => now.sources?.[name]?.gone && link.connected);
   if (gone.length && said.word !== "dead") {
@@ -236,7 +236,7 @@ function showNotice(said) {
   return true;
 }
 
-/** Show what was lost: in words while it is new, then as a count that leaves room for the sentence. */
+/** Show losses: as text while they are new, then as a count that leaves room for the sentence. */
 function showLost() {
   const { words, at } = lastLost, isNew = words !== "" && (now.rig?.time ?? 0) - at < LOST_S;
   say("lost", now.lost ? (isNew ? words : words && `earlier: ${Object.values(now.lost)[0]}`) || "0" : "–", isNew);
@@ -267,7 +267,7 @@ function showDt() {
   const waits = settles && Boolean(present.quiet_of);
   const why = ["unable", "lost scans", "settling"].includes(plain(present.state)) && present.reason && !waits ? `not measured: ${present.reason}` : "";
   byId("dt-why").hidden = !(old || why);
-  setText("dt-why", why || (old && !settles ? "the last value; it does not hold now" : ""));
+  setText("dt-why", why || (old && !settles ? "the last value; it does not apply now" : ""));
   const none = row && row.ipc === 0 && row.gap ? "no impacts" : "";
   const without = row?.gap ? rows.findLast((one) => one.gap === 0 && one.settled && one.f === row.f) : undefined;
   const reduction = without ? `${fixed(100 * (1 - row.dt / without.dt), 1)} %` : row?.gap ? "not measured" : "";
@@ -293,7 +293,7 @@ function showCurve() {
   byId("curve-remove").disabled = byId("curve-csv").disabled = curve.rows.length === 0;
 }
 
-/** Every word that is shown says what it means, where the mouse rests on it. */
+/** Explain every word shown in a tooltip. */
 function explain() {
   const help = now.help ?? {};
   for (const node of document.querySelectorAll("#bar dt, #word, #dt-more dt, #dt-more dd, #dt-why, [data-help]")) {
@@ -307,7 +307,7 @@ function explain() {
   }
 }
 
-/** A term and what it is, for a list. */
+/** A term with its explanation, for a list. */
 const explained = ([name, text]) => [element("dt", { textContent: name }), element("dd", { textContent: text })];
 
 function fillWords() {
@@ -315,7 +315,7 @@ function fillWords() {
 }
 
 function showJournal(all) {
-  const list = byId("journal-list"), at = now.playback?.now ?? Infinity; // what comes later has not happened yet
+  const list = byId("journal-list"), at = now.playback?.now ?? Infinity; // later entries have not happened yet
   const lines = (all ?? []).filter(([time]) => time <= at);
   if (list.dataset.shown === `${all?.length} ${lines.length}`) return;
   list.dataset.shown = `${all?.length} ${lines.length}`;
@@ -332,7 +332,7 @@ function showJournal(all) {
 
 // Drawing
 
-const hurries = () => (now.rig?.speed ?? 1) > 1.5; // rig time runs ahead of ours: the machine is needed elsewhere
+const hurries = () => (now.rig?.speed ?? 1) > 1.5; // rig time runs faster than real time: the machine is needed for the rig
 
 function frame(at) {
   if (hurries() && now.mode === "live" && slow.factor === 1) setTimeout(() => requestAnimationFrame(frame), now.rig?.motion === false ? 950 : 450);
@@ -355,8 +355,8 @@ function frame(at) {
   const speed = now.rig?.speed || 1;
   let instant = pace.advance(dt, motion.newest, speed);
   if (now.rig?.motion === false) {
-    motion.clear(); // what was drawn last would stand still and look like now
-    setText("rig-note", `at × ${fixed(speed, 0)} nobody can follow: the motion is not drawn`);
+    motion.clear(); // the last picture would look like the present
+    setText("rig-note", `at × ${fixed(speed, 0)} the motion is too fast to follow and not drawn`);
   } else if (slow.factor < 1) {
     slow.time += dt * slow.factor * speed;
     if (!(slow.time > motion.oldest) || slow.time > motion.newest - 0.02) slow.time = Math.max(motion.oldest, motion.newest - 3 * speed);
@@ -386,7 +386,7 @@ function look() {
   });
 }
 
-// What people do
+// User actions
 
 function faultSize() {
   const about = now.choices?.faults?.[byId("fault-kind").value];
@@ -436,7 +436,7 @@ const run = async () => (await knobs.turn("frequency", 9.1)) && knobs.turn("curr
 const rest = () => knobs.turn("current", 0);
 const pause = () => (now.mode === "playback" ? player.toggle() : act("pause", { value: now.rig?.word !== "paused" }));
 const record = () => act("record", { value: !(now.recorder?.lives && now.recorder.name) });
-const sheet = () => { if (byId("sheet").open) byId("sheet").close(); else byId("sheet").show(); }; // not modal: STOP stays in reach
+const sheet = () => { if (byId("sheet").open) byId("sheet").close(); else byId("sheet").show(); }; // not modal: STOP stays accessible
 const removeLast = () => { curve.remove(curve.rows[curve.rows.length - 1]); showCurve(); };
 const switchTheme = () => theme(document.documentElement.dataset.theme === "dark" ? "light" : "dark");
 const live = (deed) => () => { if (now.mode === "live") deed(); };
@@ -445,7 +445,7 @@ const bindings = [
   { keys: ["Escape"], text: "STOP: current to zero, latched; always", run: () => { byId("sheet").close(); if (now.mode === "live") act("stop"); } },
   { keys: ["r", "R"], text: "run: 9.1 Hz, 0.52 A", run: live(run) },
   { keys: ["0"], text: "rest: current to zero", run: live(rest) },
-  { keys: [" "], text: "pause and go on; in playback play and pause", run: pause },
+  { keys: [" "], text: "pause and resume; in playback play and pause", run: pause },
   { keys: ["c", "C"], text: "clear the trip", run: live(() => act("clear_trip")) },
   { keys: ["z", "Z"], text: "reset: scan 0", run: live(() => act("reset")) },
   { keys: ["p", "P"], text: "pluck: free decay from 2 mm", run: live(() => act("pluck", { value: 0.002 })) },

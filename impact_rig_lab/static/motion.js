@@ -15,17 +15,17 @@ export function hermite(t0, x0, v0, t1, x1, v1, t) {
   return a * a * (1 + 2 * s) * x0 + s * s * (3 - 2 * s) * x1 + h * s * a * (a * v0 - s * v1);
 }
 
-export const LONGEST_WINDOW_S = 11; // of the scope, and a little
+export const LONGEST_WINDOW_S = 11; // of the scope, with a margin
 
-/** The last seconds of motion: states and impacts in the order of their times. */
+/** The last seconds of motion: states and impacts in time order. */
 export class Motion {
-  /** @param {number} [kept] seconds that are kept */
+  /** @param {number} [kept] seconds to keep */
   constructor(kept = 6) {
     this.kept = kept;
     this.clear();
   }
 
-  /** Forget everything. */
+  /** Erase everything. */
   clear() {
     /** @type {Float64Array[]} time, x_b, x_1, x_2, v_b, v_1, v_2 */
     this.states = [];
@@ -40,7 +40,7 @@ export class Motion {
   get oldest() { return this.states.length ? this.states[0][0] : Infinity; }
 
   /**
-   * Take rows of states or impacts.
+   * Add rows of states or impacts.
    * @param {"states" | "impacts"} what @param {{rows: number, columns: number, values: Float64Array}} table
    */
   add(what, table) {
@@ -57,9 +57,9 @@ export class Motion {
   }
 
   /**
-   * The state at an instant.
+   * Return the state at a time.
    * @param {number} t time [s] @param {number} gap total gap [m]
-   * @returns {{base: number, structure: number, sphere: number} | null} positions [m], null outside of what is known
+   * @returns {{base: number, structure: number, sphere: number} | null} positions [m], null outside of the data
    */
   at(t, gap) {
     const states = this.states;
@@ -92,8 +92,8 @@ export class Motion {
   }
 
   /**
-   * Peak force of the strongest impact on a wall shortly before an instant.
-   * @param {number} t time [s] @param {number} wall -1 or 1 @param {number} memory how long it glows [s]
+   * Return the peak force of the strongest impact on a wall shortly before a time.
+   * @param {number} t time [s] @param {number} wall -1 or 1 @param {number} memory duration of the glow [s]
    * @returns {{force: number, age: number} | null}
    */
   flash(t, wall, memory) {
@@ -107,17 +107,17 @@ export class Motion {
 
 /** A clock that follows the newest data at a steady pace, a little behind them. */
 export class Clock {
-  /** @param {number} delay how far behind [s] */
+  /** @param {number} delay lag behind them [s] */
   constructor(delay) {
     this.delay = delay;
     this.time = NaN;
   }
 
   /**
-   * Go on by a while.
+   * Advance the clock.
    * @param {number} dt wall time since the last call [s] @param {number} newest newest data [s]
    * @param {number} speed rig seconds per second
-   * @returns {number} the instant to draw [s]
+   * @returns {number} the time to draw [s]
    */
   advance(dt, newest, speed) {
     const lag = this.delay * Math.max(1, speed);

@@ -1,10 +1,10 @@
-// The elements of the page: found by their id, and made.
+// Elements of the page: lookup by id, and creation.
 
 /** @param {string} id @returns {any} the element of this id */
 export const byId = (id) => document.getElementById(id);
 
 /**
- * Make an element.
+ * Create an element.
  * @param {string} tag @param {object} [properties] @param {(Node | string)[]} children @returns {any}
  */
 export function element(tag, properties = {}, ...children) {

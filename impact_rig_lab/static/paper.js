@@ -1,7 +1,7 @@
-// Drawing by hand: canvases as sharp as the screen, colours of the style sheet.
+// Canvas drawing: sharp canvases, colours of the style sheet.
 
 /**
- * Make a canvas fit its place and return its context, in CSS pixels.
+ * Fit a canvas to its element and return its context, in CSS pixels.
  * @param {HTMLCanvasElement} canvas
  * @returns {{g: CanvasRenderingContext2D, w: number, h: number}}
  */
@@ -25,7 +25,7 @@ export function stroke(g, points) {
   g.stroke();
 }
 
-/** Save the state of a plot's context, and let nothing be drawn beyond its axes. @returns {CanvasRenderingContext2D} */
+/** Save the state of a plot's context, and clip drawing to its axes. @returns {CanvasRenderingContext2D} */
 export function clipped({ ctx, bbox: { left, top, width, height } }) {
   ctx.save();
   ctx.beginPath();
@@ -42,14 +42,14 @@ export function colour(name) {
   return cached[name];
 }
 
-/** What every axis of a plot has, in the colours of the theme. */
+/** Common properties of the axes of a plot, in the colours of the theme. */
 export const axis = () => ({ stroke: colour("soft"), grid: { stroke: colour("line"), width: 1 }, ticks: { show: false }, font: "10.5px system-ui" });
 
-/** The theme has changed: read the colours again. */
+/** Read the colours again after a change of the theme. */
 export function forgetColours() { cached = {}; }
 
 /**
- * Put drawings beneath each other, on the panel's colour.
+ * Stack drawings vertically on the panel's colour.
  * @param {HTMLCanvasElement[]} drawings @returns {HTMLCanvasElement}
  */
 export function stacked(drawings) {
@@ -67,7 +67,7 @@ export function stacked(drawings) {
   return whole;
 }
 
-/** Let the browser save something. @param {Blob} blob @param {string} name of the file */
+/** Save a file through the browser. @param {Blob} blob @param {string} name of the file */
 export function save(blob, name) {
   const link = document.createElement("a");
   link.href = URL.createObjectURL(blob);
@@ -76,7 +76,7 @@ export function save(blob, name) {
   setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
 }
 
-/** Let the browser save a drawing. @param {HTMLCanvasElement} drawing @param {string} name of the file */
+/** Save a drawing through the browser. @param {HTMLCanvasElement} drawing @param {string} name of the file */
 export function savePicture(drawing, name) {
   drawing.toBlob((blob) => { if (blob) save(blob, name); }, "image/png");
 }

@@ -28,7 +28,7 @@ export class Player {
 
   toggle() { if (this.state) this.ask("play", { value: !this.state.playing }); }
 
-  /** Lay the second run beside the first. @private */
+  /** Align the second run with the first. @private */
   align() {
     const by = byId("align").value, chosen = byId("align-change");
     chosen.hidden = by !== "change";
@@ -45,7 +45,7 @@ export class Player {
   /** @param {number} seconds */
   jump(seconds) { if (this.state) this.ask("seek", { value: this.state.now + seconds }); }
 
-  /** @param {any} state part `playback` of the snapshot @param {any[]} journal @param {number[]} impacts how many in every part of the run */
+  /** @param {any} state part `playback` of the snapshot @param {any[]} journal @param {number[]} impacts number in every part of the run */
   show(state, journal, impacts) {
     this.state = state;
     this.journal = journal ?? [];
@@ -69,7 +69,7 @@ export class Player {
     const { g, w, h } = paper(byId("marks"));
     const { begin, end } = this.state;
     const at = (time) => 8 + (time - begin) / Math.max(1e-9, end - begin) * (w - 16);
-    g.fillStyle = colour("grey"); // impacts as density: how many in a thousandth of the run
+    g.fillStyle = colour("grey"); // impacts as density: number per thousandth of the run
     const most = Math.max(1, ...impacts);
     impacts.forEach((count, i) => {
       if (!count) return;

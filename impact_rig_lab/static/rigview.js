@@ -7,15 +7,15 @@ const BASE_ENLARGED = 20;
 const SPHERE_M = 6.35e-3;
 export const GLOW_S = 0.06;
 
-const READINGS_WIDE = 96, READINGS_HIGH = 62; // corner of the picture that holds x₁, x_b and x₂
+const READINGS_WIDE = 96, READINGS_HIGH = 62; // corner of the picture for x₁, x_b and x₂
 
 /**
- * Draw one instant.
+ * Draw the rig at one time.
  * @param {HTMLCanvasElement} canvas
  * @param {{base: number, structure: number, sphere: number} | null} at positions [m]
  * @param {{gap: number, present: boolean}} knobs
  * @param {(wall: number) => {force: number, age: number} | null} flash
- * @param {number} [pace] how much shorter walls glow in slow motion
+ * @param {number} [pace] factor by which the glow of walls is shorter in slow motion
  */
 export function drawRig(canvas, at, knobs, flash, pace = 1) {
   const { g, w, h } = paper(canvas);
@@ -104,9 +104,9 @@ function labels(g, s) {
  * Draw the phase plane of the sphere against the superior base.
  * @param {HTMLCanvasElement} canvas
  * @param {import("./motion.js").Motion} motion
- * @param {number} until newest instant drawn [s]
+ * @param {number} until newest time drawn [s]
  * @param {{gap: number, present: boolean}} knobs
- * @param {number} span how long [s]
+ * @param {number} span duration [s]
  */
 export function drawPhase(canvas, motion, until, knobs, span) {
   const { g, w, h } = paper(canvas);

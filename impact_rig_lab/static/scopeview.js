@@ -5,7 +5,7 @@ import { axis, clipped, colour, stacked } from "./paper.js";
 
 /* global uPlot */
 const CHANNELS = [["accelerometer", "m/s²"], ["laser", "m"], ["base", "m"], ["current", "A"]];
-const CURRENT = 3, COMMANDED = 4; // the row after the channels, of a rig that is driven by a stream of samples
+const CURRENT = 3, COMMANDED = 4; // the row after the channels, for a rig driven by a stream of samples
 
 export class ScopeView {
   /** @param {HTMLElement} place @param {HTMLElement} readout */
@@ -17,7 +17,7 @@ export class ScopeView {
     /** @type {import("./frames.js").Trace | null} */
     this.trace = null;
     this.other = null;
-    /** @type {number | null} the cursor that stays: a column of the window */
+    /** @type {number | null} the fixed cursor: a column of the window */
     this.mark = null;
     /** @type {number[][]} truth, detected: times [s] */
     this.impacts = [[], []];
@@ -25,7 +25,7 @@ export class ScopeView {
     new ResizeObserver(() => this.fit()).observe(place);
   }
 
-  /** Make the plots, in the colours of the theme. */
+  /** Create the plots in the colours of the theme. */
   make() {
     this.place.replaceChildren();
     this.ranges = [null, null, null, null];
@@ -56,7 +56,7 @@ export class ScopeView {
     });
   }
 
-  /** @private leave a cursor where the other one is, or take it away */
+  /** @private fix the cursor at the present position, or remove it */
   hold(index) {
     this.mark = index === null || index === undefined ? null : index >> 1;
     for (const plot of this.plots) plot.redraw(false);
@@ -64,7 +64,7 @@ export class ScopeView {
 
   span() { return this.trace ? this.trace.column * this.trace.low[0].length : 1; }
 
-  /** Fit the plots to their place. */
+  /** Fit the plots to their element. */
   fit() {
     for (const plot of this.plots) {
       const box = plot.root.parentElement;
@@ -154,7 +154,7 @@ export class ScopeView {
   }
 }
 
-/** The ordinates of a line at other abscissas: runs of another rate have columns of another length. */
+/** Return the ordinates of a line at other abscissas: runs of another rate have columns of another length. */
 function fitted([from, values], x) {
   if (from.length === x.length && from[1] === x[1]) return values;
   const step = from[1] - from[0];

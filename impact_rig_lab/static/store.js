@@ -1,8 +1,8 @@
-// What the page knows, and what it may believe: connection, snapshot, knobs that wait for their echo.
+// State of the page: connection, snapshot, and knobs that wait for confirmation.
 
-/** @typedef {"pending" | "refused" | "in force"} KnobState */
+/** @typedef {"pending" | "refused" | "active"} KnobState */
 
-/** A knob waits for the rig: between a request and its answer the rig's old value must not jump back into the field. */
+/** States of the knobs: between a request and its answer, the rig's old value must not return to the field. */
 export class Knobs {
   constructor() {
     /** @type {Map<string, {state: KnobState, request: number, words: string}>} */
@@ -13,33 +13,33 @@ export class Knobs {
   ask(name, request) { this.all.set(name, { state: "pending", request, words: "" }); }
 
   /**
-   * An answer has come; one to an older request of the same knob says nothing.
+   * Process an answer; one to an older request of the same knob is ignored.
    * @param {string} name @param {number} request @param {boolean} ok @param {string} words
    */
   answer(name, request, ok, words) {
     const knob = this.all.get(name);
     if (!knob || knob.request !== request) return;
-    this.all.set(name, { state: ok ? "in force" : "refused", request, words: ok ? "" : words });
+    this.all.set(name, { state: ok ? "active" : "refused", request, words: ok ? "" : words });
   }
 
   /** @param {string} name @returns {KnobState} */
-  state(name) { return this.all.get(name)?.state ?? "in force"; }
+  state(name) { return this.all.get(name)?.state ?? "active"; }
 
-  /** @param {string} name @returns {string} why it was refused */
+  /** @param {string} name @returns {string} reason of the rejection */
   words(name) { return this.all.get(name)?.words ?? ""; }
 
-  /** @param {string} name @returns {boolean} whether the field may show what is in force */
+  /** @param {string} name @returns {boolean} whether the field may show the active value */
   follows(name) { return this.state(name) !== "pending"; }
 
-  /** What was refused may be taken now: something has changed. */
+  /** Drop rejections: the values may be accepted now. */
   forgive() {
     for (const [name, knob] of this.all) if (knob.state === "refused") this.all.delete(name);
   }
 
-  /** The connection is gone: no answer will come. */
+  /** Reject pending requests: the connection is lost. */
   lose() {
     for (const [name, knob] of this.all) {
-      if (knob.state === "pending") this.all.set(name, { ...knob, state: "refused", words: "the connection was lost before an answer came" });
+      if (knob.state === "pending") this.all.set(name, { ...knob, state: "refused", words: "the connection was lost before the answer" });
     }
   }
 }
@@ -53,18 +53,18 @@ const STALE = ["offline", "dead", "starting", "inactive", "choose"];
 export const GRAVE = ["tripped", "dead", "rival", "silent peer", "no peer", "offline"];
 
 /**
- * What the bar says: the connection comes before the rig, for nothing stale is shown as live.
+ * Content of the status bar: the connection has priority over the rig, so stale values are never shown as live.
  * @param {boolean} connected @param {{word?: string, text?: string, waits?: boolean} | undefined} rig
  * @returns {{word: string, text: string, lamp: string, stale: boolean}}
  */
 export function status(connected, rig) {
   const word = connected ? rig?.word ?? "starting" : "offline";
-  const text = connected ? rig?.text ?? "" : "The lab does not answer: connecting again. What you see is old.";
+  const text = connected ? rig?.text ?? "" : "The lab does not answer; reconnecting. The values shown are old.";
   return { word, text, lamp: LAMPS[word] ?? "○", stale: STALE.includes(word) || Boolean(rig?.waits) };
 }
 
 /**
- * Whether a measurement holds now: what has no living source is old.
+ * Return whether a measurement applies now; without a live source it is old.
  * @param {boolean} stale whether rig or server are gone
  * @param {{holds?: boolean, state?: string} | undefined} present part `dt_now` of the snapshot
  * @returns {boolean}

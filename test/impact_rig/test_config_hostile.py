@@ -132,6 +132,6 @@ def _runs(path: Path) -> None:
 @pytest.mark.parametrize("text", ["a: 1\na: 2\n", "b: {a: 1, a: 1}", "- {'x': 1, x: 2}"])
 def test_a_key_that_is_there_twice_is_refused(text: str) -> None:
     """The later value would silently take the place of the first."""
-    with pytest.raises(budget.PlainYamlError, match="is there twice, again in line"):
+    with pytest.raises(budget.PlainYamlError, match=r"duplicate key .* in line"):
         budget.load_yaml(text, 100)
     assert budget.load_yaml("1: a\n'1': b\n", 100) == {1: "a", "1": "b"}

@@ -147,7 +147,9 @@ def test_a_second_lab_is_refused_the_recording_is_named_and_an_end_of_the_pipe_e
                 command, capture_output=True, cwd=tmp_path, env=environment, timeout=PATIENCE_S, check=False
             )
             assert second.returncode == 1
-            assert f"the lab of process {first.pid} has /bench/two: look at it with --attach" in second.stderr.decode()
+            assert (
+                f"the lab of process {first.pid} has /bench/two: open its page with --attach" in second.stderr.decode()
+            )
             assert len(second.stderr.splitlines()) == 1
             with Client(domain_id, "bench/two", name="observer") as client:
                 client.wait_until(lambda: client.figures("recorder").get("directory"), "a recording", PATIENCE_S)
@@ -194,6 +196,6 @@ def test_what_makes_no_sense_is_refused(sample: Path, capsys: pytest.CaptureFixt
     assert str(tmp_path / "file" / "runs") in error.replace("\n", "")
     assert "--no-record" in error
     assert main(["lab", str(sample), "--port", "99999", "--no-browser"]) == 1
-    assert capsys.readouterr().err.strip().endswith("a port is 0 (any) to 65535, got 99999")
+    assert capsys.readouterr().err.strip().endswith("a port must be 0 (any) to 65535, got 99999")
     assert main(["lab", str(sample), "--attach", "/rig"]) == 1
-    assert "not both" in capsys.readouterr().err
+    assert "choose one" in capsys.readouterr().err

@@ -60,7 +60,7 @@ def test_a_rig_of_others_is_sent_nothing_sooner_than_our_own(tmp_path: Path, mon
         processes.start("rig")
         for owner, silent_s in ((None, EXPIRES_S), (own, DEAD_S)):
             gateway = Gateway(client, RigView(), owner)
-            for age_s, said in ((silent_s - 0.1, ""), (silent_s + 0.1, "nothing was heard of the rig")):
+            for age_s, said in ((silent_s - 0.1, ""), (silent_s + 0.1, "no report from the rig")):
                 monkeypatch.setattr(gateway, "seen", lambda _, age_s=age_s: Seen(instance="1", age_s=age_s))
                 why = gateway._gone("1")
                 assert why.startswith(said), age_s

@@ -423,7 +423,7 @@ def test_faults_and_remarks(lab: Lab, page: Page) -> None:
     page.key("r")
     page.wait("lab.now.sources?.analysis.state === 'measuring'", "the analysis, which cannot see it")
     word(page, "driving")
-    said = "document.getElementById('sentence').textContent.includes('gain error laser (0.003) is in force (truth)')"
+    said = "document.getElementById('sentence').textContent.includes('gain error laser (0.003) is active (truth)')"
     page.wait(said, "the reason")
     page.click("#fault-clear")
     answered(page, "cleared")

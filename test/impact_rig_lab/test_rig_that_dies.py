@@ -62,7 +62,7 @@ def test_what_dies_is_grey_and_comes_back(graph: tuple[Processes, str], open_pag
     processes.running["analysis"].signal(9)
     word(page, "driving")
     page.wait("document.getElementById('dt-value').classList.contains('old')", "the value to be grey")
-    assert "does not hold now" in page.text("#dt-why")
+    assert "does not apply now" in page.text("#dt-why")
     assert "the analysis is gone" in page.text("#notice-text")
     page.wait("document.querySelector('#notice-buttons button').textContent === 'Start again'", "the offer")
     page.click("#notice-buttons button")
@@ -73,7 +73,9 @@ def test_what_dies_is_grey_and_comes_back(graph: tuple[Processes, str], open_pag
     processes.running["recorder"].signal(9)
     page.wait("document.getElementById('recording').textContent === 'no recorder'", "its end")
     assert page.js("document.getElementById('record').disabled")
-    assert page.js("lab.link.ask('note', {value: 'lost'}).answer.then(a => a.text)").startswith("there is no recorder")
+    assert page.js("lab.link.ask('note', {value: 'lost'}).answer.then(a => a.text)").startswith(
+        "no recorder is running"
+    )
     assert not page.js("lab.now.journal.some(line => line[1] === 'note')")
 
     assert page.js("lab.link.ask('gap', {value: 0}).answer.then(a => a.text)") == "no sphere"
@@ -90,7 +92,7 @@ def test_what_dies_is_grey_and_comes_back(graph: tuple[Processes, str], open_pag
     processes.running["rig"].signal(signal.SIGSTOP)
     word(page, "dead")
     page.key("0")
-    page.wait("document.querySelector('.knob.refused .words')?.textContent.includes('nothing was heard')", "a refusal")
+    page.wait("document.querySelector('.knob.refused .words')?.textContent.includes('no report from')", "a refusal")
     assert page.js("document.querySelectorAll('.pending').length") == 0
     stood = page.js("lab.now.rig.time")
     processes.running["rig"].signal(signal.SIGCONT)
@@ -113,4 +115,4 @@ def test_what_dies_is_grey_and_comes_back(graph: tuple[Processes, str], open_pag
     assert not page.js("lab.now.applied?.current")
     assert page.js("document.querySelectorAll('.knob.refused').length") == 0
     old = "lab.link.rig = 'f00'; lab.link.ask('current', {value: 0.2}).answer.then(a => a.text)"
-    assert "another rig has begun" in page.js(old), "a command for the rig that the page showed before"
+    assert "another rig has started" in page.js(old), "a command for the rig that the page showed before"

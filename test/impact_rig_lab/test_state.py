@@ -76,14 +76,14 @@ MEASURING = seen("analysis", "measuring")
         (seen("rig", "tripped", "over_travel: 7 mm"), MEASURING, (), "tripped", "over travel: 7 mm"),
         (seen("rig", "paused"), MEASURING, (), "paused", "stands still"),
         (seen("rig", "plucked"), MEASURING, (), "plucked", "reset"),
-        (seen("rig", "at_rest"), MEASURING, (), "at rest", "press R"),
+        (seen("rig", "at_rest"), MEASURING, (), "at rest", "Press R"),
         (seen("rig", "driving"), seen("analysis", "settling"), (), "settling", "transient"),
         (seen("rig", "driving"), seen("analysis", "unable", "over_range"), (), "driving", "now: over range."),
         (seen("rig", "driving"), seen("analysis", "no_scans"), (), "driving", "no scans"),
         (seen("rig", "driving"), seen("analysis", "measuring", age_s=9.0), (), "driving", "silent for 9 s"),
         (seen("rig", "driving"), Seen(), (), "driving", "there is no analysis"),
-        (seen("rig", "driving"), MEASURING, ("dropout base is in force (truth)",), "driving", "dropout base"),
-        (seen("rig", "driving"), MEASURING, (), "measured", "holds"),
+        (seen("rig", "driving"), MEASURING, ("dropout base is active (truth)",), "driving", "dropout base"),
+        (seen("rig", "driving"), MEASURING, (), "measured", "applies"),
     ],
 )
 def test_the_word_follows_from_keys_and_the_gravest_comes_first(
@@ -264,7 +264,7 @@ def test_a_fault_that_has_ended_speaks_against_what_was_measured_under_it() -> N
     for end_s, doubts in ((6, 1), (8.9, 1), (9.1, 0)):  # each of four seconds
         record.curve.add(Table(round(end_s * 1e9), row))
         assert len(record.doubts()) == doubts, end_s
-    assert record.doubts(6 * 10**9) == ["gain error base (0.05) was in force while it was made (truth)"]
+    assert record.doubts(6 * 10**9) == ["gain error base (0.05) was active during the measurement (truth)"]
 
 
 def test_a_label_that_is_not_the_gap_of_the_rig_speaks_against_a_measurement() -> None:
@@ -346,7 +346,7 @@ def test_every_parameter_of_a_change_stands_in_the_journal() -> None:
 @pytest.mark.parametrize(
     ("raw", "words"),
     [
-        ("", "is JSON"), ("[" * 5000, "is JSON"), ("3", "JSON object"), ('{"do": 3}', "no request 3"),
+        ("", "must be JSON"), ("[" * 5000, "must be JSON"), ("3", "JSON object"), ('{"do": 3}', "no request 3"),
         ('{"do":"frequency"}', "takes value"), ('{"do":"frequency","value":true}', "must be a number"),
         ('{"do":"frequency","value":NaN}', "finite"), ('{"do":"frequency","value":1e999}', "finite"),
         ('{"do":"frequency","value":1' + "0" * 400 + "}", "finite"), ('{"do":"note","value":"a\\u0000"}', "printable"),

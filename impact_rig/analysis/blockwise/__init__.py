@@ -11,13 +11,15 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Analyses of blocks of scans as they come: those with a topic of their own, and what plotters are given.
+"""Blockwise analyses of scans: those with a topic of their own, and data for plotters.
 
-Every module of this folder that defines a `Blockwise` is found; the analysis node feeds it and publishes what it
-returns (docs/how-to/extending.md). Plotters get envelopes, with least, largest and rms value of every interval, so that
-a pulse of 50 µs shows at 50 Hz; the pulses alone; and amplitude spectra of the last seconds through a flat-top window
-of five cosine terms (d'Antona and Ferrero, Digital Signal Processing for Measurement Systems, 2006): a line between two
-bins is 0.1 % too low at worst, for which it is ten bins wide.
+Every module of this folder that defines a `Blockwise` is found automatically. The analysis node feeds it and publishes
+its results (docs/how-to/extending.md).
+
+Plotters receive envelopes with the minimum, maximum and rms value of every interval, so that a pulse of 50 µs is
+visible at 50 Hz. They also receive the pulses alone, and amplitude spectra of the last seconds through a flat-top
+window of five cosine terms (d'Antona and Ferrero, Digital Signal Processing for Measurement Systems, 2006). A line
+between two bins is at most 0.1 % too low; in return it is ten bins wide.
 """
 
 from __future__ import annotations
@@ -39,43 +41,43 @@ from impact_rig.topics import Topic
 
 
 class Blockwise:
-    """An analysis with a topic of its own."""
+    """Analysis with a topic of its own."""
 
-    topic: ClassVar[Topic]  # its row of the topic table; its publisher is `analysis`, and it carries tables
-    needs: ClassVar[tuple[str, ...]]  # the channels without which it has nothing to say
+    topic: ClassVar[Topic]  # its entry in the topics table; its publisher is `analysis`, and it carries tables
+    needs: ClassVar[tuple[str, ...]]  # the channels that it requires
 
     def feed(self, scan: Table) -> Table | None:
-        """Return what there is to say of a block of `daq/scan`; blocks come in the order of their stamps."""
+        """Return the results of a block of `daq/scan`, or None; blocks arrive in the order of their stamps."""
         raise NotImplementedError
 
 
-INTERVALS_HZ = 50.0  # intervals per second: what plotters draw without falling behind
-PULSES = "pulses"  # column of what `HighPass` lets through
-PULSES_HZ = 500.0  # its corner: 50 times the vibration, a tenth of what a contact of 50 µs fills
+INTERVALS_HZ = 50.0  # intervals per second that plotters can draw without falling behind
+PULSES = "pulses"  # column of the output of `HighPass`
+PULSES_HZ = 500.0  # corner frequency: 50 times the vibration, a tenth of the bandwidth of a contact of 50 µs
 
 
 @attrs.frozen
 class Interval:
-    """Some contiguous scans; `stamp_ns` is that of the first."""
+    """Contiguous scans; `stamp_ns` is that of the first."""
 
     stamp_ns: int
     rows: NDArray[np.void]
 
     def extremes(self, channel: str) -> tuple[float, float, float]:
-        """Return the least, the largest and the rms value of a channel, in its unit."""
+        """Return the minimum, maximum and rms value of a channel, in its unit."""
         values = self.rows[channel]
         return float(values.min()), float(values.max()), float(np.sqrt(np.mean(values * values)))
 
 
 class HighPass:
-    """What is left of a channel above `PULSES_HZ`: pulses of impacts without the vibration they sit on.
+    """High-pass filter at `PULSES_HZ`: it passes the pulses of impacts without the vibration.
 
     Args:
-        rate_hz: scans per second; of fewer than five times the corner the upper part of the band is left.
+        rate_hz: scans per second; below five times the corner, only the upper part of the band remains.
     """
 
     def __init__(self, rate_hz: float, channel: str) -> None:
-        from scipy import signal  # noqa: PLC0415  # 60 MB, which only those who plot pay
+        from scipy import signal  # noqa: PLC0415  # 60 MB, loaded only for plotting
 
         self._signal = signal
         self._channel = channel
@@ -83,11 +85,11 @@ class HighPass:
         self._state: NDArray[np.float64] | None = None
 
     def restart(self) -> None:
-        """Forget the past: the stream has a gap."""
+        """Reset the filter: the stream has a gap."""
         self._state = None
 
     def feed(self, scan: Table) -> Table:
-        """Return the block with the one column `pulses`; the first value of a stream is taken for its mean."""
+        """Return the block with the single column `pulses`; the first value of a stream is taken as its mean."""
         values = scan.rows[self._channel]
         if self._state is None:
             self._state = self._signal.sosfilt_zi(self._sections) * values[0]
@@ -98,10 +100,10 @@ class HighPass:
 
 
 class Intervals:
-    """Cuts blocks into intervals, whatever the block length.
+    """Division of blocks of any length into intervals.
 
     Args:
-        rate_hz: scans per second, from daq/info; slower ones than `INTERVALS_HZ` give intervals of one scan.
+        rate_hz: scans per second, from daq/info; below `INTERVALS_HZ` each interval is one scan.
     """
 
     def __init__(self, rate_hz: float) -> None:
@@ -109,11 +111,11 @@ class Intervals:
         self._pending = Recent(rate_hz, 1 << 40)
 
     def follows(self, scan: Table) -> bool:
-        """Whether a block goes on where the one before ended."""
+        """Return whether a block follows directly after the previous one."""
         return self._pending.follows(scan)
 
     def feed(self, scan: Table) -> Iterator[Interval]:
-        """Yield the intervals that the block completes; one that a lost block has cut is left out."""
+        """Yield the intervals that the block completes; an interval with a lost block is left out."""
         self._pending.add(scan)
         if self._pending.count < self.length:
             return
@@ -126,16 +128,16 @@ class Intervals:
         self._pending.add(attrs.evolve(scan, stamp_ns=stamp, rows=rest))
 
 
-WINDOW_S = 4.0  # length of the window: bins are 0.25 Hz apart, and lines closer than 2.5 Hz are not told apart
-EVERY_S = 1.0  # rig time from one spectrum to the next
+WINDOW_S = 4.0  # length of the window: bins are 0.25 Hz apart, and lines closer than 2.5 Hz are not resolved
+EVERY_S = 1.0  # rig time between two spectra
 HIGHEST_HZ = 250.0
-"""Highest frequency shown: the drive's 27th harmonic at 9.1 Hz; faster scans do not make the message longer."""
+"""Highest frequency: the drive's 27th harmonic at 9.1 Hz. A higher scan rate does not lengthen the message."""
 
 
 def amplitude_spectrum(samples: Real, rate_hz: float) -> tuple[Real, Real]:
     """Return frequencies [Hz] and amplitudes (peak, unit of the samples) up to `HIGHEST_HZ`, each of shape (bins,).
 
-    The mean is taken away first.
+    The mean is removed first.
     """
     window = _flat_top(len(samples))
     transformed = np.fft.rfft((samples - samples.mean()) * window)
@@ -147,7 +149,7 @@ def amplitude_spectrum(samples: Real, rate_hz: float) -> tuple[Real, Real]:
 
 @functools.lru_cache(maxsize=2)
 def _flat_top(length: int) -> Real:
-    from scipy.signal import windows  # noqa: PLC0415  # 60 MB, which only those who plot pay
+    from scipy.signal import windows  # noqa: PLC0415  # 60 MB, loaded only for plotting
 
     window: Real = windows.flattop(length, sym=False)
     return window
@@ -162,4 +164,4 @@ def _found() -> tuple[type[Blockwise], ...]:
     return tuple(found)
 
 
-ANALYSES = _found()  # every such analysis, in alphabetical order of modules
+ANALYSES = _found()  # all such analyses, in alphabetical order of modules

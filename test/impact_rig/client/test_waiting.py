@@ -88,7 +88,7 @@ def test_what_was_given_to_a_rig_is_over_when_it_is_silent_or_another_one_has_be
     now += 0.99 * GONE_S
     check()
     now += 0.02 * GONE_S
-    with pytest.raises(RigGoneError, match="a command: the rig it was given to is gone, nothing was heard"):
+    with pytest.raises(RigGoneError, match="a command: the rig that received it is gone; no report"):
         check()
     with pytest.raises(RigGoneError):
         rig.given("the next")()
@@ -97,7 +97,7 @@ def test_what_was_given_to_a_rig_is_over_when_it_is_silent_or_another_one_has_be
     now += 10.0 * GONE_S
     patient()
     rig.heard("two")
-    with pytest.raises(RigGoneError, match="another one has begun"):
+    with pytest.raises(RigGoneError, match="another rig has started"):
         patient()
     rig.given("a command to the second")()
 
@@ -140,7 +140,7 @@ def test_a_command_given_at_once_belongs_to_the_rig_that_is_there() -> None:
     check()
     now = 1.0
     rig.heard("two")
-    with pytest.raises(RigGoneError, match="another one has begun"):
+    with pytest.raises(RigGoneError, match="another rig has started"):
         check()
 
 

@@ -117,7 +117,7 @@ def test_labels_come_as_remarks_or_as_a_parameter(client: Client) -> None:
         return bool(np.any(measured.rows()["gap"] == 0.008))
 
     client.wait_until(labelled, "the label to be in force")
-    with pytest.raises(ConfigError, match="inactive"):
+    with pytest.raises(ConfigError, match="deactivate"):
         client.set_parameters("analysis", {"windows": 16})
     with pytest.raises(ConfigError, match="-1 for unknown"):
         client.set_parameters("analysis", {"gap_m": -0.5})

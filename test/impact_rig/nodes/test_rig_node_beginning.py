@@ -43,7 +43,7 @@ def test_a_realtime_recording_begins_with_scan_0(client: Client, tmp_path) -> No
     client.wait_active("rig")
     client.wait_until(lambda: "waiting for peer analysis, recorder" in client.status("rig").message, "the diagnostic")
     assert client.status("rig").level == LEVELS["warn"]
-    with pytest.raises(ServiceFailedError, match="the rig has not begun, waiting for peer"):
+    with pytest.raises(ServiceFailedError, match="the rig has not started: waiting for peer"):
         client.trigger("rig/reset")
     client.host(RecorderNode, parameter_overrides=ros_parameters({"directory": str(tmp_path), "name": "run"}))
     client.wait_until(lambda: "waiting for peer analysis, at most" in client.status("rig").message, "the recorder")

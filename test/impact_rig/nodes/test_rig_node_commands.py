@@ -98,7 +98,7 @@ def test_what_was_commanded_before_a_rig_begins_is_dropped(client: Client) -> No
     client.wait_active("rig")
     client.spin_for(0.2)
     assert node.refusals.counts == {"inactive": 3}
-    assert "before this rig began" in node.refusals.last["inactive"]
+    assert "before this rig started" in node.refusals.last["inactive"]
     client.step()
     assert len(client.applied) == 1
     assert client.applied.last().rows["current"][0] == 0.0

@@ -245,13 +245,13 @@ def test_a_reset_is_of_the_state_alone(user: User) -> None:
     assert user.state == PAUSED, "it moves by steps only"
     assert user.set(PLAYING) == (
         SetResponse.STATE_TRANSITION_ERROR,
-        "time.mode is lockstep: the rig moves by steps only",
+        "time.mode is lockstep: the rig advances by steps only",
     )
     user.call("step_simulation", StepRequest(3))
     for scope in (ResetRequest.SCOPE_DEFAULT, ResetRequest.SCOPE_ALL, ResetRequest.SCOPE_TIME, 3, 4, 6, 8, 10, 254):
         refused = user.call("reset_simulation", ResetRequest(scope)).result
         assert refused.result == Result.RESULT_FEATURE_UNSUPPORTED
-        assert "time goes on" in refused.error_message
+        assert "time continues" in refused.error_message
         assert "scope 2" in refused.error_message
     for _ in range(3):
         done = user.call("reset_simulation", ResetRequest(ResetRequest.SCOPE_STATE)).result

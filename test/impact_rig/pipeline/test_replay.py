@@ -151,7 +151,7 @@ def test_a_single_topic_can_be_replayed(client: Client, run: Path) -> None:
     ("options", "words"),
     [
         (("--rate", "max"), "needs peers"),
-        (("--rate", "max", "--peers", "analysis", "--topics", "laser"), "choose it as well"),
+        (("--rate", "max", "--peers", "analysis", "--topics", "laser"), "include it in the chosen topics"),
         (("--topics", "nothing/here"), "no topic 'nothing/here'"),
         (("--rate", "-1"), "must be max or a number"),
         (("--delay", "-1"), "must be a number of seconds from 0 to 3600"),

@@ -144,7 +144,7 @@ def test_an_account_that_is_none_is_damage(record, text):
         fill(writer, 3)
     found = info(writer.directory)
     assert not found.intact
-    assert "cannot be understood" in found.verdict
+    assert "invalid metadata record" in found.verdict
 
 
 def test_a_further_file_repeats_only_what_is_in_force(record):

@@ -165,7 +165,7 @@ def test_a_publisher_that_restarts_changes_nothing_and_another_type_is_refused(r
     with record() as writer:
         fill(writer, 3)
         writer.add_topic(SCAN_TOPIC)
-        with pytest.raises(RecordingError, match="is recorded as sensor_msgs/msg/PointCloud2: what is std_msgs"):
+        with pytest.raises(RecordingError, match="is recorded as sensor_msgs/msg/PointCloud2: messages of type"):
             writer.add_topic(topic(SCAN_TOPIC.name, "std_msgs/msg/String"))
         assert not writer.closed
         sent = fill(writer, 3, first=3)
@@ -202,7 +202,7 @@ def test_reading_on_after_closing_is_an_error(record):
     with open_run(writer.directory) as run:
         messages = run.messages()
         next(messages)
-    with pytest.raises(RecordingError, match="cannot be read at byte"):
+    with pytest.raises(RecordingError, match=r"(cannot read .*|cannot be read) at byte"):
         list(messages)
 
 

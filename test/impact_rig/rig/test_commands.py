@@ -98,7 +98,7 @@ def test_a_drive_of_many_frequencies_takes_no_command_of_one(waveform: str) -> N
     rig.advance(10 * TICK)
     rig.take_applied(), rig.take_journal()
     for command in ({"frequency_hz": 11.0}, {"frequency_hz": 11.0, "amplitude": 0.1}):
-        with pytest.raises(CommandError, match=f"the drive is {waveform}: it takes no frequency, only an amplitude"):
+        with pytest.raises(CommandError, match=f"the drive is {waveform}: it accepts no frequency, only an amplitude"):
             rig.accept(**command)
     assert (rig.take_applied(), rig.take_journal(), rig.target_amplitude) == ([], [], 0.52)
     rig.accept(amplitude=0.1)

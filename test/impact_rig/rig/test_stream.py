@@ -279,6 +279,6 @@ def test_journal_and_samples_give_the_run_again_bit_for_bit():
     again = [block for block, _ in zip(resimulate(journal, waveform=waveform), blocks, strict=False)]
     assert same(samples(again), samples(blocks))
     assert same(impacts(again), impacts(blocks))
-    with pytest.raises(ConfigError, match=r"lacks sample 11000 of shaker/waveform, which was in force 1\.100000 s"):
+    with pytest.raises(ConfigError, match=r"lacks sample 11000 of shaker/waveform, which was active 1\.100000 s"):
         for _ in zip(resimulate(journal, waveform=waveform[:-2]), blocks, strict=False):
             pass

@@ -105,7 +105,7 @@ def test_a_directory_that_cannot_be_written_is_an_error(
     where: str, run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["analyze", str(run), "--figures", where]) == 1
-    assert f"impact-rig analyze: figures cannot be written to {where}: " in capsys.readouterr().err
+    assert f"impact-rig analyze: cannot write figures to {where}: " in capsys.readouterr().err
 
 
 def test_what_is_drawn_is_the_last_settled_measurement(run: Path) -> None:
@@ -168,6 +168,6 @@ def test_curves_are_by_gap_and_direction_and_need_two_frequencies() -> None:
 def test_figures_are_not_written_through_a_link(tmp_path: Path) -> None:
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "figures").symlink_to("elsewhere")
-    with pytest.raises(RecordingError, match="it is a link, and nothing is written through one"):
+    with pytest.raises(RecordingError, match="it is a link; links are not followed for writing"):
         drawings.prepare(tmp_path / "figures", ["png"])
     assert not list((tmp_path / "elsewhere").iterdir())

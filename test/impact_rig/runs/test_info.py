@@ -136,7 +136,7 @@ def test_messages_too_short_for_a_header_are_kept(record):
     with open_run(writer.directory) as run:
         last = list(run.messages(["shaker/applied"]))[-1]
     assert (bytes(last.data), last.log_time, last.publish_time) == (b"", START_NS + 29_900_000, 0)
-    assert "is no table" in info(writer.directory).verdict
+    assert "is not a valid table" in info(writer.directory).verdict
 
 
 def test_a_damaged_chunk_becomes_the_verdict(record, tmp_path):
@@ -246,7 +246,7 @@ def test_a_block_with_a_single_scan_has_no_rate(record):
         writer.write(SCAN_TOPIC.name, scan_block(0, scans=1), 0, 1)
     found = info(writer.directory)
     assert found.rate_hz is None
-    assert "1 blocks of daq/scan whose rate is not known" in found.verdict
+    assert "1 blocks of daq/scan of an unknown rate" in found.verdict
 
 
 def rewritten(run, out, change):
@@ -311,7 +311,7 @@ def test_an_account_that_leaves_a_topic_out_makes_no_run_whole(record, tmp_path)
             other.write_at(message.topic, bytes(message.data), message.log_time, message.publish_time, message.sequence)
     found = info(tmp_path / "out")
     assert not found.intact
-    assert "its recorder kept no account of: " in found.verdict
+    assert "without an account by the recorder: " in found.verdict
     assert NOTES_TOPIC.name in found.verdict
 
 
@@ -387,11 +387,11 @@ def test_a_run_being_written_is_told_from_one_that_was_cut_short(record, tmp_pat
     writer = record(tail=True)
     sent = fill(writer, 5)
     writer.secure()
-    with pytest.raises(RecordingError, match="it is being recorded now: it can be read when the recording has ended"):
+    with pytest.raises(RecordingError, match="it is still being recorded: read it when the recording has ended"):
         info(writer.directory)
     assert recover(writer.directory, tmp_path / "copy").messages == len(sent)
     shutil.copytree(writer.directory, tmp_path / "cut")
-    with pytest.raises(RecordingError, match="its writer was interrupted; impact-rig recover gives back"):
+    with pytest.raises(RecordingError, match="its writer was interrupted; impact-rig recover saves"):
         info(tmp_path / "cut")
     writer.finish()
     assert info(writer.directory).intact

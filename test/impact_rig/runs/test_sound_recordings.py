@@ -283,4 +283,4 @@ def test_a_verdict_says_what_it_did_not_look_at_and_sees_what_the_index_hides(
     path.write_bytes(data)
     for command in ("verify", "info"):
         assert main([command, str(directory)]) == 1
-        assert "does not fit its messages of /rig/truth/joint_states" in " ".join(capsys.readouterr().out.split())
+        assert "does not match its messages of /rig/truth/joint_states" in " ".join(capsys.readouterr().out.split())

@@ -387,7 +387,7 @@ def test_a_message_that_is_missing_or_made_up_is_named(told, tmp_path: Path, top
     found = verdict(tmp_path / "more", [*told[:place], made_up, *told[place:]])
     assert found.identical is False
     assert found.reason.startswith(f"{topic}: at ")
-    assert "no rig with this journal has published that" in found.reason
+    assert "this journal does not lead to it" in found.reason
     if topic not in ("truth/scan", "truth/joint_states"):  # how often those come is no part of a journal
         found = verdict(tmp_path / "less", [*told[:place], *told[place + 1 :]])
         assert found.identical is False
@@ -411,7 +411,7 @@ def test_an_altered_joint_state_and_configuration_are_named(told, tmp_path: Path
     ]
     found = verdict(tmp_path / "configuration", other)
     assert found.identical is False
-    assert "barriers.gap_m is 0.0021, which by the journal it never was" in found.reason
+    assert "barriers.gap_m is 0.0021, which it never was according to the journal" in found.reason
 
 
 def test_a_session_that_came_back_to_its_first_configuration_is_not_accused(told, tmp_path: Path) -> None:
@@ -424,7 +424,7 @@ def test_a_session_that_came_back_to_its_first_configuration_is_not_accused(told
     later = next(place for place, (what, one) in enumerate(told) if what == name and one.text != own.text)
     found = verdict(tmp_path / "after", [*told[: later + 1], other, *told[later + 1 :]])
     assert found.identical is False
-    assert "barriers.gap_m is 0.0021, which by the journal it never was" in found.reason
+    assert "barriers.gap_m is 0.0021, which it never was according to the journal" in found.reason
 
 
 def test_a_row_that_the_rig_itself_would_have_written_cannot_be_invented_or_removed(told, tmp_path: Path) -> None:

@@ -205,7 +205,7 @@ def test_a_report_writes_through_no_link(
     directory = stored[2].parents[1]
     (directory / "figures").symlink_to(elsewhere)
     assert main(["report", str(directory)]) == 1
-    assert "it is a link, and nothing is written through one" in capsys.readouterr().err.replace("\n", " ")
+    assert "it is a link; links are not followed for writing" in capsys.readouterr().err.replace("\n", " ")
     assert not list(elsewhere.iterdir())
 
 

@@ -145,7 +145,7 @@ def host_analysis(client: Client) -> AnalysisNode:
 
 def test_an_analysis_says_what_it_can_measure(client: Client) -> None:
     host_analysis(client)
-    wait_for(client, "analysis", "no_scans", "none came yet")
+    wait_for(client, "analysis", "no_scans", "none received yet")
     host_rig(client, time__peers=["analysis"], step__blocks=100)
     client.wait_active("rig", "analysis")
     client.step()

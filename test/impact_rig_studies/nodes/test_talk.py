@@ -71,7 +71,7 @@ def test_a_rig_says_what_runs_what_trips_and_who_has_left(client: Client) -> Non
     client.step(20)
     console.wait(LoggingSeverity.WARN, "fault 1 acts: saturation/laser")
     client.step(20)
-    console.wait(LoggingSeverity.INFO, "fault 1 is over: saturation/laser")
+    console.wait(LoggingSeverity.INFO, "fault 1 has ended: saturation/laser")
     client.step(200)
     console.wait(LoggingSeverity.WARN, "tripped: shaker latched by over_travel")
     client.trigger("rig/clear_trip")
@@ -115,7 +115,7 @@ def test_diagnostics_are_named_by_node_and_component_with_a_device_per_rig() -> 
 def test_the_source_of_time_follows_nobodys_clock(client: Client) -> None:
     host_rig(client)
     client.wait_active("rig")
-    with pytest.raises(ConfigError, match="use_sim_time must be false here: this node makes the time"):
+    with pytest.raises(ConfigError, match="use_sim_time must be false here: this node publishes the clock"):
         client.set_parameters("rig", {"use_sim_time": True})
     client.set_parameters("rig", {"use_sim_time": False})
     assert client.get_parameters("rig", ["use_sim_time"]) == {"use_sim_time": False}
