@@ -251,26 +251,20 @@ TRANSMISSIBILITY_COLUMNS = (
 )
 TRANSMISSIBILITY = row_type(TRANSMISSIBILITY_COLUMNS)
 
-HELD_COLUMNS = (
+SWEEP_COLUMNS = (
     *TRANSMISSIBILITY_COLUMNS,
-    Column("target", "m or A", "Amplitude that is held, of base, superior base or current."),
-    Column("error", "-", "Relative error of the measured amplitude."),
-    Column("corrections", "-", "Of the current at this point before it was measured."),
-    Column("held", "-", "1 if the error is within the tolerance, 0 if not."),
+    Column("target", "m or A", "Controlled amplitude, of base, superior base or current; NaN: none is controlled."),
+    Column("error", "-", "Relative error of the measured amplitude; NaN likewise."),
+    Column("corrections", "-", "Corrections of the current before the measurement; NaN likewise."),
+    Column("held", "-", "1 if the error is within the tolerance, 0 if not; NaN likewise."),
+    Column(
+        "locked",
+        "-",
+        "Of a phase lock, whose `phase` is that against its reference: 1 if the mean of the last second is within the "
+        "bound, 0 if not; NaN: no phase lock.",
+    ),
 )
-HELD = row_type(HELD_COLUMNS)
-
-PHASE_LOCK_COLUMNS = (
-    time("End of the stretch of scans this is of, since the stamp."),
-    Column("frequency", "Hz", "Drive frequency as commanded."),
-    Column("phase", "rad", "Phase of x_1 relative to the reference; negative = lagging."),
-    Column("transmissibility", "-", "|X_1| / |X_b| in that stretch."),
-    Column("laser_amplitude", "m", "Amplitude |X_1|."),
-    Column("base_amplitude", "m", "Amplitude |X_b|."),
-    Column("current_amplitude", "A", "Amplitude of the coil current."),
-    Column("locked", "-", "1 if the mean phase of the last second is within the bound, 0 if not."),
-)
-PHASE_LOCK = row_type(PHASE_LOCK_COLUMNS)
+SWEEP = row_type(SWEEP_COLUMNS)
 
 SETTINGS_COLUMNS = (
     Column(

@@ -146,17 +146,9 @@ ANALYSIS_SETTINGS = _table(
     "analysis/settings", Qos.STATE, "analysis", blocks.SETTINGS_COLUMNS,
     "Settings of the measurement and the operator's gap label, when they change; stamp = from when they hold.",
 )  # fmt: skip
-CURVE = _table(
-    "transmissibility/curve", Qos.STATE, "stepped_sine", blocks.TRANSMISSIBILITY_COLUMNS,
-    "The stepped sine so far, one row per measurement; stamp = its begin.",
-)  # fmt: skip
-HELD = _table(
-    "transmissibility/held", Qos.STATE, "stepped_sine", blocks.HELD_COLUMNS,
-    "The controlled sine so far, one row per measurement, where an amplitude is held; stamp = its begin.",
-)  # fmt: skip
-LOCKED = _table(
-    "transmissibility/locked", Qos.DATA, "stepped_sine", blocks.PHASE_LOCK_COLUMNS,
-    "One look of the phase lock, where the phase is held; stamp = its begin.",
+SWEEP = _table(
+    "sweep/table", Qos.STATE, "stepped_sine", blocks.SWEEP_COLUMNS,
+    "Measurements of a sweep, or samples of a phase lock, as they are made; stamp = begin of the sweep.",
 )  # fmt: skip
 IMPACTS = _table(
     "impacts", Qos.DATA, "analysis", blocks.DETECTED_IMPACTS_COLUMNS, "Impacts detected from the accelerometer alone."
@@ -257,7 +249,7 @@ CLOCK = Topic(
 
 COMMON = (
     SCAN, INFO, APPLIED, JOURNAL, CONFIGURATION, ROBOT_DESCRIPTION, JOINT_STATES, IMPACTS_TRUTH, TRUTH_SCAN, FAULTS,
-    TRANSMISSIBILITY, TRANSMISSIBILITY_TABLE, ANALYSIS_SETTINGS, CURVE, HELD, LOCKED, IMPACTS, PLOT_TRANSMISSIBILITY,
+    TRANSMISSIBILITY, TRANSMISSIBILITY_TABLE, ANALYSIS_SETTINGS, SWEEP, IMPACTS, PLOT_TRANSMISSIBILITY,
     PLOT_DRIVE, PLOT_PULSES, FREQUENCY, CURRENT, WAVEFORM, STREAM, NOTES, ACK, DIAGNOSTICS, CLOCK,
 )  # fmt: skip
 """Every topic that is the same whatever the instruments; with those of their monitors: `nodes.messages.TOPICS`."""

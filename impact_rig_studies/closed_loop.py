@@ -32,7 +32,7 @@ BLOCKS_PER_S = 20  # blocks of the rig in a loop: rig time passes in steps of 50
 class HeldSweep:
     """A controlled sine that ended."""
 
-    rows: NDArray[np.void]  # of `blocks.HELD`
+    rows: NDArray[np.void]  # of `blocks.SWEEP`
     failure: str  # why it did not reach its end; empty otherwise
 
 

@@ -147,12 +147,13 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         self._scans: Any = None  # subscription, while the phase is what is held
         self._scans_heard = False
         self._began_ns = 0
+        self._published = 0  # rows of the present run
         self.service(Trigger, "~/start", self._on_start)
         self.service(Trigger, "~/stop", self._on_stop)
 
     def configure(self) -> None:
         """Create the publishers."""
-        self.offer(topics.FREQUENCY, topics.CURRENT, topics.CURVE, topics.HELD, topics.LOCKED, topics.ACK)
+        self.offer(topics.FREQUENCY, topics.CURRENT, topics.SWEEP, topics.ACK)
 
     def activate(self) -> None:
         """Listen; begin the sweep as soon as the rig is there if `begin` says so."""
@@ -278,8 +279,8 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
 
     def _begin(self) -> None:
         self._pending = False
-        self._began_ns = self.now_ns()
-        self._operator = Operator(self._new_run(), self._drive, self._publish_curve)
+        self._began_ns, self._published = self.now_ns(), 0
+        self._operator = Operator(self._new_run(), self._drive, self._publish_new_rows)
         self._operator.begin(self.now_ns())
 
     def _new_run(self) -> ControllerRun:
@@ -309,15 +310,10 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         else:
             self.get_logger().info(f"sweep finished: {run.measured} measurements")
 
-    def _publish_curve(self, sweep: ControllerRun) -> None:
-        if isinstance(sweep, LockedSine):
-            if sweep.measured:
-                self.send_table(topics.LOCKED, Table(self._began_ns, sweep.newest))
-            return
-        if sweep.measured:
-            self.send_table(topics.CURVE, Table(self._began_ns, sweep.rows))
-        if sweep.measured and isinstance(sweep, ControlledSine):
-            self.send_table(topics.HELD, Table(self._began_ns, sweep.held))
+    def _publish_new_rows(self, run: ControllerRun) -> None:
+        if run.measured > self._published:
+            self.send_table(topics.SWEEP, Table(self._began_ns, run.sweep_from(self._published)))
+            self._published = run.measured
 
     # Messages
 

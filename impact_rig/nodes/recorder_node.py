@@ -62,7 +62,7 @@ FLUSH_S = 0.2
 AWAITED = (topics.INFO, topics.APPLIED, topics.JOURNAL, topics.CONFIGURATION, topics.ANALYSIS_SETTINGS)
 """Latched topics that belong to every run; ~/start is answered when they have arrived."""
 AWAIT_S = 2.0
-RESULTS = frozenset({topics.TRANSMISSIBILITY_TABLE.name, topics.CURVE.name, topics.HELD.name})
+RESULTS = frozenset({topics.TRANSMISSIBILITY_TABLE.name, topics.SWEEP.name})
 """Latched topics that belong to earlier measurements and are not recorded."""
 ONE_WRITER = {one.name for one in TOPICS if one.columns is not None} | {topics.CONFIGURATION.name, topics.JOURNAL.name}
 """Topics that only one node may write: a run with two sources could not be simulated or analysed again."""

@@ -45,11 +45,12 @@ from impact_rig import topics
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.scans import BASE, CHANNELS, CURRENT, LASER
 from impact_rig.analysis.spread import student_factor, variance_of_mean
-from impact_rig.blocks import PHASE_LOCK, Table
+from impact_rig.blocks import SWEEP, Table
 from impact_rig.driver import RigDriver
 from impact_rig.errors import ConfigError
 from impact_rig.simtime import NS_PER_S
-from impact_rig_studies.operate.stepped_sine import SAME, Setpoint, SweepState, positive
+from impact_rig.states import Status
+from impact_rig_studies.operate.stepped_sine import SAME, Setpoint, SweepState, positive, sweep_rows
 
 MIN_CYCLES = 2
 
@@ -112,6 +113,16 @@ SMALLER, LARGER = 0.6, 1.25  # factors of the slope when the detuning overshoots
 SLUGGISH = 4
 """Looks with a detuning of one sign, none of them within the bound, after which the slope counts as too small."""
 DIGITS = 6  # of a commanded frequency [Hz]
+
+
+PHASE_LOCK = np.dtype([
+    (name, SWEEP[name])
+    for name in (
+        "time", "frequency", "phase", "transmissibility", "laser_amplitude", "base_amplitude", "current_amplitude",
+        "locked",
+    )
+])  # fmt: skip
+"""Columns of `blocks.SWEEP` that a sample of a phase lock has; the phase is that against the reference."""
 
 
 class Reference(enum.StrEnum):
@@ -199,13 +210,12 @@ class PhaseLock:
 
     @property
     def rows(self) -> NDArray[np.void]:
-        """Every look so far: rows of `blocks.PHASE_LOCK`, `time` from the start."""
+        """Every look so far: rows of `PHASE_LOCK`, `time` from the start."""
         return np.array(self._rows, PHASE_LOCK)
 
-    @property
-    def newest(self) -> NDArray[np.void]:
-        """The last look, shape (1,); (0,) before the first."""
-        return np.array(self._rows[-1:], PHASE_LOCK)
+    def rows_from(self, first: int) -> NDArray[np.void]:
+        """Return the rows from one on; a negative number counts from the end."""
+        return np.array(self._rows[first:], PHASE_LOCK)
 
     @property
     def locked(self) -> bool:
@@ -371,13 +381,14 @@ class LockedSine:
 
     @property
     def rows(self) -> NDArray[np.void]:
-        """Every look so far: rows of `blocks.PHASE_LOCK`."""
+        """Every look so far: rows of `PHASE_LOCK`."""
         return self._lock.rows
 
-    @property
-    def newest(self) -> NDArray[np.void]:
-        """The last of them, shape (1,); (0,) before the first."""
-        return self._lock.newest
+    def sweep_from(self, first: int) -> NDArray[np.void]:
+        """Return the rows from one on: rows of `blocks.SWEEP`."""
+        found = sweep_rows(self._lock.rows_from(first))
+        found["status"] = Status.OK.value
+        return found
 
     def describe(self) -> str:
         """Say what it does, for people."""
@@ -388,7 +399,7 @@ class LockedSine:
 
     def figures(self) -> dict[str, float]:
         """Return how far it is, for programs."""
-        phase = math.degrees(float(self.newest["phase"][0])) if self.measured else math.nan
+        phase = math.degrees(float(self._lock.rows_from(-1)["phase"][0])) if self.measured else math.nan
         locked = float(self._lock.locked)
         return {"looks": self.measured, "frequency_hz": self._lock.frequency_hz, "phase_deg": phase, "locked": locked}
 

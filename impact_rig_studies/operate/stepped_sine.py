@@ -35,7 +35,7 @@ import numpy as np
 from numpy.lib import recfunctions
 from numpy.typing import NDArray
 
-from impact_rig.blocks import HELD, TRANSMISSIBILITY, Table
+from impact_rig.blocks import SWEEP, TRANSMISSIBILITY, Table
 from impact_rig.errors import ConfigError
 from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Status
@@ -120,6 +120,16 @@ PASSING = frozenset({Status.COMMAND_CHANGED, Status.LABEL_CHANGED, Status.CALIBR
 """Words that only say that a change came through."""
 
 
+def sweep_rows(rows: NDArray[np.void]) -> NDArray[np.void]:
+    """Return rows as rows of `blocks.SWEEP`; columns that they lack are NaN, 0 or empty."""
+    found = np.zeros(len(rows), SWEEP)
+    for name in set(SWEEP.names or ()) - {"waited"}:  # which cannot be NaN
+        if SWEEP[name].kind == "f":
+            found[name] = np.nan
+    recfunctions.assign_fields_by_name(found, rows, zero_unassigned=False)
+    return found
+
+
 class SweepState(enum.StrEnum):
     """Where a sweep stands."""
 
@@ -148,6 +158,10 @@ class SteppedSine:
     def rows(self) -> NDArray[np.void]:
         """The curve so far: rows of `transmissibility/table` in the order of the visit, `time` from the start."""
         return np.concatenate(self._rows) if self._rows else np.zeros(0, dtype=TRANSMISSIBILITY)
+
+    def sweep_from(self, first: int) -> NDArray[np.void]:
+        """Return the curve from a row on: rows of `blocks.SWEEP`."""
+        return sweep_rows(self.rows[first:])
 
     @property
     def measured(self) -> int:
@@ -335,14 +349,17 @@ class ControlledSine(SteppedSine):
 
     @property
     def held(self) -> NDArray[np.void]:
-        """The curve so far with target, error and corrections: rows of `blocks.HELD`."""
+        """The curve so far with target, error and corrections: rows of `blocks.SWEEP`."""
         rows = self.rows
-        found = np.zeros(len(rows), HELD)
-        recfunctions.assign_fields_by_name(found, rows)
+        found = sweep_rows(rows)
         found["target"], found["corrections"] = self._hold.target, self._tries[: len(rows)]
         found["error"] = rows[COLUMN[self._hold.hold]] / self._hold.target - 1.0
         found["held"] = np.abs(found["error"]) <= self._hold.tolerance
         return found
+
+    def sweep_from(self, first: int) -> NDArray[np.void]:
+        """Return the curve from a row on: rows of `blocks.SWEEP`."""
+        return self.held[first:]
 
     def _reset(self) -> None:
         super()._reset()

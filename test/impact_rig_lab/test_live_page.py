@@ -526,7 +526,7 @@ def sweep(lab: Lab, page: Page) -> None:
     page.click("#sweep-stop")
     page.wait("lab.now.sweep.text.startsWith('aborted')", "the end of it")
     page.choose("#sweep-hold", "phase")
-    looks = lab.client.collect("transmissibility/locked")
+    looks = lab.client.collect("sweep/table")
     page.click("#sweep-start")
     lab.until(lambda: len(looks.rows()), "a look at the scans")
     assert looks.rows()["frequency"][0] == 8.0

@@ -26,7 +26,8 @@ from kits.recorded_rig import record as record_messages
 from kits.recording import APPLIED_TOPIC, SCAN_TOPIC, START_NS, fill, scan_block
 
 from impact_rig import codec
-from impact_rig.blocks import Table
+from impact_rig.blocks import TRANSMISSIBILITY, Table
+from impact_rig.cli.main import main
 from impact_rig.driver import LocalRig
 from impact_rig.errors import ImpactRigError, RecordingError
 from impact_rig.recording import open_run
@@ -118,6 +119,18 @@ def test_a_journal_is_one_row_per_entry(tmp_path, is_table):
     assert rows[0]["kind"] == "start"
     if not is_table:
         assert json.loads(rows[1]["values"]) == {"barriers.gap_m": 0.1 + 0.2}
+
+
+@pytest.mark.parametrize("former", ["curve", "held", "locked"])
+def test_sweeps_of_earlier_versions_are_exported(former, tmp_path):
+    """They had a topic each; now `sweep/table` holds all of them."""
+    rows = np.zeros(2, TRANSMISSIBILITY)
+    rows["frequency"] = [9.0, 9.1]
+    name = f"transmissibility/{former}"
+    source = record_messages(tmp_path / "run", [("daq/info", Rig(RigConfig()).info()), (name, Table(0, rows))])
+    assert main(["info", str(source)]) == 0
+    with open_run(source) as run, export(run, name, tmp_path / "sweep.csv").open(newline="") as file:
+        assert [float(row["frequency"]) for row in csv.DictReader(file)] == [9.0, 9.1]
 
 
 def test_rows_published_before_the_recording_began_are_marked(run, tmp_path):

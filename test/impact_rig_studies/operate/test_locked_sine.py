@@ -81,7 +81,9 @@ def test_it_finds_the_resonance_though_scans_are_lost_and_rests_after_the_dwell(
     assert rows["time"][0] > 1.0 + 1.5
     assert rows["frequency"][-1] == pytest.approx(TRUE_HZ, abs=0.003)
     assert np.degrees(rows["phase"][-1]) == pytest.approx(-90.0, abs=0.5)
-    assert running.lock.newest.tobytes() == rows[-1:].tobytes()
+    published = running.lock.sweep_from(len(rows) - 1)
+    assert [published[name][0] for name in rows.dtype.names] == [*rows[-1]]
+    assert np.isnan(published["error"][0])
     assert running.noted == list(range(len(rows) + 1))
     assert running.lock.describe().startswith("finished, the resonance is at 9.10")
     assert running.lock.figures()["phase_deg"] == pytest.approx(-90.0, abs=0.5)
