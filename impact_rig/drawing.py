@@ -220,7 +220,7 @@ class Drawn:
     def save(self, folder: Path, formats: Sequence[str] = names.FIGURE_FORMATS) -> None:
         """Write the figure in some formats and, if it has numbers, as CSV."""
         for kind in formats:
-            with files.written_whole(folder / f"{self.name}.{kind}") as file:
+            with files.atomic_write(folder / f"{self.name}.{kind}") as file:
                 file.write(self.content(kind))
         if self.lines:
             files.write_text(folder / f"{self.name}.csv", self.csv())

@@ -33,7 +33,7 @@ from impact_rig.system import files
 
 SAMPLE = "lab_sample"
 FOUND = "?"
-LOOK_MS = 1000
+POLL_MS = 1000
 """Interval between two checks for signals: a signal at the very start of a wait does not interrupt it."""
 
 
@@ -109,7 +109,7 @@ def run(arguments: argparse.Namespace) -> int:
                 webbrowser.open(server.address)
         reader = select.poll()
         reader.register(sys.stdout.fileno(), 0)  # reports only the end of the reader
-        while not reader.poll(LOOK_MS):
+        while not reader.poll(POLL_MS):
             pass
     return 128 + signal.SIGPIPE
 
@@ -138,7 +138,7 @@ def _source(arguments: argparse.Namespace, stack: contextlib.ExitStack) -> Any:
     if arguments.attach:
         return LiveSource(domain, None if arguments.attach == FOUND else arguments.attach)
     from impact_rig.rig.config import RigConfig, from_flat  # noqa: PLC0415
-    from impact_rig_lab.gateway import Own  # noqa: PLC0415
+    from impact_rig_lab.gateway import OwnedProcesses  # noqa: PLC0415
 
     namespace = f"/{arguments.namespace.strip('/')}"
     if not re.fullmatch(r"(/[A-Za-z_][A-Za-z0-9_]*)+", namespace):
@@ -150,12 +150,12 @@ def _source(arguments: argparse.Namespace, stack: contextlib.ExitStack) -> Any:
     _take_place(domain, namespace, stack)
     logs = files.state_dir("lab_logs") / files.place(domain, namespace)
     processes = stack.enter_context(Processes(domain, logs, namespace=namespace))
-    return LiveSource(domain, namespace, Own(processes, parameters))
+    return LiveSource(domain, namespace, OwnedProcesses(processes, parameters))
 
 
 def _check_writable(directory: Path) -> None:
     """Reject a directory that the recorder could not write to later."""
-    with files.errors_as(f"nothing can be recorded into {directory}; choose --output DIR or --no-record"):
+    with files.translate_errors(f"nothing can be recorded into {directory}; choose --output DIR or --no-record"):
         files.make_folder(directory)
         if not os.access(directory, os.W_OK | os.X_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))

@@ -94,7 +94,7 @@ class Refused(ImpactRigError):  # noqa: N818  # a property of a request, not an 
     """Rejection of a request; the message is for the page."""
 
 
-class Own:
+class OwnedProcesses:
     """Nodes started by the lab itself."""
 
     def __init__(self, processes: Any, parameters: Mapping[str, Mapping[str, Any]]) -> None:
@@ -135,7 +135,7 @@ class Gateway:
     Without `own`, only subscriptions.
     """
 
-    def __init__(self, client: Client, record: RigView, own: Own | None) -> None:
+    def __init__(self, client: Client, record: RigView, own: OwnedProcesses | None) -> None:
         self.client, self.record, self._own = client, record, own
         self._heard_at: dict[str, tuple[Any, float]] = {}
         self._running: set[_Running] = set()
@@ -158,7 +158,7 @@ class Gateway:
             "lab_view", namespace=client.node.get_namespace(), context=client.context,
             use_global_arguments=False, enable_rosout=False, start_parameter_services=False,
         )  # fmt: skip
-        self._looks: dict[topics.Topic, Any] = {}
+        self._samples: dict[topics.Topic, Any] = {}
 
     async def close(self, why: str) -> None:
         """Cancel all actions in progress, and unsubscribe."""
@@ -171,19 +171,19 @@ class Gateway:
     def listen(self, scans: bool, motion: bool) -> None:
         """Subscribe to scans and motion, or unsubscribe; without `motion`, drop the known motion."""
         wanted = {*(SCANS if scans else ()), *(TRUTH if scans and motion else ())}
-        for topic in self._looks.keys() - wanted:
-            self._view.destroy_subscription(self._looks.pop(topic))
+        for topic in self._samples.keys() - wanted:
+            self._view.destroy_subscription(self._samples.pop(topic))
             if topic is topics.JOINT_STATES and not motion:
                 with self.record.lock:
                     self.record.forget_motion()
-        for topic in [topic for topic in (*SCANS, *TRUTH) if topic in wanted and topic not in self._looks]:
+        for topic in [topic for topic in (*SCANS, *TRUTH) if topic in wanted and topic not in self._samples]:
             kind, never = messages.class_of(topic), lambda _message: None  # its node is not spun
-            self._looks[topic] = self._view.create_subscription(kind, topic.name, never, PICTURES, raw=True)
+            self._samples[topic] = self._view.create_subscription(kind, topic.name, never, PICTURES, raw=True)
 
     def take(self) -> bool:
         """Process the messages received since the last call; return whether there were any."""
         came = False
-        for topic, subscription in self._looks.items():
+        for topic, subscription in self._samples.items():
             found = list(itertools.islice(take_messages(subscription, raw=True), MOST_PER_LOOK))
             came = came or bool(found)
             if self.record.since_ns() > self.record.start_ns:

@@ -34,15 +34,18 @@ from impact_rig.topics import SCAN
 from impact_rig_lab import state
 from impact_rig_lab.record import LAST_NS, RigView
 from impact_rig_lab.state import KNOBS, STANDING, Pace, Seen, Source, figure
-from impact_rig_lab.theory import be_gentle, closed_form
+from impact_rig_lab.theory import closed_form, lower_priority
 
 if TYPE_CHECKING:
     from impact_rig.client.client import Client
-    from impact_rig_lab.gateway import Gateway, Own
+    from impact_rig_lab.gateway import Gateway, OwnedProcesses
 
-LOOK_S = 0.02  # interval between two checks for data while a page is open
-GLANCE_S = 0.5  # the same while rig time runs faster than real time
-PEEK_S, DEAF_S = 0.1, 1.4  # if the rig is too fast to follow: durations of listening and of not listening to scans
+POLL_S = 0.02  # interval between two checks for data while a page is open
+FAST_POLL_S = 0.5  # the same while rig time runs faster than real time
+SUBSCRIBE_S, PAUSE_S = (
+    0.1,
+    1.4,
+)  # if the rig is too fast to follow: durations of listening and of not listening to scans
 TURN_S = 0.05  # longest turn of the loop while a page is open, which delays its requests
 IDLE_S = 0.2
 LATE_S = 5.0  # longest delay of a rig's first diagnostics after its other messages
@@ -59,7 +62,7 @@ class LiveSource(Source):
         own: nodes that the lab may start; None means that other programs run the rig.
     """
 
-    def __init__(self, domain_id: int, namespace: str | None, own: Own | None = None) -> None:
+    def __init__(self, domain_id: int, namespace: str | None, own: OwnedProcesses | None = None) -> None:
         super().__init__("live", RigView())
         self.directory: Path | None = None  # directory of the recorder's last run
         self._domain_id, self._namespace, self._own = domain_id, namespace, own
@@ -88,7 +91,7 @@ class LiveSource(Source):
             if self._own is not None:
                 for node in self._own.parameters:
                     self._own.start(node)
-            be_gentle()
+            lower_priority()
             asyncio.run(self._serve_rigs())
         except Exception as error:  # without its source the page must report it, not freeze
             self.snapshot.put(rig={"word": "dead", "text": f"The lab has failed: {error}", "name": ""})
@@ -119,7 +122,7 @@ class LiveSource(Source):
             now = time.monotonic()
             self.guard("requests", self._take_requests)
             if now >= look_at:
-                self.guard("pictures", self._look)
+                self.guard("pictures", self._poll)
                 look_at = now + self._until_next_look()
             if now >= state_at:
                 self.guard("state", self._tell)
@@ -133,7 +136,7 @@ class LiveSource(Source):
             self.guard("/diagnostics", functools.partial(self._client.executor.spin_once, timeout_sec=wait_s))
             await asyncio.sleep(0)  # every action checks its condition
 
-    def _look(self) -> None:
+    def _poll(self) -> None:
         """Process new messages.
 
         If the rig is too fast to follow, most are not even sent, which relieves the rig as well.
@@ -148,10 +151,10 @@ class LiveSource(Source):
         if not self.watchers:
             return IDLE_S
         if not self._pace.is_hurried or (self._gateway is not None and self._gateway.is_busy):
-            return LOOK_S
+            return POLL_S
         if self._pace.is_followed:
-            return GLANCE_S
-        return PEEK_S if self._listens else DEAF_S
+            return FAST_POLL_S
+        return SUBSCRIBE_S if self._listens else PAUSE_S
 
     def _until_next_word(self) -> float:
         if not self._pace.is_followed:

@@ -56,7 +56,7 @@ BINS = 400
 TICK_S = 0.025
 TELL_S = 0.1
 MARKS_S = 1.0
-PEEK_S = 0.05  # distance of a jumped-to impact from the end of the picture
+IMPACT_MARGIN_S = 0.05  # distance of a jumped-to impact from the end of the picture
 AT_REST = {"frequency": 0.0, "current": 0.0}
 
 
@@ -308,7 +308,7 @@ class PlaybackSource(Source):
         self._now_s, self._begin_s, self._end_s = 0.0, first.begin_s, first.end_s
         self._playing, self._speed, self._aligned = True, 1.0, "start"
         self._impact_s = self._jumped_s = math.nan
-        """The impact of the last jump, and the time shown: less than `PEEK_S` after it at the end of the run."""
+        """Impact of the last jump, and time shown: less than `IMPACT_MARGIN_S` after it at the end of the run."""
         for run in self._runs[1:]:
             run.offset_s = run.begin_s - first.begin_s
         super().__init__("playback", first.record)
@@ -406,12 +406,12 @@ class PlaybackSource(Source):
             case "seek":
                 self._move(value)
             case "next_impact":
-                shown_s = self._impact_s if self.now_s == self._jumped_s else self.now_s - PEEK_S
+                shown_s = self._impact_s if self.now_s == self._jumped_s else self.now_s - IMPACT_MARGIN_S
                 found = self._runs[0].impact_after(shown_s, value or 1.0)
                 if found is None:
                     raise RecordingError("no further impact in the part read so far")
                 self._playing = False
-                self._move(found + PEEK_S)
+                self._move(found + IMPACT_MARGIN_S)
                 self._impact_s, self._jumped_s = found, self.now_s
             case "align":
                 return self._align(request.values["by"], value)

@@ -46,7 +46,7 @@ from impact_rig_lab.playback import PlaybackSource
 from impact_rig_lab.protocol import FrameKind, Request, RequestError
 from impact_rig_lab.scope import Scope, Trace, spectrum
 from impact_rig_lab.state import Source
-from impact_rig_lab.theory import be_gentle
+from impact_rig_lab.theory import lower_priority
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 STATIC = Path(__file__).parent / "static"
@@ -62,7 +62,7 @@ SPECTRUM_SPAN_S = 2.0
 STATE_S = 0.1
 # a page that has not drawn the last picture after this time is inactive, and gets a picture occasionally
 PATIENCE_S = 2.0
-MOST_BAD = 20  # number of invalid requests after which a connection is closed
+MAX_INVALID = 20  # number of invalid requests after which a connection is closed
 HEADERS_S = 10.0  # time after which a connection without a complete request is closed
 MOST_CONNECTIONS = 64  # far below the limit of descriptors of a process; further connections are rejected
 NO_DESCRIPTOR_S = 0.1  # delay until the next connection is accepted after a failure
@@ -164,7 +164,7 @@ class PageSession:
                     self._refused["malformed"] += 1
                     bad += 1
                     self._reply(0, False, str(error))
-            if bad >= MOST_BAD:
+            if bad >= MAX_INVALID:
                 await self._socket.close(code=1008, message=b"too many requests without sense")
 
     def _take(self, request: Request) -> None:
@@ -347,7 +347,7 @@ class Server:
         self.close()
 
     def _run(self) -> None:
-        be_gentle()
+        lower_priority()
         with asyncio.Runner() as runner:
             runner.run(self._serve())
 

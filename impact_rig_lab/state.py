@@ -44,7 +44,7 @@ from impact_rig_lab.record import SHOWN_UNITS, RigView, fault_unit, guard, plain
 from impact_rig_lab.scope import Scope
 from impact_rig_lab.theory import Theory, contradiction
 
-HURRIED = 1.5
+FAST_FACTOR = 1.5
 """Speed from which pictures are drawn only occasionally.
 
 Individual cycles are invisible, and rig and analysis need the machine.
@@ -181,7 +181,7 @@ class Pace:
     @property
     def is_hurried(self) -> bool:
         """Whether rig time runs faster than real time."""
-        return self.speed > HURRIED
+        return self.speed > FAST_FACTOR
 
     @property
     def is_followed(self) -> bool:

@@ -48,7 +48,7 @@ HELD = {"current": (1.0, "A"), "prescribed": (1e6, "µm")}
 """Kinds of drive that keep current or base constant, and the unit and factor for display."""
 
 
-def be_gentle() -> None:
+def lower_priority() -> None:
     """Lower the priority of the calling thread, and of the threads it starts."""
     thread = threading.get_native_id()
     os.setpriority(os.PRIO_PROCESS, thread, max(GENTLE, os.getpriority(os.PRIO_PROCESS, thread)))
@@ -210,7 +210,7 @@ class Theory:
 
     def _run(self) -> None:
         """Compute until there is no request left."""
-        be_gentle()
+        lower_priority()
         while True:
             with self._lock:
                 wish, self._wish = self._wish, None

@@ -49,7 +49,7 @@ def hold(job: Job, plan: HoldPlan, rig: RigDriver | None = None) -> HeldSweep:
     """
     sweep = ControlledSine(job.plan(), plan)
     operate(sweep, rig or start_local(job))
-    return HeldSweep(sweep.held, sweep.reason)
+    return HeldSweep(sweep.controlled, sweep.reason)
 
 
 def with_short_blocks(config: RigConfig) -> RigConfig:

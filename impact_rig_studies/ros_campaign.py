@@ -57,7 +57,7 @@ def ros_runner(
 
     def run(jobs: Sequence[Job]) -> Generator[tuple[Job, Outcome], None, None]:
         if runs is not None:
-            with files.errors_as(f"cannot record into {runs}"):
+            with files.translate_errors(f"cannot record into {runs}"):
                 files.make_folder(runs)
         # rate and block length of a rig node are fixed at its start
         for _, group in itertools.groupby(sorted(jobs, key=_fixed), key=_fixed):

@@ -42,7 +42,16 @@ from impact_rig_studies import prediction
 from impact_rig_studies.campaign.job import execute
 from impact_rig_studies.campaign.pool import in_parallel
 from impact_rig_studies.closed_loop import hold, with_short_blocks
-from impact_rig_studies.operate.phase_lock import Ladder, LockLoop, LockPlan, PhaseLock, Rung, climb, follow, lock_on
+from impact_rig_studies.operate.phase_lock import (
+    AmplitudePoint,
+    AmplitudeSweep,
+    LockLoop,
+    LockPlan,
+    PhaseLock,
+    follow,
+    lock_on,
+    sweep_amplitude,
+)
 from impact_rig_studies.operate.stepped_sine import Hold, HoldPlan, SweepState
 from impact_rig_studies.prediction import Manifold
 from qualification.prediction import job, tell
@@ -51,7 +60,7 @@ GAPS_MM, FREQUENCIES_HZ = (2, 4, 6, 8, 10), (8.8, 9.0, 9.1, 9.2, 9.4)
 BASE_M = 60e-6
 LONG, MANY = {"long_windows": 64, "wait_limit_s": 120.0}, 8
 """Settings of the measurement, and measurements, of a response that does not repeat."""
-LADDER_A = tuple(round(float(one), 3) for one in np.geomspace(0.13, 0.7, 12))
+CURRENTS_A = tuple(round(float(one), 3) for one in np.geomspace(0.13, 0.7, 12))
 LADDER_GAP_M = 10e-3
 PICTURE = Path(__file__).parents[1] / "docs" / "images" / "backbone.png"
 Finding = tuple[str, bool]
@@ -157,10 +166,10 @@ def locking(_draw: bool) -> list[Finding]:
     return [*found, (words, kept)]
 
 
-def _backbone(start: str) -> list[Rung]:
+def _backbone(start: str) -> list[AmplitudePoint]:
     config = from_flat(RigConfig(), {"barriers.gap_m": LADDER_GAP_M, "sphere.start": start})
-    ladder = Ladder(currents_a=LADDER_A, lock=LockPlan(start_hz=9.0, current_a=LADDER_A[0]))
-    return climb(ladder, LockLoop(LocalRig(with_short_blocks(config))))[0]
+    sweep = AmplitudeSweep(currents_a=CURRENTS_A, lock=LockPlan(start_hz=9.0, current_a=CURRENTS_A[0]))
+    return sweep_amplitude(sweep, LockLoop(LocalRig(with_short_blocks(config))))[0]
 
 
 def _from_reset(place: tuple[str, float, float]) -> float:
@@ -173,8 +182,8 @@ def _from_reset(place: tuple[str, float, float]) -> float:
 
 def backbones(draw: bool) -> list[Finding]:
     """Acceptance of the backbone."""
-    rungs = dict(in_parallel(_backbone, ("left", "centre")))
-    for start, found in rungs.items():
+    points = dict(in_parallel(_backbone, ("left", "centre")))
+    for start, found in points.items():
         for one in found:
             words = f"{'' if one.locked else 'not locked '}{'JUMP' if one.jumped else ''}"
             tell(
@@ -182,11 +191,11 @@ def backbones(draw: bool) -> list[Finding]:
                 f"g/X {LADDER_GAP_M / one.superior_m:.2f}  {words}"
             )
     if draw:
-        _draw(rungs)
-    up = [one for one in rungs["centre"] if one.direction == "up"]
+        _draw(points)
+    up = [one for one in points["centre"] if one.direction == "up"]
     jump = next(i for i, one in enumerate(up) if one.jumped)
     quiet = up[jump - 1]
-    struck = next(one for one in rungs["left"] if one.direction == "down" and one.current_a == quiet.current_a)
+    struck = next(one for one in points["left"] if one.direction == "down" and one.current_a == quiet.current_a)
     places = [("centre", quiet.frequency_hz, quiet.current_a), ("left", struck.frequency_hz, struck.current_a)]
     fresh = dict(in_parallel(_from_reset, places))
     both = [(quiet.dt, fresh[places[0]]), (struck.dt, fresh[places[1]])]
@@ -197,20 +206,20 @@ def backbones(draw: bool) -> list[Finding]:
     )
     findings = [(words, kept)]
     fold = Manifold(0.309).gap_per_amplitude_at_fold
-    down = list(itertools.takewhile(lambda one: not one.jumped, (r for r in rungs["left"] if r.direction == "down")))
+    down = list(itertools.takewhile(lambda one: not one.jumped, (r for r in points["left"] if r.direction == "down")))
     ratio = LADDER_GAP_M / down[-1].superior_m
-    words = f"down: the last rung on the branch has g/X = {ratio:.2f}, the fold is at {fold:.2f}"
+    words = f"down: the last point on the branch has g/X = {ratio:.2f}, the fold is at {fold:.2f}"
     findings.append((words, 5.5 < ratio <= fold))
     line = prediction.backbone(RigConfig(), LADDER_GAP_M)
     line = line.take(line.stable)
     on = [one for one in down if one.superior_m < float(line.superior_m.max())]
     worst = max(abs(one.dt / float(np.interp(one.superior_m, line.superior_m, line.dt)) - 1.0) for one in on)
     return [
-        *findings, (f"down: {len(on)} rungs within {100 * worst:.2f} % of the predicted backbone", worst <= 0.01),
+        *findings, (f"down: {len(on)} points within {100 * worst:.2f} % of the predicted backbone", worst <= 0.01),
     ]  # fmt: skip
 
 
-def _draw(rungs: dict[str, list[Rung]]) -> None:
+def _draw(points: dict[str, list[AmplitudePoint]]) -> None:
     line = prediction.backbone(RigConfig(), LADDER_GAP_M)
     with style():
         figure, (upper, lower) = new_axes(5.0, (1.3, 1.0))
@@ -218,12 +227,12 @@ def _draw(rungs: dict[str, list[Rung]]) -> None:
         for mask, mark, label in ((line.stable, "-", "predicted"), (~line.stable, ":", "predicted, unstable")):
             for axis, y in ((upper, line.dt), (lower, line.frequency_hz)):
                 axis.plot(x, np.where(mask, y, np.nan), mark, color="0.3", label=label if axis is upper else None)
-        for number, (start, found) in enumerate(sorted(rungs.items())):
+        for number, (start, found) in enumerate(sorted(points.items())):
             for direction, marker in (("up", "^"), ("down", "v")):
                 own = [one for one in found if one.direction == direction]
-                x, look = [one.superior_m * 1e3 for one in own], {"color": SERIES[number], "fillstyle": "none"}
-                upper.plot(x, [one.dt for one in own], marker, label=f"{direction}, sphere from the {start}", **look)
-                lower.plot(x, [one.frequency_hz for one in own], marker, **look)
+                x, format_ = [one.superior_m * 1e3 for one in own], {"color": SERIES[number], "fillstyle": "none"}
+                upper.plot(x, [one.dt for one in own], marker, label=f"{direction}, sphere from the {start}", **format_)
+                lower.plot(x, [one.frequency_hz for one in own], marker, **format_)
         upper.set(ylabel="DT at −90°", ylim=(0, None), xlim=(1, 8), xscale="log")
         lower.set(xlabel="amplitude of the superior base (mm)", ylabel="frequency (Hz)")
         lower.set_xticks([1, 2, 3, 4, 5, 6, 8], ["1", "2", "3", "4", "5", "6", "8"])

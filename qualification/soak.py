@@ -56,7 +56,7 @@ class Watched:
     memory: list[float] = attrs.field(factory=list)
     descriptors: list[int] = attrs.field(factory=list)
 
-    def look(self, pid: int) -> None:
+    def read(self, pid: int) -> None:
         """Take one sample."""
         pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
         self.times.append(time.monotonic())
@@ -96,7 +96,7 @@ def soak(part: str, duration_s: float, directory: Path, console: Console) -> boo
                     client.spin_for(0.2)
                     done = (_rig_time_s(client) - begin) if part == "free_running" else (time.monotonic() - began)
                 for node, record in watched.items():
-                    record.look(processes.running[node].pid)
+                    record.read(processes.running[node].pid)
                 console.print(f"{part}: {done:.0f} of {duration_s:.0f} s", end="\r")
             wall_s = time.monotonic() - began
             client.pause()

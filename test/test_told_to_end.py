@@ -96,7 +96,7 @@ def test_a_program_that_has_told_its_progress_and_is_done_when_the_signal_comes_
 
 PAUSING = """
 import os, sys, threading, time
-from impact_rig.system.endings import Ending, unhurried
+from impact_rig.system.endings import Ending, defer_signals
 ending = Ending("program")
 def ready():
     print("ready", flush=True)
@@ -113,7 +113,7 @@ WORK = {
         "",
     ),
     "a file being closed": (
-        "with unhurried(): ready(); time.sleep(0.3); print('closed', flush=True)\n    time.sleep(100)",
+        "with defer_signals(): ready(); time.sleep(0.3); print('closed', flush=True)\n    time.sleep(100)",
         "closed\n",
     ),
     "a thread that never ends": (f"threading.Thread(target=threading.Event().wait).start()\n    {SLEEP}", ""),

@@ -33,7 +33,7 @@ from kits.browser import Browser, Page  # noqa: E402
 
 from impact_rig.client import Client, Processes, isolated_domain  # noqa: E402
 from impact_rig.driver.sample_run import make_sample  # noqa: E402
-from impact_rig_lab.gateway import Own  # noqa: E402
+from impact_rig_lab.gateway import OwnedProcesses  # noqa: E402
 from impact_rig_lab.live import LiveSource  # noqa: E402
 from impact_rig_lab.playback import PlaybackSource  # noqa: E402
 from impact_rig_lab.server import Server  # noqa: E402
@@ -58,7 +58,7 @@ def live(browser: Browser, directory: Path) -> None:
         "recorder": {"directory": str(directory)},
     }
     with isolated_domain() as domain_id, Processes(domain_id, directory / "logs", "/rig") as processes:
-        source = LiveSource(domain_id, "/rig", Own(processes, parameters))
+        source = LiveSource(domain_id, "/rig", OwnedProcesses(processes, parameters))
         with Server(source, port=0) as server, source, Client(domain_id, "rig", name="observer") as client:
             client.wait_active("rig", "analysis", "recorder")
             light = browser.page(1280, 800, prefers_color_scheme="light")

@@ -31,8 +31,9 @@ order:
 
 A sphere that drifts from wall to wall leaves the structure as steady as if there were none, for as long as it drifts. A
 row without impacts is therefore delayed until there has been no impact for the time in which the slowest sphere
-considered crosses the gap, or for `wait_limit_s` if that is shorter (`Quiet`). Even then the sphere may still strike,
-so that row has the status `no_impacts`. A motion with few impacts at irregular times is measured over the long record.
+considered crosses the gap, or for `wait_limit_s` if that is shorter (`ImpactPause`). Even then the sphere may still
+strike, so that row has the status `no_impacts`. A motion with few impacts at irregular times is measured over the long
+record.
 """
 
 from __future__ import annotations
@@ -140,7 +141,7 @@ NOTICED_S, NOTICED_CYCLES = 0.5, 2.0
 
 
 @attrs.frozen
-class Quiet:
+class ImpactPause:
     """Time without impacts so far, and the time for which a row without impacts is delayed."""
 
     since_s: float = 0.0  # time since the last impact under drive, or since the gap was set or the drive started
@@ -160,7 +161,7 @@ class Progress:
     windows: int  # number since the last change; at most `needed`
     needed: int  # estimated number required: it grows while no row can be given
     remnant: float  # remnant of the transient, relative to the transmissibility; NaN if not known yet
-    quiet: Quiet = Quiet()  # wait for a sphere; without a bound if there is none
+    quiet: ImpactPause = ImpactPause()  # wait for a sphere; without a bound if there is none
 
     @property
     def reason(self) -> str:
@@ -187,7 +188,7 @@ class Judge:
         self._noise_per_scan = np.zeros(len(CHANNELS))  # variance near the drive in the newest window
         self._window_s = window_cycles(frequency_hz, settings) / frequency_hz
         self._broken: Status | None = None
-        self._quiet = Quiet()
+        self._quiet = ImpactPause()
         self._held: Measurement | None = None  # the row of the newest windows, while the sphere may still strike
         self._stayed_away = False  # whether a row since the newest was delayed because the sphere may still strike
         self._whole = 0  # number of windows since the change of the drive, or since the last broken one
@@ -195,7 +196,7 @@ class Judge:
         self._due: int | None = None  # number of windows before the first measurement
         self._remnant = math.nan  # remnant of the transient, relative to the newest transmissibility
 
-    def add(self, window: Cycles, quiet: Quiet = Quiet()) -> Measurement | None:
+    def add(self, window: Cycles, quiet: ImpactPause = ImpactPause()) -> Measurement | None:
         """Add the next window; return a measurement if one is due.
 
         A window with lost, over-range or non-finite values is discarded with all before it. It is reported when it is

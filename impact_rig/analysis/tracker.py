@@ -35,7 +35,7 @@ from impact_rig.analysis.cycles import Accumulator, Cycles, usable_harmonics
 from impact_rig.analysis.impacts import NO_IMPACTS, ImpactDetector, counted, impact_tables
 from impact_rig.analysis.scans import SCAN, ScanBuffer, first_scan_at, need_columns, scan_index
 from impact_rig.analysis.settings import GapLabel, ImpactSettings, TrackerSettings
-from impact_rig.analysis.settling import NOTICED_CYCLES, NOTICED_S, Judge, Progress, Quiet, window_cycles
+from impact_rig.analysis.settling import NOTICED_CYCLES, NOTICED_S, ImpactPause, Judge, Progress, window_cycles
 from impact_rig.analysis.transmissibility import Measurement, counts_impacts, measurement_table
 from impact_rig.blocks import APPLIED, DAQ_INFO, LONGEST_S, Table, joined
 from impact_rig.errors import ConfigError
@@ -459,7 +459,7 @@ class Tracker:
         soon = self._added + math.ceil(ADD_S * self._rate)
         self._due = min(soon, accumulator.end(self._window))
 
-    def _quiet(self, scan: int) -> Quiet:
+    def _quiet(self, scan: int) -> ImpactPause:
         """Return the time without impacts at a scan, and the time for which one may still occur.
 
         Without a label, an impact proves that there is a sphere; its flight distance is unknown then. Without an impact
@@ -468,10 +468,10 @@ class Tracker:
         assert self._calibration is not None
         never, unknown = math.isnan(self._struck), math.isnan(self._gap_m)
         if self._gap_m == 0.0 or (never and unknown) or not counts_impacts(self._calibration):
-            return Quiet()
+            return ImpactPause()
         since = (scan + 1 - (self._placed if never else max(self._placed, self._struck))) / self._calibration.rate_hz
         limit_s = self._settings.wait_limit_s
-        return Quiet(since, limit_s if unknown else min(limit_s, self._gap_m / self._settings.slowest_speed))
+        return ImpactPause(since, limit_s if unknown else min(limit_s, self._gap_m / self._settings.slowest_speed))
 
     def _report_no_frequency(self, until: int) -> None:
         second = math.ceil(self._rate)  # scans

@@ -35,7 +35,7 @@ from impact_rig.recording import open_run
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.gaps import NO_SPHERE, case_of
-from impact_rig.system.endings import unhurried
+from impact_rig.system.endings import defer_signals
 
 SECONDS = 60.0
 SCANS_TIMEOUT_S = 30.0  # wall time that a rig may take for a block of scans
@@ -91,7 +91,7 @@ def _run(arguments: argparse.Namespace) -> int:
                 early = str(error)
             except KeyboardInterrupt as error:
                 early, interrupted = "interrupted", error
-            ending.enter_context(unhurried())
+            ending.enter_context(defer_signals())
             shown.end = early or "done"
         if not directory.exists():
             raise interrupted or ImpactRigError(early)

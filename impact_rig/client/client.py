@@ -53,7 +53,7 @@ from impact_rig.nodes.messages import Template, by_name, header_stamp_ns
 from impact_rig.nodes.process import make_executor, patient_threads
 from impact_rig.rig.journal import JournalEntry
 from impact_rig.simtime import NS_PER_S
-from impact_rig.system.endings import unhurried
+from impact_rig.system.endings import defer_signals
 from impact_rig.topics import Topic
 
 
@@ -145,7 +145,7 @@ class Collector:
 SPIN_S = 0.1
 GONE_S = 2.0  # every rig reports once a second in any state, so a rig that is silent for longer is gone
 DIAGNOSTICS_PERIOD_S = 1.0
-LOOK_S = 0.05  # messages that arrived while the executor was not spinning are delivered within this time
+DELIVERY_S = 0.05  # messages that arrived while the executor was not spinning are delivered within this time
 HISTORY_S = 1.0  # a client that has just discovered a rig receives its latched messages within this time
 
 
@@ -186,7 +186,7 @@ class Activation:
     @property
     def _is_changing(self) -> bool:
         """Whether diagnostics of the previous rig may still arrive."""
-        return self._clock() - self._changed_at <= LOOK_S
+        return self._clock() - self._changed_at <= DELIVERY_S
 
     def heard(self, instance: str) -> None:
         """Update the activation from a rig's diagnostics, in the order received.
@@ -326,7 +326,7 @@ class Client:
 
     def close(self) -> None:
         """Destroy the node, the nodes it hosts and the context."""
-        with unhurried():
+        with defer_signals():
             for node in self._hosted:  # nodes of this package finish their work while the executor still runs
                 if hasattr(node, "close"):
                     node.close()
@@ -371,9 +371,9 @@ class Client:
         activation = self._rigs.setdefault(rig, Activation(self._spinner.waited_s))
         check = activation.given(what, math.inf) if may_be_silent else activation.given(what)
         if activation.is_overdue:  # no callback has run for a while: another rig may have started meanwhile
-            deadline = time.monotonic() + LOOK_S
+            deadline = time.monotonic() + DELIVERY_S
             while activation.is_overdue and time.monotonic() < deadline:
-                self._spinner.spin(LOOK_S)
+                self._spinner.spin(DELIVERY_S)
             check()
         return check
 
@@ -699,9 +699,9 @@ class Client:
         while not self._knows_past and time.monotonic() < deadline:
             came_ns = [message.received_system_ns for message in self.applied.received[:1]]
             # the rig sent its history with the first message
-            self._knows_past = bool(came_ns) and time.time_ns() - came_ns[0] > LOOK_S * NS_PER_S
+            self._knows_past = bool(came_ns) and time.time_ns() - came_ns[0] > DELIVERY_S * NS_PER_S
             if not self._knows_past:
-                self.spin_for(LOOK_S)
+                self.spin_for(DELIVERY_S)
         self._knows_past = True
 
     def _acknowledge(self, message: Received) -> None:

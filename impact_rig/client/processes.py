@@ -35,7 +35,7 @@ import attrs
 import impact_rig
 from impact_rig.errors import GoneError, ImpactRigError
 from impact_rig.system import files, segments
-from impact_rig.system.endings import PARENT_VARIABLE, unhurried
+from impact_rig.system.endings import PARENT_VARIABLE, defer_signals
 
 STOP_TIMEOUT_S = 10.0
 """Time that a process may take to end after SIGINT (a recorder finishes its file) before it is killed."""
@@ -144,7 +144,7 @@ class Processes:
         for key, value in (parameters or {}).items():
             arguments += ["-p", f"{key}:={_yaml(value)}"]
         log = self.directory / f"{name}.log"
-        with unhurried(), log.open("ab") as output:
+        with defer_signals(), log.open("ab") as output:
             process = subprocess.Popen(  # noqa: S603  # the caller's own program, arguments as a list
                 [*(command or _command(node)), "--ros-args", *arguments],
                 stdin=subprocess.DEVNULL,
@@ -170,7 +170,7 @@ class Processes:
 
     def stop(self, *names: str, timeout_s: float = STOP_TIMEOUT_S) -> dict[str, int]:
         """End the named processes, or all of them, by SIGINT, SIGTERM and SIGKILL; return their exit codes."""
-        with unhurried():
+        with defer_signals():
             chosen = [self.running[name] for name in names or tuple(self.running)]
             for process in chosen:
                 self.running.pop(process.name, None)

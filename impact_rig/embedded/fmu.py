@@ -33,7 +33,7 @@ from impact_rig.errors import ImpactRigError
 from impact_rig.kernels.build import FOLDER, OBJECT
 from impact_rig.physics.sampling import QUANTITIES
 from impact_rig.rig.config import RigConfig
-from impact_rig.system.files import written_whole
+from impact_rig.system.files import atomic_write
 
 HERE = Path(__file__).parent
 VERSIONS = ("3.0", "2.0")
@@ -76,7 +76,7 @@ def write_fmu(config: RigConfig, path: Path, version: str = VERSIONS[0], kernels
             f"static const unsigned char snapshot[] = {{{numbers}}};\n"
         )
         machine = _compile(work, kernels)
-        with written_whole(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as unit:
+        with atomic_write(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as unit:
             unit.writestr("modelDescription.xml", _description(config, data, version, token))
             unit.write(work / f"{MODEL}.so", f"binaries/{PLATFORMS[version][machine]}/{MODEL}.so")
 

@@ -39,7 +39,7 @@ from impact_rig.simtime import NS_PER_S
 
 KEPT = 4096  # minimum number of blocks whose stamps are remembered
 POLL_S = 0.02  # minimum interval between two graph queries for the peers that a free-running rig waits for
-LOOK_S = 0.5  # minimum interval between two graph queries for all readers
+GRAPH_POLL_S = 0.5  # minimum interval between two graph queries for all readers
 REALTIME_S = 0.05
 """Interval between acknowledgements of a rig in real time, which waits for no peer and only detects late ones."""
 PRESENT_NS = NS_PER_S
@@ -202,7 +202,7 @@ class Readers:
         self._expected_at = 0.0
         self._present: dict[str, set[bytes]] = {}  # subscriptions by node name
         self._came_ns: dict[str, int] = {}  # first sighting of the newest of these [ns of the monotonic clock]
-        self._looked_at = -LOOK_S
+        self._polled_at = -GRAPH_POLL_S
         self._matched = 0
 
     @property
@@ -214,7 +214,7 @@ class Readers:
         """Set the peers that must be connected; search for all of them again."""
         self._missing = set(names)
         self._expected_at = time.monotonic()
-        self._looked_at = -LOOK_S
+        self._polled_at = -GRAPH_POLL_S
 
     def missing(self) -> tuple[str, ...]:
         """Return the peers not discovered yet."""
@@ -231,7 +231,7 @@ class Readers:
             offered = [info.qos_profile for info in self._node.get_publishers_info_by_topic(self._publisher.topic_name)]
             matching = [
                 info
-                for info in self._look()
+                for info in self._poll()
                 if any(qos_check_compatible(one, info.qos_profile)[0] != QoSCompatibility.ERROR for one in offered)
             ]
             if self.subscribers >= len(matching):
@@ -240,14 +240,14 @@ class Readers:
 
     def knows(self, name: str) -> bool:
         """Return whether a node of this name reads the topic; invented names must not fill the memory."""
-        if name not in self._present and (self._due(LOOK_S) or self.subscribers != self._matched):
-            self._look()
+        if name not in self._present and (self._due(GRAPH_POLL_S) or self.subscribers != self._matched):
+            self._poll()
         return name in self._present
 
     def gone(self, names: Iterable[str]) -> tuple[str, ...]:
         """Return which of these nodes have left."""
-        if self._due(LOOK_S):
-            self._look()
+        if self._due(GRAPH_POLL_S):
+            self._poll()
         return tuple(name for name in names if name not in self._present)
 
     def came_ns(self, name: str) -> int:
@@ -255,11 +255,11 @@ class Readers:
         return self._came_ns.get(name, 0)
 
     def _due(self, period_s: float) -> bool:
-        return time.monotonic() - self._looked_at >= period_s
+        return time.monotonic() - self._polled_at >= period_s
 
-    def _look(self) -> list[TopicEndpointInfo]:
+    def _poll(self) -> list[TopicEndpointInfo]:
         found: list[TopicEndpointInfo] = self._node.get_subscriptions_info_by_topic(self._publisher.topic_name)
-        self._looked_at, self._matched = time.monotonic(), self.subscribers
+        self._polled_at, self._matched = time.monotonic(), self.subscribers
         before, self._present = self._present, {}
         for info in found:
             self._present.setdefault(info.node_name, set()).add(bytes(info.endpoint_gid))

@@ -42,7 +42,7 @@ from impact_rig.nodes.pacing import Pacer
 from impact_rig.nodes.process import make_executor, patient_threads
 from impact_rig.recording import RecordedTopic, Run
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
-from impact_rig.system.endings import unhurried
+from impact_rig.system.endings import defer_signals
 
 MADE_HERE = (topics.CLOCK.name, topics.CLOCK.name.lstrip("/"), topics.ACK.name)
 """Topics that are never replayed: the player publishes the clock, and the present peers acknowledge."""
@@ -77,7 +77,7 @@ def on_graph(name: str) -> Iterator[tuple[Node, Spin]]:
     try:
         yield node, lambda longest_s: executor.spin_once(timeout_sec=longest_s)
     finally:
-        with unhurried():
+        with defer_signals():
             executor.shutdown()
             node.destroy_node()
             context.try_shutdown()
@@ -151,7 +151,7 @@ class Player:
         self._window = self._new_window()  # stamps begin again
         self._rested_at = time.monotonic()
         while self._readers is not None and not self._readers.all_matched():
-            yield from self._rest(SPIN_S)
+            yield from self._wait(SPIN_S)
         self._pacer.rebase(self.start_ns)
         clock_ns, shift_ns = self.start_ns, 0  # /clock follows the stamps: log times may belong to another clock
         for message in self._run.messages(self._names):
@@ -161,7 +161,7 @@ class Player:
                     f"{self._run.path}: {message.topic} is {pause_h:.4g} h later than all other messages"
                 )
             while message.log_time > self.start_ns and self._must_wait(message.log_time):
-                yield from self._rest(self._time_left_s(message.log_time))
+                yield from self._wait(self._time_left_s(message.log_time))
             self.now_ns = max(self.now_ns, message.log_time)
             if message.topic == self._scan:
                 shift_ns = codec.header_stamp_ns(message.data) - message.log_time
@@ -175,7 +175,7 @@ class Player:
             if message.topic == self._scan:
                 self._window.published(codec.header_stamp_ns(message.data))
         while self._window.outstanding():
-            yield from self._rest(SPIN_S)
+            yield from self._wait(SPIN_S)
 
     def finish(self) -> None:
         """Deliver the last messages and answers before the node is destroyed."""
@@ -192,7 +192,7 @@ class Player:
             return SPIN_S
         return min(max(self._pacer.wait_ns(due_ns) / NS_PER_S, 0.0), SPIN_S)
 
-    def _rest(self, longest_s: float) -> Iterator[int]:
+    def _wait(self, longest_s: float) -> Iterator[int]:
         """Run callbacks once."""
         now = time.monotonic()
         if now - self._rested_at > AWAY_S:

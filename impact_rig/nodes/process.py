@@ -41,7 +41,7 @@ from impact_rig.errors import describe
 from impact_rig.nodes import rclpy_internals
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.system import segments
-from impact_rig.system.endings import SIGNALS, Ending, held
+from impact_rig.system.endings import SIGNALS, Ending, block_signals
 
 SPIN_S = 0.2
 DISCOVERY_S = 3.5
@@ -102,7 +102,7 @@ def patient_threads() -> Iterator[None]:
 def run(make_node: Callable[[], ManagedNode[Any]], ending: Ending) -> int:
     """Spin the node until a signal or a shutdown; return the exit code."""
     try:
-        with held(), patient_threads():
+        with block_signals(), patient_threads():
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
             executor = make_executor()
             node = make_node()

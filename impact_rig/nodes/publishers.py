@@ -46,7 +46,9 @@ A killed process can block messages to others until the middleware drops it, abo
 reach them then.
 """
 LEAST_S, LEAST_BLOCKS = 2.0, 100  # minimum number of scans kept, whichever is more
-LOOK_S = 0.1  # minimum interval between two checks for subscribers in real time: each costs a twentieth of a block
+GRAPH_POLL_S = (
+    0.1  # minimum interval between two checks for subscribers in real time: each costs a twentieth of a block
+)
 QUEUE = 256
 """Number of messages to one process that the middleware certainly holds:
 
@@ -147,7 +149,7 @@ class Publishers:
             if t not in absent and (t is not topics.CLOCK or config.time.publishes_clock)
         }
         self._listened_to: set[str] = set()
-        self._looked_at = -LOOK_S
+        self._polled_at = -GRAPH_POLL_S
         self._info = b""
         self._description = ""
         self._monitors: Monitors | None = None
@@ -157,15 +159,15 @@ class Publishers:
         """Return the topics that are published now, and that no other node may publish."""
         return [name for name in self._node.outputs if name != topics.ROBOT_DESCRIPTION.name]
 
-    def look(self, often: bool) -> None:
+    def poll(self, often: bool) -> None:
         """Check which topics have subscribers, before blocks are published.
 
-        At most once in `LOOK_S`, unless `often`.
+        At most once in `GRAPH_POLL_S`, unless `often`.
         """
         now = time.monotonic()
-        if now - self._looked_at < LOOK_S and not often:
+        if now - self._polled_at < GRAPH_POLL_S and not often:
             return
-        self._looked_at = now
+        self._polled_at = now
         self._listened_to = {
             name for name, publisher in self._node.outputs.items() if publisher.get_subscription_count()
         }
@@ -258,7 +260,7 @@ class Publishers:
     def forget(self) -> None:
         """Publish the calibration again at the next request: a new rig starts."""
         self._info = b""
-        self._looked_at = -LOOK_S
+        self._polled_at = -GRAPH_POLL_S
 
     def _settle(self, topic: topics.Topic) -> None:
         """Wait until every matched subscriber has received the messages of a topic.

@@ -105,23 +105,23 @@ class LookingExecutor(EventsExecutor):
     def add_node(self, node: Any) -> bool:
         """Run a node's callbacks from now on."""
         added = bool(super().add_node(node))
-        self._look_soon()
+        self._watch_soon()
         return added
 
     def remove_node(self, node: Any) -> None:
         """Stop running a node's callbacks."""
         super().remove_node(node)
-        self._look_soon()
+        self._watch_soon()
 
     def wake(self) -> None:
         """Start listening to new entities of the nodes."""
         super().wake()
-        self._look_soon()
+        self._watch_soon()
 
     def _wake(self) -> None:
         super().wake()
 
-    def _look_soon(self) -> None:
+    def _watch_soon(self) -> None:
         """Poll new entities once the executor listens to them.
 
         Listening is requested already, and requests run in order.
@@ -129,11 +129,11 @@ class LookingExecutor(EventsExecutor):
         nodes = self.get_nodes()
         found = {one for node in nodes for one in (*node.subscriptions, *node.services, *node.clients)}
         for entity in found.difference(self._known):
-            self.create_task(_look, weakref.ref(entity))
+            self.create_task(_watch, weakref.ref(entity))
         self._known = weakref.WeakSet(found)
 
 
-def _look(reference: weakref.ref[Any]) -> None:
+def _watch(reference: weakref.ref[Any]) -> None:
     """Process the items that an entity holds; an item that was also reported is gone when its turn comes."""
     entity = reference()
     if entity is None:

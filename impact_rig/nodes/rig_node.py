@@ -94,7 +94,7 @@ class RigNode(ManagedNode[RigConfig]):
 
     def health(self) -> tuple[Level, str]:
         """Return level and message of the rig, and log changes."""
-        self._state.look()
+        self._state.log_changes()
         return self._state.health()
 
     def figures(self) -> dict[str, object]:

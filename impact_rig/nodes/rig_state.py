@@ -41,7 +41,7 @@ MOST = 5  # maximum number of faults logged in one update; for more, only their 
 
 
 @attrs.frozen
-class Trouble:
+class Problem:
     """Problem of a rig: its level, its message, and the state it causes, if any."""
 
     level: Level
@@ -64,9 +64,9 @@ class RigState:
     def word(self) -> NodeState:
         """Return the state of the rig: what prevents its start or progress, what stops the shaker, or its drive."""
         session = self._session
-        obstacle = session.obstacle()
-        if obstacle is not None:
-            return obstacle
+        reason_not_ready = session.reason_not_ready()
+        if reason_not_ready is not None:
+            return reason_not_ready
         if session.rig is None:  # only between two callbacks
             return NodeState(states.RigWord.INACTIVE, self._node.state)
         found = next((one.state for one in self._troubles(session.rig) if one.state is not None), None)
@@ -78,9 +78,9 @@ class RigState:
 
     def health(self) -> tuple[Level, str]:
         """Return the problem of the rig, or the reason why it has not started."""
-        obstacle, rig = self._session.obstacle(), self._session.rig
-        if obstacle is not None:
-            return Level.ERROR if obstacle.word is states.RigWord.RIVAL else Level.WARN, obstacle.reason
+        reason_not_ready, rig = self._session.reason_not_ready(), self._session.rig
+        if reason_not_ready is not None:
+            return Level.ERROR if reason_not_ready.word is states.RigWord.RIVAL else Level.WARN, reason_not_ready.reason
         if rig is None:
             return Level.WARN, self._node.state
         running = (Level.OK, f"running, {self._node.settings.time.mode}")
@@ -141,7 +141,7 @@ class RigState:
     def _clock_step_s(self) -> float:
         return (time.time_ns() - time.monotonic_ns() - self._session.clock_offset_ns) / NS_PER_S
 
-    def _troubles(self, rig: Rig) -> Iterator[Trouble]:
+    def _troubles(self, rig: Rig) -> Iterator[Problem]:
         """Yield the problems of a running rig; the most severe with a state comes first."""
         session, words, readers = self._session, states.RigWord, self._session.readers
         timing, daq, realtime = self._node.settings.time, self._node.settings.daq, session.is_realtime
@@ -149,50 +149,50 @@ class RigState:
         missing = "" if readers.all_matched() else ", ".join(readers.missing())
         silent = "" if realtime else ", ".join(session.window.silent())
         if others:
-            yield Trouble(Level.ERROR, others, NodeState(words.RIVAL, others))
+            yield Problem(Level.ERROR, others, NodeState(words.RIVAL, others))
         if missing and not realtime:
             waiting = f"waiting for peer {missing}"
             level = Level.ERROR if readers.overdue(timing.peer_timeout_s) else Level.WARN
-            yield Trouble(level, waiting, NodeState(words.NO_PEER, waiting))
+            yield Problem(level, waiting, NodeState(words.NO_PEER, waiting))
         quiet = [f"peer {silent} silent for {timing.peer_timeout_s:g} s"] if silent else []
         if session.is_starving:
             quiet.append(f"{session.controllers()} sends no samples on {topics.WAVEFORM.name}")
         for why in quiet:
             go_on = f"paused: {why} (~/pause false continues without it)"
-            yield Trouble(Level.ERROR, go_on, NodeState(words.SILENT_PEER, why))
+            yield Problem(Level.ERROR, go_on, NodeState(words.SILENT_PEER, why))
         if rig.latched is not None:
-            yield Trouble(Level.ERROR, f"shaker latched by {rig.latched}", NodeState(words.TRIPPED, rig.latched))
+            yield Problem(Level.ERROR, f"shaker latched by {rig.latched}", NodeState(words.TRIPPED, rig.latched))
         if session.paused:
-            yield Trouble(Level.WARN, "paused", NodeState(words.PAUSED, "~/pause"))
+            yield Problem(Level.WARN, "paused", NodeState(words.PAUSED, "~/pause"))
         if session.is_lockstep and session.is_idle:
-            yield Trouble(Level.OK, "", NodeState(words.PAUSED, "no step is asked for"))
+            yield Problem(Level.OK, "", NodeState(words.PAUSED, "no step is asked for"))
         without = missing if realtime else ", ".join(session.window.waived())
         if without:
-            yield Trouble(Level.WARN, f"running without peer {without}")
+            yield Problem(Level.WARN, f"running without peer {without}")
         if rig.takes_samples:
             who = session.controllers()
             if " and " in who:
-                yield Trouble(Level.WARN, f"{who} all send samples: the last one received counts")
+                yield Problem(Level.WARN, f"{who} all send samples: the last one received counts")
             if rig.stream.state is StreamState.MISSING:
-                yield Trouble(Level.WARN, f"no samples of {who} in time: {_WITHOUT[rig.config.drive.on_underrun]}")
+                yield Problem(Level.WARN, f"no samples of {who} in time: {_WITHOUT[rig.config.drive.on_underrun]}")
         if session.pacer.slips:
-            yield Trouble(Level.WARN, "could not keep real time: see slips")
+            yield Problem(Level.WARN, "could not keep real time: see slips")
         if realtime:
             per_second = daq.rate_hz * timing.factor / daq.block_scans
             for name, count in session.window.behind().items():
                 if count > SLOW_S * per_second + 1:
-                    yield Trouble(Level.WARN, f"{name} is {count / per_second:.0f} s behind")
+                    yield Problem(Level.WARN, f"{name} is {count / per_second:.0f} s behind")
         if realtime and abs(self._clock_step_s()) > CLOCK_STEP_S:
             moved = f"the system clock was moved by {self._clock_step_s():+.3f} s, stamps were not"
-            yield Trouble(Level.WARN, moved)
+            yield Problem(Level.WARN, moved)
         if rig.plucked:
-            yield Trouble(Level.OK, "base locked after a pluck", NodeState(words.PLUCKED))
+            yield Problem(Level.OK, "base locked after a pluck", NodeState(words.PLUCKED))
         if session.counts.faults:
-            yield Trouble(Level.OK, f"faults active: {', '.join(session.counts.faults.values())}")
+            yield Problem(Level.OK, f"faults active: {', '.join(session.counts.faults.values())}")
 
     # The log
 
-    def look(self) -> None:
+    def log_changes(self) -> None:
         """Log the changes since the last call."""
         session = self._session
         rig, window = session.rig, session.window

@@ -54,7 +54,7 @@ from impact_rig.system import files
 
 OBEDIENT = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_cyclonedds_cpp")
 """Middleware that obeys `ROS_AUTOMATIC_DISCOVERY_RANGE`."""
-LOOK_S = 0.5  # minimum interval between two checks for other publishers of a rig's topics
+GRAPH_POLL_S = 0.5  # minimum interval between two checks for other publishers of a rig's topics
 
 
 def ends_here(environment: Mapping[str, str], middleware: str) -> bool:
@@ -99,15 +99,15 @@ class DuplicatePublishers:
     def __init__(self, node: Node, names: Callable[[], Iterable[str]]) -> None:
         self._node = node
         self._names = names
-        self._looked_at = -LOOK_S
+        self._polled_at = -GRAPH_POLL_S
         self._sentence = ""
 
     def sentence(self) -> str:
         """Return who else publishes which topics, or an empty text; checks at most twice a second, and logs changes."""
         now = time.monotonic()
-        if now - self._looked_at >= LOOK_S:
-            self._looked_at = now
-            before, self._sentence = self._sentence, self._look()
+        if now - self._polled_at >= GRAPH_POLL_S:
+            self._polled_at = now
+            before, self._sentence = self._sentence, self._poll()
             if self._sentence != before:
                 logger = self._node.get_logger()
                 logger.error(self._sentence) if self._sentence else logger.info(
@@ -115,7 +115,7 @@ class DuplicatePublishers:
                 )
         return self._sentence
 
-    def _look(self) -> str:
+    def _poll(self) -> str:
         found: dict[str, list[str]] = {}
         for name in self._names():
             if self._node.count_publishers(name) > 1:
@@ -311,12 +311,12 @@ class Session:
         self._history_settled, self._active = False, True
         self._steps_left, self.counts, self._starved_at = 0, Counts(), None
         self._timer.start(AHEAD_PERIOD_S, 0.0)
-        if self.obstacle() is None:
+        if self.reason_not_ready() is None:
             self._begin()
         else:
             self.publishers.announce(self.node.settings)
 
-    def obstacle(self) -> NodeState | None:
+    def reason_not_ready(self) -> NodeState | None:
         """Return why a rig has not started yet, or None.
 
         A rig that finds another one on its topics waits until that one is gone: two rigs in one namespace would drive
@@ -386,9 +386,9 @@ class Session:
 
     def why_not(self) -> str:
         """Return why there is no rig."""
-        obstacle = self.obstacle()
-        if obstacle is not None:
-            return f"the rig has not started: {obstacle.reason}"
+        reason_not_ready = self.reason_not_ready()
+        if reason_not_ready is not None:
+            return f"the rig has not started: {reason_not_ready.reason}"
         return f"the rig is {self.node.state}, activate it first"
 
     # Work
@@ -420,7 +420,7 @@ class Session:
         now = self._notice_absence()
         try:
             if self.rig is None:
-                if self._active and self.obstacle() is None:
+                if self._active and self.reason_not_ready() is None:
                     self._begin()
             elif self.is_realtime and not self.paused:
                 self._catch_up(self.rig, now + WORK_S)
@@ -525,7 +525,7 @@ class Session:
         if self.publishers.changes(rig):
             self.node.report_change()  # for example, after a trip
         if blocks:
-            self.publishers.look(often=self.paused or not self.is_realtime)
+            self.publishers.poll(often=self.paused or not self.is_realtime)
         for block in blocks:
             self.publishers.block(block)
             if not block.lost:

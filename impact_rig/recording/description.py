@@ -384,7 +384,7 @@ def write_metadata(directory: Path, info: Information) -> None:
         RecordingError: it cannot be written.
     """
     path = directory / METADATA_FILE
-    with files.errors_as(f"cannot write {path}"):
+    with files.translate_errors(f"cannot write {path}"):
         files.write_text(path, dump_yaml({METADATA_KEY: info}) + "\n")
 
 

@@ -45,7 +45,7 @@ from impact_rig.recording import columns, description, records, rigs
 from impact_rig.recording.description import RECORD_NAME, Attachment, TopicDescription, verify
 from impact_rig.recording.records import DamageError
 from impact_rig.system import budget, files
-from impact_rig.system.budget import BudgetError, Spending
+from impact_rig.system.budget import BudgetError, ReadBudget
 from impact_rig.topics import Topic
 
 DATA_END_BYTES = records.RECORD_HEAD.size + 4
@@ -366,8 +366,8 @@ class Run:
             texts = sum(len(recorded.topic.offered_qos_text) for recorded in self.topics.values())
             budget.allow("characters of QoS profiles", texts, budget.QOS_CHARACTERS)
 
-    def _account(self) -> Spending:
-        return Spending(sum(source.size for source in self.sources))
+    def _account(self) -> ReadBudget:
+        return ReadBudget(sum(source.size for source in self.sources))
 
     def _merge_topics(self) -> dict[str, RecordedTopic]:
         merged: dict[str, RecordedTopic] = {}
@@ -507,7 +507,7 @@ def _wanted(source: McapSource, segment: Segment, names: frozenset[str] | None) 
 
 
 def _items(
-    place: _Place, content: memoryview, names: frozenset[str] | None, number_of_place: int, account: Spending
+    place: _Place, content: memoryview, names: frozenset[str] | None, number_of_place: int, account: ReadBudget
 ) -> list[_Item]:
     """Return the selected messages of a segment, each with its sort key."""
     topics = place.source.topics
@@ -544,7 +544,7 @@ class McapSource:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        with files.errors_as(f"cannot open {path}"):
+        with files.translate_errors(f"cannot open {path}"):
             self._fd = files.open_regular(path)
         try:
             self.size = os.fstat(self._fd).st_size
@@ -637,7 +637,7 @@ class McapSource:
             RecordingError: it is damaged.
         """
         if segment.chunk is None:
-            with files.errors_as(f"cannot read {self.path} at byte {segment.offset}"):
+            with files.translate_errors(f"cannot read {self.path} at byte {segment.offset}"):
                 return memoryview(os.pread(self._fd, segment.length, segment.offset))
         try:
             chunk = records.parse(mcap_records.Chunk, self._record(segment.chunk, records.CHUNK))
@@ -705,7 +705,7 @@ class McapSource:
             RecordingError: it cannot be read.
         """
         head = records.RECORD_HEAD.size + records.CHUNK_HEAD.size
-        with files.errors_as(f"cannot read {self.path} at byte {segment.offset}"):
+        with files.translate_errors(f"cannot read {self.path} at byte {segment.offset}"):
             data = os.pread(self._fd, head, segment.offset)
         return int(records.CHUNK_HEAD.unpack_from(data, records.RECORD_HEAD.size)[-1]) if len(data) == head else 0
 
@@ -726,7 +726,7 @@ class McapSource:
         Raises:
             DamageError: there is no record of this kind.
         """
-        with files.errors_as(f"cannot read {self.path} at byte {offset}"):
+        with files.translate_errors(f"cannot read {self.path} at byte {offset}"):
             head = os.pread(self._fd, records.RECORD_HEAD.size, offset)
         if len(head) < records.RECORD_HEAD.size:
             raise DamageError("the file is shorter than its index says")
@@ -744,7 +744,7 @@ class McapSource:
             raise DamageError(f"it claims {length} bytes of a file of {self.size}")
         budget.allow("bytes in a record", length, budget.CHUNK_BYTES + budget.MIB)
         # a bad sector, or the file has been closed
-        with files.errors_as(f"cannot read {self.path} at byte {offset}"):
+        with files.translate_errors(f"cannot read {self.path} at byte {offset}"):
             view = memoryview(os.pread(self._fd, length, offset))
         if len(view) != length:
             raise DamageError("the file is shorter than its index says")

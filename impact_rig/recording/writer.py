@@ -862,7 +862,7 @@ class Tail(McapFile):
             RecordingError: it cannot be removed.
         """
         self.close()
-        with files.errors_as(f"cannot remove {self.path}"):
+        with files.translate_errors(f"cannot remove {self.path}"):
             self.path.unlink(missing_ok=True)
 
 

@@ -350,7 +350,7 @@ def until_reset(present: InstrumentSetup, config: RigConfig) -> RigConfig:
 
 
 @attrs.frozen
-class Replan:
+class FaultChange:
     """Effect of one change of the list: removed lines, and added lines with their faults."""
 
     gone: tuple[str, ...]
@@ -371,7 +371,7 @@ class PlanInForce:
         for number, line in enumerate(_written(lines), start=1):
             self._numbers[line].append(number)
 
-    def replan(self, lines: Iterable[str], sample: int) -> Replan:
+    def replan(self, lines: Iterable[str], sample: int) -> FaultChange:
         """Return the change from the present lines to these; nothing changes before `put_into_force`.
 
         Args:
@@ -384,9 +384,9 @@ class PlanInForce:
         before = Counter({line: len(numbers) for line, numbers in self._numbers.items()})
         after = Counter(_written(lines))
         new = tuple((line, self._fault(line, sample)) for line in (after - before).elements())
-        return Replan(tuple((before - after).elements()), new)
+        return FaultChange(tuple((before - after).elements()), new)
 
-    def put_into_force(self, replan: Replan, clear: Callable[[int], None], inject: Callable[[Fault], int]) -> None:
+    def put_into_force(self, replan: FaultChange, clear: Callable[[int], None], inject: Callable[[Fault], int]) -> None:
         """Clear the faults of removed lines, then inject those of added lines.
 
         Args:

@@ -53,7 +53,7 @@ def prepare(directory: Path, formats: Sequence[str], names: Sequence[str] = NAME
     Raises:
         RecordingError: it cannot be created or written to, or it contains figures already.
     """
-    with files.errors_as(f"cannot write figures to {directory}"):
+    with files.translate_errors(f"cannot write figures to {directory}"):
         files.make_folder(directory)
         with tempfile.TemporaryFile(dir=directory):
             pass
@@ -161,8 +161,8 @@ def save(figure: Figure, stem: Path, formats: Sequence[str]) -> list[Path]:
     paths = [stem.with_name(f"{stem.name}.{kind}") for kind in formats]
     for path, kind in zip(paths, formats, strict=True):
         with (
-            files.errors_as(f"cannot write {path}"),
-            files.written_whole(path, replace=False) as file,
+            files.translate_errors(f"cannot write {path}"),
+            files.atomic_write(path, replace=False) as file,
             style(),
         ):
             file.write(rendered(figure, kind, stem.name))

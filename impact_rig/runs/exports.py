@@ -70,7 +70,7 @@ def write_columns(batches: Callable[[], Iterator[Columns]], target: Path) -> Pat
     if os.path.lexists(target):
         raise kept
     try:
-        with files.written_whole(target, replace=False) as file:
+        with files.atomic_write(target, replace=False) as file:
             write(file, batches())
     except RecordingError:
         raise

@@ -50,8 +50,8 @@ from impact_rig.recording.rigs import prefix_of
 from impact_rig.recording.writer import FOLLOWS, TAIL_RECORD_NAME, TAIL_SUFFIX, RunWriter, tail_of
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system import budget, files
-from impact_rig.system.budget import BudgetError, Spending
-from impact_rig.system.endings import unhurried
+from impact_rig.system.budget import BudgetError, ReadBudget
+from impact_rig.system.endings import defer_signals
 
 _CHUNK_FIXED = struct.Struct("<QQQII")  # times, size, checksum, length of the compression's name
 _LONGEST_NAME = 16
@@ -99,7 +99,7 @@ class DamagedFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        with files.errors_as(f"cannot open {path}"):
+        with files.translate_errors(f"cannot open {path}"):
             self.fd = files.open_regular(path)
             self.size = os.fstat(self.fd).st_size
         try:
@@ -181,7 +181,7 @@ class DamagedFile:
 
     def _read(self, offset: int, length: int) -> bytes:
         parts = []
-        with files.errors_as(f"cannot read {self.path} at byte {offset}"):
+        with files.translate_errors(f"cannot read {self.path} at byte {offset}"):
             while length > 0 and (part := os.pread(self.fd, length, offset)):
                 parts.append(part)
                 offset += len(part)
@@ -311,7 +311,7 @@ class RecoverReport:
     files: list[FileReport] = attrs.field(factory=list)
     damages: list[Damage] = attrs.field(factory=list)  # damaged parts and reasons, in order (at most 1000)
     damage_count: int = 0
-    account: Spending = attrs.field(factory=lambda: Spending(0), repr=False)
+    account: ReadBudget = attrs.field(factory=lambda: ReadBudget(0), repr=False)
 
     @property
     def messages(self) -> int:
@@ -428,7 +428,7 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
     source, target = Path(path), Path(out)
     report = RecoverReport(target)
     files = _files(source, report)
-    report.account = Spending(_bytes(files))
+    report.account = ReadBudget(_bytes(files))
     salvages = [_Salvage(file, report, accept_unchecked=accept_unchecked) for file in files]
     origin = next((salvage.provenance for salvage in salvages if salvage.provenance is not None), None)
     attachments: dict[str, Attachment] = {}  # of several with one name, the first: that of the run's start
@@ -463,7 +463,7 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
                 salvage.figures.count(topic, message)
     finally:
         if writer is not None:
-            with unhurried():
+            with defer_signals():
                 writer.finish()
     if writer is None:
         reasons = "; ".join(dict.fromkeys(damage.reason for damage in report.damages)) or "it holds no messages"

@@ -96,7 +96,7 @@ def _check_data_section(source: McapSource) -> bool:
     if crc == 0:
         return False
     found, position = 0, 0
-    with files.errors_as(f"cannot read {source.path}"):
+    with files.translate_errors(f"cannot read {source.path}"):
         while position < end:
             part = os.pread(source.fd, min(_READ_BYTES, end - position), position)
             if not part:

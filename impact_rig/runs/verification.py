@@ -578,7 +578,7 @@ class _Beside:
             for monitor in self._monitors:
                 if monitor.channel in self._filters[0].channels:
                     stamp = stamp_ns(sample, rig.rate_hz, rig.start_ns)
-                    monitor.hear(stamp, made, fitted, self._again.calibrations)
+                    monitor.compare(stamp, made, fitted, self._again.calibrations)
 
     def end(self, reset_ns: int | None, *, last: bool) -> None:
         """End the blocks of a journal: by a reset at a time (None: otherwise); the last ones end with the recording."""
@@ -746,7 +746,7 @@ class _Monitor:
         self.following: Counter[int] = Counter()
         """Number of contiguous messages, by scans per monitor period."""
 
-    def hear(
+    def compare(
         self, stamp_ns: int, made: list[tuple[int, Smoothed]], fitted: list[Instrument], calibrations: list[Table]
     ) -> None:
         """Compare the monitor message of a time, if there is one.

@@ -83,7 +83,7 @@ def factor() -> float:
 
 
 @attrs.define
-class Spending:
+class ReadBudget:
     """Cost so far of one pass through the chunks of a recording."""
 
     size: int  # size of its files [bytes]

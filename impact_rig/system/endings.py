@@ -15,7 +15,7 @@
 
 The program's first import installs the handlers, before anything heavy is loaded. During the imports, a signal ends the
 program immediately. Afterwards the first signal raises `SignalReceived` in the main thread, so that files and processes
-are closed on the way out; further signals have no effect. Code that must not be interrupted runs in `unhurried`. If
+are closed on the way out; further signals have no effect. Code that must not be interrupted runs in `defer_signals`. If
 third-party code swallows the exception, as callbacks do, it is raised again.
 """
 
@@ -144,31 +144,31 @@ class Ending:
             sys.__unraisablehook__(unraisable)
 
 
-class _Unhurried:
-    """Depth of nested `unhurried` blocks in the main thread."""
+class _Deferred:
+    """Depth of nested `defer_signals` blocks in the main thread."""
 
     depth = 0
     owed = False
 
 
 @contextlib.contextmanager
-def unhurried() -> Iterator[None]:
+def defer_signals() -> Iterator[None]:
     """Finish this block in the main thread before a signal takes effect: it closes files or ends processes."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    _Unhurried.depth += 1
+    _Deferred.depth += 1
     try:
         yield
     finally:
-        _Unhurried.depth -= 1
-        if _Unhurried.owed and not _Unhurried.depth:
-            _Unhurried.owed = False
+        _Deferred.depth -= 1
+        if _Deferred.owed and not _Deferred.depth:
+            _Deferred.owed = False
             raise SignalReceived
 
 
 @contextlib.contextmanager
-def held() -> Iterator[None]:
+def block_signals() -> Iterator[None]:
     """Block signals during this block; processes and threads started in it receive none, unless they unblock them."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
@@ -205,7 +205,7 @@ def _poll(parent: int) -> None:
 
 
 def _raise_unless_unhurried() -> None:
-    if _Unhurried.depth:
-        _Unhurried.owed = True
+    if _Deferred.depth:
+        _Deferred.owed = True
     else:
         raise SignalReceived

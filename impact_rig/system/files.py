@@ -46,7 +46,7 @@ import numpy as np
 
 from impact_rig.errors import ImpactRigError, RecordingError
 from impact_rig.names import csv_cell
-from impact_rig.system.endings import unhurried
+from impact_rig.system.endings import defer_signals
 
 T = TypeVar("T")
 NEW_FILE = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
@@ -84,7 +84,7 @@ def read_bytes(path: Path, limit: int) -> bytes:
 
 
 @contextlib.contextmanager
-def written_whole(path: Path, *, replace: bool = True) -> Iterator[BinaryIO]:
+def atomic_write(path: Path, *, replace: bool = True) -> Iterator[BinaryIO]:
     """Yield a new file, open for writing, and move it to `path` after the block.
 
     If the block fails, nothing is left. An existing file or link is replaced (the link itself, not its target); with
@@ -108,7 +108,7 @@ def written_whole(path: Path, *, replace: bool = True) -> Iterator[BinaryIO]:
         else:
             _put(partial, path)
     finally:
-        with unhurried():
+        with defer_signals():
             partial.unlink(missing_ok=True)
 
 
@@ -146,7 +146,7 @@ def write_text(path: Path, text: str) -> None:
     Raises:
         OSError: it cannot be written.
     """
-    with written_whole(path) as file:
+    with atomic_write(path) as file:
         file.write(text.encode())
 
 
@@ -205,7 +205,7 @@ def plain(value: object) -> object:
 
 
 @contextlib.contextmanager
-def errors_as(what: str) -> Iterator[None]:
+def translate_errors(what: str) -> Iterator[None]:
     """Turn errors of the system in the block into a `RecordingError`: what failed, and why."""
     try:
         yield

@@ -32,10 +32,10 @@ import threading
 import time
 from pathlib import Path
 
-from impact_rig.system.endings import held
+from impact_rig.system.endings import block_signals
 
 SHARED = Path("/dev/shm")  # noqa: S108  # directory of ports and segments of Fast DDS on Linux
-LOOK_S = 1.0
+POLL_S = 1.0
 """Interval between two checks. Creating a segment takes a fraction of a millisecond.
 
 A process seen doing so twice was killed.
@@ -55,17 +55,17 @@ class Watch:
         look_s: interval between two checks [s].
     """
 
-    def __init__(self, directory: Path = SHARED, look_s: float = LOOK_S) -> None:
-        self._directory, self._look_s = directory, look_s
+    def __init__(self, directory: Path = SHARED, sample_s: float = POLL_S) -> None:
+        self._directory, self._period_s = directory, sample_s
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run, name="segments", daemon=True)
 
     def __enter__(self) -> Watch:
         with contextlib.suppress(OSError):  # as below
-            if before := look(self._directory, set()):
-                time.sleep(self._look_s)
-                look(self._directory, before)
-        with held():
+            if before := mark_half_created(self._directory, set()):
+                time.sleep(self._period_s)
+                mark_half_created(self._directory, before)
+        with block_signals():
             self._thread.start()
         return self
 
@@ -75,12 +75,12 @@ class Watch:
 
     def _run(self) -> None:
         before: set[tuple[str, int]] = set()
-        while not self._end.wait(self._look_s):
+        while not self._end.wait(self._period_s):
             with contextlib.suppress(OSError):  # the directory is missing or not readable
-                before = look(self._directory, before)
+                before = mark_half_created(self._directory, before)
 
 
-def look(directory: Path, before: set[tuple[str, int]]) -> set[tuple[str, int]]:
+def mark_half_created(directory: Path, before: set[tuple[str, int]]) -> set[tuple[str, int]]:
     """Mark as corrupt the segments that are still half created since the last check; return all half-created ones.
 
     The result identifies them by name and inode.

@@ -47,7 +47,7 @@ from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 from impact_rig_studies.operate.operator import OnUpdate, ignore, operate
 from impact_rig_studies.operate.stepped_sine import Direction, SteppedSine, SweepPlan, SweepState
 
-LOOKS_PER_S = 4
+UPDATES_PER_S = 4
 """The operator looks at the measurements this often, in rig time, and commands then: part of a job's definition,
 because in a sweep it decides when the next frequency begins."""
 MAX_BLOCK_SCANS = 4000  # so that a block of truth fits a message
@@ -77,7 +77,7 @@ class Job:
             ConfigError: a value is wrong.
         """
         config = from_flat(RigConfig(), self.changes)
-        scans = max(1, min(config.daq.rate_hz // LOOKS_PER_S, MAX_BLOCK_SCANS))
+        scans = max(1, min(config.daq.rate_hz // UPDATES_PER_S, MAX_BLOCK_SCANS))
         return from_flat(config, {"daq.block_scans": scans})
 
     def settings(self) -> TrackerSettings:
@@ -114,7 +114,7 @@ class Job:
             "analysis": attrs.asdict(self.settings()),
             "plan": attrs.asdict(self.plan()),
             "gap_m": self.gap_m,
-            "turn": [LOOKS_PER_S, COMMAND_GRID_NS, NS_PER_S],
+            "turn": [UPDATES_PER_S, COMMAND_GRID_NS, NS_PER_S],
         }
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 

@@ -30,9 +30,9 @@ from typing import Any, Generic, TypeVar  # futures of an optional dependency
 import attrs
 
 from impact_rig.errors import ConfigError, GoneError, ImpactRigError
-from impact_rig.system.endings import SIGNALS, end_with, held, unhurried
+from impact_rig.system.endings import SIGNALS, block_signals, defer_signals, end_with
 from impact_rig_studies.campaign.store import DECIDING, fingerprint
-from impact_rig_studies.campaign.tasks import Portable
+from impact_rig_studies.campaign.tasks import WorkItem
 
 J = TypeVar("J")
 R = TypeVar("R")
@@ -73,7 +73,10 @@ def in_parallel(
     pool = ProcessPoolExecutor(count, context, initializer=_begin_worker, initargs=(os.getpid(),))
     running: dict[Future[R], J] = {}
     try:
-        with held(), _one_thread_each():  # the workers begin here: signals are the parent's, which ends in order
+        with (
+            block_signals(),
+            _one_thread_each(),
+        ):  # the workers begin here: signals are the parent's, which ends in order
             running |= {pool.submit(work, job): job for job in itertools.islice(waiting, AHEAD * count)}
         while running:
             for future in wait(running, return_when=FIRST_COMPLETED).done:
@@ -85,7 +88,7 @@ def in_parallel(
     except BrokenProcessPool as error:
         raise WorkerDiedError("a worker process was killed; run it again to go on") from error
     finally:
-        with unhurried():
+        with defer_signals():
             if running:
                 for worker in set(multiprocessing.active_children()) - others:
                     worker.kill()  # it has nothing to save
@@ -126,7 +129,7 @@ UNLIMITED = 1_000_000
 NEEDS_DASK = "--through dask needs Dask: pip install 'impact_rig[cluster]'"
 ROOMS = (*DECIDING, "campaign", "dynamics", "kernels", "maps")
 """What decides the result of any job."""
-P = TypeVar("P", bound=Portable)
+P = TypeVar("P", bound=WorkItem)
 
 
 @attrs.frozen

@@ -139,7 +139,7 @@ def prepare(campaign: Campaign, directory: Path, through: str) -> Store:
     if directory.exists() and any(directory.iterdir()) and not (directory / CAMPAIGN_FILE).exists():
         raise RecordingError(f"{directory} is not empty and holds no campaign: choose another --output")
     store = Store(directory)
-    with files.errors_as(f"cannot write {directory}"):
+    with files.translate_errors(f"cannot write {directory}"):
         files.write_text(directory / CAMPAIGN_FILE, campaign.text)
         files.write_text(directory / CONFIGURATION_FILE, dump(campaign.base))
         provenance = {

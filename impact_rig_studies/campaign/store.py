@@ -71,7 +71,7 @@ class Store:
     def __init__(self, directory: Path) -> None:
         self._folder = directory / FOLDER
         self.damaged: list[str] = []
-        with files.errors_as(f"cannot write {self._folder}"):
+        with files.translate_errors(f"cannot write {self._folder}"):
             files.make_folder(self._folder)
 
     def get(self, job: Job, *, as_it_is: bool = False) -> Outcome | None:
@@ -122,11 +122,11 @@ class Store:
             "trace": hashlib.sha256(packed.getvalue()).hexdigest() if outcome.trace else "",
         }
         content["digest"] = _digest(content)
-        with files.errors_as(f"cannot write {self._folder}"):
+        with files.translate_errors(f"cannot write {self._folder}"):
             if not outcome.trace:  # one that other code has left would pass for a trace that was put in its place
                 self._path(job, "npz").unlink(missing_ok=True)
             else:
-                with files.written_whole(self._path(job, "npz")) as file:
+                with files.atomic_write(self._path(job, "npz")) as file:
                     file.write(packed.getvalue())
             files.write_text(self._path(job, "json"), json.dumps(content, indent=1) + "\n")
 

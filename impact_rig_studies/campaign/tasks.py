@@ -45,7 +45,7 @@ MAX_TASK_BYTES = 64 * 2**20
 Row = Sequence[str | float]  # what was found at one place: words and numbers; NaN where there is none
 
 
-class Portable(Protocol):
+class WorkItem(Protocol):
     """What is measured as a whole: a value, so that it can travel to a worker."""
 
     @property
@@ -57,7 +57,7 @@ class Portable(Protocol):
 
 
 @attrs.frozen
-class Keyed:
+class HashedTask:
     """A task that is nothing but its values."""
 
     @property
@@ -66,7 +66,7 @@ class Keyed:
         return hashlib.sha256(json.dumps(attrs.asdict(self), sort_keys=True).encode()).hexdigest()[:16]
 
 
-class Task(Portable, Protocol):
+class Task(WorkItem, Protocol):
     """What is kept as rows."""
 
     def read(self, rows: Sequence[Row]) -> Sequence[Row]:
@@ -106,7 +106,7 @@ class TaskStore(Generic[T]):
         """
         if self.directory.exists() and any(self.directory.iterdir()) and not self.file.exists():
             raise RecordingError(f"{self.directory} is not empty and holds no {self.what}: choose another --output")
-        with files.errors_as(f"cannot write {self.directory}"):
+        with files.translate_errors(f"cannot write {self.directory}"):
             files.make_folder(self.directory / self.folder)
             files.write_text(self.file, text)
             files.write_text(self.directory / CONFIGURATION_FILE, dump(base))
@@ -145,7 +145,7 @@ class TaskStore(Generic[T]):
         """
         plain = [[value if isinstance(value, str) or math.isfinite(value) else None for value in row] for row in rows]
         content = {"task": task.describe(), "key": task.key, "code": self.code(), "rows": plain}
-        with files.errors_as(f"cannot write {self.directory / self.folder}"):
+        with files.translate_errors(f"cannot write {self.directory / self.folder}"):
             files.write_text(self._path(task), json.dumps(content) + "\n")
 
     def _path(self, task: T) -> Path:

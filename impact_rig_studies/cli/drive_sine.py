@@ -41,19 +41,19 @@ from impact_rig_studies.closed_loop import with_short_blocks
 from impact_rig_studies.operate.operator import operate
 from impact_rig_studies.operate.phase_lock import (
     FEWEST,
-    Ladder,
+    AmplitudePoint,
+    AmplitudeSweep,
     LockLoop,
     LockPlan,
     Reference,
-    Rung,
-    climb,
     lock_on,
     mean,
+    sweep_amplitude,
 )
 from impact_rig_studies.operate.stepped_sine import ControlledSine, Direction, Hold, HoldPlan, SteppedSine, SweepState
 
 HELD_UNITS = {Hold.BASE: "m", Hold.SUPERIOR: "m", Hold.CURRENT: "A"}
-SHOWN = 12  # looks of a lock that are printed; all of them are in the CSV
+SHOWN = 12  # samples of a lock that are printed; all of them are in the CSV
 
 
 def add_hold(tests: Commands) -> None:
@@ -157,7 +157,7 @@ def _results(arguments: argparse.Namespace) -> Iterator[Path]:
     directory = run_directory(arguments.output, arguments.test)
 
     def prepare() -> Path:
-        with files.errors_as(f"cannot write {directory}"):
+        with files.translate_errors(f"cannot write {directory}"):
             files.make_folder(directory)
         return directory
 
@@ -199,7 +199,7 @@ def _measure_curve(arguments: argparse.Namespace, job: Job, sweep: SteppedSine, 
     with _results(arguments) as directory:
         with _open(arguments.through, job.config(), job.labelled_settings()) as rig:
             operate(sweep, rig)
-        rows = sweep.held if isinstance(sweep, ControlledSine) else sweep.rows
+        rows = sweep.controlled if isinstance(sweep, ControlledSine) else sweep.rows
         reached = set(rows["frequency"].tolist())
         missing = [frequency for frequency in job.plan().frequencies_hz if frequency not in reached]
         ended = f"ended early: {sweep.reason}" if sweep.reason else ""
@@ -250,7 +250,7 @@ def _lock(arguments: argparse.Namespace) -> int:
         if not early and len(dwelt) < FEWEST:
             missing = (
                 f"locked after {locked_s:.1f} s, but {len(dwelt)} readings while locked are too few for a mean with "
-                f"its uncertainty: at least {FEWEST} are needed, use --dwell {FEWEST * lock.look_s:g} or more"
+                f"its uncertainty: at least {FEWEST} are needed, use --dwell {FEWEST * lock.sample_s:g} or more"
             )
         content = {"rows": lock.rows, "locked_ns": lock.locked_ns, "ended_early": early, "missing": missing}
         _write(directory, arguments.test, lock.rows.dtype.names or (), map(_texts, lock.rows), content)
@@ -286,13 +286,13 @@ def _backbone(arguments: argparse.Namespace) -> int:
     plan = LockPlan(start_hz=arguments.start, current_a=currents[0], reference=arguments.reference)
     with _results(arguments) as directory:
         with _open(arguments.through, with_short_blocks(config)) as rig:
-            rungs, why = climb(Ladder(currents_a=currents, lock=plan), LockLoop(rig))
-        content = {"rungs": [attrs.asdict(one) for one in rungs], "ended_early": why}
-        names = [field.name for field in attrs.fields(Rung)]
-        _write(directory, arguments.test, names, map(attrs.astuple, rungs), content)
+            points, why = sweep_amplitude(AmplitudeSweep(currents_a=currents, lock=plan), LockLoop(rig))
+        content = {"points": [attrs.asdict(one) for one in points], "ended_early": why}
+        names = [field.name for field in attrs.fields(AmplitudePoint)]
+        _write(directory, arguments.test, names, map(attrs.astuple, points), content)
     headings = ("", "I [A]", "f [Hz]", "± 2u", "DT", "± 2u", "superior [mm]", "g/X", "phase [°]", "")
     table = TextTable("Backbone", right=headings)
-    for one in rungs:
+    for one in points:
         words = [*(["not locked"] if not one.locked else []), *(["JUMP"] if one.jumped else [])]
         table.add_row(
             one.direction, f"{one.current_a:.4f}", figure(one.frequency_hz, ".4f"),

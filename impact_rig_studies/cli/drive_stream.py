@@ -36,7 +36,7 @@ from impact_rig.names import visible
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.gaps import NO_SPHERE, case_of
 from impact_rig.system import files
-from impact_rig.system.endings import unhurried
+from impact_rig.system.endings import defer_signals
 
 RATE_HZ, FAST_HZ = 2_000, 10_000  # of samples and scans where nothing else is asked: what 200 Hz and what a shock needs
 P = TypeVar("P", bound=attrs.AttrsInstance)
@@ -255,7 +255,7 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work, of:
                 early = str(error)
             except KeyboardInterrupt as error:
                 early, interrupted = "interrupted", error
-            writing.enter_context(unhurried())
+            writing.enter_context(defer_signals())
             hardware.output.stop()
         if found is None:
             raise interrupted or ImpactRigError(f"{early}; the run so far: {directory}")

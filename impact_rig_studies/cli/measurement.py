@@ -103,7 +103,7 @@ def _import(arguments: argparse.Namespace) -> int:
         raise ConfigError("two files have one name: each becomes the run of its name")
     directories, shown = [], []
     if arguments.campaign and not arguments.dry_run:
-        with files.errors_as(f"cannot write {arguments.output}"):
+        with files.translate_errors(f"cannot write {arguments.output}"):
             files.make_folder(arguments.output / "runs")
     for file in arguments.files:
         source = read(file)

@@ -26,11 +26,11 @@ from impact_rig.cli.terminal import Console, Counted, add_figures, add_json
 from impact_rig.errors import ConfigError
 from impact_rig.system import files
 from impact_rig_studies.campaign.pool import in_parallel, on_cluster
-from impact_rig_studies.campaign.tasks import Portable, Runner, Task, TaskStore
+from impact_rig_studies.campaign.tasks import Runner, Task, TaskStore, WorkItem
 from impact_rig_studies.campaign.tasks import measure as measure_tasks
 
 WAYS = ("process", "dask")
-P = TypeVar("P", bound=Portable)
+P = TypeVar("P", bound=WorkItem)
 R = TypeVar("R")
 T = TypeVar("T", bound=Task)
 
@@ -103,6 +103,6 @@ def figures_folder(arguments: argparse.Namespace, directory: Path) -> Path:
         RecordingError: it cannot be made.
     """
     folder: Path = arguments.figures or directory / "figures"
-    with files.errors_as(f"cannot write {folder}"):
+    with files.translate_errors(f"cannot write {folder}"):
         files.make_folder(folder)
     return folder

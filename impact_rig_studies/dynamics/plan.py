@@ -30,9 +30,9 @@ from impact_rig.rig.config import RigConfig, differences, from_flat, to_flat
 from impact_rig_studies.campaign import axes, tables
 from impact_rig_studies.campaign.paper import CURRENT_A, FREQUENCY_HZ
 from impact_rig_studies.campaign.plan import STARTS
-from impact_rig_studies.campaign.tasks import Keyed, Row, TaskStore, load_plan
+from impact_rig_studies.campaign.tasks import HashedTask, Row, TaskStore, load_plan
 from impact_rig_studies.dynamics import orbits
-from impact_rig_studies.dynamics.stroboscope import Energy, Note, Place, Properties, Stroboscope, at, size
+from impact_rig_studies.dynamics.stroboscope import Energy, OrbitSummary, Place, Properties, Stroboscope, at, size
 from impact_rig_studies.maps import exponent
 from impact_rig_studies.maps.measure import CHUNK, FAILED, MapRig, Reading, Settings
 from impact_rig_studies.maps.plan import (
@@ -87,7 +87,7 @@ Start = str | tuple[float, float]
 
 
 @attrs.frozen(kw_only=True)
-class StudyTask(Keyed):
+class StudyTask(HashedTask):
     """A part of a study that is run, stored and never repeated; it holds every value that decides its numbers."""
 
     kind: str  # of the study
@@ -511,7 +511,7 @@ def _found(
 
 
 def _row(one: orbits.Orbit, note: object, unit: float, event: str) -> Row:
-    assert isinstance(note, Note)
+    assert isinstance(note, OrbitSummary)
     properties, cycles, turn, state = note
     multipliers = np.full(MOST_STATES, complex(math.nan, math.nan))
     multipliers[: len(one.multipliers)] = one.multipliers

@@ -81,7 +81,7 @@ class Properties(NamedTuple):
     energy: Energy  # per cycle
 
 
-class Note(NamedTuple):
+class OrbitSummary(NamedTuple):
     """What an orbit does, after how many cycles it repeats, and its state at the section [turns]."""
 
     properties: Properties
@@ -219,10 +219,10 @@ class Stroboscope:
         state = self._simulation.state()
         return None if state is None else float(np.abs(state[self._free] / self.scale - z).max())
 
-    def note(self, one: Orbit) -> Note:
+    def note(self, one: Orbit) -> OrbitSummary:
         """Return what an orbit does that stands in the coordinates of now."""
         state = self._whole(one.z, self._found(one.p)[0])
-        return Note(self.properties(one.z, one.p), self.cycles, self.turn, tuple(state.tolist()))
+        return OrbitSummary(self.properties(one.z, one.p), self.cycles, self.turn, tuple(state.tolist()))
 
     def properties(self, z: Real, p: float) -> Properties:
         """Return what the orbit through z does."""

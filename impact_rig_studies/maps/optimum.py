@@ -31,7 +31,7 @@ from impact_rig_studies.maps.measure import Reading
 from impact_rig_studies.maps.plan import CURRENT, FREQUENCY, GAP, MapPlan, Search, measure_line
 
 REGION_POINTS = 1.0  # reductions within so many points of the best one belong to its region
-_ROUNDS, _LOOKS, _HALVINGS = 4, 9, 10
+_ROUNDS, _POINTS, _HALVINGS = 4, 9, 10
 _SHARE = 0.005  # of a value, either way, for its sensitivity
 SENSITIVE = (
     "barriers.gap_m",
@@ -65,19 +65,19 @@ def find(plan: MapPlan, search: Search) -> Optimum:
     """Return the optimum; every place is measured from a reset rig, with the plan's rig, frequency and current."""
     known: dict[float, Reading] = {}
 
-    def look(values: Sequence[float]) -> None:
+    def measure(values: Sequence[float]) -> None:
         new = tuple(value for value in values if value not in known)
         known.update(zip(new, _measured(plan, search.over, new), strict=True))
 
     def reduction(value: float) -> float:
-        look((value,))
+        measure((value,))
         return known[value].reduction_percent
 
-    look(np.linspace(search.low, search.high, search.points).tolist())
+    measure(np.linspace(search.low, search.high, search.points).tolist())
     for _ in range(_ROUNDS):
         places = sorted(known)
         i = places.index(_best(known))
-        look(np.linspace(places[max(i - 1, 0)], places[min(i + 1, len(places) - 1)], _LOOKS).tolist())
+        measure(np.linspace(places[max(i - 1, 0)], places[min(i + 1, len(places) - 1)], _POINTS).tolist())
     best = _best(known)
     enough = known[best].reduction_percent - REGION_POINTS
     places = sorted(known)

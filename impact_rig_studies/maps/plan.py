@@ -35,7 +35,7 @@ from impact_rig.system.budget import BudgetError
 from impact_rig_studies.campaign import axes
 from impact_rig_studies.campaign.paper import CURRENT_A, FREQUENCY_HZ
 from impact_rig_studies.campaign.plan import STARTS
-from impact_rig_studies.campaign.tasks import Keyed, Row, load_plan
+from impact_rig_studies.campaign.tasks import HashedTask, Row, load_plan
 from impact_rig_studies.maps.measure import FAILED, MapRig, Reading, Settings
 
 FREQUENCY, CURRENT, GAP = "frequency_hz", "current_a", "gap_m"
@@ -53,7 +53,7 @@ LIMIT_S = 3600.0  # estimated time above which a map is refused
 
 
 @attrs.frozen(kw_only=True)
-class MapLine(Keyed):
+class MapLine(HashedTask):
     """Places measured one after the other, the unit that is measured, stored and never repeated."""
 
     changes: Mapping[str, Value]  # configuration values that differ from the default rig, by dotted name

@@ -17,16 +17,16 @@
                          └──────────────── rule broken ─────────────┴───────────────► aborted
 
 Seeking steps the frequency coarsely towards the side that the phase says, until it has crossed. Tracking turns the
-frequency by the detuning that each look shows, a part at a time, for ever: an integral controller. Against the base
+frequency by the detuning that each sample shows, a part at a time, for ever: an integral controller. Against the base
 the detuning is known, whatever the damping: 1/T = 1 − r² + 2iζr, so it is f/2 Re(X_b/X_1). Against the current it is
 tan φ' (φ' = phase + 90°) times the resonance's own slope, which the search has shown and which is corrected under way:
-where the detuning changes sign from look to look it was taken for too large, where it keeps its sign for too small.
+where the detuning changes sign from sample to sample it was taken for too large, where it keeps its sign for too small.
 
-A look (`PhasorMeter`) is quicker than a settled measurement: of every stretch of constant frequency the scans of its
+A sample (`PhasorMeter`) is quicker than a settled measurement: of every stretch of constant frequency the scans of its
 last whole cycles are fitted by a sine of that frequency, and corrected for skew and lag by the certificate.
 
 `LockedSine` locks by the updates that an operator gets. A program that drives a rig (`LockLoop`) goes on with `follow`
-and `lock_on`, and finds the backbone, a ladder of locks, with `climb`.
+and `lock_on`, and finds the backbone, a sweep of locks, with `sweep_amplitude`.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ from impact_rig_studies.operate.stepped_sine import SAME, Setpoint, SweepState, 
 MIN_CYCLES = 2
 
 
-class Look(NamedTuple):
+class Sample(NamedTuple):
     """One stretch of scans."""
 
     end_ns: int  # rig time of its end
@@ -83,7 +83,7 @@ class PhasorMeter:
     def __init__(self, info: NDArray[np.void]) -> None:
         self._calibration = Calibration.from_info(info)
 
-    def look(self, rows: NDArray[np.void], frequency_hz: float, end_ns: int) -> Look | None:
+    def sample(self, rows: NDArray[np.void], frequency_hz: float, end_ns: int) -> Sample | None:
         """Return the phasors of consecutive scans at one frequency, or None if they are fewer than `MIN_CYCLES`.
 
         Args:
@@ -104,7 +104,7 @@ class PhasorMeter:
         seen = [complex(self._calibration.response(channel, frequency_hz)) for channel in (BASE, LASER, CURRENT)]
         base, superior, current = (complex(y / r) for y, r in zip(phasors, seen, strict=True))
         u = [self._calibration.gain_uncertainty_at(ch, abs(x)) for ch, x in ((BASE, base), (LASER, superior))]
-        return Look(end_ns, frequency_hz, base, superior, current, math.hypot(*u))
+        return Sample(end_ns, frequency_hz, base, superior, current, math.hypot(*u))
 
 
 STEEPEST = 4.0  # tan φ' that is believed: beyond, the phase says only on which side the resonance is
@@ -153,7 +153,7 @@ class LockPlan:
     """Of the phase; against the base, −90° is where the structure on a fixed base would resonate."""
     step_hz: float = _amount(0.2)  # of the coarse search
     seek_s: float = _amount(1.5)  # each of them is held so long
-    look_s: float = _amount(0.5)  # when tracking, the frequency is held so long between two corrections
+    sample_s: float = _amount(0.5)  # when tracking, the frequency is held so long between two corrections
     time_constant_s: float = _amount(3.0)  # in which a detuning is corrected; longer than the structure's answer takes
     within_deg: float = _amount(2.0)  # bound of the mean phase of a second that counts as locked
     seek_limit_s: float = _amount(60.0)  # rig time until the first lock after which it is given up
@@ -200,17 +200,17 @@ class PhaseLock:
         self._rows: list[tuple[float, ...]] = []
         self._slope = 0.0  # Hz per tan φ'
         self._before: tuple[float, float] | None = None
-        self._looks: list[tuple[int, complex]] = []
-        self._signs = 0  # looks in a row with a detuning of one sign, negative for a negative one
+        self._samples: list[tuple[int, complex]] = []
+        self._signs = 0  # samples in a row with a detuning of one sign, negative for a negative one
 
     @property
-    def look_s(self) -> float:
-        """How long the next look is to be [s]."""
-        return self._plan.seek_s if self.stage is Stage.SEEKING else self._plan.look_s
+    def sample_s(self) -> float:
+        """How long the next sample is to be [s]."""
+        return self._plan.seek_s if self.stage is Stage.SEEKING else self._plan.sample_s
 
     @property
     def rows(self) -> NDArray[np.void]:
-        """Every look so far: rows of `PHASE_LOCK`, `time` from the start."""
+        """Every sample so far: rows of `PHASE_LOCK`, `time` from the start."""
         return np.array(self._rows, PHASE_LOCK)
 
     def rows_from(self, first: int) -> NDArray[np.void]:
@@ -239,25 +239,25 @@ class PhaseLock:
         if self.stage is Stage.LOCKED:
             self.stage = Stage.TRACKING
         self._held_ns = self._tracked_ns = now_ns
-        self._looks.clear()
+        self._samples.clear()
 
-    def on_look(self, look: Look) -> Setpoint:
+    def on_sample(self, sample: Sample) -> Setpoint:
         """Take what the rig does; return what to set next, the same as before where nothing is to change."""
         if self.state is not SweepState.RUNNING:
             return self._setpoint()
-        if not look.sound:
+        if not sample.sound:
             return self.abort("base or current do not move")
-        if abs(look.superior) > self._plan.superior_limit_m:
-            return self.abort(f"the superior base swings {abs(look.superior) * 1e3:.3g} mm")
-        turned = look.superior / (look.base if self._plan.reference is Reference.BASE else look.current)
+        if abs(sample.superior) > self._plan.superior_limit_m:
+            return self.abort(f"the superior base swings {abs(sample.superior) * 1e3:.3g} mm")
+        turned = sample.superior / (sample.base if self._plan.reference is Reference.BASE else sample.current)
         if self.stage is Stage.SEEKING:
             self._seek(turned)
-            self._tracked_ns = look.end_ns
+            self._tracked_ns = sample.end_ns
         else:
-            self._track(look.end_ns, turned)
-        self.u_gain = look.u_gain
-        self._note(look, turned)
-        self._watch(look.end_ns)
+            self._track(sample.end_ns, turned)
+        self.u_gain = sample.u_gain
+        self._note(sample, turned)
+        self._watch(sample.end_ns)
         return self._setpoint()
 
     def abort(self, reason: str) -> Setpoint:
@@ -282,13 +282,15 @@ class PhaseLock:
         self._turn_to(self.frequency_hz + math.copysign(self._plan.step_hz, detuned))
 
     def _track(self, now_ns: int, turned: complex) -> None:
-        share = min(1.0, self._plan.look_s / self._plan.time_constant_s)
+        share = min(1.0, self._plan.sample_s / self._plan.time_constant_s)
         self._turn_to(self.frequency_hz + share * self._detuning_hz(turned))
-        self._looks.append((now_ns, turned / abs(turned)))
+        self._samples.append((now_ns, turned / abs(turned)))
         first = now_ns - round(MEAN_S * NS_PER_S)
-        self._looks = [one for one in self._looks if one[0] > first]
-        whole = now_ns - self._tracked_ns >= MEAN_S * 0.999 * NS_PER_S  # between two looks a command may take its time
-        mean = sum(one for _, one in self._looks)
+        self._samples = [one for one in self._samples if one[0] > first]
+        whole = (
+            now_ns - self._tracked_ns >= MEAN_S * 0.999 * NS_PER_S
+        )  # between two samples a command may take its time
+        mean = sum(one for _, one in self._samples)
         if whole and abs(math.degrees(_turn_from_quarter(mean))) <= self._plan.within_deg:
             self.stage, self._held_ns = Stage.LOCKED, now_ns
             if self.locked_ns is None:
@@ -320,11 +322,11 @@ class PhaseLock:
     def _turn_to(self, frequency_hz: float) -> None:
         self.frequency_hz = round(min(max(frequency_hz, self._plan.low_hz), self._plan.high_hz), DIGITS)
 
-    def _note(self, look: Look, turned: complex) -> None:
-        time_s = (look.end_ns - self._began_ns) / NS_PER_S
+    def _note(self, sample: Sample, turned: complex) -> None:
+        time_s = (sample.end_ns - self._began_ns) / NS_PER_S
         self._rows.append((
-            time_s, look.frequency_hz, cmath.phase(turned), look.dt, abs(look.superior), abs(look.base),
-            abs(look.current), float(self.stage is Stage.LOCKED),
+            time_s, sample.frequency_hz, cmath.phase(turned), sample.dt, abs(sample.superior), abs(sample.base),
+            abs(sample.current), float(self.stage is Stage.LOCKED),
         ))  # fmt: skip
 
     def _watch(self, now_ns: int) -> None:
@@ -367,7 +369,7 @@ class LockedSine:
         self._heard_ns = 0
         self._scans: list[NDArray[np.void]] = []
         self._end_ns = 0
-        self.measured = 0  # looks so far
+        self.measured = 0  # samples so far
 
     @property
     def state(self) -> SweepState:
@@ -381,7 +383,7 @@ class LockedSine:
 
     @property
     def rows(self) -> NDArray[np.void]:
-        """Every look so far: rows of `PHASE_LOCK`."""
+        """Every sample so far: rows of `PHASE_LOCK`."""
         return self._lock.rows
 
     def sweep_from(self, first: int) -> NDArray[np.void]:
@@ -401,7 +403,7 @@ class LockedSine:
         """Return how far it is, for programs."""
         phase = math.degrees(float(self._lock.rows_from(-1)["phase"][0])) if self.measured else math.nan
         locked = float(self._lock.locked)
-        return {"looks": self.measured, "frequency_hz": self._lock.frequency_hz, "phase_deg": phase, "locked": locked}
+        return {"samples": self.measured, "frequency_hz": self._lock.frequency_hz, "phase_deg": phase, "locked": locked}
 
     def start(self, now_ns: int) -> Setpoint:
         """Begin."""
@@ -437,13 +439,13 @@ class LockedSine:
         self._heard_ns = self._end_ns = table.stamp_ns + round(len(rows) * step_ns)
         early = max(0, math.ceil((self._since_ns - table.stamp_ns) / step_ns - 0.5))
         self._scans.append(rows[early:])
-        if sum(map(len, self._scans)) < round(self._lock.look_s * self._rate_hz):
+        if sum(map(len, self._scans)) < round(self._lock.sample_s * self._rate_hz):
             return None
-        look = self._meter.look(np.concatenate(self._scans), self._wanted.frequency_hz, self._end_ns)
-        if look is None:
+        sample = self._meter.sample(np.concatenate(self._scans), self._wanted.frequency_hz, self._end_ns)
+        if sample is None:
             return None  # a very low frequency: more scans are needed
         self._scans.clear()
-        setpoint = self._lock.on_look(look)
+        setpoint = self._lock.on_sample(sample)
         self.measured += 1
         if self.state is SweepState.RUNNING and setpoint == self._wanted:
             return None
@@ -467,7 +469,7 @@ class LockedSine:
         return setpoint
 
 
-FEWEST = 6  # looks from which their scatter says something
+FEWEST = 6  # samples from which their scatter says something
 NEVER_S = 1e9  # rig time that no test takes
 
 
@@ -475,7 +477,7 @@ class LockLoop:
     """A rig whose resonance is locked: rig time passes only while it is looked at.
 
     Args:
-        rig: its blocks are short against a look.
+        rig: its blocks are short against a sample.
     """
 
     def __init__(self, rig: RigDriver) -> None:
@@ -497,7 +499,7 @@ class LockLoop:
             self.rig.command(current_a=setpoint.current_a)
         self._setpoint = setpoint
 
-    def look(self, seconds: float) -> Look | str:
+    def sample(self, seconds: float) -> Sample | str:
         """Let so much rig time pass and return what the rig did in it, or why it goes on no more."""
         rig = self.rig
         rig.clear()
@@ -505,15 +507,15 @@ class LockLoop:
         if rig.stopped:
             return rig.stopped
         rows, info = rig.rows(), rig.tables(topics.INFO.name)[-1].rows
-        look = PhasorMeter(info).look(rows, self._setpoint.frequency_hz, rig.now_ns)
-        return look or f"{len(rows)} scans are too few to look at"
+        sample = PhasorMeter(info).sample(rows, self._setpoint.frequency_hz, rig.now_ns)
+        return sample or f"{len(rows)} scans are too few for a sample"
 
 
 def follow(lock: PhaseLock, loop: LockLoop, until: Callable[[PhaseLock], bool]) -> None:
     """Go on with a lock until it ends, or until a condition holds; it must have been started."""
     while lock.state is SweepState.RUNNING and not until(lock):
-        now = loop.look(lock.look_s)
-        setpoint = lock.abort(now) if isinstance(now, str) else lock.on_look(now)
+        now = loop.sample(lock.sample_s)
+        setpoint = lock.abort(now) if isinstance(now, str) else lock.on_sample(now)
         loop.set(setpoint)
 
 
@@ -530,16 +532,16 @@ class Mean(NamedTuple):
 
     frequency_hz: float  # of the resonance
     u_frequency_hz: float
-    """By the scatter of the looks, correlation included, and by the mean phase's distance from −90°."""
+    """By the scatter of the samples, correlation included, and by the mean phase's distance from −90°."""
     dt: float  # |X_1| / |X_b|
-    u_dt: float  # by the scatter of the looks and by the sensitivities, which are common to all that a rig measures
+    u_dt: float  # by the scatter of the samples and by the sensitivities, which are common to all that a rig measures
 
 
 def mean(rows: NDArray[np.void], u_gain: float) -> Mean:
-    """Return the means of looks (`PHASE_LOCK`), shape (n,); uncertainties are NaN for fewer than `FEWEST`.
+    """Return the means of samples (`PHASE_LOCK`), shape (n,); uncertainties are NaN for fewer than `FEWEST`.
 
-    Against the base the resonance lies (f/2) Re(X_b/X_1) above the frequency of a look, whatever the damping; where the
-    mean phase is not −90°, that much is uncertain.
+    Against the base the resonance lies (f/2) Re(X_b/X_1) above the frequency of a sample, whatever the damping; where
+    the mean phase is not −90°, that much is uncertain.
     """
     frequency = float(np.mean(rows["frequency"]))
     dt = float(np.mean(rows["laser_amplitude"]) / np.mean(rows["base_amplitude"]))
@@ -553,19 +555,19 @@ def mean(rows: NDArray[np.void], u_gain: float) -> Mean:
 
 
 @attrs.frozen(kw_only=True)
-class Ladder:
+class AmplitudeSweep:
     """A backbone: the locked loop over currents, visited up, then down."""
 
     currents_a: tuple[float, ...]  # ascending
-    lock: LockPlan  # of the loop; its current and dwell are not used, and its bound of lost locks is that of each rung
+    lock: LockPlan  # of the loop; its current and dwell are not used, and its bound of lost locks is that of each point
     wait_s: float = 8.0
-    """Rig time on each rung, locked or given up, before it is measured; bounds what a transient leaves."""
-    mean_s: float = 6.0  # rig time over which a rung is averaged
-    jump: float = 0.25  # relative change of DT from one rung to the next that is told as a jump, not joined by a line
+    """Rig time on each point, locked or given up, before it is measured; bounds what a transient leaves."""
+    mean_s: float = 6.0  # rig time over which a point is averaged
+    jump: float = 0.25  # relative change of DT from one point to the next that is told as a jump, not joined by a line
 
 
 @attrs.frozen(kw_only=True)
-class Rung:
+class AmplitudePoint:
     """One amplitude of a backbone."""
 
     direction: str  # up or down
@@ -574,35 +576,37 @@ class Rung:
     u_frequency_hz: float
     dt: float  # ratio of the mean amplitudes; u_dt likewise
     u_dt: float
-    spread: float  # relative standard deviation of DT from look to look
+    spread: float  # relative standard deviation of DT from sample to sample
     superior_m: float  # mean amplitude
     base_m: float  # mean amplitude
     phase_deg: float  # mean
-    locked: bool  # whether the phase was held in every look; where not, the numbers are means of a motion that wanders
-    jumped: bool  # the response is another one than on the rung before: DT jumped, or the lock came or went
+    locked: (
+        bool  # whether the phase was held in every sample; where not, the numbers are means of a motion that wanders
+    )
+    jumped: bool  # the response is another one than on the point before: DT jumped, or the lock came or went
 
 
-def climb(ladder: Ladder, loop: LockLoop) -> tuple[list[Rung], str]:
-    """Follow the backbone up and down; return its rungs, and why it ended early ("" if it did not)."""
-    currents, bound = ladder.currents_a, ladder.lock
+def sweep_amplitude(sweep: AmplitudeSweep, loop: LockLoop) -> tuple[list[AmplitudePoint], str]:
+    """Follow the backbone up and down; return its points, and why it ended early ("" if it did not)."""
+    currents, bound = sweep.currents_a, sweep.lock
     lock = PhaseLock(attrs.evolve(bound, current_a=currents[0], dwell_s=NEVER_S, lose_limit_s=NEVER_S))
     loop.set(lock.start(loop.now_ns))
-    rungs: list[Rung] = []
+    points: list[AmplitudePoint] = []
     steps = [("up", current) for current in currents] + [("down", current) for current in currents[-2::-1]]
     for number, (direction, current) in enumerate(steps):
         if number:
             loop.set(lock.set_current(current, loop.now_ns))
         limit_s = bound.lose_limit_s if number else bound.seek_limit_s
         _pass(lock, loop, limit_s, lambda one: one.locked)
-        _pass(lock, loop, ladder.wait_s)
+        _pass(lock, loop, sweep.wait_s)
         first = len(lock.rows)
-        _pass(lock, loop, ladder.mean_s)
+        _pass(lock, loop, sweep.mean_s)
         if lock.state is not SweepState.RUNNING:
-            return rungs, lock.reason
-        rungs.append(_rung(direction, current, lock.rows[first:], lock.u_gain, rungs[-1:], ladder.jump))
+            return points, lock.reason
+        points.append(_point(direction, current, lock.rows[first:], lock.u_gain, points[-1:], sweep.jump))
     lock.abort("done")
     loop.set(Setpoint(lock.frequency_hz, 0.0))
-    return rungs, ""
+    return points, ""
 
 
 def _pass(
@@ -613,15 +617,15 @@ def _pass(
     follow(lock, loop, lambda one: until(one) or loop.now_ns >= end_ns)
 
 
-def _rung(
-    direction: str, current: float, rows: NDArray[np.void], u_gain: float, before: Sequence[Rung], jump: float
-) -> Rung:
+def _point(
+    direction: str, current: float, rows: NDArray[np.void], u_gain: float, before: Sequence[AmplitudePoint], jump: float
+) -> AmplitudePoint:
     ratio = np.mean(rows["transmissibility"] * np.exp(1j * rows["phase"]))
     means = mean(rows, u_gain)
     dt = means.dt
     locked = bool(np.all(rows["locked"] == 1.0))
     jumped = any(abs(math.log(dt / one.dt)) > math.log1p(jump) or one.locked != locked for one in before)
-    return Rung(
+    return AmplitudePoint(
         direction=direction,
         current_a=current,
         frequency_hz=means.frequency_hz,

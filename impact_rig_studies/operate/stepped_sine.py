@@ -348,7 +348,7 @@ class ControlledSine(SteppedSine):
         return self._current_a
 
     @property
-    def held(self) -> NDArray[np.void]:
+    def controlled(self) -> NDArray[np.void]:
         """The curve so far with target, error and corrections: rows of `blocks.SWEEP`."""
         rows = self.rows
         found = sweep_rows(rows)
@@ -359,7 +359,7 @@ class ControlledSine(SteppedSine):
 
     def sweep_from(self, first: int) -> NDArray[np.void]:
         """Return the curve from a row on: rows of `blocks.SWEEP`."""
-        return self.held[first:]
+        return self.controlled[first:]
 
     def _reset(self) -> None:
         super()._reset()

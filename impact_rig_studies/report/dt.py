@@ -212,7 +212,7 @@ def draw_reductions(reductions: Reductions, path: Path) -> Path:
     right.margins(y=0.2)
     for axes in (left, right):
         axes.grid(visible=False, axis="x")
-    with files.written_whole(path) as file:
+    with files.atomic_write(path) as file:
         figure.savefig(file, format="png", dpi=140)
     return path
 

@@ -238,7 +238,7 @@ def transmissibility(rows: NDArray[np.void]) -> Drawn:
             "expanded_phase_uncertainty": COVERAGE * np.degrees(own["phase_uncertainty"]),
         }  # fmt: skip
         frequency, dt, u, phase, u_phase = columns.values()
-        look: dict[str, Any] = {
+        style: dict[str, Any] = {
             "color": SERIES[i % len(SERIES)],
             "marker": "o",
             "markersize": 3.0,
@@ -246,8 +246,8 @@ def transmissibility(rows: NDArray[np.void]) -> Drawn:
             "capsize": 2.0,
         }
         current = drawings.amplitudes(own["current_amplitude"], "A")
-        upper.errorbar(frequency, dt, u, label=", ".join(filter(None, [case, current, "± 2u"])), **look)
-        lower.errorbar(frequency, phase, u_phase, **look)
+        upper.errorbar(frequency, dt, u, label=", ".join(filter(None, [case, current, "± 2u"])), **style)
+        lower.errorbar(frequency, phase, u_phase, **style)
         lines.append(Line(case, columns))
     upper.set(ylabel="transmissibility $|X_1|/|X_b|$", ylim=(0.0, None), title="Displacement transmissibility")
     lower.set(ylabel="phase (°)", xlabel="frequency (Hz)")

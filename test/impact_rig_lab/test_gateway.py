@@ -28,7 +28,7 @@ from kits.browser import PATIENCE_S
 from impact_rig import topics
 from impact_rig.client import Client, Processes, isolated_domain
 from impact_rig.nodes.session import EXPIRES_S
-from impact_rig_lab.gateway import KEPT, Gateway, Own
+from impact_rig_lab.gateway import KEPT, Gateway, OwnedProcesses
 from impact_rig_lab.live import LiveSource
 from impact_rig_lab.record import RigView
 from impact_rig_lab.state import DEAD_S, Seen
@@ -55,7 +55,7 @@ def test_a_rig_of_others_is_sent_nothing_sooner_than_our_own(tmp_path: Path, mon
         isolated_domain() as domain_id,
         Client(domain_id, "rig") as client,
         Processes(domain_id, tmp_path) as processes,
-        contextlib.closing(Own(processes, {})) as own,
+        contextlib.closing(OwnedProcesses(processes, {})) as own,
     ):
         processes.start("rig")
         for owner, silent_s in ((None, EXPIRES_S), (own, DEAD_S)):

@@ -38,7 +38,7 @@ from impact_rig.client import Client, Collector, Processes, WaitTimeoutError, is
 from impact_rig.nodes import messages
 from impact_rig.nodes.messages import by_name
 from impact_rig.rig.config import load_config
-from impact_rig_lab.gateway import Own
+from impact_rig_lab.gateway import OwnedProcesses
 from impact_rig_lab.live import LiveSource
 from impact_rig_lab.server import MOST_UNDRAWN, Server
 from impact_rig_lab.server import PATIENCE_S as AWAY_S
@@ -103,7 +103,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
     directory = tmp_path_factory.mktemp("lab_runs")
     parameters = {**PARAMETERS, "recorder": {"record": False, "directory": str(directory)}}
     with isolated_domain() as domain_id, Processes(domain_id, directory / "logs", "/rig") as processes:
-        source = LiveSource(domain_id, "/rig", Own(processes, parameters))
+        source = LiveSource(domain_id, "/rig", OwnedProcesses(processes, parameters))
         with Server(source, port=0) as server, source, Client(domain_id, "rig", name="observer") as client:
             client.wait_active("rig", "analysis", "recorder")
             client.wait_until(lambda: "blocks" in client.figures("rig"), "scan 0", PATIENCE_S)

@@ -26,7 +26,7 @@ pytest.importorskip("rclpy", reason="no ROS 2 here")
 from kits.browser import Page
 
 from impact_rig.client import Processes, isolated_domain
-from impact_rig_lab.gateway import Own
+from impact_rig_lab.gateway import OwnedProcesses
 from impact_rig_lab.live import LiveSource
 from impact_rig_lab.server import Server
 
@@ -41,7 +41,7 @@ def graph(tmp_path: Path) -> Iterator[tuple[Processes, str]]:
         "recorder": {"record": False, "directory": str(tmp_path)},
     }
     with isolated_domain() as domain_id, Processes(domain_id, tmp_path / "logs", "/rig") as processes:
-        source = LiveSource(domain_id, "/rig", Own(processes, parameters))
+        source = LiveSource(domain_id, "/rig", OwnedProcesses(processes, parameters))
         with Server(source, port=0) as server, source:
             yield processes, server.address
 

@@ -39,9 +39,9 @@ from impact_rig_lab.protocol import FrameKind, RequestError, json_frame, parse
 from impact_rig_lab.record import Curve, Faults, MotionBuffer, RigHistory, RigView, plain, scan_rate
 from impact_rig_lab.server import STATIC
 from impact_rig_lab.state import (
+    FAST_FACTOR,
     FOLLOWED,
     GAP_S,
-    HURRIED,
     STALE_S,
     Pace,
     Seen,
@@ -459,7 +459,7 @@ def speed(clock: HandClock, pace: Pace, factor: float) -> float:
 def test_the_speed_is_that_between_two_readings(clock: HandClock, factor: float) -> None:
     pace = Pace(clock)
     assert speed(clock, pace, factor) == pytest.approx(factor)
-    assert pace.is_hurried == (factor > HURRIED)
+    assert pace.is_hurried == (factor > FAST_FACTOR)
     assert pace.is_followed == (factor <= FOLLOWED)
 
 

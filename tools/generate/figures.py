@@ -98,8 +98,8 @@ STEPPED_SINE = (
     Figure("points", "-", "Points of the sweep."),
     Figure("frequency_hz", "Hz", "Frequency of the present point."),
     Figure("skipped", "-", "Points left out."),
-    Figure("looks", "-", "Instead of points, where the phase is held: looks so far."),
-    Figure("phase_deg", "deg", "Phase of the superior base in the last look, against `reference`."),
+    Figure("samples", "-", "Instead of points, of a phase lock: samples so far."),
+    Figure("phase_deg", "deg", "Phase of the superior base in the last sample, against `reference`."),
     Figure("locked", "-", "1 while the phase is held within `within_deg`."),
 )
 

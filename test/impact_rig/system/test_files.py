@@ -44,7 +44,7 @@ def test_a_file_is_there_whole_or_not_at_all(tmp_path: Path) -> None:
     path = tmp_path / "out.txt"
 
     def fail_half_way() -> None:
-        with files.written_whole(path) as file:
+        with files.atomic_write(path) as file:
             file.write(MINE)
             assert not path.exists()
             raise RuntimeError
@@ -52,7 +52,7 @@ def test_a_file_is_there_whole_or_not_at_all(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError):
         fail_half_way()
     assert list(tmp_path.iterdir()) == []
-    with files.written_whole(path) as file:
+    with files.atomic_write(path) as file:
         file.write(MINE)
     assert path.read_bytes() == MINE
     assert list(tmp_path.iterdir()) == [path]
@@ -79,9 +79,9 @@ def test_what_another_user_created_under_the_name_on_the_way_is_left_alone(
         elif what == "directory":
             usual.mkdir()
         else:
-            first = stack.enter_context(files.written_whole(tmp_path / "out"))
+            first = stack.enter_context(files.atomic_write(tmp_path / "out"))
             assert partial_of(first) == usual
-        with files.written_whole(tmp_path / "out") as file:
+        with files.atomic_write(tmp_path / "out") as file:
             assert re.fullmatch(r"\.out\.[0-9a-f]{16}\.partial", partial_of(file).name)
             file.write(MINE)
         assert usual.exists()
@@ -96,7 +96,7 @@ def test_what_a_killed_process_left_is_removed_when_the_file_is_written_again(tm
 import os, signal, sys
 from pathlib import Path
 from impact_rig.system import files
-with files.written_whole(Path(sys.argv[1])) as file:
+with files.atomic_write(Path(sys.argv[1])) as file:
     file.write(b"half")
     file.flush()
     os.kill(os.getpid(), signal.SIGKILL)
@@ -127,7 +127,7 @@ def test_what_must_be_kept_is_kept(tmp_path: Path, victim: Path, what: str) -> N
         path.symlink_to(victim if what == "link" else tmp_path / "nowhere")
 
     def write() -> None:
-        with files.written_whole(path, replace=False) as file:
+        with files.atomic_write(path, replace=False) as file:
             file.write(MINE)
 
     with pytest.raises(FileExistsError):
@@ -145,10 +145,10 @@ def test_what_must_be_kept_is_kept_without_hard_links(tmp_path: Path, monkeypatc
 
     monkeypatch.setattr(os, "link", refuse)
     path = tmp_path / "out"
-    with files.written_whole(path, replace=False) as file:
+    with files.atomic_write(path, replace=False) as file:
         file.write(MINE)
     assert path.read_bytes() == MINE
-    with pytest.raises(FileExistsError), files.written_whole(path, replace=False):
+    with pytest.raises(FileExistsError), files.atomic_write(path, replace=False):
         pass
     assert path.read_bytes() == MINE
 
@@ -189,9 +189,9 @@ def test_a_directory_of_somebody_else_is_refused(tmp_path: Path) -> None:
 
 
 def test_what_the_system_refuses_is_told_in_words_and_what_has_words_keeps_them(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match=r"^there: No such file or directory$"), files.errors_as("there"):
+    with pytest.raises(RecordingError, match=r"^there: No such file or directory$"), files.translate_errors("there"):
         (tmp_path / "nothing").read_bytes()
-    with pytest.raises(RecordingError, match=r"^no room$"), files.errors_as("there"):
+    with pytest.raises(RecordingError, match=r"^no room$"), files.translate_errors("there"):
         raise RecordingError("no room")
 
 

@@ -41,13 +41,13 @@ def test_what_is_half_made_at_two_looks_is_marked_and_nothing_else(tmp_path: Pat
     for name in others:
         (tmp_path / name).touch()
     (tmp_path / "fastrtps_port5").symlink_to(tmp_path / "another")
-    before = segments.look(tmp_path, set())
+    before = segments.mark_half_created(tmp_path, set())
     assert {name for name, _ in before} == {"fastrtps_port1", "fastrtps_port2", "fastrtps_port3"}
     assert (tmp_path / "fastrtps_port1").stat().st_size == 0, "it may be being made"
     (tmp_path / "fastrtps_port2").write_bytes(contents["port4"])  # it was
     (tmp_path / "new").write_bytes(b"")
     Path(tmp_path / "new").replace(tmp_path / "fastrtps_port3")  # another one
-    segments.look(tmp_path, before)
+    segments.mark_half_created(tmp_path, before)
     assert word(tmp_path / "fastrtps_port1") == 3
     assert (tmp_path / "fastrtps_port1").stat().st_size > 4
     assert word(tmp_path / "fastrtps_port2") == word(tmp_path / "fastrtps_port4") == 2

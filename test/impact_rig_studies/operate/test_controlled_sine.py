@@ -79,20 +79,20 @@ def test_every_point_is_held_up_and_down(power):
     bench = Bench(power)
     sweep = walked(bench)
     assert sweep.state is SweepState.FINISHED
-    assert sweep.held["frequency"].tolist() == [8.0, 9.0, 9.0, 8.0]
-    assert np.all(np.abs(sweep.held["error"]) <= HELD.tolerance)
-    assert sweep.held["held"].tolist() == [1.0] * 4
-    assert sweep.held["corrections"][0] >= 1
-    assert sweep.held["corrections"][1:].tolist() == [0.0] * 3
-    assert sweep.held["target"].tolist() == [1e-4] * 4
+    assert sweep.controlled["frequency"].tolist() == [8.0, 9.0, 9.0, 8.0]
+    assert np.all(np.abs(sweep.controlled["error"]) <= HELD.tolerance)
+    assert sweep.controlled["held"].tolist() == [1.0] * 4
+    assert sweep.controlled["corrections"][0] >= 1
+    assert sweep.controlled["corrections"][1:].tolist() == [0.0] * 3
+    assert sweep.controlled["target"].tolist() == [1e-4] * 4
 
 
 def test_a_point_that_cannot_be_held_keeps_its_error():
     sweep = walked(Bench(floor_m=1.5e-4))
     assert sweep.state is SweepState.FINISHED
-    assert sweep.held["held"].tolist() == [0.0] * 4
-    assert sweep.held["error"] == pytest.approx(0.5)
-    assert sweep.held["corrections"].tolist() == [8.0] * 4
+    assert sweep.controlled["held"].tolist() == [0.0] * 4
+    assert sweep.controlled["error"] == pytest.approx(0.5)
+    assert sweep.controlled["corrections"].tolist() == [8.0] * 4
 
 
 def test_a_point_that_is_left_out_takes_no_corrections_from_the_next():
@@ -108,9 +108,9 @@ def test_a_point_that_is_left_out_takes_no_corrections_from_the_next():
 
     sweep = walked(Loud(), attrs.evolve(PLAN, direction="up", current_a=0.1), attrs.evolve(HELD, corrections=1))
     assert sweep.skipped == [8.0]
-    assert sweep.held["frequency"].tolist() == [9.0]
-    assert sweep.held["corrections"].tolist() == [1.0]
-    assert sweep.held["held"].tolist() == [1.0]
+    assert sweep.controlled["frequency"].tolist() == [9.0]
+    assert sweep.controlled["corrections"].tolist() == [1.0]
+    assert sweep.controlled["held"].tolist() == [1.0]
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Search, track and dwell: on a resonance of known answer, on the rig, over topics; and the backbone's ladder."""
+"""Search, track and dwell: on a resonance of known answer, on the rig, over topics; and the sweep of a backbone."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
 from impact_rig_studies.closed_loop import with_short_blocks
 from impact_rig_studies.operate.phase_lock import (
-    Ladder,
+    AmplitudeSweep,
     LockLoop,
     LockPlan,
-    Look,
     PhaseLock,
     Reference,
+    Sample,
     Stage,
-    climb,
     follow,
     lock_on,
     mean,
+    sweep_amplitude,
 )
 from impact_rig_studies.operate.stepped_sine import SweepState
 
@@ -62,7 +62,7 @@ class Resonance:
     def set(self, setpoint):
         self.setpoint = setpoint
 
-    def look(self, seconds):
+    def sample(self, seconds):
         self.now += round(seconds * NS_PER_S)
         if self.now > self.trips_s * NS_PER_S:
             return "the fuse blew"
@@ -70,7 +70,7 @@ class Resonance:
         r = f / self.hz
         t = (1 + 2j * self.zeta * r) / (1 - r * r + 2j * self.zeta * r)
         base = 0.0 if self.still else 1e-5 * i * cmath.exp(0.3j)
-        return Look(self.now, f, base, base * t, i * cmath.exp(0.3j))
+        return Sample(self.now, f, base, base * t, i * cmath.exp(0.3j))
 
 
 @pytest.mark.parametrize("reference", list(Reference))
@@ -89,11 +89,11 @@ def test_a_resonance_is_found_and_held(reference, start_hz, zeta):
 
 @pytest.mark.parametrize(("start_hz", "side", "low_hz", "high_hz"), [(9.9, 1.0, 5.0, 10.0), (8.1, -1.0, 8.0, 20.0)])
 def test_a_transient_that_dies_at_an_end_of_the_range_is_no_resonance(start_hz, side, low_hz, high_hz):
-    """The frequency stood still between the two looks: the slope was 0, and the lock never left the end again."""
+    """The frequency stood still between the two samples: the slope was 0, and the lock never left the end again."""
 
     class Ringing(Resonance):
-        def look(self, seconds):
-            found = super().look(seconds)
+        def sample(self, seconds):
+            found = super().sample(seconds)
             turned = cmath.exp(1j * math.radians(-90.0 + 30.0 * side))  # as if it were beyond the end
             return found._replace(superior=found.base * turned) if self.now < 6 * NS_PER_S else found
 
@@ -103,16 +103,16 @@ def test_a_transient_that_dies_at_an_end_of_the_range_is_no_resonance(start_hz, 
     assert lock.frequency_hz == pytest.approx(TRUE_HZ, abs=0.003)
 
 
-@pytest.mark.parametrize(("look_s", "command_s"), [(0.5, 0.6), (0.1, 0.03)])
-def test_it_locks_where_commands_take_their_time(look_s, command_s):
-    """Looks were counted as if one followed the other at once: with these the phase was held, and nothing locked."""
+@pytest.mark.parametrize(("sample_s", "command_s"), [(0.5, 0.6), (0.1, 0.03)])
+def test_it_locks_where_commands_take_their_time(sample_s, command_s):
+    """Samples were counted as if one followed the other at once: with these the phase was held, and nothing locked."""
 
     class Late(Resonance):
-        def look(self, seconds):
+        def sample(self, seconds):
             self.now += round(command_s * NS_PER_S)
-            return super().look(seconds)
+            return super().sample(seconds)
 
-    lock = lock_on(attrs.evolve(PLAN, look_s=look_s), Late())
+    lock = lock_on(attrs.evolve(PLAN, sample_s=sample_s), Late())
     assert lock.state is SweepState.FINISHED, lock.reason
     assert lock.frequency_hz == pytest.approx(TRUE_HZ, abs=0.003)
 
@@ -171,14 +171,14 @@ def test_a_ladder_tells_jumps():
             super().set(setpoint)
             self.zeta = 0.0045 if setpoint.current_a < 0.3 else 0.01
 
-    rungs, why = climb(Ladder(currents_a=(0.1, 0.2, 0.4), lock=PLAN), Jumping())
+    points, why = sweep_amplitude(AmplitudeSweep(currents_a=(0.1, 0.2, 0.4), lock=PLAN), Jumping())
     assert why == ""
-    assert [(one.direction, one.current_a) for one in rungs] == [
+    assert [(one.direction, one.current_a) for one in points] == [
         ("up", 0.1), ("up", 0.2), ("up", 0.4), ("down", 0.2), ("down", 0.1),
     ]  # fmt: skip
-    assert [one.jumped for one in rungs] == [False, False, True, True, False]
-    assert all(one.locked for one in rungs)
-    assert rungs[0].dt == pytest.approx(1 / 0.009, rel=1e-3)
+    assert [one.jumped for one in points] == [False, False, True, True, False]
+    assert all(one.locked for one in points)
+    assert points[0].dt == pytest.approx(1 / 0.009, rel=1e-3)
 
 
 def local(config: RigConfig) -> LockLoop:
@@ -212,7 +212,7 @@ def test_a_locked_stretch_states_how_well_it_is_known(locked):
     true_dt = abs(complex(transmissibility(linear(), found.frequency_hz)))
     assert 0.001 < found.u_dt / found.dt < 0.01, "two sensitivities of 0.12 to 0.22 % and the scatter"
     assert abs(found.dt - true_dt) < 3.0 * found.u_dt
-    assert np.isnan(mean(dwelt[:3], locked.u_gain).u_dt), "three looks say nothing"
+    assert np.isnan(mean(dwelt[:3], locked.u_gain).u_dt), "three samples say nothing"
 
 
 def test_it_gives_the_same_bits_twice(locked):
