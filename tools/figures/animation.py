@@ -119,7 +119,7 @@ def _scene(walls: list[int]) -> list[str]:
         text(43, FLOOR + 58, "shaker", anchor="middle", colour=MUTED),
         text(CENTRE, FLOOR + 15, "inferior base x_b", anchor="middle", colour="var(--sheet)", bold=True),
         text(16, 24, f"{FREQUENCY_HZ:g} Hz, gap {GAP_M * 1e3:g} mm", bold=True),
-        text(16, 42, f"{SLOWER} times slower; x_b enlarged {MAGNIFIED} times", colour=MUTED),
+        text(160, 24, f"{SLOWER} times slower; x_b enlarged {MAGNIFIED} times", colour=MUTED),
         line(((WIDTH - 20 - 10e-3 * PX_PER_M, 20), (WIDTH - 20, 20)), width=3),
         text(WIDTH - 20, 38, "10 mm", anchor="end", colour=MUTED),
     ]  # fmt: skip

@@ -55,9 +55,9 @@ def phase(name: str, what: str, x: float, y: float, width: float, height: float,
     ])  # fmt: skip
 
 
-def small(x: float, y: float, words: str, *, colour: str = INK, anchor: str = "start") -> str:
+def small(x: float, y: float, words: str, *, colour: str = INK, anchor: str = "start", px: int = 11) -> str:
     """Return words in small type."""
-    return text(x, y, words, colour=colour, anchor=anchor, px=11, symbols=False)
+    return text(x, y, words, colour=colour, anchor=anchor, px=px, symbols=False)
 
 
 def draw_tick() -> str:
@@ -70,7 +70,7 @@ def draw_tick() -> str:
     )
     parts = [
         text(20, 26, "One tick of 10 ms through the kernels", bold=True),
-        text(20, 46, "drive and state go in; states at events, and impacts, come out", colour=MUTED, px=12),
+        text(20, 46, "input: drive and state; output: states at events, and impacts", colour=MUTED, px=12),
         box(14, _FRAME, 612, 340, stroke=BASE, rx=8),
         text(26, _FRAME + 19, "event_loop", colour=BASE, bold=True, symbols=False),
         text(614, _FRAME + 19, of("event_loop", "run", "_change_phase"), anchor="end", px=12, symbols=False),
@@ -80,12 +80,12 @@ def draw_tick() -> str:
         small(_LEFT + 12, _TOP + 78, of("flight", "structure_at")),
         phase("ATTACHED", "one body", _LEFT, 302, _WIDE, _BOTTOM - 302, STRUCTURE),
         small(_LEFT + 12, 344, of("flight", "prepare_segment", "begin_flight")),
-        small(_LEFT + 12, 362, of("flight", "fly_attached", "evaluate", "safe_time")),
+        small(_LEFT + 12, 362, of("flight", "fly_attached", "evaluate", "safe_time"), px=10),
         phase("CONTACT", "the wall yields", _RIGHT, _TOP, 222, _BOTTOM - _TOP, SPHERE),
         arrow(edge, 142, _RIGHT - 1, 142),
         small(middle, 136, event("TOUCHED", "_touch"), anchor="middle"),
         arrow(_RIGHT, 186, edge + 1, 186),
-        small(middle, 180, event("SEPARATED, RELEASED", "_leave"), anchor="middle"),
+        small(middle, 180, event("SEPARATED, RELEASED", "_leave"), anchor="middle", px=10),
         arrow(_RIGHT, 340, edge + 1, 340),
         small(middle, 334, event("SETTLED", "_leave", "_hold"), anchor="middle"),
         line(((70, _TOP), (70, 98), (110, 98))),
@@ -94,10 +94,10 @@ def draw_tick() -> str:
         small(330, 102, event("STOPPED", "_part", when=", slides back")),
         arrow(190, _TOP + 92, 190, 301),
         small(198, 240, event("STOPPED", "_hold", when=", held")),
-        small(198, 260, event("TOUCHED", "_bounce", when=", rigid, slow and pressed")),
+        small(198, 260, event("TOUCHED", "_bounce", when=", rigid, slow")),
         arrow(50, 302, 50, _TOP + 93),
         small(58, 262, event("PARTED", "_part")),
-        small(320, 392, "PAUSED, at the end of a segment or after 500 steps of a contact: it goes on", anchor="middle"),
+        small(320, 392, "PAUSED at the end of a segment or after 500 steps of a contact: continues", anchor="middle"),
         arrow(50, _FRAME + 340, 50, 435),
         small(60, 424, "history: the state at each event, and at each step of a contact", colour=MUTED),
         box(14, 436, 612, 48, fill="var(--card)", stroke=STRUCTURE, rx=8),

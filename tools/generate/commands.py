@@ -55,7 +55,7 @@ def _signature(action: argparse.Action) -> str:
     if action.nargs == 0:
         value = ""
     elif action.choices is not None:
-        value = "|".join(map(str, action.choices))
+        value = f"{{{','.join(map(str, action.choices))}}}"
     else:
         value = (
             action.metavar if isinstance(action.metavar, str) else " ".join(action.metavar or (action.dest.upper(),))

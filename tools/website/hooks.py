@@ -23,19 +23,25 @@ from mkdocs.structure.files import File
 
 ROOT = Path(__file__).parents[2]
 ICON = ROOT / "impact_rig_lab" / "static" / "icon.svg"
+RIG = ROOT / "build" / "rig" / "index.html"
+"""The rig as one page, if `make site` has built it."""
+_RIG_HERE = "<!-- rig in the browser -->"
 _SEARCH = 'data-md-component="search" role="dialog"'
 _FENCE = re.compile(r"^(?P<ticks>```+)(?P<language>\w+) (?P<info>.+)$", re.MULTILINE)
 _COMMENT = re.compile(r"<!-- (?:figures|generated): .*? -->\n?|<!-- end -->\n?", re.DOTALL)
 
 
 def on_files(files: Any, config: Any) -> Any:
-    """Add the icon that the lab's page has."""
+    """Add the icon of the lab's page, and the rig in the browser."""
     files.append(File.generated(config, "images/icon.svg", abs_src_path=str(ICON)))
+    if RIG.exists():
+        files.append(File.generated(config, "images/rig.html", abs_src_path=str(RIG)))
     return files
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
     """Show titles of files above their blocks; drop what only our checks read."""
+    markdown = markdown.replace(_RIG_HERE, "[Run the rig in this browser](images/rig.html)" if RIG.exists() else "")
     return _FENCE.sub(_fence, _COMMENT.sub("", markdown))
 
 
