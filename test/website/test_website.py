@@ -58,7 +58,7 @@ def pages(site: Path) -> dict[Path, Found]:
     return {
         path: Found(path.read_text(encoding="utf-8"))
         for path in sorted(site.rglob("*.html"))
-        if path.name != "404.html"
+        if path.name not in {"404.html", "impact_rig.html"}  # the latter is the rig itself, if `make site` has built it
     }
 
 

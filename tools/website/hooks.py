@@ -35,13 +35,15 @@ def on_files(files: Any, config: Any) -> Any:
     """Add the icon of the lab's page, and the rig in the browser."""
     files.append(File.generated(config, "images/icon.svg", abs_src_path=str(ICON)))
     if RIG.exists():
-        files.append(File.generated(config, "images/rig.html", abs_src_path=str(RIG)))
+        files.append(File.generated(config, "images/impact_rig.html", abs_src_path=str(RIG)))
     return files
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
     """Show titles of files above their blocks; drop what only our checks read."""
-    markdown = markdown.replace(_RIG_HERE, "[Run the rig in this browser](images/rig.html)" if RIG.exists() else "")
+    markdown = markdown.replace(
+        _RIG_HERE, "[Run the rig in this browser](images/impact_rig.html)" if RIG.exists() else ""
+    )
     return _FENCE.sub(_fence, _COMMENT.sub("", markdown))
 
 
