@@ -159,7 +159,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
 
     def doing(self) -> NodeState:
         """Return whether the node records, and any problem with it."""
-        words, lost = states.RecorderWord, self._account.lost()
+        words, lost = states.RecorderWord, self._lost()
         if self._failure:
             return NodeState(words.FAILED, self._failure)
         if self._writer is not None and self._mixed():
@@ -185,7 +185,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         mixed = self._mixed()
         if mixed:
             return Level.WARN, f"this run cannot be verified: {mixed}"
-        if self._account.lost():
+        if self._lost():
             held = "; no block is acknowledged until ~/stop" if self._lacks_messages() else ""
             return Level.ERROR, f"messages were lost before they reached the recorder{held}"
         if self._writer is not None and self._refused:
@@ -198,7 +198,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
 
     def figures(self) -> dict[str, object]:
         """Return the figures of the current run and of losses."""
-        values: dict[str, object] = {f"lost.{self._added[name]}": n for name, n in self._account.lost().items()}
+        values: dict[str, object] = {f"lost.{self._added[name]}": n for name, n in self._lost().items()}
         if self._writer is not None:
             values |= {
                 "directory": str(self._writer.directory),
@@ -468,9 +468,13 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         may_lack = is_recording and (self._lacks_messages() or time.monotonic() - self._late_at < REPEATED_S)
         return not self._failure and not may_lack
 
+    def _lost(self) -> dict[str, int]:
+        """Return how many messages are missing, by topic; a message that a newer one replaced is not missing."""
+        return {name: n for name, n in self._account.lost().items() if self._added[name] not in topics.REPLACED}
+
     def _lacks_messages(self) -> bool:
         """Return whether messages of the rig are missing in this run."""
-        return self._writer is not None and any(self._added[name] in NEEDED for name in self._account.lost())
+        return self._writer is not None and any(self._added[name] in NEEDED for name in self._lost())
 
 
 def run_directory(text: str) -> Path:

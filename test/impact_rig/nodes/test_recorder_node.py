@@ -300,6 +300,33 @@ def test_messages_that_never_arrived_are_told_by_topic_and_kept_in_the_file(clie
     assert stream.publisher == "/rig"
 
 
+def test_a_message_that_a_newer_one_replaced_is_not_lost(client: Client, tmp_path: Path) -> None:
+    """The rig keeps only its newest robot description, so a busy recorder receives a part of them."""
+    recorder = host_recorder(client, tmp_path)
+    host_rig(client, time__peers=["recorder"])
+    client.wait_active("rig", "recorder")
+    client.wait_until(lambda: recording(client), "the recorder")
+    (inlet,) = [one for one in recorder.subscriptions if one.topic_name == f"/{topics.ROBOT_DESCRIPTION.name}"]
+    really, arrived = inlet.callback, []
+
+    def every_third(*arguments: object) -> object:
+        arrived.append(arguments)
+        return really(*arguments) if len(arrived) % 3 == 0 else None
+
+    inlet.callback = functools.wraps(really)(every_third)
+    for number in range(7):
+        client.set_parameters("rig", {"barriers.gap_m": 0.002 + 0.001 * number})
+        client.wait_until(lambda count=number: len(arrived) > count, "the description")
+    client.step(2)
+    client.trigger("recorder/stop")
+    assert client.status("recorder").level == b"\0"
+    with open_run(tmp_path / "run") as run:
+        (stream,) = read_record(run.record(RECORD_NAME))[f"/{topics.ROBOT_DESCRIPTION.name}"]
+    assert stream.lost > 1
+    found = info(tmp_path / "run")
+    assert found.intact, found.verdict
+
+
 def test_what_is_acknowledged_is_complete_on_every_topic(client: Client, tmp_path: Path) -> None:
     taken: Counter[str] = Counter()
     acknowledged: list[Counter[str]] = []
