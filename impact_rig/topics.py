@@ -253,7 +253,5 @@ COMMON = (
     PLOT_DRIVE, PLOT_PULSES, FREQUENCY, CURRENT, WAVEFORM, STREAM, NOTES, ACK, DIAGNOSTICS, CLOCK,
 )  # fmt: skip
 """Every topic that is the same whatever the instruments; with those of their monitors: `nodes.messages.TOPICS`."""
-REPLACED = frozenset(topic.name for topic in COMMON if topic.qos is Qos.LATCHED)
-"""Topics of which a publisher keeps only the newest message: one that another has replaced is not lost."""
 BULKY = (SCAN, TRUTH_SCAN)
 """Topics of which a rig keeps as many messages as its blocks allow."""

@@ -55,6 +55,7 @@ from impact_rig.recording import (
     TopicDescription,
     schema_text,
 )
+from impact_rig.recording.losses import REPLACED
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system.machine import identity
 
@@ -470,7 +471,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
 
     def _lost(self) -> dict[str, int]:
         """Return how many messages are missing, by topic; a message that a newer one replaced is not missing."""
-        return {name: n for name, n in self._account.lost().items() if self._added[name] not in topics.REPLACED}
+        return {name: n for name, n in self._account.lost().items() if self._added[name] not in REPLACED}
 
     def _lacks_messages(self) -> bool:
         """Return whether messages of the rig are missing in this run."""

@@ -30,11 +30,14 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 import attrs
 import numpy as np
 
+from impact_rig import topics
 from impact_rig.blocks import Table
 from impact_rig.recording.records import DamageError
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 
 RECORD_NAME = "impact_rig/losses"  # metadata record of received and lost messages, written when a file is finished
+REPLACED = frozenset(topic.name for topic in topics.COMMON if topic.qos is topics.Qos.LATCHED)
+"""Topics of which a publisher keeps only the newest message: one that another has replaced is not lost."""
 _LONGEST_BLOCK_S = 1e6  # a larger `time` (or NaN) cannot be that of a block
 WHOLE = 1e-6  # relative tolerance within which a rate is a whole number: times are rounded
 # maximum number of streams per topic: of publishers that come and go for days, only the last are still alive

@@ -144,7 +144,7 @@ def info(path: Path | str) -> RunInfo:
         rigs = list(tally.rigs.values())
         rate_hz = next((rig.rate_hz for rig in rigs if rig.rate_hz), None)
         scans = _judged(rigs)
-        replaced = {prefix + name for prefix in run.prefixes for name in topics.REPLACED}
+        replaced = {prefix + name for prefix in run.prefixes for name in losses.REPLACED}
         lost = {name: count for name, count in losses.lost(account).items() if name not in replaced}
         missing = [*_absent_files(run), *_gaps(scans), *_losses(lost), *_left_out(recovered)]
         if recovered is None:  # the account covers what was recorded, not what was recovered

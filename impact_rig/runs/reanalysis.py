@@ -39,6 +39,8 @@ from impact_rig.config.tree import parameters_in
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.recording import CONFIGURATION, Message, Run, arithmetic_of, is_measured
 from impact_rig.recording.losses import check_contiguity, last_scan_ns
+from impact_rig.runs.recovery import RECORD_NAME as RECOVERED_RECORD
+from impact_rig.runs.recovery import read_record
 from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Status
 from impact_rig.system.machine import fingerprint
@@ -353,7 +355,6 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
     found = [
         row for row in ours if (again is None or row.end <= live_end) and _comparable(row, our_blind, live_blind, live)
     ]
-    left_out = len(live) - len(theirs), len(ours) - len(found)
     if not theirs:
         return Agreement(
             None,
@@ -365,6 +366,16 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
     longest_s = max(length for _, length in blocks) / rate_hz
     late = data_end - round((TrackerSettings().hold_s + lag_s(run, longest_s)) * rate_hz)
     reason, identical = _difference(theirs, found, late, exact=elsewhere is False)
+    recovered = read_record(run.record(RECOVERED_RECORD))
+    if reason and recovered is not None and recovered.unfinished:  # what was applied last may not have been recorded
+        complete = data_end - round(lag_s(run, longest_s) * rate_hz)
+        shorter, ours_shorter = ([row for row in rows if row.end <= complete] for rows in (theirs, found))
+        reason_before, identical_before = _difference(shorter, ours_shorter, late, exact=elsewhere is False)
+        if not reason_before:
+            reason, identical, theirs, found = "", identical_before, shorter, ours_shorter
+            if not theirs:
+                return Agreement(None, reason="the live results are of the last moments before the recorder was killed")
+    left_out = len(live) - len(theirs), len(ours) - len(found)
     others = [_plotted(run, live)]
     if impacts is not None:
         ends = [int(one.begin) for one in (*our_blind[1:], *live_blind[1:]) if one.begin > data_begin]

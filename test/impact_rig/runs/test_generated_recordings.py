@@ -25,12 +25,13 @@ from qualification import sound_recordings
 
 pytestmark = pytest.mark.ros
 KINDS = {kind.name: kind for kind in sound_recordings.kinds()}
+KILLED = next(name for name in KINDS if name.startswith("53 "))
 FEW = [name for name in KINDS if name.startswith(("01 ", "06 ", "08 ", "57 "))]
 
 
-@pytest.mark.parametrize(("name", "seed"), [*((name, 3) for name in FEW), (FEW[-1], 557)])
+@pytest.mark.parametrize(("name", "seed"), [*((name, 3) for name in FEW), (FEW[-1], 557), (KILLED, 1053)])
 def test_a_sound_recording_is_accepted(tmp_path: Path, name: str, seed: int) -> None:
-    """With the last seed, samples of a stream are recorded behind the reset that they came before."""
+    """The last two: samples of a stream are recorded behind a reset that they came before; a lost entry at a kill."""
     for recording in sound_recordings.recordings(KINDS[name], seed, tmp_path):
         assert not sound_recordings.problems(recording, KINDS[name])
 
