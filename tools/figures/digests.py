@@ -39,6 +39,7 @@ from xml.etree import ElementTree as ET
 
 import attrs
 import numpy as np
+import yaml
 
 import impact_rig
 from impact_rig.cli.main import main
@@ -188,7 +189,12 @@ def _texts(svg: str) -> list[str]:
 
 def _study(command: tuple[str, ...], file: Path, figure: str) -> list[object]:
     """Return what a miniature of a map or of a study shows, and the file that asks for the whole."""
-    return [file.read_text(encoding="utf-8"), *_miniature(command, figure)]
+    return [_plan(file), *_miniature(command, figure)]
+
+
+def _plan(file: Path) -> object:
+    """Return the content of a plan file, without its comments."""
+    return yaml.safe_load(file.read_text(encoding="utf-8"))
 
 
 @functools.cache
@@ -217,22 +223,22 @@ def _report() -> Mapping[str, list[object]]:
 
 
 def _gallery(file: Path, figure: str) -> list[object]:
-    return [file.read_text(encoding="utf-8"), *_report()[figure]]
+    return [_plan(file), *_report()[figure]]
 
 
 def _excitation(name: str) -> list[object]:
     """Return what a short test through the stream shows, and the plan of the whole one."""
     linear = {"sphere.present": False}
-    plan = ""
+    plan: object = ""
     if name == "random":
         path = PLANS / "random_superior.yaml"
-        plan, whole = path.read_text(encoding="utf-8"), load(path, RandomPlan)
+        plan, whole = _plan(path), load(path, RandomPlan)
         short = attrs.evolve(whole, loops=1, frames=2, averages=2)
         *_, found = control(hardware(1_000, **{"barriers.gap_m": 0.006}), short)
         drawn = _first(found, whole.response.unit)
     elif name == "shock":
         path = PLANS / "shock.yaml"
-        plan = path.read_text(encoding="utf-8")
+        plan = _plan(path)
         *_, followed = shock(hardware(1_000, **linear), load(path, Pulse))
         drawn = _first(followed, "m")
     else:
