@@ -84,7 +84,7 @@ kernels: $(PACKAGE) ## build the library of compiled kernels, where their source
 	@requirements/kernels.sh $(VENV)
 
 # --- Targets ----------------------------------------------------------------------------------------------------------
-.PHONY: help kernels lab demo campaign docs site figures test check lint generate format bench fuzz journeys portability soak colcon release venv lock clean
+.PHONY: help kernels lab demo campaign docs site figures test check lint generate format bench fuzz journeys portability soak colcon adapters release venv lock clean
 
 help: ## print this list
 	@echo 'impact_rig: make TARGET, where TARGET is one of'
@@ -179,6 +179,16 @@ $(COLCON)/ready: requirements/run.txt requirements/$(ROS).txt requirements/test.
 colcon: $(COLCON)/ready ## build, install, start and test with colcon from PyPI, from nothing, as in a ROS workspace
 	@$(if $(filter wheels,$(ROS)),AMENT_PREFIX_PATH='$(CURDIR)/$(COLCON)') \
 	    $(COLCON)/bin/python qualification/check_colcon.py $(PYTEST_PLUGINS_USED) $(ARGS)
+
+ADAPTERS := build/adapters-venv
+$(ADAPTERS)/ready: requirements/run.txt requirements/$(ROS).txt requirements/adapters.txt
+	@PYTHON='$(PYTHON)' requirements/venv.sh $(ROS) $(ADAPTERS) run
+	@$(ADAPTERS)/bin/python -m pip install --quiet --disable-pip-version-check --no-input --requirement requirements/adapters.txt
+	@touch $@
+
+adapters: $(ADAPTERS)/ready kernels ## run examples/adapters against the real Gymnasium and LDAQ; RATTLESNAKE=DIR, a clone, adds it
+	@$(if $(filter wheels,$(ROS)),AMENT_PREFIX_PATH='$(CURDIR)/$(ADAPTERS)') PYTHONPATH=$(CURDIR):$(CURDIR)/examples/adapters \
+	    RATTLESNAKE='$(RATTLESNAKE)' $(ADAPTERS)/bin/python -m pytest -c /dev/null -p no:cacheprovider -ra examples/adapters $(ARGS)
 
 release: $(RUN) ## build wheel and source distribution in build/release and look into them; ARGS=--try uses them, too
 	@$(VENV)/bin/python tools/release.py $(ARGS)

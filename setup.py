@@ -31,6 +31,7 @@ MAINTAINER = PACKAGE.find("maintainer")
 URL = PACKAGE.findtext("url[@type='repository']")
 EXAMPLES = [
     "examples",
+    "examples/adapters",
     "examples/c",
     "examples/golden/test_regression/test_the_analysis_finds_what_it_found",
     "examples/golden/test_regression/test_the_rig_gives_the_readings_it_gave",

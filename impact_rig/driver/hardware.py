@@ -157,6 +157,8 @@ class AnalogOutput:
             return 0
         while len(values):
             with self._rig.turns:
+                if not self._playing:  # another thread has stopped it
+                    break
                 lost += self._lost()
                 space = self.space
                 if space >= min(len(values), self._block, self._size):
@@ -171,12 +173,13 @@ class AnalogOutput:
 
         Does nothing if the output is not playing or the rig has stopped.
         """
-        if self._playing and self.next_sample is not None:
-            with self._rig.turns, contextlib.suppress(CommandError):
-                self._rig.feed(self.next_sample, np.empty(0))
+        with self._rig.turns:
+            if self._playing and self.next_sample is not None:
+                with contextlib.suppress(CommandError):
+                    self._rig.feed(self.next_sample, np.empty(0))
                 self._rig.fed.set()
-        self._playing = False
-        self._waiting.clear()
+            self._playing = False
+            self._waiting.clear()
 
     def _keep(self, values: NDArray[np.float64]) -> None:
         if not self.ready(len(values)):
