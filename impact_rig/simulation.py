@@ -91,15 +91,18 @@ class Record:
 
 
 def simulate(seconds: float, parameters: Mapping[str, object] | None = None) -> Record:
-    """Simulate a rig from rest, driven from its first instant, and measure its displacement transmissibility.
+    """Simulate a rig from rest, driven from the start, and measure its displacement transmissibility.
 
     Args:
-        seconds: rig time, at most an hour.
+        seconds: rig time [s], at most an hour.
         parameters: configuration values that differ from the paper's rig, by full name, as in
-            docs/reference/configuration.md. The drive is the paper's, 0.52 A at 9.1 Hz, unless they set one.
+            docs/reference/configuration.md. The drive is the paper's, 0.52 A at 9.1 Hz, unless they set another.
+
+    Returns:
+        The readings and measurements; `record.transmissibility` is DT with its uncertainty.
 
     Raises:
-        ConfigError: unknown key, value out of range, or too long.
+        ConfigError: unknown key, value out of range, or duration out of range.
     """
     if not 0.0 < seconds <= LONGEST_S:
         raise ConfigError(f"seconds must be above 0 and at most {LONGEST_S:g}, got {seconds!r}")

@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The node `stepped_sine` as a program: `python -m impact_rig_studies --ros-args ...`, and its console script.
+"""Node `stepped_sine` as a program: `python -m impact_rig_studies --ros-args ...`, and its console script.
 
-Light on purpose: signals and the end of the parent are taken care of before anything heavy is imported.
+Imports are light: signal handlers and the watch on the parent process are set up before anything heavy is imported.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import functools
 from impact_rig.nodes.__main__ import run
 
 USE = (
-    "The stepped sine: sets one frequency after the other, waits for the analysis, and publishes the curve.",
+    "Stepped sine: sets one frequency after the other, waits for the analysis, and publishes the curve.",
     "begin:=true",
     "Topics, services and parameters: docs/reference/interface.md.",
 )

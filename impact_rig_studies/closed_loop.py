@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Closed-loop tests with an amplitude held, and the blocks of a rig whose resonance is locked."""
+"""Closed-loop tests with a held amplitude, and blocks for phase locking."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ BLOCKS_PER_S = 20  # blocks of the rig in a loop: rig time passes in steps of 50
 
 @attrs.frozen(eq=False)
 class HeldSweep:
-    """A controlled sine that ended."""
+    """Result of a controlled sine."""
 
     rows: NDArray[np.void]  # of `blocks.SWEEP`
-    failure: str  # why it did not reach its end; empty otherwise
+    failure: str  # why it did not finish; empty otherwise
 
 
 def hold(job: Job, plan: HoldPlan, rig: RigDriver | None = None) -> HeldSweep:
-    """Take a rig through a job's points with an amplitude held; its current is what the first point begins with.
+    """Take a rig through a job's points with a held amplitude; its current is the initial value of the first point.
 
     Args:
-        job: the points, and the rig.
-        plan: what is held.
-        rig: new, of the job, with its analysis; None: one in this process.
+        job: points, and the rig.
+        plan: held quantity.
+        rig: new rig of the job, with its analysis; None means one in this process.
 
     Raises:
-        ImpactRigError: the rig refused.
+        ImpactRigError: the rig rejected a command.
     """
     sweep = ControlledSine(job.plan(), plan)
     operate(sweep, rig or start_local(job))
@@ -53,5 +53,5 @@ def hold(job: Job, plan: HoldPlan, rig: RigDriver | None = None) -> HeldSweep:
 
 
 def with_short_blocks(config: RigConfig) -> RigConfig:
-    """Return the rig with the blocks of a loop."""
+    """Return the rig with the block length of a loop."""
     return from_flat(config, {"daq.block_scans": max(1, config.daq.rate_hz // BLOCKS_PER_S)})

@@ -11,17 +11,17 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A measurement and the model side by side: the model is driven by what was measured, and measured alike.
+"""Comparison of a measurement with the model, which is driven by the measured drive and measured alike.
 
-The measured current (or base) becomes the true one, its sensor's lag and skew undone, and drives the mechanics through
-the stream drive, 10,000 samples a second joined by straight lines. What the mechanics do then stands in the place of
-the measured scans, and the same analysis measures it at the same instants: so both differ by the constants, and by the
-errors of the sensors, which u states: that of DT, and what an error of the drive's own sensor makes of a motion with
-impacts, which depends on its size. Every stretch of scans without a gap and under one label is driven by itself.
+The measured current (or base) becomes the true one after correction of its sensor's lag and skew. It drives the
+mechanics through the stream drive, 10,000 samples a second joined by straight lines. The motion of the model replaces
+the measured scans, and the same analysis measures it at the same times. Both therefore differ by the constants, and by
+the errors of the sensors, which u states: that of DT, and the effect of an error of the drive's sensor on a motion with
+impacts, which depends on its size. Every stretch of scans without a gap and under one label is driven separately.
 
-Before its first scan nobody knows what was. Where the structure moves alike in the first cycles, the drive was there
-before: it is continued backwards as their sine, long enough for the structure to forget how the model began. Otherwise
-the model begins at rest. Which of several motions the sphere takes is the model's choice.
+The drive before the first scan is unknown. If the structure moves steadily in the first cycles, the drive existed
+before: it is continued backwards as their sine, long enough for the structure to forget the start of the model.
+Otherwise the model begins at rest. Which of several motions the sphere takes is determined by the model.
 """
 
 from __future__ import annotations
@@ -56,21 +56,26 @@ from impact_rig_studies.identification.fit import Identified, identify, logarith
 from impact_rig_studies.identification.measurements import Gains, Measured, reduced_of, sine_of
 
 DRIVES = {"current": ("current", CURRENT), "base": ("prescribed", BASE)}
-"""What may drive the model: `drive.kind`, and the channel."""
+"""Possible drives of the model: `drive.kind`, and the channel."""
 STREAM_HZ = 10_000
 BAND_HZ, BAND_SHARE = 300.0, 0.4
-"""Upper edge of what is taken of a measured drive: so much, or this share of its rate. Beyond it is noise."""
-FADE = 0.8  # of the band, where its edge begins to fall
-LOWEST_SHARE = 0.3  # of the drive frequency: lower edge of the motion that velocities and accelerations give
-MIRRORED_S = 0.5  # of a record, at both ends, so that undoing a lag has no edge to stumble on
-FORGOTTEN = 7.0  # time constants of the structure that pass before the first scan: e⁻⁷ is 0.1 %
+"""Upper band edge of a measured drive: this frequency, or this share of its rate. Beyond it is noise."""
+FADE = 0.8  # fraction of the band at which its edge begins to fall
+# lower band edge of the motion from velocities and accelerations, as a fraction of the drive frequency
+LOWEST_SHARE = 0.3
+# length of a record that is mirrored at both ends, so that the correction of a lag has no edge effects
+MIRRORED_S = 0.5
+FORGOTTEN = 7.0  # time constants of the structure before the first scan: e⁻⁷ is 0.1 %
 LONGEST_LEAD_S, RISE_S = 120.0, 1.0
 FIRST_CYCLES, ALIKE = 4, 0.02
-"""Of the drive; relative change of the structure's motion from them to the next ones that is none."""
-SHORTEST = 4  # scans of a stretch through which a cubic can be laid; the model rests in a shorter one
+"""Number of cycles of the drive.
+
+Relative change of the structure's motion between them and the next ones that counts as none.
+"""
+SHORTEST = 4  # scans of a stretch through which a cubic can be drawn; in a shorter one the model rests
 TICKS_AT_ONCE = 50
 PER_TICK = STREAM_HZ * COMMAND_GRID_NS // NS_PER_S
-SCANS = 20_000_000  # of a run that is compared
+SCANS = 20_000_000  # limit for a compared run
 
 
 @attrs.frozen
@@ -80,12 +85,15 @@ class ComparedPoint:
     gap_m: float  # label, NaN if unknown
     frequency_hz: float  # of the drive
     measured: np.void  # row of `transmissibility/table`
-    model: np.void | None  # that of the model; None if it did not settle
+    model: np.void | None  # row of the model; None if it did not settle
     more: np.void | None
-    """That of the model driven by one standard uncertainty of its sensor's gain more; None without sphere."""
+    """Row of the model driven by one standard uncertainty of its sensor's gain more; None without sphere."""
 
     def off(self, column: str) -> float:
-        """Return measured less model of `transmissibility` or `phase`, in standard uncertainties; NaN without model."""
+        """Return measured minus model of `transmissibility` or `phase`, in standard uncertainties.
+
+        NaN without model.
+        """
         if self.model is None:
             return math.nan
         by_drive = 0.0 if self.more is None else _less(self.more, self.model, column)
@@ -101,19 +109,19 @@ def _less(one: np.void, other: np.void, column: str) -> float:
 
 @attrs.frozen(eq=False)
 class Comparison:
-    """What was found."""
+    """Result of a comparison."""
 
     driven_by: str  # `current` or `base`
-    config: RigConfig  # of the model
+    config: RigConfig  # configuration of the model
     places: tuple[ComparedPoint, ...]  # ascending by gap and frequency
-    excerpt: Excerpt  # the last settled measurement; of its scans laser, base and current are true ones, lags undone
-    model: NDArray[np.void]  # its scans, shape of the excerpt's
+    excerpt: Excerpt  # the last settled measurement; laser, base and current of its scans are corrected for lag
+    model: NDArray[np.void]  # its scans in the model, shape of the excerpt's
     constants: Identified | None
-    """That fit these measurements best; None if there is nothing to fit: no DT without sphere."""
+    """Constants that fit these measurements best; None if there is nothing to fit: no DT without sphere."""
 
     @property
     def residual(self) -> Real:
-        """The measured motion of the structure less the model's, both about their means [m]."""
+        """Measured motion of the structure minus the model's, both about their means [m]."""
         measured, model = (samples_of(rows, "laser") for rows in (self.excerpt.rows, self.model))
         return np.asarray((measured - measured.mean()) - (model - model.mean()))
 
@@ -126,17 +134,17 @@ def compare(
     fits: bool = True,
     on_step: Callable[[str], None] = lambda _: None,
 ) -> Comparison:
-    """Lay a model over a run.
+    """Compare a run with a model.
 
     Args:
         run: an open run, recorded or imported.
-        known: the model; None: the configuration that is kept in the run, the default rig if there is none.
-        driven_by: key of `DRIVES`; None: the current where it was measured.
-        fits: whether to look for the constants that fit best.
-        on_step: is told what is being done.
+        known: the model; None means the configuration stored in the run, or the default rig.
+        driven_by: key of `DRIVES`; None means the current if it was measured.
+        fits: whether to search for the constants that fit best.
+        on_step: receives a description of each step.
 
     Raises:
-        ConfigError: the model refuses, or what shall drive it was not measured.
+        ConfigError: the model rejects the values, or the drive was not measured.
         RecordingError: nothing settled.
         SimulationError: the model's motion cannot be resolved.
     """
@@ -177,7 +185,7 @@ def compare(
     own = scans.at(excerpt)
     constants = None
     if fits:
-        on_step("looking for the constants that fit best")
+        on_step("fitting the constants")
         constants = _constants(measured, Gains.of(info), known, on_step)
     return Comparison(chosen, known, places, attrs.evolve(excerpt, rows=scans.true[own]), scans.model[own], constants)
 
@@ -201,7 +209,7 @@ class _Stretch:
 
 
 class _ModelledScans:
-    """All scans of a run: measured, with lags undone, and the model's in their place."""
+    """All scans of a run: measured, with lags corrected, and those of the model in their place."""
 
     def __init__(self, run: Run, calibration: Calibration) -> None:
         tables = list(run.tables(topics.SCAN.name, recorded_order=True))
@@ -222,7 +230,7 @@ class _ModelledScans:
                 part = self.true[CHANNELS[channel]][stretch.first : stretch.last]
                 part[:] = undone(part, calibration, channel, stretch.drive_hz)
         self.model = np.zeros(len(measured), SCAN)
-        self.begin = 0  # of the scans that the analysis sees next
+        self.begin = 0  # first of the scans that the analysis receives next
 
     def _stretches(self, run: Run) -> Iterator[_Stretch]:
         labels = sorted(reanalysis.as_set_live(run)[1], key=lambda label: label.stamp_ns)
@@ -237,10 +245,10 @@ class _ModelledScans:
             yield _Stretch(first, last, gap, drive)
 
     def instead(self, topic: topics.Topic, table: Table) -> Table:
-        """Return the model's scans in the place of measured ones, in order, and a calibration without any error."""
+        """Return the model's scans in place of measured ones, in order, and a calibration without any error."""
         if topic is topics.INFO:
             rows = table.rows.copy()
-            rows["unit"][np.isin(rows["name"], [b"laser", b"base"])] = b"m"  # whatever the sensors measure
+            rows["unit"][np.isin(rows["name"], [b"laser", b"base"])] = b"m"  # independent of the sensors
             for name in set(rows.dtype.names or ()) - {"name", "unit", "rate", "since_start"}:
                 rows[name] = {"range_low": -math.inf, "range_high": math.inf, "sensitivity": 1.0}.get(name, 0.0)
             return Table(table.stamp_ns, rows)
@@ -254,8 +262,8 @@ class _ModelledScans:
         return Table(table.stamp_ns, rows)
 
     def at(self, excerpt: Excerpt) -> slice:
-        """Return where the scans of an excerpt are, which are the newest of theirs."""
-        # the time of an excerpt counts from the first scan, or that after the last reset
+        """Return the positions of the scans of an excerpt, which are the newest ones."""
+        # the time of an excerpt counts from the first scan, or from the first after the last reset
         offsets = np.round((self.stamps - self.stamps[0]) / NS_PER_S * self.rate_hz)
         first = int(np.searchsorted(offsets, round(float(excerpt.rows["time"][0]) * self.rate_hz)))
         self.true["time"] = self.model["time"] = (self.stamps - self.stamps[0]) / NS_PER_S
@@ -263,15 +271,16 @@ class _ModelledScans:
 
 
 def undone(values: Real, calibration: Calibration, channel: int, drive_hz: float) -> Real:
-    """Return what a channel measured with its sensor's lag and its skew undone, its noise beyond the band left out.
+    """Correct a channel for its sensor's lag and skew, without its noise beyond the band.
 
     Velocities and accelerations are integrated to displacements.
 
     Args:
         values: contiguous readings, shape (n,).
-        calibration: of the instruments.
+        calibration: calibration of the instruments.
         channel: one of `scans.CHANNELS`.
-        drive_hz: frequency of the drive, above a share of which readings are integrated; below is a sensor's drift.
+        drive_hz: frequency of the drive; readings are integrated above a fraction of it, as lower frequencies are
+            drift.
     """
     rate = calibration.rate_hz
     around = min(round(MIRRORED_S * rate), len(values) - 1)
@@ -296,7 +305,7 @@ def undone(values: Real, calibration: Calibration, channel: int, drive_hz: float
 
 
 def _continued(values: Real, turns: float, count: int) -> Real:
-    """Return so many values after the last, by the sine of the last cycles; `turns` are cycles per value."""
+    """Extrapolate values by the sine of the last cycles; `turns` are cycles per value."""
     if not turns > 0.0:
         return np.zeros(count)
     newest = values[-min(len(values), round(FIRST_CYCLES / turns)) :]
@@ -306,8 +315,8 @@ def _continued(values: Real, turns: float, count: int) -> Real:
 
 
 def _drive(scans: _ModelledScans, stretch: _Stretch, config: RigConfig, kind: str, channel: int, gain: float) -> None:
-    """Fill the model's scans of a stretch, driven by so many times what was measured."""
-    from scipy.interpolate import CubicSpline  # noqa: PLC0415  # heavy: only where it is asked for
+    """Fill in the model's scans of a stretch, driven by the measured drive times `gain`."""
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415  # heavy: imported only when needed
 
     rate, own = scans.rate_hz, slice(stretch.first, stretch.last)
     measured = gain * scans.true[CHANNELS[channel]][own]
@@ -356,7 +365,7 @@ def _model(config: RigConfig, gap_m: float, kind: str) -> RigConfig:
 
 
 def _lead(measured: Real, structure: Real, rate_hz: float, drive_hz: float, time_s: Real) -> Real:
-    """Return the drive at instants before the first scan, rising from nothing; nothing where the motion just begins."""
+    """Return the drive before the first scan, rising from zero; zero if the motion just begins."""
     count = round(FIRST_CYCLES / drive_hz * rate_hz) if drive_hz > 0.0 else 0
     if not 0 < 2 * count <= len(measured):
         return np.zeros(len(time_s))
@@ -372,7 +381,7 @@ def _lead(measured: Real, structure: Real, rate_hz: float, drive_hz: float, time
 def _constants(
     rows: NDArray[np.void], gains: Gains, known: RigConfig, on_step: Callable[[str], None]
 ) -> Identified | None:
-    """Return what measurements tell of the constants: DT without sphere, and the reductions where most of them are."""
+    """Fit the constants to measurements: DT without sphere, and the reductions at the frequency with most of them."""
     unlabelled = known.barriers.gap_m if known.sphere.present else NO_SPHERE
     points = [
         Point(

@@ -16,12 +16,12 @@
     y(t) = C + D t + e^{−λt} (A cos ω_d t + B sin ω_d t),   λ = ζω_n,   ω_d = ω_n √(1 − ζ²)
     ω_n = √(ω_d² + λ²),   ζ = λ/ω_n;      decrement per cycle δ = 2πλ/ω_d,   ζ = δ/√(4π² + δ²)
 
-Gain, offset, skew and lag of the sensor scale and shift the decay without changing either value. Its curve does: a
-gain that changes by κ (a/a_0)² with the amplitude a bends the envelope, and ζ by κ/2 or more (`bent`). So u(f_n) is
-that of noise (density near ω_d, as in `sine`) and clock, u(ζ) that of noise and curve.
+Gain, offset, skew and lag of the sensor scale and shift the decay without changing either value. Its curve does: a gain
+that changes by κ (a/a_0)² with the amplitude a bends the envelope, and changes ζ by κ/2 or more (`bent`). Therefore
+u(f_n) consists of noise (density near ω_d, as in `sine`) and clock, u(ζ) of noise and curve.
 
-A record in which the accelerometer shows impacts has no ζ: the sphere takes energy as long as it strikes. Nor has one
-whose two halves decay at different rates, whatever the cause. Both are refused.
+A record in which the accelerometer shows impacts has no ζ: the sphere takes energy as long as it strikes. Nor does a
+record whose halves decay at different rates. Both are rejected.
 
 A sphere dropped from H0 on the fixed barrier rebounds to H1. The operator notes the heights as a remark on `notes`,
 `drop h0_m=0.2 h1_m=0.0245`:
@@ -48,12 +48,12 @@ from impact_rig.states import Status
 
 MIN_CYCLES = 4
 MIN_POINTS = 32
-MIN_SAMPLES_FOR_HARMONICS = 20  # scans per cycle from which second and third harmonic are fitted too
-MIN_SAMPLES_PER_CYCLE = 5  # as many as a cycle's fit without harmonics has columns
-LINE_FACTOR = 20.0  # a spectral line this far above the expected largest one of noise is a vibration
-SIGNAL_FACTOR = 10.0  # a cycle's amplitude in standard uncertainties from which its logarithm is used
+MIN_SAMPLES_FOR_HARMONICS = 20  # scans per cycle from which the second and third harmonic are fitted as well
+MIN_SAMPLES_PER_CYCLE = 5  # number of columns of a cycle's fit without harmonics
+LINE_FACTOR = 20.0  # factor by which a line exceeds the largest expected noise line to count as a vibration
+SIGNAL_FACTOR = 10.0  # amplitude of a cycle, in standard uncertainties, from which its logarithm is used
 DIFFERENT = 6.0
-"""Standard uncertainties by which the rates of the two halves differ in a decay that is no single exponential."""
+"""Difference of the rates of the two halves, in standard uncertainties, from which a decay is not exponential."""
 ITERATIONS = 50
 CONVERGED = 1e-10
 REASONS = {
@@ -61,12 +61,12 @@ REASONS = {
     "(sphere.present: false) or with amplitudes at which it strikes no wall",
     Status.NOT_EXPONENTIAL: "its two halves decay at different rates, so one ζ does not describe it",
 }
-"""Why there is no result, where the status alone does not tell a user what to do."""
+"""Reason why there is no result, for statuses that need an explanation."""
 
 
 @attrs.frozen(kw_only=True)
 class Decay:
-    """Result; NaN everywhere but in `status` where there is none. u_: standard uncertainties."""
+    """Result of a free decay; without one, everything except `status` is NaN. u_: standard uncertainties."""
 
     status: Status
     natural_frequency_hz: float = math.nan
@@ -78,7 +78,7 @@ class Decay:
 
 
 class DecayMethod(Protocol):
-    """`fit_decay` or `log_decrement`."""
+    """Method: `fit_decay` or `log_decrement`."""
 
     def __call__(self, y: Real, rate_hz: float, u_clock: float = 0.0) -> Decay:
         """Return f_n and ζ of a displacement."""
@@ -89,8 +89,8 @@ def measure_decay(
 ) -> Decay:
     """Measure the free decay of the superior base in scans that begin after its release; the base must be locked.
 
-    `impacts` or `not_exponential` where no single ζ describes the record. The scans (`daq/scan`) are consecutive;
-    `u_clock` is the relative standard uncertainty of their rate.
+    The status is `impacts` or `not_exponential` if no single ζ describes the record. The scans (`daq/scan`) are
+    consecutive; `u_clock` is the relative standard uncertainty of their rate.
 
     Raises:
         ConfigError: `info` does not describe the channels.
@@ -116,11 +116,11 @@ def measure_decay(
 
 
 def _one_rate(y: Real, rate_hz: float, omega: float, bend: float) -> bool:
-    """Return whether both halves of a decay have one rate, within their scatter and what the sensor's curve bends."""
+    """Return whether both halves of a decay have one rate, within their scatter and the bend by the sensor's curve."""
     phasors, middles, noise = _cycle_phasors(y, rate_hz, omega)
     half = _strong(phasors, noise) // 2
     if half < MIN_CYCLES:
-        return True  # too few cycles to tell
+        return True  # too few cycles to decide
     rates, uncertainty = [], 0.0
     for part in (slice(0, half), slice(half, 2 * half)):
         slope, left, weights = _straight_line(phasors[part], middles[part])
@@ -130,9 +130,9 @@ def _one_rate(y: Real, rate_hz: float, omega: float, bend: float) -> bool:
 
 
 def bent(decay_per_s: float, seconds: float) -> float:
-    """Return Δζ/ζ per κ: what a gain of 1 + κ (a/a_0)² does to the slope of ln a, fitted with weights a².
+    """Return Δζ/ζ per κ: the effect of a gain of 1 + κ (a/a_0)² on the slope of ln a, fitted with weights a².
 
-    1/2 for a record that holds the whole decay, more for a shorter one, up to 2.
+    It is 1/2 for a record that contains the whole decay, more for a shorter one, up to 2.
     """
     k = 2.0 * decay_per_s * seconds
     weight, first, second = _moments(k)
@@ -158,7 +158,7 @@ def fit_decay(y: Real, rate_hz: float, u_clock: float = 0.0) -> Decay:
     if isinstance(start, Status):
         return Decay(status=start)
     omega, decay = start
-    scale = float(np.ptp(y)) / 2.0  # so that all columns of the fit are of like size
+    scale = float(np.ptp(y)) / 2.0  # scales all columns of the fit to similar size
     y = y / scale
     time = np.arange(len(y)) / rate_hz
     previous = math.inf
@@ -214,7 +214,7 @@ def log_decrement(y: Real, rate_hz: float, u_clock: float = 0.0) -> Decay:
 
 
 def _start(y: Real, rate_hz: float) -> tuple[float, float] | Status:
-    """Return first guesses of ω_d [rad/s] and λ [1/s], or why there are none."""
+    """Return first guesses of ω_d [rad/s] and λ [1/s], or the status why there are none."""
     if not np.all(np.isfinite(y)):
         return Status.NOT_FINITE
     if len(y) < MIN_POINTS:
@@ -229,8 +229,8 @@ def _start(y: Real, rate_hz: float) -> tuple[float, float] | Status:
     if peak * len(y) / padded < MIN_CYCLES:
         return Status.TOO_FEW_CYCLES
     if power[peak] < LINE_FACTOR * np.median(power[1:-1]) * math.log(len(power)):
-        return Status.SILENCE  # no line stands out of the noise
-    if padded < MIN_SAMPLES_PER_CYCLE * (peak + 1):  # refined, the frequency is perhaps almost that of the next line
+        return Status.SILENCE  # no line exceeds the noise
+    if padded < MIN_SAMPLES_PER_CYCLE * (peak + 1):  # the refined frequency may be almost that of the next line
         return Status.NO_FIT
     omega = 2.0 * math.pi * peak * rate_hz / padded
     phasors, middles, noise = _cycle_phasors(level, rate_hz, omega)
@@ -242,7 +242,7 @@ def _start(y: Real, rate_hz: float) -> tuple[float, float] | Status:
 
 
 def _strong(phasors: Complex, noise: float) -> int:
-    """Return how many cycles come before the first one that drowns in noise."""
+    """Return the number of cycles before the first one below the noise."""
     weak = np.flatnonzero(np.abs(phasors) < SIGNAL_FACTOR * noise)
     return int(weak[0]) if len(weak) else len(phasors)
 
@@ -263,7 +263,7 @@ def _straight_line(phasors: Complex, middles: Real) -> tuple[complex, Complex, R
 
 
 def _cycle_phasors(y: Real, rate_hz: float, omega: float) -> tuple[Complex, Real, float]:
-    """Return every whole cycle's phasor at ω, its middle [s], both of shape (cycles,), and u of the amplitudes."""
+    """Return the phasor of every whole cycle at ω, its middle [s], both of shape (cycles,), and u of the amplitudes."""
     period = 2.0 * math.pi * rate_hz / omega
     edges = np.ceil(np.arange(int(len(y) / period) + 1) * period).astype(np.int64)
     samples = np.diff(edges)
@@ -274,7 +274,7 @@ def _cycle_phasors(y: Real, rate_hz: float, omega: float) -> tuple[Complex, Real
     ramp = 2.0 * place / samples[:, None] - 1.0  # the decay within the cycle, to first order
     cosine, sine = np.cos(angle), np.sin(angle)
     columns = [np.ones_like(angle), cosine, sine, ramp * cosine, ramp * sine]
-    if period >= MIN_SAMPLES_FOR_HARMONICS:  # a curved sensor adds them, and the ramps would see them
+    if period >= MIN_SAMPLES_FOR_HARMONICS:  # a curved sensor adds them, and they would affect the ramps
         columns += [f(h * angle) for h in (2, 3) for f in (np.cos, np.sin)]
     design = np.stack(columns, axis=2) * inside[:, :, None]
     part = y[index] * inside
@@ -322,7 +322,7 @@ _PATTERN = re.compile(rf"\s*drop\s+h0_m\s*=\s*(?P<h0>{_NUMBER})\s+h1_m\s*=\s*(?P
 
 @attrs.frozen
 class Drop:
-    """Heights of one drop [m]: where the sphere was let go, and how high it came back."""
+    """Heights of one drop [m]: at the release and after the rebound."""
 
     h0_m: float
     h1_m: float
@@ -333,7 +333,7 @@ class Drop:
 
 
 def parse_drop(remark: str) -> Drop | None:
-    """Return the drop in a remark, or None if it is any other remark."""
+    """Parse the drop in a remark; return None for any other remark."""
     match = _PATTERN.fullmatch(remark)
     if match is None:
         return None
@@ -345,7 +345,7 @@ def parse_drop(remark: str) -> Drop | None:
 
 @attrs.frozen(kw_only=True)
 class DropTest:
-    """Coefficient of restitution with its standard uncertainty; NaN where the heights give none."""
+    """Coefficient of restitution with its standard uncertainty; NaN if the heights give none."""
 
     status: Status
     restitution: float = math.nan
@@ -356,12 +356,12 @@ class DropTest:
 def restitution_of_drops(h0_m: Real, h1_m: Real, u_h0_m: float, u_h1_m: float) -> DropTest:
     """Return the mean e of repeated drops; the uncertainty of the heights is independent from drop to drop.
 
-    With several drops the scatter of e counts if it is larger than the heights explain: the sphere and barrier vary.
-    The heights of drops and rebounds have shape (n,); the uncertainties are those of each.
+    With several drops the scatter of e is used if it exceeds the effect of the heights: sphere and barrier vary. The
+    heights of drops and rebounds have shape (n,); the uncertainties are those of each.
 
     Returns:
-        `not_finite` for values that are not finite, `no_fit` for heights that are not positive, uncertainties that are
-        negative, or a rebound higher than the drop by more than three standard uncertainties.
+        `not_finite` for values that are not finite; `no_fit` for heights that are not positive, negative uncertainties,
+        or a rebound higher than the drop by more than three standard uncertainties.
     """
     if h0_m.shape != h1_m.shape or h0_m.ndim != 1 or not len(h0_m):
         raise ValueError(f"h0_m and h1_m must be one-dimensional and of equal length, got {h0_m.shape}, {h1_m.shape}")

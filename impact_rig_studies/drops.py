@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Drop test of a recorded run: the coefficient of restitution from the heights that the operator noted with it."""
+"""Drop test of a recorded run: the coefficient of restitution from the heights noted by the operator."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from impact_rig_studies.decay import Drop, DropTest, parse_drop, restitution_of_
 
 
 def drops_of(run: Run, u_m: float) -> tuple[list[Drop], DropTest]:
-    """Return the drops that the operator noted with a run, and the coefficient of restitution they give.
+    """Return the drops noted with a run, and their coefficient of restitution.
 
     Args:
         run: an open run.
         u_m: standard uncertainty of each height [m].
 
     Raises:
-        RecordingError: no remark is a drop (the message says what one looks like), or they give no restitution.
+        RecordingError: no remark is a drop (the message shows an example), or they give no restitution.
     """
     drops = [drop for drop in map(parse_drop, remarks(run)) if drop is not None]
     if not drops:

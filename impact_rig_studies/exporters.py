@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Exporters of the tables in directories of campaigns, maps and dynamics, for `impact-rig export`."""
+"""Exporters of the tables of campaigns, maps and dynamics studies, for `impact-rig export`."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ from impact_rig_studies.maps import run as maps
 POINTS = "points"
 Columns = dict[str, NDArray[np.generic]]
 Tables = Mapping[str, Callable[[str], Columns]]
-"""By name, what returns the columns for a file of a suffix."""
+"""By name, a function that returns the columns for a file with a suffix."""
 
 
 def map_points(directory: Path) -> Tables | None:
-    """Return the table of a map; None: the directory is of something else."""
+    """Return the table of a map; None if the directory is something else."""
     if not maps.store(directory).file.exists():
         return None
     return {POINTS: lambda _suffix: by_columns(*maps.table(maps.open_map(directory)))}
 
 
 def study_rows(directory: Path) -> Tables | None:
-    """Return the tables of studies of dynamics, by kind; None: the directory is of something else.
+    """Return the tables of dynamics studies, by kind; None if the directory is something else.
 
-    A table that is alone has the name `points`, too.
+    A single table is also called `points`.
     """
     if not dynamics.store(directory).file.exists():
         return None
@@ -57,7 +57,7 @@ def study_rows(directory: Path) -> Tables | None:
 
 
 def campaign_points(directory: Path) -> Tables | None:
-    """Return the table of a campaign; None: the directory is of something else."""
+    """Return the table of a campaign; None if the directory is something else."""
     if not (directory / CAMPAIGN_FILE).exists():
         return None
 
@@ -69,7 +69,7 @@ def campaign_points(directory: Path) -> Tables | None:
 
 
 def _response(points: Sequence[Point]) -> dict[str, NDArray[np.generic]]:
-    """Return settled points as a universal file has them: X_1/X_b over the frequency, a function per curve."""
+    """Return settled points for a universal file: X_1/X_b over the frequency, one function per curve."""
     settled = [point for point in points if point.settled]
     if not settled:
         raise RecordingError("no point of this campaign is settled: there is no curve to export")

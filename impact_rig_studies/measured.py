@@ -43,19 +43,19 @@ from impact_rig_studies.campaign.run import (
 )
 
 STUDY = "measured"
-SAME_HZ = 0.002  # frequencies of two files that differ by less are one: each was measured, or typed with other digits
+SAME_HZ = 0.002  # frequencies of two files that differ by less are equal: each was measured, or typed with other digits
 
 
 def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = None) -> Finished:
-    """Make one campaign of runs and return it.
+    """Combine runs into one campaign and return it.
 
     Args:
-        runs: of one rig, with the same instruments.
-        directory: of the campaign, may hold the runs.
-        config: what is known of the rig (sphere, contact law); the default rig if None.
+        runs: runs of one rig, with the same instruments.
+        directory: directory of the campaign, which may contain the runs.
+        config: known properties of the rig (sphere, contact law); None means the default rig.
 
     Raises:
-        ConfigError: a gap is not known, or nothing was measured.
+        ConfigError: a gap is unknown, or nothing was measured.
         RecordingError: it cannot be written, or the calibrations of the runs differ.
     """
     found: dict[tuple[float, float], NDArray[np.void]] = {}
@@ -69,18 +69,18 @@ def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = N
         own["since_start"] = 0.0
         if info is not None and own.tobytes() != info.tobytes():
             raise RecordingError(
-                f"{path}: its calibration is not that of {runs[0]}: one campaign has one set of sensors"
+                f"{path}: its calibration differs from that of {runs[0]}: a campaign has one set of sensors"
             )
         info = own
         for row in rows:
             if math.isnan(row["gap"]):
                 raise ConfigError(
-                    f"{path}: its gap is not known: name it (--gap, in the mapping, or by the file's name)"
+                    f"{path}: its gap is unknown: state it (--gap, in the mapping, or by the file's name)"
                 )
             found[float(row["gap"]), _known(float(row["frequency"]), found)] = row
             currents.append(float(row["current_amplitude"] if row["current_amplitude"] > 0.0 else 1.0))
     if info is None or not found:
-        raise ConfigError("no run holds a measurement: `impact-rig analyze RUN --all` says why")
+        raise ConfigError("no run contains a measurement: `impact-rig analyze RUN --all` shows why")
     base = load_config(config) if config else RigConfig()
     text = json.dumps({
         "title": directory.name,
@@ -95,7 +95,7 @@ def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = N
     try:
         campaign = load_campaign(directory / CAMPAIGN_FILE, resolved=base)
     except ConfigError:
-        (directory / CAMPAIGN_FILE).unlink()  # or the directory would look like a campaign
+        (directory / CAMPAIGN_FILE).unlink()  # otherwise the directory would look like a campaign
         raise
     store = prepare(campaign, directory, "import")
     files.write_text(directory / CALIBRATION_FILE, json.dumps([_plain(row) for row in info], indent=1))
@@ -110,7 +110,7 @@ def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = N
 
 
 def _known(frequency_hz: float, found: dict[tuple[float, float], NDArray[np.void]]) -> float:
-    """Return the frequency of a point already there that is the same, or this one, to a millihertz."""
+    """Return the frequency of an existing point that is the same, or this one, rounded to a millihertz."""
     near = (known for _, known in found if abs(known - frequency_hz) <= SAME_HZ)
     return next(near, round(float(frequency_hz), 3))
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What theory says of the rig without simulation: closed forms without impacts, and two symmetric impacts per cycle.
+"""Theory of the rig without simulation: closed forms without impacts, and two symmetric impacts per cycle.
 
 **Two symmetric impacts per cycle**: DT, phase, impacts, and where they end. The sphere's force N x_1 of the slow
 invariant manifold (below) depends on Θ and ω alone, neither on gap nor on amplitude. Put into the rig's own linear
@@ -28,10 +28,10 @@ and the saltation matrix of the impact that ends it. What they lose it through h
 torus. Where the superior base or the phase is held, a controller sees to the structure, and only the sphere must keep
 its rhythm (`Manifold.stable`).
 
-Valid for one sphere between walls without friction of the guide, symmetric motion with two impacts per cycle, m ≪ m_1
-(the first order of m/m_1 is taken into account unless `recoil` is false), contacts short against the cycle; e is what
-the contact law returns, not its nominal value. docs/explanation/prediction.md has the derivation and a
-comparison with simulation.
+The theory is valid for one sphere between walls without friction of the guide, symmetric motion with two impacts per
+cycle, m ≪ m_1, and contacts short against the cycle. The first order of m/m_1 is included unless `recoil` is false. e
+is the realised restitution of the contact law, not its nominal value. docs/explanation/prediction.md has the derivation
+and a comparison with simulation.
 
 **The slow invariant manifold** of a vibro-impact energy sink: two symmetric impacts per cycle, without any structure.
 A sphere of mass m between two walls b = g/2 from the middle of what moves as x_1 = A cos(ωt + α). Let it strike one
@@ -61,10 +61,10 @@ With μ = 0 these are the published formulas (`mass_ratio` = 0). With it they ag
 instantaneous law, Masri & Caughey's, to the order μ².
 
 **Stability of the sphere alone.** A half period maps small errors of the instant and speed of an impact into those of
-the next, by a matrix with determinant e² and trace 2e − q, q = (π²/4)(1 + e)²(Θ − 1)/Θ. Its eigenvalues lie within the
-unit circle for 1/(1 + ρ²) < Θ < π²/(π² − 4): from the fold (an eigenvalue 1) to where the two half cycles become
-different (−1). The lower solution of the quadratic lies below the fold and is never stable. (This map is that of
-μ = 0.)
+the next. The matrix of this map has the determinant e² and the trace 2e − q, q = (π²/4)(1 + e)²(Θ − 1)/Θ. Its
+eigenvalues are within the unit circle for 1/(1 + ρ²) < Θ < π²/(π² − 4): from the fold (an eigenvalue 1) to where the
+two half cycles become different (−1). The lower solution of the quadratic is below the fold and is never stable. (This
+map is that of μ = 0.)
 
 Left out: the order μ², how long a contact lasts, and what the harmonics do away from resonance.
 
@@ -90,7 +90,7 @@ from impact_rig.physics.linear import Constants, MechanicsSetup, constants, sphe
 from impact_rig.physics.linear_response import transmissibility
 
 THETA_SYMMETRIC = math.pi**2 / (math.pi**2 - 4.0)
-"""Largest Θ of stable symmetric motion, whatever e; without recoil."""
+"""Largest Θ of stable symmetric motion for any e, without recoil."""
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -98,11 +98,11 @@ Complex = NDArray[np.complex128]
 
 @attrs.frozen
 class Manifold:
-    """The manifold for one restitution.
+    """Slow invariant manifold for one restitution.
 
     Attributes:
-        restitution: what the impacts really return, in (0, 1).
-        mass_ratio: μ, of sphere to structure; 0: the structure does not recoil.
+        restitution: realised restitution of the impacts, in (0, 1).
+        mass_ratio: μ, of sphere to structure; 0 means that the structure does not recoil.
 
     Raises:
         ValueError: the restitution is out of range.
@@ -154,7 +154,7 @@ class Manifold:
         return np.asarray(8.0 / math.pi**2 * top / self.xi(theta) ** 2, np.complex128)
 
     def impact_phase_rad(self, theta: Real) -> Real:
-        """Return α: how far past its right turning point the structure is when the sphere strikes the right wall."""
+        """Return α: the phase of the structure past its right turning point when the sphere strikes the right wall."""
         found: Real = np.arctan2(self.rho * theta, self.kappa * theta - 1.0)
         return found
 
@@ -164,7 +164,7 @@ class Manifold:
         return found
 
     def stable(self, theta: Real) -> NDArray[np.bool_]:
-        """Return where small errors of the sphere's motion die on a structure that keeps its own."""
+        """Return a mask of the Θ for which small errors of the sphere's motion decay, with an undisturbed structure."""
         found: NDArray[np.bool_] = (theta > self.theta_fold) & (theta < THETA_SYMMETRIC)
         return found
 
@@ -172,12 +172,12 @@ class Manifold:
 POINTS = 2000
 """Values of Θ along a branch."""
 BEYOND = 1.5
-"""How far past the symmetric motion's bound a branch is followed, as a factor of Θ; it is not stable there."""
-_NEAR_FOLD = 1e-9  # of Θ: at the fold itself slopes are infinite
-PAIRED = 1e-6  # share of a multiplier that is imaginary from which it is one of a pair
+"""Factor of Θ by which a branch is continued beyond the bound of the symmetric motion, where it is unstable."""
+_NEAR_FOLD = 1e-9  # relative distance of Θ from the fold, where slopes are infinite
+PAIRED = 1e-6  # imaginary share of a multiplier from which it is one of a pair
 STABLE, FOLD, SYMMETRY, TORUS = "stable", "fold", "symmetry", "torus"
-_HALVINGS = 45  # of a step of Θ
-_AT_ONCE = 32  # frequencies whose gaps are computed together: what stays in a cache
+_HALVINGS = 45  # number of halvings of a step of Θ
+_AT_ONCE = 32  # number of frequencies whose gaps are computed together: they fit into a cache
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -185,19 +185,19 @@ class Branch:
     """Motions with two symmetric impacts per cycle, in order along a line; every attribute has the shape (n,).
 
     Attributes:
-        frequency_hz: of the drive.
+        frequency_hz: frequency of the drive.
         gap_m: gap g.
         current_a: coil current, peak.
         base_m: amplitude of the inferior base.
         superior_m: amplitude of the superior base.
         dt: displacement transmissibility.
         phase_rad: phase of the superior base to the inferior one.
-        impact_speed_m_s: sphere to wall, before an impact.
+        impact_speed_m_s: speed of the sphere relative to the wall, before an impact.
         impact_phase_rad: the superior base's phase past its right turning point when the right wall is struck.
         theta: amplitude of the sphere over half the gap, Θ.
-        stable: whether the motion lasts.
-        kind: `stable`, or through what it loses its stability: `fold`, `symmetry` (the half cycles become different) or
-            `torus` (sphere and structure exchange a slow beat).
+        stable: whether the motion is stable.
+        kind: `stable`, or how it loses its stability: `fold`, `symmetry` (the half cycles become different) or `torus`
+            (sphere and structure exchange a slow beat).
     """
 
     frequency_hz: Real
@@ -217,7 +217,7 @@ class Branch:
         return len(self.theta)
 
     def take(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> Branch:
-        """Return some of the motions, chosen by a mask or by indices."""
+        """Return some of the motions, selected by a mask or by indices."""
         return Branch(**{field.name: getattr(self, field.name)[which] for field in attrs.fields(Branch)})
 
     def reduction_percent(self, config: MechanicsSetup) -> Real:
@@ -228,7 +228,7 @@ class Branch:
 
 @attrs.frozen
 class HeldDrive:
-    """What a drive keeps constant: exactly one of the three.
+    """Constant quantity of a drive: exactly one of the three.
 
     Attributes:
         current_a: coil current, peak.
@@ -248,11 +248,11 @@ class HeldDrive:
         if len(given) != 1:
             raise ConfigError("exactly one of current_a, base_m and superior_m must be given")
         if not (math.isfinite(given[0]) and given[0] > 0.0):
-            raise ConfigError(f"what is held must be > 0 and finite, got {given[0]!r}")
+            raise ConfigError(f"the held quantity must be > 0 and finite, got {given[0]!r}")
 
 
 class _Answer(NamedTuple):
-    """What the linear rig does under the sphere's force: complex amplitudes, and the gap that goes with them."""
+    """Response of the linear rig to the sphere's force: complex amplitudes, and the corresponding gap."""
 
     s: Complex
     force: Complex
@@ -265,7 +265,7 @@ class _Answer(NamedTuple):
 
 @attrs.frozen
 class LinearRig:
-    """The linear rig and its sphere, as a prediction needs them."""
+    """Linear rig and its sphere, for a prediction."""
 
     linear: Constants
     sphere_kg: float
@@ -273,28 +273,30 @@ class LinearRig:
 
     @classmethod
     def of(cls, config: MechanicsSetup, *, recoil: bool = True) -> LinearRig:
-        """Return it from a configuration; without recoil of the structure, the textbook's formulas.
+        """Create it from a configuration; without recoil of the structure, the textbook's formulas apply.
 
         Raises:
-            ConfigError: the configuration is outside of what the prediction holds for.
+            ConfigError: the prediction does not apply to the configuration.
         """
         restitution = contact_laws.from_config(config.contact).realised_restitution()
         if not config.sphere.present:
             raise ConfigError("a prediction needs a sphere: sphere.present is false")
         if config.sphere.guide_friction > 0.0:
-            raise ConfigError(f"a prediction knows no friction of the guide, got {config.sphere.guide_friction:g}")
+            raise ConfigError(
+                f"a prediction does not include friction of the guide, got {config.sphere.guide_friction:g}"
+            )
         if not 0.0 < restitution < 1.0:
-            raise ConfigError(f"a prediction needs a returned restitution > 0 and < 1, got {restitution:g}")
+            raise ConfigError(f"a prediction needs a realised restitution > 0 and < 1, got {restitution:g}")
         linear, sphere_kg = constants(config), sphere_mass_kg(config.sphere)
         return cls(linear, sphere_kg, Manifold(restitution, sphere_kg / linear.m_1 if recoil else 0.0))
 
     def thetas(self) -> Real:
-        """Return Θ from the fold to beyond the symmetric motion's bound, close together where things change fast."""
+        """Return Θ from the fold to beyond the symmetric motion's bound, denser where results change quickly."""
         low, high = self.manifold.theta_fold * (1.0 + _NEAR_FOLD), BEYOND * THETA_SYMMETRIC
         return low + (high - low) * np.linspace(0.0, 1.0, POINTS) ** 2
 
     def gaps(self, theta: Real, frequency_hz: Real, held: HeldDrive) -> Real:
-        """Return the gaps that motions with these Θ need; the shapes broadcast."""
+        """Return the gaps of motions with these Θ; the shapes broadcast."""
         return self._answer(theta, frequency_hz, held).gap_m
 
     def _answer(self, theta: Real, frequency_hz: Real, held: HeldDrive) -> _Answer:
@@ -316,12 +318,12 @@ class LinearRig:
         return _Answer(s, force, ratio, current, base, superior, 2.0 * superior / self.manifold.xi(theta))
 
     def motions(self, theta: Real, frequency_hz: Real | float, held: HeldDrive) -> Branch:
-        """Return the motions for values of Θ, each with the gap that it needs."""
+        """Return the motions for values of Θ, each with its gap."""
         manifold = self.manifold
         frequency = np.broadcast_to(np.asarray(frequency_hz, float), theta.shape).copy()
         answer = self._answer(theta, frequency, held)
         s, _, ratio, current, base, superior, gap = answer
-        if held.superior_m is not None:  # a controller sees to the structure
+        if held.superior_m is not None:  # a controller stabilises the structure
             kind = np.where(manifold.stable(theta), STABLE, np.where(theta < THETA_SYMMETRIC, FOLD, SYMMETRY))
         else:
             kind = _kinds(self._multipliers(theta, frequency, answer, held))
@@ -341,13 +343,13 @@ class LinearRig:
         )
 
     def _multipliers(self, theta: Real, frequency_hz: Real, answer: _Answer, held: HeldDrive) -> Complex:
-        """Return the multipliers of half a cycle, the sign of the mirror image included; shape (n, 6) or (n, 4).
+        """Return the multipliers of half a cycle, including the sign of the mirror image; shape (n, 6) or (n, 4).
 
         They are those of rig and sphere together: −S Φ, Φ the flight and S the saltation matrix of the impact that ends
         it (Leine & Nijmeijer 2004, Dynamics and Bifurcations of Non-Smooth Mechanical Systems, chapter 7).
         """
         c, manifold = self.linear, self.manifold
-        free = held.base_m is None  # whether the base gives way
+        free = held.base_m is None  # whether the base can move
         matrix = np.zeros((4, 4))
         matrix[[0, 2], [1, 3]] = 1.0
         matrix[1] = np.array([-c.k_f - c.k_1, -c.c_f - c.c_1, c.k_1, c.c_1]) / c.m_base
@@ -364,14 +366,16 @@ class LinearRig:
         # before and after the impact at the right wall
         e, mu, b = manifold.restitution, self.sphere_kg / c.m_1, 0.5 * answer.gap_m
         speed, approach = 2.0 * omega * b * theta / math.pi, manifold.approach_speed(theta) * omega * b
-        before, after = speed - approach, -speed + e * approach  # of the superior base; of the sphere ± `speed`
+        # speed of the superior base; that of the sphere is ± `speed`
+        before, after = speed - approach, -speed + e * approach
         base = answer.superior_m * np.exp(1j * manifold.impact_phase_rad(theta)) / answer.ratio
         x_b, v_b, x_1 = base.real, (1j * omega * base).real, b * (theta - 1.0)
         jump = np.broadcast_to(np.eye(size), (n, size, size)).copy()
         i_v1, i_v2 = size - 3, size - 1
         jump[:, i_v1, [i_v1, i_v2]] = np.array([1.0 - mu * (1.0 + e) / (1.0 + mu), mu * (1.0 + e) / (1.0 + mu)])
         jump[:, i_v2, [i_v1, i_v2]] = np.array([(1.0 + e) / (1.0 + mu), 1.0 - (1.0 + e) / (1.0 + mu)])
-        rates = np.zeros((2, n, size))  # of the state, before and after; the force of the coil is the same in both
+        # derivatives of the state, before and after; the force of the coil is equal in both
+        rates = np.zeros((2, n, size))
         for side, v_1, v_2 in ((0, before, speed), (1, after, -speed)):
             rates[side, :, -4], rates[side, :, -2] = v_1, v_2
             rates[side, :, -3] = (c.k_1 * (x_b - x_1) + c.c_1 * (v_b - v_1)) / c.m_1
@@ -386,7 +390,7 @@ class LinearRig:
 
 
 def _kinds(multipliers: Complex) -> NDArray[np.str_]:
-    """Return what each motion does, by its largest multiplier of half a cycle."""
+    """Return the kind of each motion, by its largest multiplier of half a cycle."""
     largest = np.take_along_axis(multipliers, np.abs(multipliers).argmax(axis=1)[:, None], axis=1)[:, 0]
     paired = np.abs(largest.imag) > PAIRED * np.abs(largest)
     lost = np.where(paired, TORUS, np.where(largest.real > 0.0, FOLD, SYMMETRY))
@@ -402,18 +406,18 @@ def branch(
     superior_m: float | None = None,
     recoil: bool = True,
 ) -> Branch:
-    """Return the motions at one frequency with one thing held, over the gap: from the fold to ever smaller gaps.
+    """Return the motions at one frequency with one held quantity, over the gap: from the fold to ever smaller gaps.
 
     Args:
-        config: the rig; its own gap does not matter.
-        frequency_hz: of the drive.
-        current_a: peak current that is held; or
-        base_m: amplitude of the inferior base that is held; or
-        superior_m: amplitude of the superior base that is held.
-        recoil: of the structure, to first order in m/m_1; False: the textbook's formulas.
+        config: the rig; its own gap is irrelevant.
+        frequency_hz: frequency of the drive.
+        current_a: held peak current; or
+        base_m: held amplitude of the inferior base; or
+        superior_m: held amplitude of the superior base.
+        recoil: whether the structure recoils, to first order in m/m_1; False means the textbook's formulas.
 
     Raises:
-        ConfigError: the configuration is outside of what the prediction holds for, or not one thing is held.
+        ConfigError: the prediction does not apply to the configuration, or not exactly one quantity is held.
     """
     rig = LinearRig.of(config, recoil=recoil)
     return rig.motions(rig.thetas(), frequency_hz, HeldDrive(current_a, base_m, superior_m))
@@ -429,7 +433,7 @@ def at(
     superior_m: float | None = None,
     recoil: bool = True,
 ) -> Branch:
-    """Return every motion at one frequency and gap, the largest Θ first; of length 0 where there is none.
+    """Return all motions at one frequency and gap, the largest Θ first; of length 0 if there are none.
 
     Raises:
         ConfigError: as for `branch`.
@@ -449,7 +453,7 @@ def curves(
     superior_m: float | None = None,
     recoil: bool = True,
 ) -> list[Branch]:
-    """Return the motions with one gap over the frequency as lines, each without a break; none where there are none.
+    """Return the motions with one gap over the frequency as continuous lines; empty if there are none.
 
     Raises:
         ConfigError: as for `branch`.
@@ -468,7 +472,7 @@ def curves(
 def backbone(config: MechanicsSetup, gap_m: float, *, recoil: bool = True) -> Branch:
     """Return the motions at resonance (the superior base a quarter cycle behind the base) with one gap.
 
-    From the fold, the smallest amplitude, to ever larger ones.
+    The order is from the fold, the smallest amplitude, to ever larger ones.
 
     Raises:
         ConfigError: as for `branch`.
@@ -478,7 +482,7 @@ def backbone(config: MechanicsSetup, gap_m: float, *, recoil: bool = True) -> Br
     force = rig.manifold.force(theta)
     mass, damping_per_omega = c.m_1 + rig.sphere_kg * force.real, -rig.sphere_kg * force.imag
     omega = np.full(theta.shape, math.sqrt(c.k_1 / c.m_1))
-    for _ in range(60):  # the damping terms are of the order ζ²: it converges in a few rounds
+    for _ in range(60):  # the damping terms are of the order ζ²: the iteration converges in a few rounds
         omega = c.k_1 / np.sqrt(c.k_1 * mass - c.c_1 * (c.c_1 + damping_per_omega * omega))
     frequency = omega / (2.0 * math.pi)
     unit = rig.motions(theta, frequency, HeldDrive(superior_m=1.0))
@@ -494,12 +498,12 @@ def backbone(config: MechanicsSetup, gap_m: float, *, recoil: bool = True) -> Br
 
 
 def widest_gap_m(motions: Branch) -> float:
-    """Return the largest gap of a branch: where it ends."""
+    """Return the largest gap of a branch, at its end."""
     return float(np.max(motions.gap_m))
 
 
 def best_gap(motions: Branch) -> Branch:
-    """Return the stable motion with the smallest DT of a branch over the gap, a branch of length 1; 0 if none is."""
+    """Return the stable motion with the smallest DT of a branch over the gap: a branch of length 1, or 0 if none is."""
     stable = np.flatnonzero(motions.stable)
     if not len(stable):
         return motions.take(stable)
@@ -507,7 +511,7 @@ def best_gap(motions: Branch) -> Branch:
 
 
 def _roots(rig: LinearRig, frequencies_hz: Real, gap_m: float, held: HeldDrive) -> list[Real]:
-    """Return every Θ whose motion needs just this gap, descending; one array per frequency."""
+    """Return all Θ whose motion has exactly this gap, descending; one array per frequency."""
     grid = rig.thetas()
     rows, columns = [], []
     for first in range(0, len(frequencies_hz), _AT_ONCE):

@@ -25,9 +25,9 @@ In the quotient Q = DT / DT_0 every g cancels, and of b all but the difference o
     u²(Q)/Q² = Σ_{1,b} [1.875 (L/R) u(c_3) (A² − A_0²)/R²]² + u²(ε) + u²(ε_0) + u_Q² + u_Q0²
 
 and 100 Q has the uncertainty of the reduction in points. u_Q: the steps of sensors and converter, another error at
-every amplitude, but the same in all rows of one (column `steps_uncertainty`). u(ε) is what the stated uncertainty of a
-row leaves when sensitivities and steps are taken out; n rows that follow each other have n errors ε of their own (a
-transient's remnant dies from row to row), so their mean has √Σu²(ε) / n. Zero errors do not act on the amplitude of a
+every amplitude, but the same in all rows of one (column `steps_uncertainty`). u(ε) is the rest of the
+stated uncertainty of a row without sensitivities and steps. n consecutive rows have n independent errors ε (a
+transient's remnant dies from row to row), so their mean has √Σu²(ε) / n. Zero errors do not affect the amplitude of a
 sine.
 """
 
@@ -45,17 +45,18 @@ from impact_rig.analysis.uncertainty_budget import AMPLITUDES
 
 @attrs.frozen
 class Reduction:
-    """By how much the transmissibility is lower than without the damper."""
+    """Decrease of the transmissibility by the damper."""
 
     percent: float  # 100 (1 − DT / DT_0)
     u_points: float  # its standard uncertainty
-    steps_points: float = 0.0  # the part of it that the steps of sensors and converter have
+    steps_points: float = 0.0  # the part of it due to the steps of sensors and converter
 
 
 def reduction(without: NDArray[np.void], rows: NDArray[np.void], calibration: Calibration) -> Reduction:
     """Return the reduction of the mean transmissibility.
 
-    Both are settled rows of `transmissibility/table` by the instruments of that calibration, shapes (n,) and (k,).
+    Both inputs are settled rows of `transmissibility/table` by the instruments of that calibration, shapes (n,) and
+    (k,).
     """
     quotient = float(np.mean(rows["transmissibility"]) / np.mean(without["transmissibility"]))
     variance = repeatability(without, calibration) ** 2 + repeatability(rows, calibration) ** 2
@@ -90,34 +91,34 @@ def repeatability(rows: NDArray[np.void], calibration: Calibration) -> float:
 
 
 def _steps(rows: NDArray[np.void]) -> float:
-    """Return the relative variance by steps, the same error in all rows; 0 of rows of an earlier version."""
+    """Return the relative variance due to steps, the same error in all rows; 0 for rows of an earlier version."""
     return float(np.mean((np.nan_to_num(rows["steps_uncertainty"]) / rows["transmissibility"]) ** 2))
 
 
 @attrs.frozen
 class Damper:
-    """What a damper does to the structure at one frequency, as a share of the structure's mass m_1."""
+    """Effect of a damper on the structure at one frequency, relative to the structure's mass m_1."""
 
-    added_mass: float  # force in phase with the displacement over ω² m_1 X_1: the mass that it seems to add
+    added_mass: float  # force in phase with the displacement over ω² m_1 X_1: the apparent added mass
     loss_factor: float  # energy lost per cycle over 2π · ½ m_1 ω² X_1²
     u_added_mass: float
     u_loss_factor: float
 
 
 def damper(without: NDArray[np.void], rows: NDArray[np.void], calibration: Calibration) -> Damper:
-    """Return what DT with and without the damper tells of it, at one frequency and without any constant of the rig.
+    """Derive the effect of a damper from DT with and without it, at one frequency and without any constant of the rig.
 
     The structure obeys m_1 ω² (K/ω² (1 − 1/D) − 1) X_1 = F, D = X_1/X_b complex, with K its complex stiffness over m_1.
     Without the damper F = 0, which is K/ω² = 1 / (1 − 1/D_0). So
 
         F / (m_1 ω² X_1) = (1/D_0 − 1/D) / (1 − 1/D_0) = added mass − i · loss factor
 
-    The error of a sensitivity is one factor on D and D_0; what repeats not is each one's own.
+    The error of a sensitivity is a common factor of D and D_0; unrepeatable errors are independent.
 
     Args:
         without: settled rows of `transmissibility/table` without the damper, shape (n,), n >= 1.
         rows: those with it, at the same frequency, shape (k,), k >= 1.
-        calibration: of these instruments.
+        calibration: calibration of these instruments.
     """
     d_0, d = (complex(np.mean(one["transmissibility"] * np.exp(1j * one["phase"]))) for one in (without, rows))
     a, b = 1.0 / d, 1.0 / d_0

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A campaign's jobs through the real graph: rig, analysis and recorder as processes, in lockstep.
+"""Runner of a campaign's jobs through the real graph: rig, analysis and recorder as processes, in lockstep.
 
-The numbers are those of the other ways, bit for bit: for every job the rig is configured again and the analysis
-activated again, so both begin as they would in processes of their own.
+The numbers equal those of the other ways bit for bit. For every job the rig is configured again and the analysis
+activated again, so both start as in new processes.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from impact_rig_studies.campaign.run import Runner
 from impact_rig_studies.operate.stepped_sine import SteppedSine
 
 Watch = Callable[[Job, SteppedSine | None], None]
-"""Gets a job that is being prepared (no sweep yet), its sweep when that begins, and again after every measurement."""
+"""Function that receives a job in preparation (no sweep yet), its sweep at its start, and after every measurement."""
 
 
 def run_name(job: Job) -> str:
@@ -50,9 +50,9 @@ def ros_runner(
 
     Args:
         logs: directory in whose `logs` the processes log.
-        runs: directory below which every job is recorded; None: none is.
-        name: of a job's run.
-        watch: gets how far each job is.
+        runs: directory below which every job is recorded; None means no recording.
+        name: returns the name of a job's run.
+        watch: receives the progress of each job.
     """
 
     def run(jobs: Sequence[Job]) -> Generator[tuple[Job, Outcome], None, None]:

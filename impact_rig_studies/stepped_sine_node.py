@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A sweep or a phase lock through the topics: the operator's loop, fed by a node's callbacks."""
+"""Node for a sweep or a phase lock through topics: the operator's loop, fed by callbacks."""
 
 from __future__ import annotations
 
@@ -45,83 +45,94 @@ from impact_rig_studies.operate.stepped_sine import (
     SweepState,
 )
 
-WATCH_S = 0.1  # how often the node looks for the rig, while a sweep waits to begin
+WATCH_S = 0.1  # interval at which the node checks for the rig while a sweep waits to start
 STOPPING = {
     InputKind.TRIP: "tripped", InputKind.STOP: "was stopped", InputKind.TIMEOUT: "missed commands",
     InputKind.RESET: "was reset",
 }  # fmt: skip
-"""Kinds of journal entries that end a sweep, and what the rig did then."""
-COMMAND, PHASE = "command", "phase"  # what stays constant besides the amplitudes of `Hold`
+"""Kinds of journal entries that end a sweep, and the action of the rig."""
+COMMAND, PHASE = "command", "phase"  # constant quantities in addition to the amplitudes of `Hold`
 
 
 @attrs.frozen(kw_only=True)
 class SteppedSineSettings:
-    """Parameters of the stepped-sine node: those of `SweepPlan`, and when to begin."""
+    """Parameters of the stepped-sine node: those of `SweepPlan`, and the start condition."""
 
     frequencies_hz: tuple[float, ...] = quantities(
-        (7.5, 8.0, 8.5, 8.9, 9.0, 9.1, 9.2, 9.5, 10.0, 10.5), "Hz", "The points.", Origin.PAPER, above=0, at_most=1000
+        (7.5, 8.0, 8.5, 8.9, 9.0, 9.1, 9.2, 9.5, 10.0, 10.5),
+        "Hz",
+        "Frequencies of the points.",
+        Origin.PAPER,
+        above=0,
+        at_most=1000,
     )
     current_a: float = quantity(
         0.52, "A", "Peak current at all points (m or V by drive.kind).", Origin.IDENTIFIED, above=0, at_most=1000
     )
-    direction: str = choice("up", tuple(Direction), "Order of the visit; up_down keeps the state between the two.")
-    measurements_per_point: int = integer(1, "-", "Measurements taken at each point.", at_least=1, at_most=1000)
+    direction: str = choice("up", tuple(Direction), "Order of the points; up_down keeps the state between the two.")
+    measurements_per_point: int = integer(1, "-", "Number of measurements at each point.", at_least=1, at_most=1000)
     dwell_limit_s: float = quantity(
         150.0, "s", "Rig time at one point after which the sweep is aborted.", above=0, at_most=1e5
     )
     accept_limit_s: float = quantity(
         5.0, "s", "Rig time within which a command must be accepted.", above=0, at_most=1e5
     )
-    retries: int = integer(2, "-", "Refused measurements borne per point.", at_least=0, at_most=1000)
-    skip_over_range: bool = switch(True, "Leave out a point where a sensor is over range, instead of aborting.")
-    keep_unsettled: bool = switch(True, "Take a response that does not settle in the analysis' bound.")
+    retries: int = integer(2, "-", "Number of rejected measurements tolerated per point.", at_least=0, at_most=1000)
+    skip_over_range: bool = switch(True, "Skip a point where a sensor is over range, instead of aborting.")
+    keep_unsettled: bool = switch(True, "Accept a response that does not settle within the analysis' limit.")
     hold: str = choice(
         "command",
         (COMMAND, *Hold, PHASE),
-        "What stays constant: the commanded current, a measured amplitude, for which the current is set anew, or the "
-        "phase at -90 degrees, for which the frequency is: sought from the first point on.",
+        "Constant quantity: the commanded current, a measured amplitude (the current is adjusted), or the "
+        "phase at -90 degrees (the frequency is adjusted, starting at the first point).",
     )
     target: float = quantity(
         60e-6,
         "m or A",
-        "Amplitude that is held, peak; of no meaning where hold is command or phase.",
+        "Held amplitude, peak; ignored if hold is command or phase.",
         above=0,
         at_most=1000,
     )
-    tolerance: float = quantity(2e-3, "-", "Relative error up to which it counts as held.", above=0, at_most=0.5)
-    corrections: int = integer(8, "-", "Of the current per point, at most.", at_least=1, at_most=1000)
+    tolerance: float = quantity(
+        2e-3, "-", "Relative error up to which the amplitude counts as held.", above=0, at_most=0.5
+    )
+    corrections: int = integer(
+        8, "-", "Maximum number of adjustments of the current per point.", at_least=1, at_most=1000
+    )
     current_limit_a: float = quantity(
-        15.0, "A", "A held amplitude that needs more current aborts the sweep.", above=0, at_most=1000
+        15.0, "A", "Current above which a held amplitude aborts the sweep.", above=0, at_most=1000
     )
     superior_limit_m: float = quantity(
-        0.05, "m", "A larger superior base aborts the sweep while an amplitude is held.", above=0, at_most=1
+        0.05,
+        "m",
+        "Amplitude of the superior base above which the sweep aborts while an amplitude is held.",
+        above=0,
+        at_most=1,
     )
-    reference: str = choice("base", tuple(Reference), "What the superior base's phase is held against.")
+    reference: str = choice("base", tuple(Reference), "Reference of the superior base's phase.")
     within_deg: float = quantity(
         2.0, "deg", "Deviation of a second's mean phase up to which it counts as locked.", above=0, at_most=90
     )
-    dwell_s: float = quantity(
-        30.0, "s", "Rig time to stay at the resonance, from the first lock on.", above=0, at_most=1e6
-    )
-    begin: bool = switch(False, "Begin when the rig is there; otherwise with ~/start.", read_only=True)
-    autostart: bool = switch(True, "Configure and activate by itself at start.", read_only=True)
+    dwell_s: float = quantity(30.0, "s", "Rig time at the resonance, from the first lock on.", above=0, at_most=1e6)
+    begin: bool = switch(False, "Start when the rig is running; otherwise with ~/start.", read_only=True)
+    autostart: bool = switch(True, "Configure and activate at start without a request.", read_only=True)
 
     def __attrs_post_init__(self) -> None:
-        self.plan()  # refuses frequencies given twice
+        self.plan()  # rejects duplicate frequencies
         if self.hold == PHASE:
-            self.lock_plan()  # refuses a beginning out of its range
+            self.lock_plan()  # rejects a start out of range
 
     def plan(self) -> SweepPlan:
         """Return the sweep."""
         return SweepPlan(**{attribute.name: getattr(self, attribute.name) for attribute in attrs.fields(SweepPlan)})
 
     def lock_plan(self) -> LockPlan:
-        """Return the search, from the first point on, and what follows it."""
+        """Return the plan of the search, from the first point on, and of its continuation."""
         names = ("current_a", "reference", "within_deg", "dwell_s", "superior_limit_m")
         return LockPlan(start_hz=self.plan().points()[0], **{name: getattr(self, name) for name in names})
 
     def sweep(self) -> SteppedSine:
-        """Return what walks through it, with an amplitude held if that is asked for."""
+        """Return the controller of the sweep, with a held amplitude if configured."""
         if self.hold == COMMAND:
             return SteppedSine(self.plan())
         names = [attribute.name for attribute in attrs.fields(HoldPlan)]
@@ -129,9 +140,9 @@ class SteppedSineSettings:
 
 
 class SteppedSineNode(ManagedNode[SteppedSineSettings]):
-    """Sets one frequency after the other, waits for the analysis, and publishes the curve; or locks on a resonance.
+    """Lifecycle node that measures a curve, one frequency after the other, or locks on a resonance.
 
-    Where the phase is held it looks at the scans itself, and acknowledges them, so that it can be a peer.
+    For a held phase it reads the scans itself and acknowledges them, so that it can be a peer.
     """
 
     COMPONENT = "sweep"
@@ -141,10 +152,10 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         super().__init__("stepped_sine", Tree(SteppedSineSettings), **kwargs)
         self._operator: Operator[ControllerRun] | None = None
         self._acknowledgements = Acknowledgements(self)
-        self._pending = False  # wanted, but the rig is not there yet
+        self._pending = False  # requested, but the rig is not running yet
         self._now_ns: int | None = None
         self._info: Table | None = None
-        self._scans: Any = None  # subscription, while the phase is what is held
+        self._scans: Any = None  # subscription while the phase is held
         self._scans_heard = False
         self._began_ns = 0
         self._published = 0  # rows of the present run
@@ -156,7 +167,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         self.offer(topics.FREQUENCY, topics.CURRENT, topics.SWEEP, topics.ACK)
 
     def activate(self) -> None:
-        """Listen; begin the sweep as soon as the rig is there if `begin` says so."""
+        """Subscribe; if `begin` is set, start the sweep as soon as the rig is running."""
         self._now_ns, self._pending = None, self.settings.begin
         self.until_deactivated(
             self.subscribe(MONITORS["base"], self._on_time, raw=True),
@@ -169,7 +180,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         self.every(WATCH_S, self._begin_when_ready)
 
     def deactivate(self) -> None:
-        """Abort a running sweep, the shaker at rest, and stop listening."""
+        """Abort a running sweep with the shaker at rest, and unsubscribe."""
         if self._operator is not None and self.context.ok():
             self._operator.abort("the node was deactivated")
         self._acknowledgements.flush()
@@ -178,18 +189,18 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         self._scans = self._info = None
 
     def cleanup(self) -> None:
-        """Forget the last sweep."""
+        """Drop the last sweep."""
         self._operator = None
 
     def settings_changed(self, settings: SteppedSineSettings, changes: dict[str, Any]) -> None:
-        """Refuse to change a sweep under way; the next one takes the new plan."""
+        """Reject changes during a sweep; the next sweep uses the new plan."""
         if self._running:
-            raise ConfigError(f"{', '.join(sorted(changes))}: a sweep is under way, call ~/stop first")
+            raise ConfigError(f"{', '.join(sorted(changes))}: a sweep is running, call ~/stop first")
         if self.active:
             self._listen(settings)
 
     def _listen(self, settings: SteppedSineSettings) -> None:
-        """Listen to the scans where the phase is held, and to none otherwise."""
+        """Subscribe to the scans if the phase is held, and unsubscribe otherwise."""
         wanted = settings.hold == PHASE
         if wanted and self._scans is None:
             self._scans_heard = False
@@ -199,11 +210,11 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
             self._scans = None
 
     def rig_time_ns(self) -> int | None:
-        """Return the newest instant heard of."""
+        """Return the newest rig time received."""
         return self._now_ns
 
     def doing(self) -> NodeState:
-        """Return how the last sweep is."""
+        """Return the state of the last sweep."""
         words = states.SteppedSineWord
         if self._pending:
             return NodeState(words.WAITING, self._missing() or "about to begin")
@@ -215,7 +226,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         return NodeState(words.RUNNING if self._operator.busy else words.DONE)
 
     def health(self) -> tuple[Level, str]:
-        """Return how far the sweep is."""
+        """Return the progress of the sweep."""
         if self.state != "active":
             return Level.WARN, self.state
         if self._pending:
@@ -228,7 +239,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         return Level.OK, sweep.describe()
 
     def figures(self) -> Mapping[str, object]:
-        """Return those of the last sweep."""
+        """Return the figures of the last sweep."""
         if self.state != "active" or self._pending or self._operator is None:
             return {}
         return self._operator.run.figures()
@@ -236,7 +247,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     # Start and stop
 
     def _on_start(self, _request: Trigger.Request, done: Done) -> None:
-        refusal = "a sweep is under way already" if self._running else self._missing()
+        refusal = "a sweep is running already" if self._running else self._missing()
         if not self.active:
             refusal = f"the node is {self.state}, activate it first"
         if refusal:
@@ -247,15 +258,17 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     def _on_stop(self, _request: Trigger.Request, done: Done) -> None:
         self._pending = False
         if self._operator is None or not self._operator.busy:
-            done(True, "no sweep is under way")
+            done(True, "no sweep is running")
             return
         self._operator.abort("stopped by the operator")
-        done(True, "the shaker is told to rest")
+        done(True, "the shaker ramps to rest")
 
     def _announced(self) -> str:
         points = self.settings.plan().points()
         return (
-            f"the resonance is sought from {points[0]:g} Hz" if self.settings.hold == PHASE else f"{len(points)} points"
+            f"searching for the resonance from {points[0]:g} Hz"
+            if self.settings.hold == PHASE
+            else f"{len(points)} points"
         )
 
     @property
@@ -263,15 +276,15 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         return self._operator is not None and self._operator.busy
 
     def _missing(self) -> str:
-        """Return who is not there yet; empty when a sweep can begin."""
+        """Return the missing requirements; empty when a sweep can start."""
         if any(not self.outputs[topic.name].get_subscription_count() for topic in (topics.FREQUENCY, topics.CURRENT)):
-            return "no rig listens to the shaker's topics"
+            return "no rig subscribes to the shaker's topics"
         if self.settings.hold == PHASE:
             if self._info is None or not self._scans_heard:
-                return f"nothing was heard on {topics.SCAN.name if self._info is not None else topics.INFO.name} yet"
+                return f"nothing received on {topics.SCAN.name if self._info is not None else topics.INFO.name} yet"
         elif not self.count_publishers(topics.TRANSMISSIBILITY_TABLE.name):
-            return f"nobody publishes {topics.TRANSMISSIBILITY_TABLE.name}"
-        return "" if self._now_ns is not None else "nothing was heard of the rig yet"
+            return f"no publisher of {topics.TRANSMISSIBILITY_TABLE.name}"
+        return "" if self._now_ns is not None else "no report from the rig yet"
 
     def _begin_when_ready(self) -> None:
         if self._pending and not self._missing():
@@ -290,14 +303,17 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         assert self._info is not None
         return LockedSine(settings.lock_plan(), self._info.rows, settings.accept_limit_s)
 
-    # What the operator asks for
+    # Interface of the operator
 
     def now_ns(self) -> int:
-        """Return the newest instant received."""
+        """Return the newest rig time received."""
         return self._now_ns or 0
 
     def _drive(self, setpoint: Setpoint) -> None:
-        """Send frequency and current, which `shaker/applied` confirms; at the end no current, and log why."""
+        """Send frequency and current, which `shaker/applied` confirms.
+
+        At the end send zero current, and log the reason.
+        """
         assert self._operator is not None
         if self._operator.busy:
             self.send(topics.FREQUENCY, Float64(data=setpoint.frequency_hz))
@@ -318,7 +334,10 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     # Messages
 
     def _follow(self, topic: topics.Topic, callback: Callable[[Operator[ControllerRun], Table], None]) -> Any:
-        """Subscribe to a table topic; `callback` gets the operator, and tables newer than the sweep's begin."""
+        """Subscribe to a table topic.
+
+        `callback` receives the operator, and tables newer than the start of the sweep.
+        """
 
         def take(table: Table) -> None:
             operator = self._operator
@@ -336,7 +355,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         try:
             if self._operator is not None:
                 self._operator.handle(Update(now_ns=self.now_ns(), scans=[table]))
-        finally:  # a rig that waits for us must not be held up
+        finally:  # a rig in lockstep must not be blocked
             self._acknowledgements.processed(table.stamp_ns)
 
     def _on_time(self, data: bytes) -> None:
@@ -367,4 +386,4 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
 
 
 PROGRAM = SteppedSineNode
-"""What makes the node of the program `stepped_sine_node`."""
+"""Factory of the node for the program `stepped_sine_node`."""

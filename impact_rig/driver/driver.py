@@ -98,11 +98,11 @@ class Turns:
 
 
 class RigDriver(abc.ABC):
-    """A rig that a program drives.
+    """Rig that a program drives.
 
     Args:
-        name: what reports call it.
-        config: of the rig.
+        name: name in reports.
+        config: configuration of the rig.
 
     Attributes:
         sample: first scan of the next block.
@@ -217,11 +217,11 @@ class RigDriver(abc.ABC):
         """Process what a rig that runs by itself has published, without waiting."""
 
     def connect(self, listener: Callable[[Table], object]) -> None:
-        """Give every block of scans to a function, in order."""
+        """Pass every block of scans to a function, in order."""
         self._listeners.append(listener)
 
     def disconnect(self, listener: Callable[[Table], object]) -> None:
-        """Give a function no more blocks."""
+        """Stop passing blocks to a function."""
         self._listeners.remove(listener)
 
     def close(self) -> None:

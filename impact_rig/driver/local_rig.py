@@ -59,20 +59,21 @@ JOINT_STATES = f"{NAMESPACE}/{topics.JOINT_STATES.name}"
 
 
 class LocalRig(RigDriver):
-    """A rig in this process.
+    """Rig in this process.
 
     Args:
         config: the configuration, or the values that differ from the defaults, `section.key` -> value, as in
             docs/reference/configuration.md.
-        faults: planned.
-        name: what reports call it.
-        analysis: parameters of the rig's analysis, as of its node: `gap_m` is the operator's label; None: no analysis.
-        record: directory of a run that is written while the rig moves; None: nothing is written.
+        faults: planned faults.
+        name: name in reports.
+        analysis: parameters of the rig's analysis, as those of its node (`gap_m` is the operator's label); None means
+            no analysis.
+        record: directory of a run to write while the rig moves; None means no recording.
         also: further topics whose tables are kept, such as `truth/scan`.
-        kept_bytes: bound of the tables that are kept; None: none.
+        kept_bytes: limit of the size of the kept tables; None means no limit.
 
     Attributes:
-        core: the rig itself, for what is not offered here (pluck, stop, clear_trip, ...).
+        core: the rig itself, for calls that this class does not offer (pluck, stop, clear_trip, ...).
         tracker: the analysis, or None.
 
     Raises:

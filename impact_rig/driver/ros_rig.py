@@ -78,20 +78,21 @@ FIXED = ("time.", "step.", "daq.rate_hz", "daq.block_scans", "output.autostart")
 
 
 class RosRig(RigDriver):
-    """A rig behind topics, and a client that plays the operator.
+    """Rig behind topics, with a client that acts as the operator.
 
     Args:
-        config: the configuration, or the values that differ from the defaults of a rig in lockstep, `section.key` ->
-            value, as in docs/reference/configuration.md; of a rig that runs already the values that it must have.
-        faults: planned.
-        name: what reports call it.
-        directory: for logs, kept; None: a temporary one that `close` removes.
-        analysis: parameters of an analysis that is started, too; None: there is none.
-        record: directory of a run that a recorder writes; True: a temporary one, from where `save` copies it.
+        config: the configuration, or the values that differ from the defaults of a lockstep rig, `section.key` ->
+            value, as in docs/reference/configuration.md; for a running rig, the values that it must have.
+        faults: planned faults.
+        name: name in reports.
+        directory: folder of the logs, which is kept; None means a temporary one that `close` removes.
+        analysis: parameters of an analysis node to start; None means no analysis.
+        record: directory of a run that a recorder writes; True means a temporary one, from which `save` copies it.
         also: further topics whose tables are kept, such as `truth/scan`.
         mode: `time.mode` of a rig that is started.
-        hosted: run rig and recorder in this process as well: starts in a tenth of the time, still real DDS.
-        namespace: of a rig that runs already, in this environment's domain: it is driven instead of a new one.
+        hosted: whether to run rig and recorder in this process, too. They start ten times faster and still use real
+            DDS.
+        namespace: namespace of a running rig in this environment's domain, which is driven instead of a new one.
 
     Attributes:
         client: the operator: parameters, services, topics.
@@ -168,7 +169,7 @@ class RosRig(RigDriver):
                 self._connect_stream()
             if running or self.config.time.mode == "realtime":
                 self._join()
-            if running:  # what stopped it before is history
+            if running:  # an earlier stop is irrelevant
                 self._journal_read = len(self._collectors[topics.JOURNAL.name])
             self._stack = stack.pop_all()
 
@@ -208,7 +209,7 @@ class RosRig(RigDriver):
         return bool(figures) and names <= subscribers(self.client.node, topics.SCAN.name)
 
     def _join(self) -> None:
-        """Find out where a rig is that runs by itself."""
+        """Find the position of a rig that runs by itself."""
         info = self.client.wait_until(self._collectors[topics.INFO.name].last, topics.INFO.name)
         self._start_ns = info.stamp_ns - round(float(info.rows["since_start"][0]) * NS_PER_S)
         if self.runs_by_itself:

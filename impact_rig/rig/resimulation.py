@@ -68,11 +68,11 @@ def _first_sample_from(rig: Rig, stamp_ns: int) -> int:
 
 
 class RecordedSamples(Buffer):
-    """All samples of a recording at once, in the place of a stream's buffer: there is what the journal says was.
+    """All samples of a recording in place of a stream's buffer: available are those that the journal names.
 
     Args:
-        waveform: what came, in order, doubtful blocks first; of what came late only that is taken of which nothing
-            came before.
+        waveform: received blocks, in order, doubtful blocks first; of late ones, only samples without an earlier
+            version are used.
     """
 
     def __init__(self, rig: Rig, entries: Iterable[JournalEntry], waveform: Sequence[Sent]) -> None:

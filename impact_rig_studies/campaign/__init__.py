@@ -11,4 +11,4 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Measuring what the paper measured: cases, summaries and comparisons. Knows no ROS."""
+"""Campaigns: measurements of the paper's cases, with summaries and comparisons, without ROS."""

@@ -31,8 +31,8 @@ from impact_rig.rig.gaps import NO_SPHERE
 S = TypeVar("S", bound=attrs.AttrsInstance)
 
 MAX_VALUES = 10_000
-HUGE = 10**30  # no integer of a configuration is as large; one of 400 digits is no floating-point number
-_DIGITS = 12  # of the values of a range, so that 9.00, 9.01, ... are what they look like
+HUGE = 10**30  # above every integer in a configuration; one of 400 digits is not a floating-point number
+_DIGITS = 12  # digits of the values of a range, so that 9.00, 9.01, ... are exact
 
 
 def wrong(key: str, rule: str, value: object) -> ConfigError:
@@ -41,7 +41,7 @@ def wrong(key: str, rule: str, value: object) -> ConfigError:
 
 
 def check_keys(key: str, found: Mapping[str, object], known: Iterable[str]) -> None:
-    """Refuse keys that mean nothing.
+    """Reject unknown keys.
 
     Raises:
         ConfigError: names the first such key and all known ones.
@@ -54,10 +54,10 @@ def check_keys(key: str, found: Mapping[str, object], known: Iterable[str]) -> N
 
 
 def number(key: str, value: object, low: float, high: float = math.inf) -> float:
-    """Return a number in (low, high].
+    """Check a number in (low, high] and return it.
 
     Raises:
-        ConfigError: it is none, or out of range.
+        ConfigError: it is not a number, or out of range.
     """
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise wrong(key, "a number", value)
@@ -67,10 +67,10 @@ def number(key: str, value: object, low: float, high: float = math.inf) -> float
 
 
 def whole(key: str, value: object, low: int, high: int) -> int:
-    """Return an integer in [low, high].
+    """Check an integer in [low, high] and return it.
 
     Raises:
-        ConfigError: it is none, or out of range.
+        ConfigError: it is not an integer, or out of range.
     """
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise wrong(key, f"an integer >= {low} and <= {high}", value)
@@ -78,10 +78,10 @@ def whole(key: str, value: object, low: int, high: int) -> int:
 
 
 def word(key: str, value: object, choices: Iterable[str]) -> str:
-    """Return one of `choices`.
+    """Check that a value is one of `choices` and return it.
 
     Raises:
-        ConfigError: it is none of them.
+        ConfigError: it is not.
     """
     allowed = list(choices)
     if value not in allowed:
@@ -90,15 +90,15 @@ def word(key: str, value: object, choices: Iterable[str]) -> str:
 
 
 def words(key: str, value: object, choices: Iterable[str]) -> tuple[str, ...]:
-    """Return some of `choices`, see `values`."""
+    """Return some of `choices`; see `values`."""
     return tuple(word(key, item, choices) for item in values(key, value))
 
 
 def mapping(key: str, value: object) -> dict[str, object]:
-    """Return a mapping with texts as keys; nothing counts as empty.
+    """Return a mapping with texts as keys; a missing value counts as empty.
 
     Raises:
-        ConfigError: it is none.
+        ConfigError: it is not a mapping.
     """
     if value is None:
         return {}
@@ -108,10 +108,10 @@ def mapping(key: str, value: object) -> dict[str, object]:
 
 
 def values(key: str, value: object) -> list[object]:
-    """Return the items of a list, of one value, or of `{from: a, to: b, step: s}`; none twice.
+    """Return the items of a list, of one value, or of `{from: a, to: b, step: s}`, without duplicates.
 
     Raises:
-        ConfigError: it is empty, repeats an item, or is not a sensible range.
+        ConfigError: it is empty, has duplicates, or is not a valid range.
     """
     items: list[object]
     if isinstance(value, dict):
@@ -133,7 +133,7 @@ def values(key: str, value: object) -> list[object]:
 
 
 def numbers(key: str, value: object, low: float, high: float = math.inf) -> tuple[float, ...]:
-    """Return numbers in (low, high], see `values`."""
+    """Return numbers in (low, high]; see `values`."""
     return tuple(number(f"{key}[{i}]", item, low, high) for i, item in enumerate(values(key, value)))
 
 
@@ -141,7 +141,7 @@ def gaps(key: str, value: object) -> tuple[float, ...]:
     """Return gaps [m]; the word `none` becomes `NO_SPHERE`.
 
     Raises:
-        ConfigError: a gap is no number, or not in (0, 1] m; 0 is not a gap: the sphere would be held by both barriers.
+        ConfigError: a gap is not a number in (0, 1] m; with a gap of 0 both barriers would hold the sphere.
     """
     return tuple(
         NO_SPHERE if item in ("none", None) else number(f"{key}[{i}]", item, 0.0, 1.0)
@@ -150,7 +150,7 @@ def gaps(key: str, value: object) -> tuple[float, ...]:
 
 
 def scalars(key: str, value: object) -> tuple[Value, ...]:
-    """Return configuration values of any scalar kind; their ranges are checked by the configuration itself."""
+    """Return configuration values of any scalar type; the configuration itself checks their ranges."""
     found: list[Value] = []
     for i, item in enumerate(values(key, value)):
         if not isinstance(item, (bool, int, float, str)):
@@ -160,10 +160,10 @@ def scalars(key: str, value: object) -> tuple[Value, ...]:
 
 
 def rig(top: Mapping[str, object], folder: Path, refuse: Callable[[str, str], None]) -> RigConfig:
-    """Return the rig that a file in `folder` asks for by `config` and `set`, nested or dotted.
+    """Return the rig that a file in `folder` defines by `config` and `set`, nested or dotted.
 
     Raises:
-        ConfigError: a value is wrong, or `refuse`, given key and name of each value, refuses one.
+        ConfigError: a value is wrong, or `refuse`, called with key and name of each value, rejects one.
     """
     file = top.get("config")
     if file is not None and not isinstance(file, str):
@@ -175,7 +175,7 @@ def rig(top: Mapping[str, object], folder: Path, refuse: Callable[[str, str], No
 
 
 def settings(key: str, given: object, kind: type[S]) -> S:
-    """Return the settings of a kind that a part of a file gives; its validators check.
+    """Return the settings of a kind defined by a part of a file, checked by their validators.
 
     Raises:
         ConfigError: a key or value is wrong.

@@ -13,13 +13,13 @@
 # limitations under the License.
 """`Job`: one run of a reset rig, the unit that is measured, stored and never repeated.
 
-A job begins with a reset rig and a new analysis, so it depends on nothing but its own values: it gives the same bits in
-this process, in another one, on another machine of the same kind, through ROS, and after an interruption. Single points
-are jobs of one frequency; a sweep that keeps the rig's state from point to point is one job of many.
+A job begins with a reset rig and a new analysis, so it depends only on its own values. It gives the same bits in this
+process, in another one, on another machine of the same kind, through ROS, and after an interruption. Single points are
+jobs of one frequency; a sweep that keeps the rig's state from point to point is one job of many.
 
-All jobs of one seed are the *same rig*: `daq.seed` draws the instruments' calibration errors, which in a laboratory
-stay what they are from run to run. So a job takes the campaign's seed as it is. A seed of its own for every point would
-give every point other instruments, and reductions would carry errors that are common, and cancel, in reality.
+All jobs of one seed are the *same rig*: `daq.seed` determines the instruments' calibration errors, which in a
+laboratory do not change from run to run. A job therefore uses the campaign's seed unchanged. With a seed for every
+point, every point would have other instruments, and reductions would contain errors that cancel in reality.
 """
 
 from __future__ import annotations
@@ -48,30 +48,32 @@ from impact_rig_studies.operate.operator import OnUpdate, ignore, operate
 from impact_rig_studies.operate.stepped_sine import Direction, SteppedSine, SweepPlan, SweepState
 
 UPDATES_PER_S = 4
-"""The operator looks at the measurements this often, in rig time, and commands then: part of a job's definition,
-because in a sweep it decides when the next frequency begins."""
-MAX_BLOCK_SCANS = 4000  # so that a block of truth fits a message
-DWELL_FACTOR = 2.5  # a point may take this many times the analysis's own bound before it is given up
+"""Interval of rig time in which the operator reads the measurements and sends commands.
+
+It is part of a job's definition, because in a sweep it determines when the next frequency begins.
+"""
+MAX_BLOCK_SCANS = 4000  # limit at which a block of truth fits into a message
+DWELL_FACTOR = 2.5  # time limit of a point, in multiples of the analysis's own limit
 TRACED = (topics.TRUTH_SCAN.name,)
-TRACE_BLOCKS = 2  # blocks that are kept as a trace after the last measurement
+TRACE_BLOCKS = 2  # number of blocks kept as a trace after the last measurement
 
 
 @attrs.frozen(kw_only=True)
 class Job:
-    """One run."""
+    """Run of a reset rig."""
 
     changes: Mapping[str, Value]  # configuration values that differ from the default rig, by dotted name
     analysis: Mapping[str, Value] = attrs.field(factory=dict)
     """Settings of the measurement that differ from `TrackerSettings`."""
-    gap_m: float  # the operator's label: gap, or `NO_SPHERE`
+    gap_m: float  # operator's label: gap, or `NO_SPHERE`
     frequencies_hz: tuple[float, ...]
-    direction: Direction = Direction.UP  # order in which a job of several points visits them
+    direction: Direction = Direction.UP  # order of the points
     current_a: float  # peak current
     repetitions: int = 1  # settled measurements per point, one after the other
-    traces: bool = False  # keep scans and truth after the last measurement as well
+    traces: bool = False  # whether to keep scans and truth after the last measurement
 
     def config(self) -> RigConfig:
-        """Return the rig's configuration; one block from one look to the next.
+        """Return the rig's configuration, with one block per operator interval.
 
         Raises:
             ConfigError: a value is wrong.
@@ -93,7 +95,7 @@ class Job:
         return {**attrs.asdict(self.settings()), "gap_m": self.gap_m}
 
     def plan(self) -> SweepPlan:
-        """Return what to command.
+        """Return the plan of commands.
 
         Raises:
             ConfigError: a value is wrong.
@@ -108,7 +110,7 @@ class Job:
 
     @property
     def key(self) -> str:
-        """Identify the job by all values that decide its numbers, not by traces or code: 16 hexadecimal digits."""
+        """Identifier from all values that determine the numbers, without traces or code: 16 hexadecimal digits."""
         content = {
             "config": not_default(self.config()),
             "analysis": attrs.asdict(self.settings()),
@@ -119,7 +121,7 @@ class Job:
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
     def describe(self) -> str:
-        """Return a short name for people."""
+        """Return a short readable name."""
         gap = case_of(self.gap_m)
         first, last = min(self.frequencies_hz), max(self.frequencies_hz)
         return f"{gap}, {first:g} Hz" if first == last else f"{gap}, {first:g} to {last:g} Hz {self.direction.value}"
@@ -127,17 +129,17 @@ class Job:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Outcome:
-    """What a job gave."""
+    """Result of a job."""
 
     rows: NDArray[np.void] = attrs.field(factory=lambda: np.zeros(0, TRANSMISSIBILITY))
-    """Accepted rows of `transmissibility/table`, in the order of the visit."""
-    failure: str = ""  # why the run did not reach its end; empty otherwise
-    skipped_hz: tuple[float, ...] = ()  # points left out because a sensor was over range
+    """Accepted rows of `transmissibility/table`, in the order of measurement."""
+    failure: str = ""  # why the run did not finish; empty otherwise
+    skipped_hz: tuple[float, ...] = ()  # points skipped because a sensor was over range
     simulated_s: float = 0.0
     wall_s: float = 0.0
     lost_scans: int = 0  # scans that never reached the analysis
     trace: Mapping[str, NDArray[np.generic]] = attrs.field(factory=dict)
-    """Arrays of the end of the run by name, if asked for."""
+    """Arrays of the end of the run by name, if requested."""
 
 
 Trace = Mapping[str, NDArray[np.generic]]
@@ -145,15 +147,15 @@ TRUE_COLUMNS = ("x_b", "x_1", "x_2", "v_1", "v_2")
 
 
 def run_job(job: Job, start: Callable[[Job], RigDriver], on_update: OnUpdate = ignore) -> Outcome:
-    """Measure a job; an error in it is its outcome, not an exception.
+    """Measure a job; an error in it becomes its outcome, not an exception.
 
     Args:
-        job: what is measured.
-        start: gives a new rig with its analysis; in this process or behind topics, the numbers are the same bits.
-        on_update: gets the sweep when the drive is set, and after every measurement.
+        job: job to measure.
+        start: returns a new rig with its analysis, in this process or behind topics; the results are the same bits.
+        on_update: receives the sweep when the drive is set, and after every measurement.
 
     Raises:
-        GoneError: a process of the rig died, which says nothing about the job.
+        GoneError: a process of the rig died, which proves nothing about the job.
     """
     started = time.perf_counter()
     rig: RigDriver | None = None
@@ -181,9 +183,9 @@ def run_job(job: Job, start: Callable[[Job], RigDriver], on_update: OnUpdate = i
 
 
 def _trace(rig: RigDriver) -> Trace:
-    """Let a few blocks pass and return their scans and truth."""
-    rig.configure({"output.truth_scan": True})  # changes what is handed out, not one sample
-    rig.step()  # half of its truth was not kept
+    """Advance a few blocks and return their scans and truth."""
+    rig.configure({"output.truth_scan": True})  # changes what is published, but no sample
+    rig.step()  # only half of its truth was kept
     rig.clear()
     rig.step(TRACE_BLOCKS)
     count = TRACE_BLOCKS * rig.block_scans
@@ -191,7 +193,7 @@ def _trace(rig: RigDriver) -> Trace:
 
 
 def columns(scans: NDArray[np.void], truth: NDArray[np.void], rate_hz: int) -> Trace:
-    """Return consecutive scans and the truth at the same instants as columns; time from their first scan on [s].
+    """Return consecutive scans and the truth at the same times as columns; time from their first scan on [s].
 
     Args:
         scans: rows of `daq/scan`, shape (n,).
@@ -208,7 +210,7 @@ def start_local(job: Job) -> RigDriver:
     """Return a rig in this process for a job.
 
     Raises:
-        ConfigError: the job's values together cannot be simulated.
+        ConfigError: the job's values are jointly infeasible.
     """
     return LocalRig(job.config(), analysis=job.labelled_settings(), also=TRACED)
 

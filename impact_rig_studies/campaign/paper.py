@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The paper's numbers, the same of a set of measurements (`Reductions`), and how near they must come.
+"""The paper's results, the same quantities of a set of measurements (`Reductions`), and their allowed distance.
 
 Source: `TITLE` by `AUTHORS`. No DOI of it was found.
 """
@@ -36,7 +36,7 @@ AUTHORS = "Marcos Vieira de Albuquerque, Robson Pederiva"
 AFFILIATION = "University of Campinas, School of Mechanical Engineering, Brazil"
 DOI = ""  # none was found
 
-FREQUENCY_HZ = 9.1  # where the paper compares the gaps: the natural frequency it prints
+FREQUENCY_HZ = 9.1  # frequency at which the paper compares the gaps: the natural frequency it prints
 
 FREQUENCIES_HZ = (7.5, 8.0, 8.5, 8.9, 9.0, 9.1, 9.2, 9.5, 10.0, 10.5)  # the paper's excitation frequencies
 
@@ -44,29 +44,29 @@ CURRENT_A = 0.520
 """Constant coil current, peak; identified: the superior base then moves about 5.85 mm at 9.1 Hz without the sphere."""
 
 REDUCTION_PERCENT: Mapping[float, float] = {2e-3: 29.4, 4e-3: 38.5, 6e-3: 43.0, 8e-3: 45.0, 10e-3: 49.0}
-"""Published reduction of the transmissibility at 9.1 Hz against the run without the sphere, by gap [m]."""
+"""Published reduction of the transmissibility at 9.1 Hz compared with the run without the sphere, by gap [m]."""
 POINTS_LIMIT, RMS_LIMIT = 2.0, 1.0
-"""Distance from the paper's reductions, in points, that the shipped configuration must keep; each one, and rms."""
-DEMO_POINTS_LIMIT = 3.0  # the same of the demo, which measures each case twice
+"""Largest distance from the paper's reductions, in points, for the shipped configuration: of each one, and rms."""
+DEMO_POINTS_LIMIT = 3.0  # the same for the demo, which measures each case twice
 
 
 @attrs.frozen
 class Reductions:
-    """Reductions of the transmissibility by gap [m], against the run without the sphere."""
+    """Reductions of the transmissibility by gap [m], compared with the run without the sphere."""
 
     dt_no_sphere: float  # transmissibility without the sphere
     dt: Mapping[float, float]
-    dt_uncertainty: Mapping[float, float]  # its standard uncertainty by gap; key `NO_SPHERE`: without the sphere
+    dt_uncertainty: Mapping[float, float]  # its standard uncertainty by gap; key `NO_SPHERE` means without the sphere
     percent_uncertainty: Mapping[float, float]
-    """Standard uncertainty of `percent` in points, by gap: see `impact_rig_studies.reduction`."""
+    """Standard uncertainty of `percent` in points, by gap; see `impact_rig_studies.reduction`."""
 
     @classmethod
     def of(cls, rows: Mapping[float, NDArray[np.void]], calibration: Calibration) -> Reductions:
-        """Return what measurements give; nothing but NaN if there are none without the sphere.
+        """Compute the reductions of measurements; all are NaN without a measurement without the sphere.
 
         Args:
-            rows: settled rows of `transmissibility/table` by gap; key `NO_SPHERE`: without the sphere.
-            calibration: of the instruments that measured them all.
+            rows: settled rows of `transmissibility/table` by gap; key `NO_SPHERE` means without the sphere.
+            calibration: calibration of the instruments of all measurements.
         """
         without = rows.get(NO_SPHERE)
         if without is None:
@@ -84,7 +84,7 @@ class Reductions:
         return {gap: 100.0 * (1.0 - value / self.dt_no_sphere) for gap, value in self.dt.items()}
 
     def errors(self) -> dict[float, float]:
-        """Return ours less the paper's, in points, for the paper's gaps."""
+        """Return our reductions minus the paper's, in points, for the paper's gaps."""
         ours = self.percent()
         return {gap: ours[gap] - paper for gap, paper in REDUCTION_PERCENT.items() if gap in ours}
 
@@ -98,6 +98,6 @@ class Reductions:
         return math.sqrt(sum(error**2 for error in errors) / len(errors)) if errors else math.nan
 
     def grows_with_gap(self) -> bool:
-        """Return whether a wider gap always reduced more."""
+        """Return whether a wider gap always gave a larger reduction."""
         ordered = [value for _, value in sorted(self.percent().items())]
         return all(a < b for a, b in itertools.pairwise(ordered))

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`Campaign`: what a campaign file asks for, checked, and the jobs it amounts to.
+"""`Campaign`: a validated campaign file, and its jobs.
 
-A campaign is one YAML file: studies, each the product of its axes. Wrong files are refused as a whole before anything
-runs; the message names key, value, range and file.
+A campaign is one YAML file with studies, each the product of its axes. A wrong file is rejected before anything runs;
+the message names key, value, range and file.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ from impact_rig_studies.campaign.paper import CURRENT_A
 from impact_rig_studies.campaign.tasks import load_plan
 from impact_rig_studies.operate.stepped_sine import Direction
 
-RESET = "reset"  # the direction of a study whose points each begin with a reset rig
+RESET = "reset"  # direction of a study whose points each start with a reset rig
 DIRECTIONS = (RESET, *(direction.value for direction in Direction))
 STARTS = ("left", "centre", "right")
 GAP_VALUES = ("barriers.gap_m", "sphere.present")
 OWNED = ("daq.block_scans", "time.", "step.", "pluck.", "output.autostart", "output.truth_scan")
-"""Configuration that the campaign decides itself."""
+"""Configuration that the campaign itself decides."""
 NAMED_AXES: Mapping[str, tuple[str, Callable[[str, object], tuple[Value, ...]]]] = {
     "laws": ("contact.law", lambda key, given: axes.words(key, given, LAWS)),
     "restitutions": ("contact.restitution", lambda key, given: axes.numbers(key, given, 0.0, 1.0)),
@@ -54,14 +54,14 @@ NAMED_AXES: Mapping[str, tuple[str, Callable[[str, object], tuple[Value, ...]]]]
     ),
     "seeds": ("daq.seed", lambda key, given: tuple(axes.whole(key, one, 0, 2**53) for one in axes.values(key, given))),
 }
-"""Key of a study -> the value that it varies, and what reads it."""
+"""Key of a study -> the value that it varies, and its reader."""
 OTHERWISE = {**{name: key for key, (name, _) in NAMED_AXES.items()}, **dict.fromkeys(GAP_VALUES, "gaps_m")}
-"""Values that are not varied by name, but by these keys."""
+"""Values that are varied by these keys, not by name."""
 
 
 @attrs.frozen(kw_only=True)
 class Study:
-    """The product of its axes; one value each unless the file gives several."""
+    """Product of axes; each has one value unless the file gives several."""
 
     name: str
     frequencies_hz: tuple[float, ...]
@@ -71,49 +71,49 @@ class Study:
     repetitions: int = 1
     traces: bool = False
     vary: Mapping[str, tuple[Value, ...]] = attrs.field(factory=dict)
-    """Every other axis: configuration value by dotted name, laws, restitutions, starts and seeds among them."""
+    """All other axes: configuration values by dotted name, including laws, restitutions, starts and seeds."""
 
     @property
     def points(self) -> int:
-        """How many measurements it asks for, repetitions included."""
+        """Number of measurements, including repetitions."""
         axes = (self.frequencies_hz, self.gaps_m, self.currents_a, *self.vary.values())
         return self.repetitions * math.prod(map(len, axes))
 
 
 @attrs.frozen(eq=False, kw_only=True)
 class Planned:
-    """A job's place in the campaign."""
+    """Job with its position in the campaign."""
 
     study: str
     job: Job
-    axes: Mapping[str, Value]  # the values of the study's axes other than frequency, gap and current, by dotted name
-    reference: bool  # whether the job belongs to the campaign's reference rig, on which the statements are judged
+    axes: Mapping[str, Value]  # values of the study's axes other than frequency, gap and current, by dotted name
+    reference: bool  # whether the job belongs to the campaign's reference rig, for which the statements are judged
 
 
 @attrs.frozen(eq=False, kw_only=True)
 class Campaign:
-    """A whole campaign."""
+    """Complete campaign."""
 
     title: str
-    base: RigConfig  # the rig that all studies begin with
+    base: RigConfig  # rig that all studies start with
     analysis: Mapping[str, Value]  # settings of the measurement that differ from the default
     studies: tuple[Study, ...]
     text: str
-    first: Study | None = None  # whose first combination is the reference rig; None: the first of `studies`
+    first: Study | None = None  # study whose first combination is the reference rig; None means the first of `studies`
 
     def reference(self) -> Job:
         """Return the first job on the reference rig.
 
         Raises:
-            ConfigError: its values make no sense; the message names the study.
+            ConfigError: its values are inconsistent; the message names the study.
         """
         return next(self._expand(self.first or self.studies[0])).job
 
     def planned(self) -> list[Planned]:
-        """Return all jobs in order; one that two studies share comes twice, with one key.
+        """Return all jobs in order; a job shared by two studies is listed twice, with one key.
 
         Raises:
-            ConfigError: a combination of values makes no sense; the message names the study.
+            ConfigError: a combination of values is inconsistent; the message names the study.
         """
         found = [planned for study in self.studies for planned in self._expand(study)]
         first = self.reference()
@@ -127,7 +127,7 @@ class Campaign:
         ]
 
     def only(self, names: tuple[str, ...]) -> Campaign:
-        """Return the campaign with these studies only; the reference rig stays the one it was.
+        """Return the campaign restricted to these studies; the reference rig stays the same.
 
         Raises:
             ConfigError: there is no study of that name.
@@ -167,16 +167,16 @@ class Campaign:
 def load_campaign(
     path: Path, overrides: Mapping[str, object] | None = None, resolved: RigConfig | None = None
 ) -> Campaign:
-    """Return the campaign in a YAML file.
+    """Read the campaign in a YAML file.
 
     Args:
-        path: of the file.
-        overrides: configuration values on top, by dotted name.
-        resolved: the rig to begin with, instead of the file's `config`, `set` and the overrides.
+        path: path of the file.
+        overrides: configuration values that override the file, by dotted name.
+        resolved: rig to start with, instead of the file's `config`, `set` and the overrides.
 
     Raises:
         ConfigError: the file cannot be read or is wrong; the message names key, value, range and file.
-        BudgetError: it asks for too many points.
+        BudgetError: it has too many points.
     """
 
     def read(document: object, text: str) -> Campaign:

@@ -11,7 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Run jobs on all cores; results come as they are done. What a job is, and what is done with it, is the caller's."""
+"""Parallel execution of jobs on all cores; results are returned as they are completed.
+
+The caller defines the job and processes its result.
+"""
 
 from __future__ import annotations
 
@@ -39,25 +42,26 @@ R = TypeVar("R")
 
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 """Variables that a library for linear algebra reads when it is loaded."""
-AHEAD = 2  # jobs handed out per worker: enough to keep it busy, few enough to stop soon after Ctrl-C
-CLOSING_S = 2.0  # how long the end of a pool is waited for whose workers were killed
+AHEAD = 2  # jobs submitted per worker: enough to keep it busy, few enough to stop soon after Ctrl-C
+CLOSING_S = 2.0  # time limit for closing a pool whose workers were killed
 
 
 class WorkerDiedError(GoneError):
-    """A worker process was ended from outside."""
+    """External end of a worker process."""
 
 
 def in_parallel(
     work: Callable[[J], R], jobs: Sequence[J], workers: int | None = None
 ) -> Generator[tuple[J, R], None, None]:
-    """Yield every job with what `work` returns for it, in the order in which they are done.
+    """Yield every job with the result of `work` for it, in the order of completion.
 
-    Who stops asking (Ctrl-C) loses the jobs under way, nothing else. Workers end with this process, however it ends.
+    If the caller stops iterating (Ctrl-C), only the running jobs are lost. Workers end with this process, for whatever
+    reason it ends.
 
     Args:
-        work: a function of a module; it and the jobs travel to the workers.
-        jobs: what to run.
-        workers: processes; None: one per usable core.
+        work: a function of a module; it and the jobs are sent to the workers.
+        jobs: jobs to run.
+        workers: number of processes; None means one per usable core.
 
     Raises:
         WorkerDiedError: a worker was killed.
@@ -67,7 +71,7 @@ def in_parallel(
         yield from ((job, work(job)) for job in jobs)
         return
     waiting = iter(jobs)
-    # spawned, not forked: a copy of a process that has threads (ROS, progress display) may hold their locks for ever
+    # spawned, not forked: a copy of a process with threads (ROS, progress display) may hold their locks forever
     context = multiprocessing.get_context("spawn")
     others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(count, context, initializer=_begin_worker, initargs=(os.getpid(),))
@@ -76,7 +80,7 @@ def in_parallel(
         with (
             block_signals(),
             _one_thread_each(),
-        ):  # the workers begin here: signals are the parent's, which ends in order
+        ):  # the workers start here: only the parent handles signals, and ends in order
             running |= {pool.submit(work, job): job for job in itertools.islice(waiting, AHEAD * count)}
         while running:
             for future in wait(running, return_when=FIRST_COMPLETED).done:
@@ -86,13 +90,13 @@ def in_parallel(
                     running[pool.submit(work, following)] = following
                 yield job, future.result()
     except BrokenProcessPool as error:
-        raise WorkerDiedError("a worker process was killed; run it again to go on") from error
+        raise WorkerDiedError("a worker process was killed; run the command again to continue") from error
     finally:
         with defer_signals():
             if running:
                 for worker in set(multiprocessing.active_children()) - others:
                     worker.kill()  # it has nothing to save
-                # its thread may hang after that, but must not meet the interpreter's end while it closes what that uses
+                # its thread may hang after that, but the interpreter must not end while it closes resources
                 closing = threading.Thread(target=pool.shutdown, kwargs={"cancel_futures": True}, daemon=True)
                 closing.start()
                 closing.join(CLOSING_S)
@@ -102,7 +106,7 @@ def in_parallel(
 
 @contextlib.contextmanager
 def _one_thread_each() -> Iterator[None]:
-    """Let processes that begin in this block use one thread for linear algebra, unless the user chose otherwise."""
+    """Limit processes started in this block to one thread for linear algebra, unless the user chose otherwise."""
     added = dict.fromkeys((name for name in BLAS_THREADS if name not in os.environ), "1")
     os.environ.update(added)
     try:
@@ -113,7 +117,7 @@ def _one_thread_each() -> Iterator[None]:
 
 
 def _begin_worker(parent: int) -> None:
-    """Leave Ctrl-C to the parent, which ends in order, and never outlive it."""
+    """Ignore Ctrl-C, which the parent handles, and never outlive the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
     end_with(parent, lambda: os._exit(1))
@@ -128,13 +132,13 @@ CONNECT_S = 10.0
 UNLIMITED = 1_000_000
 NEEDS_DASK = "--through dask needs Dask: pip install 'impact_rig[cluster]'"
 ROOMS = (*DECIDING, "campaign", "dynamics", "kernels", "maps")
-"""What decides the result of any job."""
+"""Values that determine the result of any job."""
 P = TypeVar("P", bound=WorkItem)
 
 
 @attrs.frozen
 class _Made(Generic[R]):
-    """Result of a job with the worker and the code that made it; no result where that is other code."""
+    """Result of a job with its worker and the worker's code; without a result if that is other code."""
 
     worker: str
     code: str
@@ -142,7 +146,7 @@ class _Made(Generic[R]):
 
 
 def cluster_threads(address: str) -> int:
-    """Return the threads of the workers at a scheduler; `UNLIMITED` while there are none, since they are to come.
+    """Return the number of worker threads at a scheduler; `UNLIMITED` without workers, since they may still join.
 
     Raises:
         ConfigError: Dask is not installed.
@@ -164,7 +168,7 @@ def _connected(address: str) -> Any:
 
 
 def _make(work: Callable[[P], R], job: P, code: str) -> _Made[R]:
-    """Run a job on a worker if its code is the one that is asked for."""
+    """Run a job on a worker if the worker has the requested code."""
     from distributed import get_worker  # noqa: PLC0415  # an optional dependency
 
     own = fingerprint(ROOMS)
@@ -172,9 +176,9 @@ def _make(work: Callable[[P], R], job: P, code: str) -> _Made[R]:
 
 
 def on_cluster(work: Callable[[P], R], address: str) -> Callable[[Sequence[P]], Generator[tuple[P, R], None, None]]:
-    """Return what sends jobs to the scheduler at `address`, and yields every one with what `work` returns for it.
+    """Return a function that sends jobs to the scheduler at `address`, and yields each with the result of `work`.
 
-    A cluster without workers is waited for. A worker with other code is reported, and its jobs are sent to others.
+    It waits for workers if the cluster has none. A worker with other code is reported, and its jobs are sent to others.
 
     Raises:
         ConfigError: Dask is not installed.
@@ -222,7 +226,7 @@ def on_cluster(work: Callable[[P], R], address: str) -> Callable[[Sequence[P]], 
                     if made.worker not in wrong:
                         wrong[made.worker] = made.code
                         _warn(
-                            f"worker {made.worker} has impact_rig {made.code}, this is {code}: nothing of it is taken"
+                            f"worker {made.worker} has impact_rig {made.code}, this is {code}: its results are ignored"
                         )
                     submit(job)
                     continue
@@ -232,7 +236,7 @@ def on_cluster(work: Callable[[P], R], address: str) -> Callable[[Sequence[P]], 
                     yield job, made.result
                 future.release()
         if lost:
-            raise ImpactRigError(f"{len(lost)} runs were lost, run it again to go on; {lost[0]}")
+            raise ImpactRigError(f"{len(lost)} runs were lost, run the command again to continue; {lost[0]}")
 
     return run
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The points of a campaign: what was measured at every place of every study, and why not where it was not; figures."""
+"""Points of a campaign: results or failure reasons of every point of every study; summary figures."""
 
 from __future__ import annotations
 
@@ -39,16 +39,16 @@ NAN = math.nan
 SKIPPED = "over_range"
 NOT_REACHED = "not reached"
 IMPACTING = 0.1
-"""Impacts per cycle from which an orbit counts as one that impacts: in a measurement, a few stray ones remain."""
+"""Impacts per cycle from which an orbit counts as impacting: a measurement contains a few stray impacts."""
 
 
 @attrs.frozen(eq=False, kw_only=True)
 class Point:
-    """One visit to one frequency; NaN where nothing was measured. Columns as in `blocks.TRANSMISSIBILITY`."""
+    """Measurement at one frequency; values that were not measured are NaN. Columns as in `blocks.TRANSMISSIBILITY`."""
 
     study: str
     axes: Mapping[str, Value]  # values of its axes other than frequency, gap and current
-    reference: bool  # on the campaign's reference rig
+    reference: bool  # whether it belongs to the campaign's reference rig
     gap_m: float  # gap, or `NO_SPHERE`
     current_a: float
     frequency_hz: float
@@ -77,17 +77,17 @@ class Point:
 
     @property
     def phase_rad(self) -> float:
-        """Phase of x_1 to x_b, of the first repetition (a mean of angles may not be one)."""
+        """Phase of x_1 to x_b, of the first repetition (a mean of angles may be meaningless)."""
         return float(self.rows["phase"][0]) if len(self.rows) else NAN
 
     @property
     def base_m(self) -> float:
-        """Amplitude of the inferior base."""
+        """Amplitude of the inferior base [m]."""
         return self._mean("base_amplitude")
 
     @property
     def laser_m(self) -> float:
-        """Amplitude of the superior base."""
+        """Amplitude of the superior base [m]."""
         return self._mean("laser_amplitude")
 
     @property
@@ -102,22 +102,22 @@ class Point:
 
     @property
     def regime(self) -> str:
-        """The word for the response; empty where nothing was measured."""
+        """Regime of the response; empty without a measurement."""
         return str(self.rows["regime"][-1].decode()) if len(self.rows) else ""
 
     @property
     def status(self) -> str:
-        """The last row's status, or why there is none."""
+        """Status of the last row, or the reason why there is none."""
         return self.failure or str(self.rows["status"][-1].decode())
 
     @property
     def note(self) -> str:
-        """What its last row leaves open: a sphere that did not strike may be a slow one; otherwise empty."""
+        """Caveat of its last row: a sphere that did not strike may be slow; otherwise empty."""
         return note_on(self.rows[-1]) if len(self.rows) else ""
 
     @property
     def label(self) -> str:
-        """The case for people."""
+        """Readable name of the case."""
         return case_of(self.gap_m).removeprefix("gap ")
 
 
@@ -135,7 +135,7 @@ def points_of(planned: Planned, outcome: Outcome) -> list[Point]:
         taken += len(own)
         unsettled = own["status"][own["settled"] != 1.0]
         failure = str(unsettled[0].decode()) if len(unsettled) else ""
-        if len(own) < job.repetitions:  # some may have been taken before a sensor went over range
+        if len(own) < job.repetitions:  # some may have been measured before a sensor went over range
             failure = outcome.failure or NOT_REACHED
             if frequency in skipped:
                 skipped.remove(frequency)
@@ -163,7 +163,7 @@ def points_of(planned: Planned, outcome: Outcome) -> list[Point]:
 
 @attrs.frozen
 class Curves:
-    """Settled points of the reference rig by gap and frequency; where studies share a point, the first counts."""
+    """Settled points of the reference rig by gap and frequency; of points shared by studies, the first counts."""
 
     by_gap: Mapping[float, Mapping[float, Point]]
 
@@ -197,9 +197,9 @@ COLUMNS = (
 
 
 def table(points: Sequence[Point]) -> tuple[list[str], list[list[object]]]:
-    """Return the names of the columns, one per axis of any study behind the fixed ones, and a row a point.
+    """Return the names of the columns, with one per axis of any study after the fixed ones, and one row per point.
 
-    NaN stands where nothing was measured and for the gap of no sphere, an empty text where a study has no such axis.
+    Missing measurements and the gap without sphere are NaN; an axis that a study does not have is an empty text.
     """
     axes = list(dict.fromkeys(name for point in points for name in point.axes))
     rows: list[list[object]] = [
@@ -221,7 +221,7 @@ FILE_NAME = "summary.json"
 
 @attrs.frozen
 class Statement:
-    """One claim, judged on the data."""
+    """Claim, judged on the data."""
 
     passed: bool
     value: float
@@ -239,7 +239,7 @@ def write_summary(
     seed: int,
     more: Mapping[str, object],
 ) -> None:
-    """Write `summary.json`; numbers that do not exist are null."""
+    """Write `summary.json`; missing numbers are null."""
     content = {
         "version": impact_rig.__version__,
         "seed": seed,

@@ -11,17 +11,17 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The directory of a campaign: what is in it, and what follows from it. `tasks.measure` measures what is missing.
+"""Directory of a campaign: its content, and the results derived from it. `tasks.measure` measures what is missing.
 
 | file | content |
 |---|---|
 | `campaign.yaml` | the campaign file as it was given |
-| `configuration.yaml` | the rig that all studies begin with, complete |
+| `configuration.yaml` | the rig that all studies start with, complete |
 | `provenance.json` | versions, machine, way of measuring |
 | `points/` | one file per job, and its trace |
 | `points.csv` | every point of every study |
 | `summary.json` | figures for programs |
-| `calibration.json` | `daq/info` of the instruments, where the points were imported and not measured on this rig |
+| `calibration.json` | `daq/info` of the instruments, if the points were imported and not measured on this rig |
 """
 
 from __future__ import annotations
@@ -60,14 +60,14 @@ MAX_CALIBRATION_BYTES = 100_000
 LIBRARIES = ("numpy", "scipy", "numba", "llvmlite", "attrs", "matplotlib")
 
 Runner = Callable[[Sequence[Job]], Generator[tuple[Job, Outcome], None, None]]
-"""A way of measuring: yields every job with its outcome, in any order."""
+"""Way of measuring: a function that yields every job with its outcome, in any order."""
 
 
 @attrs.frozen(eq=False, kw_only=True)
 class Finished:
-    """A campaign with what was measured of it."""
+    """Campaign with its results."""
 
-    campaign: Campaign  # what was asked for
+    campaign: Campaign  # definition of the campaign
     directory: Path
     points: list[Point]  # every point of every job that was run
     outcomes: dict[str, Outcome]  # outcome by job key
@@ -82,22 +82,22 @@ class Finished:
         return statements.judge(self.curves)
 
     def reductions(self) -> Reductions:
-        """Return the reductions at 9.1 Hz for the paper's gaps; NaN or absent where not measured."""
+        """Return the reductions at 9.1 Hz for the paper's gaps; NaN or absent if not measured."""
         curves = self.curves
         found = {gap: curves.at(gap, FREQUENCY_HZ) for gap in (NO_SPHERE, *REDUCTION_PERCENT)}
         return Reductions.of({gap: point.rows for gap, point in found.items() if point}, self.calibration)
 
     @property
     def imported(self) -> bool:
-        """Whether the points are measurements of somebody's own rig."""
+        """Whether the points are measurements of an external rig."""
         return (self.directory / CALIBRATION_FILE).exists()
 
     @property
     def info(self) -> NDArray[np.void]:
-        """Rows of `daq/info`: of the instruments that the points were imported with, else of the reference rig.
+        """Rows of `daq/info`: of the instruments of imported points, else of the reference rig.
 
         Raises:
-            RecordingError: the file that holds them is damaged.
+            RecordingError: the file that contains them is damaged.
         """
         path = self.directory / CALIBRATION_FILE
         if not path.exists():
@@ -108,12 +108,12 @@ class Finished:
             found: NDArray[np.void] = np.array([tuple(row[name] for name in names) for row in rows], DAQ_INFO)
             Calibration.from_info(found)
         except (OSError, ValueError, TypeError, KeyError, RecursionError, OverflowError) as error:
-            raise RecordingError(f"{path} is no calibration: {' '.join(str(error).split())[:200]}") from error
+            raise RecordingError(f"{path} is not a valid calibration: {' '.join(str(error).split())[:200]}") from error
         return found
 
     @property
     def calibration(self) -> Calibration:
-        """What the certificate of the instruments says."""
+        """Calibration of the instruments by their certificate."""
         return Calibration.from_info(self.info)
 
     def failed(self) -> list[Point]:
@@ -122,7 +122,7 @@ class Finished:
 
 
 def unique_jobs(planned: Sequence[Planned]) -> list[Job]:
-    """Return every job once; of one that several studies share, the one with traces."""
+    """Return every job once; of one shared by several studies, the one with traces."""
     found: dict[str, Job] = {}
     for job in (one.job for one in planned):
         if job.key not in found or (job.traces and not found[job.key].traces):
@@ -131,10 +131,10 @@ def unique_jobs(planned: Sequence[Planned]) -> list[Job]:
 
 
 def prepare(campaign: Campaign, directory: Path, through: str) -> Store:
-    """Make the campaign's directory and return its store.
+    """Create the campaign's directory and return its store.
 
     Raises:
-        RecordingError: it cannot be written, or holds something else.
+        RecordingError: it cannot be written, or contains something else.
     """
     if directory.exists() and any(directory.iterdir()) and not (directory / CAMPAIGN_FILE).exists():
         raise RecordingError(f"{directory} is not empty and holds no campaign: choose another --output")
@@ -152,7 +152,7 @@ def prepare(campaign: Campaign, directory: Path, through: str) -> Store:
 
 
 def finished(campaign: Campaign, directory: Path) -> Finished:
-    """Return a campaign with everything that is stored of it; studies that were not run are simply not there."""
+    """Return a campaign with all its stored results; studies that were not run are left out."""
     planned = campaign.planned()
     store = Store(directory)
     outcomes = {job.key: outcome for job in unique_jobs(planned) if (outcome := store.get(job, as_it_is=True))}
@@ -164,11 +164,12 @@ def open_finished(directory: Path) -> Finished:
     """Return the campaign in a directory.
 
     Raises:
-        ConfigError: it is no campaign's directory.
+        ConfigError: it is not the directory of a campaign.
     """
     if not (directory / CAMPAIGN_FILE).exists() or not (directory / FOLDER).is_dir():
         raise ConfigError(
-            f"{directory} is no campaign's directory: `impact-rig campaign config/paper.yaml --output NEW` makes one"
+            f"{directory} is not a campaign's directory: create one with `impact-rig campaign config/paper.yaml "
+            "--output NEW`"
         )
     base = load_config(directory / CONFIGURATION_FILE)
     return finished(load_campaign(directory / CAMPAIGN_FILE, resolved=base), directory)

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The paper's qualitative statements, each judged on a campaign's points, and what each verdict is worth.
+"""The paper's qualitative statements, each judged on a campaign's points, with the strength of each verdict.
 
-Every judge returns what it found and whether the statement holds, or says which points it would need. Six constants of
-the rig were chosen so that the five reductions and these statements come out (`report.build` names them), so a
-verdict is one of three things, `Worth`. How much a statement owes to the choice is told by `variations`.
+Every judge returns its finding and whether the statement holds, or names the points that are missing. Six constants of
+the rig were chosen so that the five reductions and these statements result (`report.build` names them). A verdict
+therefore has one of three kinds of evidence, `Worth`. `variations` shows how much a statement depends on that choice.
 """
 
 from __future__ import annotations
@@ -34,44 +34,45 @@ from impact_rig_studies.campaign.results import Curves, Point, Statement
 
 ABOVE_HZ = (9.2, 9.5)
 FAR_HZ = (7.5, 8.0, 10.0, 10.5)
-FAR_LIMIT_PERCENT = 6.0  # ours, too: what counts as `tend to coincide`
+FAR_LIMIT_PERCENT = 6.0  # our interpretation of `tend to coincide`
 SHIFT_LIMIT_PERCENT = 1.0
-"""Ours: what counts as `virtually` unchanged. (The paper's 0.44 % lie between its simulation and its experiment.)"""
-PEAK_STEP_HZ = 0.0101  # grid on which a peak's place is told; a hair more than 0.01 Hz for the rounding of frequencies
+"""Our interpretation of `virtually` unchanged. (The paper's 0.44 % are between its simulation and its experiment.)"""
+# grid on which a peak is located; slightly more than 0.01 Hz because of the rounding of frequencies
+PEAK_STEP_HZ = 0.0101
 GAPS_M = tuple(REDUCTION_PERCENT)
 
 
 class Worth(enum.StrEnum):
-    """What it is worth that a statement holds."""
+    """Strength of the evidence for a statement."""
 
-    FIT = "fit"  # it holds for the constants that were chosen; others of them would break it (`margins`)
-    FOLLOWS = "follows from the fit"  # it says again what was fitted: the natural frequency, or the five reductions
-    PREDICTION = "prediction"  # no variation of what was chosen breaks it
+    FIT = "fit"  # it holds for the chosen constants; others would break it (`margins`)
+    FOLLOWS = "follows from the fit"  # it repeats what was fitted: the natural frequency, or the five reductions
+    PREDICTION = "prediction"  # no variation of the chosen constants breaks it
 
 
 class MissingError(LookupError):
-    """Points that a statement needs were not measured."""
+    """Lack of points that a statement needs."""
 
 
 @attrs.frozen
 class Verdict:
-    """One statement and what the data say."""
+    """Verdict on one statement, with its data."""
 
     name: str  # key in `summary.json`
     text: str
-    kind: Worth  # what it is worth that it holds
+    kind: Worth  # how strong the evidence is
     result: Statement | None  # the judgement; None if it could not be made
-    detail: str  # the figures behind it, or what is missing
-    unit: str  # of value and limit of the judgement
+    detail: str  # the underlying figures, or what is missing
+    unit: str  # unit of value and limit of the judgement
 
     @property
     def margin(self) -> float | None:
-        """Return how far the value is from its limit, in its unit; None if it was not judged."""
+        """Distance of the value from its limit, in its unit; None if it was not judged."""
         return None if self.result is None else abs(self.result.limit - self.result.value)
 
     @property
     def word(self) -> str:
-        """Return pass, FAIL or `not judged`."""
+        """Word of the verdict: pass, FAIL or `not judged`."""
         return "not judged" if self.result is None else "pass" if self.result.passed else "FAIL"
 
 
@@ -177,7 +178,7 @@ def _frequency_unchanged(curves: Curves) -> Judgement:
 
 
 def peak_hz(curves: Curves, gap_m: float) -> float:
-    """Return where a curve peaks: vertex of the parabola through its highest point and both neighbours.
+    """Return the frequency of a curve's peak: vertex of the parabola through its highest point and both neighbours.
 
     Raises:
         MissingError: the highest point has no neighbours within `PEAK_STEP_HZ` on both sides.
@@ -241,17 +242,17 @@ _STATEMENTS: tuple[tuple[str, Worth, str, str, Callable[[Curves], Judgement]], .
 
 @attrs.frozen(eq=False)
 class Variation:
-    """One rig and what becomes of the statements on it."""
+    """Verdicts on one variation of the rig."""
 
     changed: Mapping[str, Value]
-    """The constants that differ from the campaign's reference rig, by dotted name; none: that rig itself."""
+    """The constants that differ from the campaign's reference rig, by dotted name; empty for that rig itself."""
     verdicts: list[Verdict]
 
 
 def variations(points: Sequence[Point]) -> list[Variation]:
-    """Return the verdicts on every rig on which one can be made, the reference rig first.
+    """Return the verdicts on every rig for which one is possible, the reference rig first.
 
-    Empty if that is the only one. Points at another current than the reference rig's tell nothing and are left out.
+    Empty if that is the only one. Points at another current than the reference rig's are irrelevant and left out.
     """
     currents = {point.current_a for point in points if point.reference}
     rigs: dict[tuple[tuple[str, Value], ...], list[Point]] = {}

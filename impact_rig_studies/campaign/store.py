@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Where a campaign keeps what is done: one file per job, written whole or not at all, so a campaign can be resumed.
+"""Store of a campaign: one file per job, written completely or not at all, so a campaign can be resumed.
 
-Numbers are JSON: Python writes every double so that it reads back as the same bits, and a person can look at them.
-Each file carries the key of its job and a digest of its content and trace: one that was put in the place of another, or
-changed, is named and not believed.
+Numbers are JSON: Python writes every double so that it reads back as the same bits, and the files are readable. Each
+file contains the key of its job and a digest of its content and trace. A file that was exchanged or changed is reported
+and not used.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ from impact_rig_studies.campaign.job import TRUE_COLUMNS, Job, Outcome
 
 FOLDER = "points"
 MAX_RESULT_BYTES, MAX_TRACE_BYTES = 10 * 2**20, 64 * 2**20
-"""A file in a directory that somebody else made is not believed to be small."""
-MOST = 1e12  # no figure of a measurement is larger
-SHOWN = 60  # characters of a wrong value that an error quotes
+"""Size limit of a file in a directory of another origin."""
+MOST = 1e12  # above every figure of a measurement
+SHOWN = 60  # number of characters of a wrong value quoted in an error
 _POSITIVE = frozenset({"frequency", "transmissibility", "base_amplitude", "laser_amplitude"})
 """Columns that are > 0 wherever something was measured."""
 _WORDS: dict[str, type[enum.StrEnum]] = {"regime": Regime, "method": Method, "status": Status}
@@ -52,17 +52,17 @@ _TEXTS = frozenset(name for name in TRANSMISSIBILITY.names or () if TRANSMISSIBI
 
 
 class DamagedPointError(RecordingError):
-    """A stored result is not what was stored; the message names file, key, value and what would be right."""
+    """Change of a stored result; the message names file, key, value and the allowed values."""
 
 
 class Store:
-    """The results in a campaign's directory.
+    """Store of the results in a campaign's directory.
 
     Args:
-        directory: of the campaign; made if missing.
+        directory: directory of the campaign; created if missing.
 
     Attributes:
-        damaged: what was wrong with results that are therefore measured again.
+        damaged: problems of results that are therefore measured again.
 
     Raises:
         RecordingError: it cannot be written.
@@ -75,13 +75,12 @@ class Store:
             files.make_folder(self._folder)
 
     def get(self, job: Job, *, as_it_is: bool = False) -> Outcome | None:
-        """Return what is stored of a job, or None if it is to be measured: never was, or its file is damaged.
+        """Return the stored outcome of a job, or None if it must be measured: it never was, or its file is damaged.
 
-        It is to be measured again, too, if it was with other code, or without the trace that it wants; not if it is to
-        be taken `as_it_is`.
+        It must also be measured again if it was with other code, or without a required trace; not with `as_it_is`.
 
         Raises:
-            DamagedPointError: its file is damaged, and it is to be taken as it is.
+            DamagedPointError: its file is damaged, and `as_it_is` is set.
         """
         try:
             found, outcome = self._read(job)
@@ -98,14 +97,14 @@ class Store:
         return outcome
 
     def put(self, job: Job, outcome: Outcome) -> None:
-        """Keep what a job gave.
+        """Store the outcome of a job.
 
         Raises:
             RecordingError: it cannot be written.
         """
         packed = io.BytesIO()
         if outcome.trace:
-            np.savez_compressed(packed, **dict(outcome.trace))  # type: ignore[arg-type]  # none is called allow_pickle
+            np.savez_compressed(packed, **dict(outcome.trace))  # type: ignore[arg-type]  # no such column
         content = {
             "job": job.describe(),
             "key": job.key,
@@ -123,7 +122,7 @@ class Store:
         }
         content["digest"] = _digest(content)
         with files.translate_errors(f"cannot write {self._folder}"):
-            if not outcome.trace:  # one that other code has left would pass for a trace that was put in its place
+            if not outcome.trace:  # a trace left by other code would pass for an exchanged one
                 self._path(job, "npz").unlink(missing_ok=True)
             else:
                 with files.atomic_write(self._path(job, "npz")) as file:
@@ -139,9 +138,9 @@ class Store:
             raise
         except (OSError, ValueError, RecursionError) as error:
             why = error.strerror if isinstance(error, OSError) else " ".join(str(error).split())
-            raise DamagedPointError(f"{path} is no stored result: {why}") from error
+            raise DamagedPointError(f"{path} is not a valid stored result: {why}") from error
         if not isinstance(found, dict):
-            raise DamagedPointError(f"{path} is no stored result: a JSON object is expected")
+            raise DamagedPointError(f"{path} is not a valid stored result: a JSON object is expected")
         part = _Checked(path, found)
         if part.text("key") != job.key:
             whose = part.text("job")[:SHOWN]
@@ -161,7 +160,7 @@ class Store:
         )
         part.text("code")
         if part.text("digest") != _digest(found):
-            raise DamagedPointError(f"{path} was changed after it was stored: its digest is not that of its content")
+            raise DamagedPointError(f"{path} was changed after it was stored: its digest does not match its content")
         return found, outcome
 
     def _trace(self, job: Job, digest: str) -> dict[str, NDArray[np.generic]]:
@@ -176,7 +175,7 @@ class Store:
                 arrays = {name.removesuffix(".npy"): _column(archive.read(name)) for name in names}
         except (OSError, ValueError, RuntimeError, NotImplementedError, zipfile.BadZipFile, EOFError) as error:
             why = error.strerror if isinstance(error, OSError) else " ".join(str(error).split())
-            raise DamagedPointError(f"{path} is no stored trace: {why}") from error
+            raise DamagedPointError(f"{path} is not a valid stored trace: {why}") from error
         if size > MAX_TRACE_BYTES:
             raise DamagedPointError(f"{path} must hold at most {MAX_TRACE_BYTES} bytes, got {size}")
         for name in ("time", "laser", "accelerometer", *TRUE_COLUMNS):
@@ -195,7 +194,7 @@ class Store:
 
 
 class _Checked:
-    """A JSON object of somebody else: values of the wrong kind or out of range are named."""
+    """Validator of an untrusted JSON object: it reports values of the wrong type or out of range."""
 
     def __init__(self, path: Path, content: Mapping[str, object], place: str = "") -> None:
         self._path, self._content, self._place = path, content, place
@@ -224,7 +223,7 @@ class _Checked:
         return value
 
     def each(self, key: str, most: int) -> list[Mapping[str, object]]:
-        """Return rows of measurements, checked."""
+        """Return validated rows of measurements."""
         rows = self.several(key)
         if len(rows) > most:
             raise self._wrong(key, f"{len(rows)} rows", f"at most {most} rows")
@@ -258,13 +257,13 @@ class _Checked:
 
 
 def shortened(value: object) -> str:
-    """Return a value of a JSON file for an error, as it stands there."""
+    """Return a value of a JSON file for an error message, shortened."""
     text = json.dumps(value, default=str)
     return text if len(text) <= SHOWN else f"{text[:SHOWN]}... ({len(text)} characters)"
 
 
 def _column(member: bytes) -> NDArray[np.generic]:
-    """Return the numbers of one array of an NPZ file, whose header is not believed before its length is checked."""
+    """Return the numbers of one array of an NPZ file; the length in its header is checked before use."""
     file = io.BytesIO(member)
     version = np.lib.format.read_magic(file)
     header: Callable[..., tuple[tuple[int, ...], bool, np.dtype[np.generic]]] | None = {
@@ -281,7 +280,7 @@ def _column(member: bytes) -> NDArray[np.generic]:
 
 
 def _digest(content: Mapping[str, object]) -> str:
-    """Return the digest of a stored result, of everything but itself."""
+    """Return the digest of a stored result, without the digest itself."""
     kept = {name: value for name, value in content.items() if name != "digest"}
     return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()
 
@@ -296,12 +295,12 @@ DECIDING = (
     "arithmetic", "physics", "instruments", "rig", "analysis", "config", "blocks.py", "simtime.py",
     "operate", "prediction.py", "decay.py", "reduction.py",
 )  # fmt: skip
-"""What decides a measured number; the rest of the package commands, stores and shows."""
+"""Packages that determine a measured number; the rest only commands, stores and shows."""
 
 
 @functools.cache
 def fingerprint(deciding: tuple[str, ...] = DECIDING) -> str:
-    """Return the version and 12 hexadecimal digits of the sources in these rooms of the rig and of the studies."""
+    """Return the version and 12 hexadecimal digits of the sources of these packages."""
     digest = hashlib.sha256()
     for package in (Path(impact_rig.__file__).parent, Path(__file__).parents[1]):
         for path in sorted(package.rglob("*.py")):

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Tables of a study's results by columns, as data frames and as datasets."""
+"""Tables of a study's results as columns, data frames and datasets."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from impact_rig.system import extras
 
 
 def by_columns(names: Sequence[str], rows: Sequence[Sequence[object]]) -> dict[str, NDArray[np.generic]]:
-    """Return a table by columns: numbers, or texts where a column has any.
+    """Return a table by columns: numbers, or texts if a column contains any.
 
     Raises:
         RecordingError: the table is empty.
@@ -60,11 +60,11 @@ def to_xarray(
     """Return a table as an `xarray.Dataset`.
 
     Args:
-        names: of the columns.
-        rows: of the table.
-        grid: columns that are the dimensions, each combination of their values being one row at most; none: the only
-            dimension is `row`.
-        coordinates: columns that are coordinates along `row`, those that the table has.
+        names: names of the columns.
+        rows: rows of the table.
+        grid: columns that are the dimensions, with at most one row per combination of their values; empty means that
+            the only dimension is `row`.
+        coordinates: columns that are coordinates along `row`, if the table has them.
 
     Raises:
         ImpactRigError: xarray is not installed, or the table is empty.
@@ -86,7 +86,7 @@ def to_xarray(
 def _spread(
     column: NDArray[np.generic], order: tuple[NDArray[np.intp], ...], shape: tuple[int, ...]
 ) -> NDArray[np.generic]:
-    """Return a column as an array over a grid; NaN or an empty text where it has no row."""
+    """Return a column as an array over a grid; NaN or an empty text without a row."""
     filler: object = "" if column.dtype.kind == "U" else np.nan
     found = np.full(shape, filler, column.dtype if column.dtype.kind == "U" else float)
     found[order] = column

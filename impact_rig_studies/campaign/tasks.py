@@ -11,13 +11,13 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Tasks: measured anywhere, in any order, one file each in a directory, and never measured twice.
+"""Tasks: measured anywhere, in any order, stored as one file each, and never measured twice.
 
 | file | content |
 |---|---|
 | `<what>.yaml` | the file as it was given |
 | `configuration.yaml` | the rig, complete |
-| `<folder>/` | one file per task: what it is, the code that measured it, its rows |
+| `<folder>/` | one file per task: its definition, the code that measured it, its rows |
 """
 
 from __future__ import annotations
@@ -42,38 +42,38 @@ from impact_rig_studies.campaign.store import DECIDING, fingerprint
 CONFIGURATION_FILE = "configuration.yaml"
 MAX_TASK_BYTES = 64 * 2**20
 
-Row = Sequence[str | float]  # what was found at one place: words and numbers; NaN where there is none
+Row = Sequence[str | float]  # result at one grid point: words and numbers, NaN if missing
 
 
 class WorkItem(Protocol):
-    """What is measured as a whole: a value, so that it can travel to a worker."""
+    """Unit of measurement: a value that can be sent to a worker."""
 
     @property
     def key(self) -> str:
-        """Identify it by all values that decide its result."""
+        """Identifier from all values that determine its result."""
 
     def describe(self) -> str:
-        """Return a short name for people."""
+        """Return a short readable name."""
 
 
 @attrs.frozen
 class HashedTask:
-    """A task that is nothing but its values."""
+    """Task that consists only of its values."""
 
     @property
     def key(self) -> str:
-        """Identify it by all values that decide its numbers: 16 hexadecimal digits."""
+        """Identifier from all values that determine its numbers: 16 hexadecimal digits."""
         return hashlib.sha256(json.dumps(attrs.asdict(self), sort_keys=True).encode()).hexdigest()[:16]
 
 
 class Task(WorkItem, Protocol):
-    """What is kept as rows."""
+    """Task whose result is stored as rows."""
 
     def read(self, rows: Sequence[Row]) -> Sequence[Row]:
-        """Return stored rows as they were measured.
+        """Convert stored rows to the measured ones.
 
         Raises:
-            ValueError: this task never has such rows.
+            ValueError: such rows are impossible for this task.
         """
 
 
@@ -81,28 +81,28 @@ K = TypeVar("K")
 R = TypeVar("R")
 T = TypeVar("T", bound=Task)
 Runner = Callable[[Sequence[T]], Generator[tuple[T, Sequence[Row]], None, None]]
-"""A way of measuring: yields every task with its rows, in any order."""
+"""Way of measuring: a function that yields every task with its rows, in any order."""
 
 
 @attrs.frozen
 class TaskStore(Generic[T]):
-    """The directory of a study."""
+    """Directory of a study."""
 
     directory: Path
-    what: str  # word for the study; names its file
-    folder: str  # name of the folder that holds the tasks
-    rooms: tuple[str, ...]  # of the package: besides `DECIDING`, whose code decides the numbers
+    what: str  # word for the study, and name of its file
+    folder: str  # name of the folder of the tasks
+    rooms: tuple[str, ...]  # packages that determine the numbers, in addition to `DECIDING`
 
     @property
     def file(self) -> Path:
-        """The file that asks for the study."""
+        """File that defines the study."""
         return self.directory / f"{self.what}.yaml"
 
     def prepare(self, text: str, base: RigConfig) -> None:
-        """Make the directory.
+        """Create the directory.
 
         Raises:
-            RecordingError: it cannot be written, or holds something else.
+            RecordingError: it cannot be written, or contains something else.
         """
         if self.directory.exists() and any(self.directory.iterdir()) and not self.file.exists():
             raise RecordingError(f"{self.directory} is not empty and holds no {self.what}: choose another --output")
@@ -112,23 +112,27 @@ class TaskStore(Generic[T]):
             files.write_text(self.directory / CONFIGURATION_FILE, dump(base))
 
     def configuration(self) -> RigConfig:
-        """Return the rig of a directory that is there.
+        """Return the rig of an existing directory.
 
         Raises:
-            ConfigError: it is no directory of such a study.
+            ConfigError: it is not the directory of such a study.
         """
         if not self.file.exists() or not (self.directory / self.folder).is_dir():
             raise ConfigError(
-                f"{self.directory} is no {self.what}'s directory: `impact-rig {self.what} FILE --output NEW` makes one"
+                f"{self.directory} is not a {self.what}'s directory: create one with `impact-rig {self.what} FILE "
+                "--output NEW`"
             )
         return load_config(self.directory / CONFIGURATION_FILE)
 
     def code(self) -> str:
-        """Return what decides the numbers: results of other code are measured anew."""
+        """Return the identifier of the code that determines the numbers: results of other code are measured again."""
         return fingerprint((*DECIDING, *self.rooms))
 
     def get(self, task: T) -> Sequence[Row] | None:
-        """Return the rows of a task, or None if it is to be measured: never was, with other code, or damaged."""
+        """Return the rows of a task, or None if it must be measured.
+
+        It never was, or with other code, or is damaged.
+        """
         try:
             found = json.loads(files.read_bytes(self._path(task), MAX_TASK_BYTES))
             if found["code"] != self.code() or found["key"] != task.key:
@@ -157,7 +161,7 @@ def _number(value: object) -> str | float:
         return value
     found = math.nan if value is None else float(value)  # type: ignore[arg-type]  # it raises
     if math.isinf(found):
-        raise ValueError("not a number that is measured")
+        raise ValueError("not a valid measured number")
     return found
 
 
@@ -167,11 +171,11 @@ def measure(
     put: Callable[[K, R], None],
     runner: Callable[[Sequence[K]], Generator[tuple[K, R], None, None]],
 ) -> Generator[tuple[K, R], None, None]:
-    """Yield every task with its result as soon as it is stored: those stored already first, then the measured ones.
+    """Yield every task with its result as soon as it is stored: first those stored already, then the measured ones.
 
     Args:
-        tasks: of any kind.
-        get: returns what is stored of a task, None if it is to be measured.
+        tasks: tasks of any kind.
+        get: returns the stored result of a task, None if it must be measured.
         put: stores a result.
         runner: measures tasks, in any order.
 
@@ -197,7 +201,7 @@ P = TypeVar("P")
 
 
 def load_plan(path: Path, what: str, read: Callable[[object, str], P]) -> P:
-    """Return the plan that `read` makes of a YAML document and its text.
+    """Read a plan by applying `read` to a YAML document and its text.
 
     Raises:
         ConfigError: the file cannot be read or is wrong; the message ends with the file.
@@ -208,7 +212,7 @@ def load_plan(path: Path, what: str, read: Callable[[object, str], P]) -> P:
         document = budget.load_yaml(text, MAX_FILE_BYTES)
     except OSError as error:
         raise ConfigError(f"cannot read {what}: {error.strerror} ({path})") from error
-    except ValueError as error:  # PlainYamlError, or it is not UTF-8
+    except ValueError as error:  # PlainYamlError, or not UTF-8
         raise ConfigError(f"not a YAML file: {' '.join(str(error).split())} ({path})") from error
     try:
         return read(document, text)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The dynamics of the model: sections, bifurcations, basins, orbits and their branches, exponents, energy per cycle.
+"""Dynamics of the model: sections, bifurcations, basins, orbits and their branches, exponents, energy per cycle.
 
-Everything here is of the mechanics alone, with exact events and without instruments, and is named so where it is shown.
+All results concern the mechanics alone, with exact events and without instruments, and are labelled so.
 """

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The picture of each kind of study, in the one style; all are of the model, and say so."""
+"""Figure of each kind of study, in the common style and labelled as results of the model."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 MARKS = {"fold": "o", "symmetry": "D", "flip": "s", "torus": "^", "grazing": "v", "lost": "x"}
-"""Of what changes along a branch."""
+"""Colours of the changes along a branch."""
 LABELS = {
     FREQUENCY: ("frequency (Hz)", 1.0), CURRENT: ("current (A)", 1.0), GAP: ("gap (mm)", 1e3),
     POSITION: ("sphere at the beginning, from the middle (mm)", 1e3), SPEED: ("its speed (m/s)", 1.0),
 }  # fmt: skip
-DOTS_IN_LEGEND = 3.0  # size of a dot in the legend, over that in the drawing
+DOTS_IN_LEGEND = 3.0  # size of a dot in the legend relative to that in the drawing
 _SPHERE = "sphere at the section (mm)"
 
 
@@ -61,7 +61,7 @@ def column(plan: Plan, rows: Sequence[Row], name: str) -> NDArray[np.float64]:
 
 
 def label_of(name: str) -> tuple[str, float]:
-    """Return what stands at the axis of a parameter, and the factor of its numbers."""
+    """Return the axis label of a parameter, and the factor of its numbers."""
     return LABELS.get(name, (name, 1.0))
 
 
@@ -93,14 +93,14 @@ def _bifurcation(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
         for pane, quantity, scale in zip(panes, ("x_2_m", "dt"), (1e3, 1.0), strict=True):
             pane.plot(
                 across, scale * column(plan, rows, quantity), ".", color=colour, label=name if first else None,
-                markersize=max(1.2, 3.0 - 1.4 * known[name]),  # what lies beneath shows around what lies above
+                markersize=max(1.2, 3.0 - 1.4 * known[name]),  # lower markers show around upper ones
             )  # fmt: skip
     panes[0].set(ylabel=_SPHERE)
     panes[1].set(xlabel=label, ylabel="DT (-)")
 
 
 def _basin(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
-    from matplotlib.colors import ListedColormap  # noqa: PLC0415  # only when something is drawn
+    from matplotlib.colors import ListedColormap  # noqa: PLC0415  # imported only for drawing
 
     rows = [row for _, each in found for row in each]
     if not rows:
@@ -122,7 +122,7 @@ def _basin(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
 
 
 def motion(plan: Plan, row: Row) -> str:
-    """Return the words for the motion that a start leads to."""
+    """Return a description of the motion that a start leads to."""
     cell = dict(zip(plan.columns, row, strict=True))
     if not cell["impacts_per_cycle"]:
         return "no impacts"
@@ -144,7 +144,7 @@ def _orbit(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
 def draw_branch(
     pane: Axes, plan: Plan, rows: Sequence[Row], quantity: str, colour: str, label: str | None
 ) -> list[tuple[list[float], list[float]]]:
-    """Draw a branch over its parameter, dotted where it is not stable; return its stable and its unstable points."""
+    """Draw a branch over its parameter, dotted where it is unstable; return its stable and its unstable points."""
     across, height, stable = along(plan, rows, quantity)
     across = label_of(plan.over)[1] * across
     for which, line, name in ((stable, "-", label), (~stable, ":", None)):

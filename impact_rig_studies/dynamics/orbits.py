@@ -13,20 +13,21 @@
 # limitations under the License.
 """Periodic orbits as fixed points of a map z → f(z, p): Newton's method, multipliers, branches around folds.
 
-The map is a function of dimensionless coordinates z, shape (n,), and of one dimensionless parameter p. It need not be
-smooth, only where the orbit runs: derivatives are central differences. Of an orbit that repeats after several returns,
-the map is the whole of them. Where the motion cannot be told (in the midst of a contact) it returns NaN.
+The map is a function of dimensionless coordinates z, shape (n,), and of one dimensionless parameter p. It must be
+smooth only near the orbit: derivatives are central differences. For an orbit that repeats after several returns, the
+map is all of them together. It returns NaN if the motion is undetermined (within a contact).
 
-A branch is followed by pseudo-arclength (Keller 1977): the next point is sought in the plane across the tangent, so
-that folds are no obstacle. Along it the multipliers tell stable from unstable, and where that changes, how:
+A branch is followed by pseudo-arclength (Keller 1977): the next point is searched for in the plane across the tangent,
+so that folds are no obstacle. The multipliers distinguish stable from unstable orbits, and the kind of change between
+them:
 
     fold       the branch turns back in p             flip    a multiplier passes −1: twice the period
     symmetry   a multiplier passes 1, no turn: the    torus   a pair passes the unit circle: a second frequency
                two half cycles become different
     grazing    multipliers jump over 1 or −1: an impact comes or goes; nearby they grow beyond all bounds
 
-A branch of doubled or asymmetric orbits turns back, too, where it is born: there it goes on as the same orbits begun
-half a period later, or their mirror images. `born` tells such a turn from a fold.
+A branch of doubled or asymmetric orbits also turns back at its birth. It continues there as the same orbits begun half
+a period later, or as their mirror images. `born` distinguishes such a turn from a fold.
 
 H. B. Keller (1977), "Numerical solution of bifurcation and nonlinear eigenvalue problems", in P. H. Rabinowitz (ed.),
 Applications of Bifurcation Theory, Academic Press, 359–384.
@@ -46,68 +47,72 @@ from impact_rig.analysis.calibration import Real
 
 Map = Callable[[Real, float], Real]
 
-STEP = 1e-6  # of the differences: cut off like its square, rounding and the contacts' tolerance like its reciprocal
+# step of the differences: truncation falls with its square, rounding and the contacts' tolerance with its reciprocal
+STEP = 1e-6
 TOLERANCE = 1e-10  # largest component of f(z, p) − z of an orbit
 ROUNDS = 14
-_SHORTEST = 2.0**-6  # of a Newton step that makes the residual worse
-ROUNDED = 1e-8  # the same where rounding and the contacts' tolerance leave no less: a motion with many impacts
-_GIVEN_UP = 1e-5  # step along a branch that is not made any shorter
-_GROWTH = 1.4  # of the step along a branch that has gone well
+_SHORTEST = 2.0**-6  # smallest fraction of a Newton step that increases the residual
+ROUNDED = 1e-8  # tolerance if rounding and the contacts' tolerance leave no less: a motion with many impacts
+_GIVEN_UP = 1e-5  # smallest step along a branch
+_GROWTH = 1.4  # growth of the step along a branch after a success
 _TURN = 0.97  # cosine between successive tangents, below which a step was too long
-_LOCATED = 1e-9  # share of a step to which a bifurcation is found
-NEUTRAL = 1e-4  # how near 1 a multiplier counts as 1, where it decides nothing but a word
-PASSING = 1e-3  # how near a bifurcation's multiplier is to the place that it passes; else it has jumped over it
+_LOCATED = 1e-9  # fraction of a step to which a bifurcation is located
+NEUTRAL = 1e-4  # distance from 1 within which a multiplier counts as 1, only for the choice of a word
+# largest distance of a bifurcation's multiplier from the point it passes; otherwise it has jumped over it
+PASSING = 1e-3
 LASTING, FOLD, SYMMETRY, FLIP, TORUS, GRAZING = "stable", "fold", "symmetry", "flip", "torus", "grazing"
 PASSED = {SYMMETRY: 1.0, FLIP: -1.0}
 
 
 @attrs.frozen(eq=False)
 class Orbit:
-    """A fixed point."""
+    """Fixed point of the map."""
 
     z: Real  # coordinates, shape (n,)
     p: float  # parameter
     residual: float  # largest component of f(z, p) − z
     multipliers: NDArray[np.complex128]  # eigenvalues of df/dz, the largest first, shape (n,)
     tangent: Real  # unit vector (z, p) along the branch, shape (n + 1,)
-    note: object = None  # what was asked of it along a branch
+    note: object = None  # additional result along a branch
 
     @property
     def stable(self) -> bool:
-        """Whether small errors die."""
+        """Whether small errors decay."""
         return bool(abs(self.multipliers[0]) < 1.0)
 
     @property
     def kind(self) -> str:
-        """`stable`, or through what an orbit loses its stability with such multipliers: fold, flip, torus."""
+        """Kind of stability: `stable`, or fold, flip or torus, by which the orbit loses its stability."""
         largest = self.multipliers[0]
         if self.stable:
             return LASTING
         return TORUS if abs(largest.imag) > NEUTRAL else FOLD if largest.real > 0.0 else FLIP
 
     def towards(self, direction: Real) -> Orbit:
-        """Return it with its tangent, of two, the one along a direction (z, p), shape (n + 1,)."""
+        """Return the orbit with that of its two tangents that points along a direction (z, p), shape (n + 1,)."""
         return self if float(self.tangent @ direction) >= 0.0 else attrs.evolve(self, tangent=-self.tangent)
 
 
 @attrs.frozen(eq=False)
 class BranchChange:
-    """Where a branch changes."""
+    """Change along a branch."""
 
     kind: str  # fold, symmetry, flip, torus or grazing
-    orbit: Orbit  # there
-    note: object = None  # of it
+    orbit: Orbit  # orbit at the change
+    note: object = None  # note of that orbit
 
 
 @attrs.frozen(eq=False)
 class Arc:
-    """A branch one way from an orbit."""
+    """Branch in one direction from an orbit."""
 
-    orbits: tuple[Orbit, ...]  # in order, the first one not counted
-    changes: tuple[BranchChange, ...]  # where stability or direction changes, in order
+    orbits: tuple[Orbit, ...]  # in order, without the first one
+    changes: tuple[BranchChange, ...]  # changes of stability or direction, in order
     end: str
-    """Why it ends: `edge` of the range, `lost` (no step is short enough: an impact comes or goes, or the motion is out
-    of sight at the section), `closed`, or `length`."""
+    """Reason for its end: `edge` of the range, `lost` (no step is short enough.
+
+    An impact comes or goes, or the motion is undetermined at the section), `closed`, or `length`.
+    """
 
 
 def jacobian(f: Map, z: Real, p: float) -> Real:
@@ -137,20 +142,20 @@ def followed(
     born: Callable[[Orbit, Orbit], str] = lambda _here, _turn: FOLD,
     moved: Callable[[Sequence[tuple[Real, float]]], list[Real] | None] = lambda _: None,
 ) -> Arc:
-    """Return the branch of an orbit one way.
+    """Follow the branch of an orbit in one direction.
 
     Args:
         f: the map.
-        start: an orbit on it.
+        start: an orbit on the branch.
         way: −1.0 or 1.0: p falls or rises at first.
-        limits: least and largest p.
-        longest: step along the arc.
-        points: at most.
-        born: tells from an orbit of the branch and that at its turn what the turn is: `FLIP` or `SYMMETRY` at the birth
-            of its orbits, else `FOLD`.
-        noted: asked for the `note` of every orbit while `f` is read in its coordinates.
-        moved: given the first point (z, p) and the newest two, returns the z of all in other coordinates in which `f`
-            is to be read from now on, or None.
+        limits: smallest and largest p.
+        longest: largest step along the arc.
+        points: maximum number of points.
+        born: classifies a turn, given an orbit of the branch and that at the turn: `FLIP` or `SYMMETRY` at the birth of
+            its orbits, else `FOLD`.
+        noted: returns the `note` of every orbit while `f` uses its coordinates.
+        moved: given the first point (z, p) and the newest two, returns the z of all in other coordinates that `f` uses
+            from now on, or None.
     """
     orbits: list[Orbit] = []
     changes: list[BranchChange] = []
@@ -218,7 +223,7 @@ def _corrected(f: Map, z: Real, p: float, tangent: Real | None) -> Orbit | None:
 
 
 def _extended(f: Map, y: Real, tangent: Real | None) -> Real:
-    """Return the matrix of the equations for (z, p); without a tangent p is held."""
+    """Return the matrix of the equations for (z, p); without a tangent p is fixed."""
     z, p = y[:-1], float(y[-1])
     n = len(z)
     matrix = np.zeros((n + 1, n + 1))
@@ -234,7 +239,7 @@ def _extended(f: Map, y: Real, tangent: Real | None) -> Real:
 
 
 def _told(f: Map, y: Real) -> Orbit | None:
-    """Return what an orbit at (z, p) is, or None where its neighbours cannot be told."""
+    """Return the orbit at (z, p), or None if its neighbours are undetermined."""
     z, p = y[:-1], float(y[-1])
     try:
         rows = _extended(f, y, np.zeros(len(y)))[:-1]
@@ -246,7 +251,7 @@ def _told(f: Map, y: Real) -> Orbit | None:
 
 
 def _changes(f: Map, here: Orbit, new: Orbit, born: Callable[[Orbit, Orbit], str]) -> Iterator[BranchChange]:
-    """Yield what happens between two neighbours: where a test function passes zero."""
+    """Yield the changes between two neighbours, where a test function passes zero."""
     tests: dict[str, Callable[[Orbit, Real], float]] = {}
     if here.tangent[-1] * new.tangent[-1] < 0.0:
         tests[FOLD] = lambda _, along: float(along[-1])
@@ -262,18 +267,18 @@ def _changes(f: Map, here: Orbit, new: Orbit, born: Callable[[Orbit, Orbit], str
             continue
         paired = found.multipliers[found.multipliers.imag > NEUTRAL]
         if kind == TORUS and not (np.abs(np.abs(paired) - 1.0) < PASSING).any():
-            continue  # no pair of complex multipliers stands on the unit circle
+            continue  # no pair of complex multipliers is on the unit circle
         jumps = kind in PASSED and float(np.abs(found.multipliers - PASSED[kind]).min()) > PASSING
         yield BranchChange(GRAZING if jumps else born(here, found) if kind == FOLD else kind, found)
 
 
 def _product(one: Orbit, value: float) -> float:
-    """Return Π (multiplier − value): real, and of another sign where one real multiplier has passed."""
+    """Return Π (multiplier − value), which is real and changes sign when one real multiplier passes."""
     return float(np.prod(one.multipliers - value).real)
 
 
 def _pairs(one: Orbit) -> float:
-    """Return Π (product of two multipliers − 1): zero where a pair stands on the unit circle."""
+    """Return Π (product of two multipliers − 1), which is zero when a pair is on the unit circle."""
     products = np.outer(one.multipliers, one.multipliers)[np.triu_indices(len(one.multipliers), 1)]
     return float(np.prod(products - 1.0).real)
 
@@ -294,6 +299,6 @@ def _zero(f: Map, here: Orbit, new: Orbit, test: Callable[[Orbit, Real], float])
 
     try:
         scipy.optimize.brentq(value, 0.0, 1.0, xtol=_LOCATED)
-    except (ArithmeticError, ValueError):  # no orbit there, or it only looked as if the sign changed
+    except (ArithmeticError, ValueError):  # no orbit there, or only an apparent change of sign
         return None
     return found

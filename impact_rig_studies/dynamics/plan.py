@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What a dynamics file asks for, checked, as tasks that run anywhere: one YAML file, a section for each kind."""
+"""Plans of dynamics studies: a validated YAML file, with a section for each kind, as tasks that run anywhere."""
 
 from __future__ import annotations
 
@@ -75,43 +75,43 @@ Multipliers are the largest first, NaN where there are fewer. The state is that 
 went before an exponent.
 """
 NAMES = (FREQUENCY, CURRENT, GAP)
-CHUNK_VALUES = 20  # places that begin from rest in one task
-_CYCLES, _WINDOWS = 100, 20  # of an exponent
-_PARTS = 20.0  # of the range of a parameter that count as one dimensionless step: a motion may change within one
-_LOOKED = 7  # starts along either axis from which a basin's attractors are looked for
-_NEAR = 1e-3  # of an orbit's size: a motion as near, and coming nearer, is counted as on its way there
-_SAME = 1e-4  # of the size: orbits as near are one
-_MOST_CYCLES = 1200  # of a motion in a basin before it is measured at length
+CHUNK_VALUES = 20  # values that start from rest in one task
+_CYCLES, _WINDOWS = 100, 20  # number of cycles and windows of an exponent
+_PARTS = 20.0  # parts of a parameter's range that count as one dimensionless step: a motion may change within one
+_LOOKED = 7  # number of starts along either axis to search for a basin's attractors
+_NEAR = 1e-3  # distance, relative to an orbit's size, within which an approaching motion counts as on its way there
+_SAME = 1e-4  # relative distance within which orbits are equal
+_MOST_CYCLES = 1200  # number of cycles of a motion in a basin before it is measured at length
 
 Start = str | tuple[float, float]
 
 
 @attrs.frozen(kw_only=True)
 class StudyTask(HashedTask):
-    """A part of a study that is run, stored and never repeated; it holds every value that decides its numbers."""
+    """Part of a study that is run, stored and never repeated; it contains every value that determines its numbers."""
 
-    kind: str  # of the study
-    name: str  # for people
+    kind: str  # kind of the study
+    name: str  # readable name
     changes: Mapping[str, Value]  # configuration values that differ from the default rig, by dotted name
     settings: Settings  # how motions settle
-    frequency_hz: float  # of the drive
+    frequency_hz: float  # frequency of the drive
     current_a: float  # amplitude of the drive (A, m or V by `drive.kind`)
     what: Mapping[str, object]  # everything else, by name
 
     def describe(self) -> str:
-        """Return a short name for people."""
+        """Return a short readable name."""
         return self.name
 
     @property
     def place(self) -> Place:
-        """Where the rig is driven."""
+        """Frequency, current and rig of the task."""
         return Place(from_flat(RigConfig(), self.changes), self.frequency_hz, self.current_a)
 
     def read(self, rows: Sequence[Row]) -> list[Row]:
         """Return stored rows.
 
         Raises:
-            ValueError: they are none of this kind.
+            ValueError: they do not belong to this kind.
         """
         if any(len(row) != len(COLUMNS[self.kind]) for row in rows):
             raise ValueError("not rows of this kind")
@@ -120,13 +120,13 @@ class StudyTask(HashedTask):
 
 @attrs.frozen(eq=False, kw_only=True)
 class Plan:
-    """One study of a file."""
+    """Study of a file."""
 
-    kind: str  # of the study
-    title: str  # for people
+    kind: str  # kind of the study
+    title: str  # readable title
     base: RigConfig  # the rig
     text: str  # the file
-    over: str  # name of the parameter, empty where there is none
+    over: str  # name of the parameter, empty without one
     tasks: tuple[StudyTask, ...]  # in order
 
     @property
@@ -140,10 +140,10 @@ Found = Sequence[tuple[StudyTask, Sequence[Row]]]
 
 @attrs.frozen(eq=False)
 class FinishedStudy:
-    """A study with what is measured of it."""
+    """Study with its results."""
 
     plan: Plan
-    found: Found  # rows of each task, none of a task that was not run
+    found: Found  # rows of each task; none for a task that was not run
 
     @property
     def rows(self) -> list[Row]:
@@ -151,9 +151,9 @@ class FinishedStudy:
         return [row for _, rows in self.found for row in rows]
 
     def table(self) -> tuple[list[str], list[list[object]]]:
-        """Return the names of the columns and the rows, each with what its task says of it in front.
+        """Return the names of the columns and the rows, each preceded by the values of its task.
 
-        `start` is where the sphere begins, `direction` up, down or reset, `branch` the number of a branch, from 1.
+        `start` is the start of the sphere, `direction` up, down or reset, `branch` the number of a branch, from 1.
         """
         found = []
         front: dict[str, object] = {}
@@ -182,7 +182,7 @@ class FinishedStudy:
 
 
 def _front(task: StudyTask, number: int) -> dict[str, object]:
-    """Return what a task says of each of its rows, by column."""
+    """Return the values of a task that precede each of its rows, by column."""
     if task.kind == BASIN:
         return {}
     front: dict[str, object] = {"start": named(task.what["start"])}
@@ -194,14 +194,14 @@ def _front(task: StudyTask, number: int) -> dict[str, object]:
 
 
 def direction_of(task: StudyTask) -> str:
-    """Return how the values of a bifurcation task are visited: up, down, or each from rest (reset)."""
+    """Return the order in which the values of a bifurcation task are visited: up, down, or each from rest (reset)."""
     values = task.what["values"]
     assert isinstance(values, Sequence)
     return RESET if not task.what["marched"] else UP if values[0] <= values[-1] else DOWN
 
 
 def store(directory: Path) -> TaskStore[StudyTask]:
-    """Return what keeps a study's tasks in a directory."""
+    """Return the store of a study's tasks in a directory."""
     return TaskStore(directory, "dynamics", "tasks", ("maps", "dynamics"))
 
 
@@ -209,7 +209,7 @@ def open_study(directory: Path, kind: str) -> FinishedStudy:
     """Return the study of one kind in a directory.
 
     Raises:
-        ConfigError: it is no directory of a study of dynamics, or of none of that kind, or nothing is stored of it.
+        ConfigError: it is not the directory of a dynamics study, or not of that kind, or nothing is stored in it.
     """
     kept = store(directory)
     plan = load(kept.file, kind, kept.configuration())
@@ -226,10 +226,10 @@ def finished(plan: Plan, directory: Path) -> FinishedStudy:
 
 
 def kinds(directory: Path) -> list[str]:
-    """Return the kinds of study of which something is stored in a directory.
+    """Return the kinds of study with stored results in a directory.
 
     Raises:
-        ConfigError: it is no directory of studies of dynamics.
+        ConfigError: it is not the directory of dynamics studies.
     """
     kept = store(directory)
     rig = kept.configuration()
@@ -243,16 +243,16 @@ def run(task: StudyTask) -> list[Row]:
 
 
 def load(path: Path, kind: str, resolved: RigConfig | None = None) -> Plan:
-    """Return the study of one kind in a YAML file.
+    """Read the study of one kind in a YAML file.
 
     Raises:
-        ConfigError: the file cannot be read or is wrong, or asks for no such study.
+        ConfigError: the file cannot be read or is wrong, or has no such study.
     """
     return load_plan(path, "dynamics file", lambda document, text: _read(document, text, path, kind, resolved))
 
 
 def exponent_at(line: MapLine, value: float) -> StudyTask:
-    """Return what measures the largest exponent at a place of a map where every place begins from rest."""
+    """Return a task that measures the largest exponent at a point of a map in which every point starts from rest."""
     changes, frequency, current, sphere = line.place(value)
     changes = {**line.changes, **changes}
     start = sphere or from_flat(RigConfig(), changes).sphere.start
@@ -376,7 +376,7 @@ def _parameter(kind: str, given: Mapping[str, object], place: Place) -> str:
 
 def _over(kind: str, given: Mapping[str, object], place: Place) -> tuple[str, tuple[float, ...]]:
     over = _parameter(kind, given, place)
-    least = 0.0 if over in (FREQUENCY, CURRENT) else -math.inf  # of the others the configuration has the range
+    least = 0.0 if over in (FREQUENCY, CURRENT) else -math.inf  # the configuration has the range of the others
     values = tuple(sorted(axes.numbers(f"{kind}.values", given.get("values"), least)))
     for value in (values[0], values[-1]):
         at(place, over, value)
@@ -384,7 +384,7 @@ def _over(kind: str, given: Mapping[str, object], place: Place) -> tuple[str, tu
 
 
 def _starts(kind: str, given: Mapping[str, object]) -> list[Start]:
-    """Return where the sphere begins: words, or pairs of position [m] and speed [m/s]."""
+    """Return the starts of the sphere: words, or pairs of position [m] and speed [m/s]."""
     found: list[Start] = []
     listed = given.get("starts", ["left"])
     for i, one in enumerate(listed if isinstance(listed, list) else [listed]):
@@ -397,12 +397,12 @@ def _starts(kind: str, given: Mapping[str, object]) -> list[Start]:
 
 
 def named(start: object) -> str:
-    """Return the words for where the sphere begins."""
+    """Return a description of a start of the sphere."""
     return start if isinstance(start, str) else "{:g} m at {:g} m/s".format(*start)  # type: ignore[misc]  # a pair
 
 
 def _begun(place: Place, start: Start, settings: Settings) -> MapRig:
-    """Return a rig at rest with the sphere where it begins."""
+    """Return a rig at rest with the sphere at a start."""
     config = place.config
     rig = MapRig(from_flat(config, {"sphere.start": start}) if isinstance(start, str) else config, settings)
     rig.reset(None if isinstance(start, str) else (start[0], start[1]))
@@ -410,7 +410,7 @@ def _begun(place: Place, start: Start, settings: Settings) -> MapRig:
 
 
 def _points(rig: MapRig, place: Place, cycles: int, turn: float) -> list[list[float]]:
-    """Return one point a cycle, see `POINT`; none of a motion that cannot be resolved."""
+    """Return one point per cycle, see `POINT`; none if the motion cannot be resolved."""
     try:
         motion = rig.run_cycles(place.frequency_hz, place.amplitude, cycles)
     except SimulationError:
@@ -425,7 +425,7 @@ def _section(task: StudyTask, start: Start, cycles: int, turn: float) -> list[Ro
     place = task.place
     rig = _begun(place, start, task.settings)
     if rig.measure(place.frequency_hz, place.amplitude).regime == FAILED:
-        return []  # the rig has been reset: what it would do next has not settled
+        return []  # the rig has been reset: its next motion is not settled
     return [tuple(point) for point in _points(rig, place, cycles, turn)]
 
 
@@ -495,7 +495,7 @@ def _continue(
 def _found(
     task: StudyTask, over: str, value: float, start: Start, unit: float
 ) -> tuple[Stroboscope, orbits.Orbit] | None:
-    """Return the orbit that a motion settles to; None if it settles to none, or cannot be resolved."""
+    """Return the orbit that a motion settles to; None if it does not, or cannot be resolved."""
     place = at(task.place, over, value)
     strobe = Stroboscope(task.place, over, unit)
     rig = _begun(place, start, task.settings)
@@ -560,7 +560,7 @@ def _attractors(
 
 
 def _states(rig: MapRig, place: Place, cycles: int) -> list[np.ndarray]:
-    """Return the state at the beginning of each cycle; none of a motion that cannot be told at one of them."""
+    """Return the state at the beginning of each cycle; none if the motion is undetermined at one of them."""
     states = []
     for _ in range(cycles):
         state = rig.simulation.state()
@@ -575,7 +575,7 @@ def _states(rig: MapRig, place: Place, cycles: int) -> list[np.ndarray]:
 
 
 def _distance(state: np.ndarray, attractor: Sequence[str | float], scale: np.ndarray) -> float:
-    """Return how far a state is from the nearest of an attractor's."""
+    """Return the distance of a state from the nearest state of an attractor."""
     states = np.array(attractor[3:], float).reshape(-1, len(state))
     return float(np.abs((states - state) / scale).max(axis=1).min())
 
@@ -605,7 +605,7 @@ def _basin(
 
 
 def _led_to(rig: MapRig, place: Place, attractors: Sequence[Sequence[str | float]]) -> tuple[int, int]:
-    """Return which attractor the motion comes ever nearer to, −1 where it is seen near none, and the cycles of that.
+    """Return the attractor that the motion approaches, −1 if none, and the number of cycles for that.
 
     Raises:
         SimulationError: the motion cannot be resolved.
@@ -617,7 +617,7 @@ def _led_to(rig: MapRig, place: Place, attractors: Sequence[Sequence[str | float
         cycles += CHUNK
         state = rig.simulation.state()
         if not len(motion.impacts):
-            break  # at rest, or drifting: the measurement tells
+            break  # at rest, or drifting: the measurement decides
         if state is None or not attractors:
             continue
         away = [_distance(state, one, size) for one, size in zip(attractors, sizes, strict=True)]

@@ -11,12 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The rig seen once in so many cycles of its drive: a map of its state onto the next, with exact events between.
+"""Stroboscopic map of the rig: its state once in several cycles of its drive, with exact events in between.
 
-The state is (x_1, v_1, d, d') and, where the base is not prescribed, (x_b, v_b) and a coil's current; d = x_2 − x_1.
-It is divided by what the motion reaches, so that a step of 1 means as much in each. The section is the phase of the
-drive at which one looks; it lies where the sphere is longest without a contact, because a contact under way is not told
-by its state alone.
+The state is (x_1, v_1, d, d') and, unless the base is prescribed, (x_b, v_b) and a coil's current; d = x_2 − x_1. It is
+divided by the size of the motion, so that a step of 1 means the same in each coordinate. The section is the phase of
+the drive at which the state is taken. It is in the longest stretch without a contact, because the state alone does not
+determine a contact in progress.
 """
 
 from __future__ import annotations
@@ -40,15 +40,15 @@ from impact_rig_studies.maps.measure import MapRig, Reading
 from impact_rig_studies.maps.plan import CURRENT, FREQUENCY, GAP
 
 COORDINATES = {"prescribed": (0, 1, 5, 6), "current": (0, 1, 2, 3, 5, 6), "voltage": (0, 1, 2, 3, 4, 5, 6)}
-"""Places of the coordinates in `Simulation.state`, by kind of drive."""
-SPHERE = (5, 6)  # those of the sphere
+"""Indices of the coordinates in `Simulation.state`, by kind of drive."""
+SPHERE = (5, 6)  # indices of the sphere
 CLOSE = 0.02  # turns of the drive between an impact and the section below which another section is chosen
 _TURN = 2.0 * math.pi
-_FINE = 64  # parts of a cycle at which a place for the section is looked for
+_FINE = 64  # parts of a cycle among which a section is chosen
 
 
 class Place(NamedTuple):
-    """Where a rig is driven."""
+    """Rig and its drive."""
 
     config: RigConfig
     frequency_hz: float
@@ -58,22 +58,22 @@ class Place(NamedTuple):
 class Energy(NamedTuple):
     """Energies per cycle of the drive [J]."""
 
-    work: float  # what the shaker, or a prescribed base, gives
-    columns: float  # lost in the columns
-    shaker: float  # lost in the shaker
-    contact: float  # lost in the contacts
-    friction: float  # lost on the guide
-    imbalance: float  # work − losses − what is stored
+    work: float  # of the shaker, or of a prescribed base
+    columns: float  # loss in the columns
+    shaker: float  # loss in the shaker
+    contact: float  # loss in the contacts
+    friction: float  # loss on the guide
+    imbalance: float  # work − losses − stored energy
 
 
 class Properties(NamedTuple):
-    """What an orbit does."""
+    """Properties of a periodic orbit."""
 
     dt: float  # |X_1| / |X_b| of the fundamentals
-    phase_rad: float  # of X_1 / X_b
+    phase_rad: float  # phase of X_1 / X_b
     base_m: float  # |X_b|
     superior_m: float  # |X_1|
-    impacts_per_cycle: float  # of all impacts
+    impacts_per_cycle: float  # number of all impacts
     slowest_m_s: float  # approach speed of the slowest impact; NaN without one
     loss_factor: float  # of the damper from energy: its loss per cycle over π m_1 ω² |X_1|²
     dt_loss_factor: float  # the same from DT alone: −Im N / (m_1 ω²), N the sphere's force per x_1
@@ -82,16 +82,16 @@ class Properties(NamedTuple):
 
 
 class OrbitSummary(NamedTuple):
-    """What an orbit does, after how many cycles it repeats, and its state at the section [turns]."""
+    """Properties of an orbit, its period in cycles, and its state at the section [turns]."""
 
     properties: Properties
     cycles: int
     turn: float
-    state: tuple[float, ...]  # of the whole rig at the section, as in `Simulation.state`
+    state: tuple[float, ...]  # state of the whole rig at the section, as in `Simulation.state`
 
 
 class Slopes(NamedTuple):
-    """Transmissibility on an orbit, and how it changes with the rig."""
+    """Transmissibility on an orbit, and its derivatives by the rig's parameters."""
 
     log_dt: float  # ln(|X_1| / |X_b|) of the fundamentals
     by: Real  # its derivatives by each parameter
@@ -104,17 +104,17 @@ STEP = 1e-6
 
 
 class Stroboscope:
-    """The map of a rig along one parameter, in dimensionless coordinates.
+    """Map of a rig along one parameter, in dimensionless coordinates.
 
     Args:
         place: the rig and its drive.
         over: name of the parameter: frequency_hz, current_a, gap_m, or a number of the configuration by dotted name.
-        unit: what a step of 1 of the dimensionless parameter is.
+        unit: size of a step of 1 of the dimensionless parameter.
 
     Attributes:
-        cycles: of the drive, after which an orbit repeats.
-        turn: the section: where in the drive's cycle, in turns.
-        scale: of each coordinate.
+        cycles: cycles of the drive after which an orbit repeats.
+        turn: the section: phase of the drive, in turns.
+        scale: scale of each coordinate.
     """
 
     def __init__(self, place: Place, over: str, unit: float) -> None:
@@ -128,12 +128,12 @@ class Stroboscope:
         self._found = functools.lru_cache(maxsize=8)(self._find)
 
     def _find(self, p: float) -> tuple[Place, Model]:
-        """Return the place and its model; a change of the drive alone changes no model."""
+        """Return the rig and its model; a change of the drive alone does not change the model."""
         place = at(self._place, self._over, p * self._unit)
         return place, self._model if place.config is self._place.config else build(place.config)
 
     def __call__(self, z: Real, p: float, returns: int = 1) -> Real:
-        """Return the coordinates after `cycles`; NaN where the motion stands in a contact, or cannot be resolved."""
+        """Return the coordinates after `cycles`; NaN if the motion is in a contact, or cannot be resolved."""
         try:
             motion = self._run(z, p, self.cycles * returns)
             state = None if self._quiet and len(motion.impacts) else self._simulation.state()
@@ -142,12 +142,12 @@ class Stroboscope:
         return np.full(len(z), math.nan) if state is None else state[self._free] / self.scale
 
     def seen(self, rig: MapRig, p: float, reading: Reading) -> Real:
-        """Return the coordinates of a settled motion, and choose scale and section for it; it has gone on then."""
+        """Return the coordinates of a settled motion, and choose scale and section for it; this advances the motion."""
         place, _ = self._found(p)
         frequency, amplitude = place.frequency_hz, place.amplitude
         self.cycles = int(reading.period) if math.isfinite(reading.period) else 1
         self._quiet = not reading.impacts_per_cycle
-        if self._quiet:  # without impacts it does not matter where the sphere is, and without friction not how fast
+        if self._quiet:  # without impacts the position of the sphere is irrelevant, and without friction its speed
             sphere = place.config.sphere
             left_out = SPHERE[:1] if sphere.present and sphere.guide_friction > 0.0 else SPHERE
             self._free = [i for i in self._free if i not in left_out]
@@ -160,12 +160,12 @@ class Stroboscope:
         if state is None:
             raise SimulationError("the sphere is never free of the walls: there is no section")
         d, rate = state[list(SPHERE)]
-        self._aside = d if rate else 0.0  # one that is held may lie at a wall, where its neighbours would strike
+        self._aside = d if rate else 0.0  # a resting sphere may be at a wall, where its neighbours would strike
         self.scale = size(place, state)[self._free]
         return state[self._free] / self.scale
 
     def moved(self, points: Sequence[tuple[Real, float]]) -> list[Real] | None:
-        """Return points of a branch at another section if an impact of the last is near this one, else None."""
+        """Return points of a branch at another section if an impact of the last one is near this section, else None."""
         motion = self._run(*points[-1], self.cycles)
         turns = motion.impacts["offset"] / motion.segments["duration"][0]
         if not len(turns) or np.abs((turns + 0.5) % 1.0 - 0.5).min() > CLOSE:
@@ -178,11 +178,11 @@ class Stroboscope:
         return found
 
     def born(self, here: Orbit, turn: Orbit) -> str:
-        """Return what a turn of a branch is: the birth of its doubled or asymmetric orbits, or a fold.
+        """Classify a turn of a branch: the birth of its doubled or asymmetric orbits, or a fold.
 
         Args:
             here: an orbit of the branch.
-            turn: that at the turn, which alone is its own half or its own mirror image at a birth.
+            turn: the orbit at the turn; only at a birth is it its own half or its own mirror image.
         """
         for kind, returned in ((FLIP, self._halved), (SYMMETRY, self._mirrored)):
             there = returned(turn)
@@ -191,14 +191,14 @@ class Stroboscope:
         return FOLD
 
     def _halved(self, one: Orbit) -> float | None:
-        """Return how far an orbit is from itself half of its cycles later, None if they are odd."""
+        """Return the distance of an orbit from itself half of its cycles later, None if they are odd."""
         if self.cycles % 2:
             return None
         self._run(one.z, one.p, self.cycles // 2)
         return self._apart(one.z)
 
     def _mirrored(self, one: Orbit) -> float | None:
-        """Return how far an orbit is from its mirror image half of its cycles later, None if they are even."""
+        """Return the distance of an orbit from its mirror image half of its cycles later, None if they are even."""
         if self.cycles % 2 == 0:
             return None
         self._run(one.z, one.p, 0.5)
@@ -220,12 +220,12 @@ class Stroboscope:
         return None if state is None else float(np.abs(state[self._free] / self.scale - z).max())
 
     def note(self, one: Orbit) -> OrbitSummary:
-        """Return what an orbit does that stands in the coordinates of now."""
+        """Return the properties of an orbit in the present coordinates."""
         state = self._whole(one.z, self._found(one.p)[0])
         return OrbitSummary(self.properties(one.z, one.p), self.cycles, self.turn, tuple(state.tolist()))
 
     def properties(self, z: Real, p: float) -> Properties:
-        """Return what the orbit through z does."""
+        """Return the properties of the orbit through z."""
         place, model = self._found(p)
         config, frequency = place.config, place.frequency_hz
         simulation = Simulation(config, account=True, model=model)
@@ -256,17 +256,17 @@ class Stroboscope:
     def slopes(self, z: Real, p: float, varied: Callable[[int, float], Place], count: int) -> Slopes | None:
         """Return the transmissibility on the orbit near z and its derivatives by `count` parameters.
 
-        With the map z → f(z, q), the transmissibility g(z, q) of one return and J = ∂f/∂z, the orbit moves by
-        (I − J)⁻¹ ∂f/∂q, so that dg/dq = ∂g/∂q + ∂g/∂z (I − J)⁻¹ ∂f/∂q. Single returns are enough.
+        With the map z → f(z, q), the transmissibility g(z, q) of one return and J = ∂f/∂z, the orbit moves by (I − J)⁻¹
+        ∂f/∂q, so that dg/dq = ∂g/∂q + ∂g/∂z (I − J)⁻¹ ∂f/∂q. Single returns are enough.
 
         Args:
             z: coordinates near the orbit, shape (n,).
             p: the parameter of the map.
-            varied: place with the i-th parameter changed by a small step.
+            varied: returns the rig with the i-th parameter changed by a small step.
             count: number of parameters.
 
         Returns:
-            None where a neighbour strikes in another pattern or cannot be resolved.
+            None if a neighbour strikes in another pattern or cannot be resolved.
         """
         place, model = self._found(p)
         here, log_dt, impacts = self._returned(z, place, model)
@@ -295,7 +295,7 @@ class Stroboscope:
         return Slopes(log_dt + float(gradient @ moved[:, 0]), direct + gradient @ moved[:, 1:], stable)
 
     def _returned(self, z: Real, place: Place, model: Model) -> tuple[Real, float, int]:
-        """Return coordinates, ln DT and number of impacts of one return; NaN in a contact or what is not resolved."""
+        """Return coordinates, ln DT and number of impacts of one return; NaN in a contact or if unresolved."""
         try:
             motion = self._run_at(z, place, model, self.cycles)
             state = self._simulation.state()
@@ -319,7 +319,7 @@ class Stroboscope:
         return self._simulation.advance(self._segments(place, cycles))
 
     def _segments(self, place: Place, cycles: float) -> NDArray[np.void]:
-        """Return the drive from the section on, a segment a cycle; a part of a cycle is one segment."""
+        """Return the drive from the section on, one segment per cycle; a part of a cycle is one segment."""
         segments = np.zeros(max(1, int(cycles)), SEGMENT)
         segments["duration"] = min(cycles, 1.0) / place.frequency_hz
         segments["omega"], segments["phase"] = _TURN * place.frequency_hz, _TURN * self.turn
@@ -327,7 +327,7 @@ class Stroboscope:
         return segments
 
     def _whole(self, z: Real, place: Place) -> Real:
-        """Return all that `Simulation.set_state` wants."""
+        """Return all state values for `Simulation.set_state`."""
         state = np.zeros(7)
         state[self._free] = z * self.scale
         if self._quiet and SPHERE[1] in self._free:
@@ -341,9 +341,9 @@ class Stroboscope:
         return state
 
     def _moved(self, z: Real, p: float, turn: float) -> Real:
-        """Return the coordinates at another section, which is the one from now on."""
+        """Return the coordinates at another section, and use that section from now on."""
         later = (turn - self.turn) % 1.0
-        if later == 0.0 or not np.isfinite(z).all():  # one that stood in a contact at an earlier section stays unknown
+        if later == 0.0 or not np.isfinite(z).all():  # a point in a contact at an earlier section stays unknown
             return z
         self._run(z, p, later)
         state = self._simulation.state()
@@ -352,10 +352,10 @@ class Stroboscope:
 
 
 def at(place: Place, over: str, value: float) -> Place:
-    """Return a place with another value of one parameter.
+    """Return a rig with another value of one parameter.
 
     Raises:
-        ConfigError: there is no such number in a configuration, or it is out of range.
+        ConfigError: the configuration has no such number, or it is out of range.
     """
     config, frequency, amplitude = place
     if over == FREQUENCY:
@@ -383,7 +383,7 @@ def _longest_flight(motion: Motion, cycles: int) -> float:
 
 
 def size(place: Place, state: Real) -> Real:
-    """Return what a motion reaches in each of the coordinates of `Simulation.state`, shape (7,)."""
+    """Return the size of a motion in each coordinate of `Simulation.state`, shape (7,)."""
     omega, half = _TURN * place.frequency_hz, 0.5 * place.config.barriers.gap_m
     x, b = (max(math.hypot(at, rate / omega), 1e-9) for at, rate in (state[0:2], state[2:4]))
     return np.array([x, omega * x, b, omega * b, max(place.amplitude, 1e-9), half, omega * half])

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What a test is made of: plans as YAML, and histories from CSV, WAV, npz and other files, or a run."""
+"""Inputs of excitation tests: plans as YAML, and time histories from CSV, WAV, npz and other files, or from a run."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ from impact_rig_studies.importing.limits import VALUES
 from impact_rig_studies.importing.units import unit_factor
 
 P = TypeVar("P", bound=attrs.AttrsInstance)
-MOST_RATIO = 1000  # the smaller of two rates in smallest numbers: what is resampled between them
+MOST_RATIO = 1000  # limit of the smaller term of the ratio of two rates for resampling
 
 
 def load(path: Path, kind: type[P]) -> P:
-    """Return a plan of one kind; its keys are the attributes of the kind.
+    """Read a plan of one kind; its keys are the attributes of the kind.
 
     Raises:
         ConfigError: a key or value is wrong; the message names key, value and file.
@@ -50,10 +50,10 @@ def load(path: Path, kind: type[P]) -> P:
 
 
 def read(document: object, kind: type[P]) -> P:
-    """Return a plan of a YAML document.
+    """Parse a plan from a YAML document.
 
     Raises:
-        ConfigError: see `load`.
+        ConfigError: as for `load`.
     """
     fields = {one.name: one for one in attrs.fields(kind)}
     if not isinstance(document, dict):
@@ -104,17 +104,17 @@ def history(
     """Return a signal of a file or run in SI units, resampled.
 
     Args:
-        path: a run, or what `impact-rig import` reads.
-        rate_hz: wanted.
-        wanted: SI unit wanted.
-        name: of the signal; None: the only one of a file, or `channel` of a run.
-        channel: of a run; None: current.
-        unit: of the file's values, where it does not say or says wrongly.
-        scale: what values are multiplied by.
-        file_hz: rate of a file that says neither times nor a rate.
+        path: a run, or a file that `impact-rig import` reads.
+        rate_hz: rate of the result.
+        wanted: SI unit of the result.
+        name: name of the signal; None means the only one of a file, or `channel` of a run.
+        channel: channel of a run; None means current.
+        unit: unit of the file's values, if it states none or a wrong one.
+        scale: factor of the values.
+        file_hz: rate of a file that states neither times nor a rate.
 
     Raises:
-        ConfigError: which signal or rate is meant is not known, or its unit is of another kind.
+        ConfigError: signal or rate are ambiguous, or the unit is of another kind.
         RecordingError: the file is damaged, or scans of the run are missing.
     """
     if path.is_dir() or path.suffix == ".mcap":
@@ -132,7 +132,7 @@ def history(
         raise RecordingError(f"{path}: the signal has no samples, or some that are not finite")
     if rate_hz >= found_hz:
         ratio = Fraction(rate_hz / found_hz).limit_denominator(MOST_RATIO)
-    else:  # of a small number with such a denominator little is left
+    else:  # the denominator leaves too few digits of a small number
         ratio = 1 / Fraction(found_hz / rate_hz).limit_denominator(MOST_RATIO)
     budget.allow(f"samples at {rate_hz} Hz of {path}", int(len(values) * ratio), VALUES)
     if ratio == 1:
@@ -148,11 +148,11 @@ def _of_run(path: Path, name: str) -> tuple[NDArray[np.float64], float]:
     rows = np.concatenate([table.rows[name] for table in tables]).astype(float)
     seconds = (tables[-1].stamp_ns - tables[0].stamp_ns) * 1e-9 + float(tables[-1].rows["time"][-1])
     if not seconds > 0.0:
-        raise RecordingError(f"{path}: {len(rows)} scans in {seconds:g} s are no signal")
+        raise RecordingError(f"{path}: {len(rows)} scans in {seconds:g} s are too few for a signal")
     rate_hz = (len(rows) - 1) / seconds
     for table, after in itertools.pairwise(tables):
         if abs((after.stamp_ns - table.stamp_ns) * 1e-9 * rate_hz - len(table.rows)) > 0.5:
-            raise RecordingError(f"{path}: scans are missing: what is played must be without a gap")
+            raise RecordingError(f"{path}: scans are missing; a signal to play must have no gap")
     return rows, round(rate_hz, 3)
 
 
@@ -167,5 +167,5 @@ def _of_file(path: Path, name: str | None, unit: str, file_hz: float | None) -> 
     if rate is None and one.time_s is not None and len(one.time_s) > 1:
         rate = (len(one.time_s) - 1) / float(one.time_s[-1] - one.time_s[0])
     if rate is None or not rate > 0.0:
-        raise ConfigError(f"{path}: the file says neither times nor a rate: --file-rate HZ")
+        raise ConfigError(f"{path}: the file states neither times nor a rate: add --file-rate HZ")
     return one.values, rate, unit or one.unit

@@ -11,18 +11,18 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Time histories: played as they are, or a response is made to follow one by iterative learning.
+"""Time histories: played unchanged, or replicated by a response through iterative learning.
 
     drive_1 = F⁻¹ [X / H],    drive_{n+1} = drive_best + g F⁻¹ [(X − Y_best) / H]
 
 g is 1 and halves after each trial that is worse than the best one: with a sphere the response is not linear.
 
-A response is the motion, not the reading: what is known of its sensor is undone (`response.motion`), and it is judged
-in the band that is controlled. What the sensor's noise in that band and the uncertainty of its gain leave open is the
-floor of an error.
+A response is the motion, not the reading: the known behaviour of its sensor is corrected (`response.motion`), and it is
+judged in the controlled band. The sensor's noise in that band and the uncertainty of its gain are the floor of an
+error.
 
-H is measured first, on the lines of a frame that repeats: longer than the structure rings, since 1 / H rings as long
-where the structure holds the base still. A trial begins and ends at rest and is corrected on those same lines.
+H is measured first, on the lines of a repeated frame. The frame is longer than the structure rings, since 1 / H rings
+as long where the structure holds the base still. A trial begins and ends at rest and is corrected on the same lines.
 """
 
 from __future__ import annotations
@@ -41,26 +41,26 @@ from impact_rig_studies.excitation.response import PSEUDO, Excitation, Response
 
 LEAST_GAIN = 0.2  # a trial that is worse with a smaller gain than this ends the learning
 
-ABOVE = 1.25  # times the upper edge of the band, where the correction has faded out
-FRAMES = 3  # of the identification; one more goes ahead
-BESIDE = 25  # lines over which the noise of a response function is averaged
-NOISES = 4.0  # times its variance by which |H|² is held away from zero
+ABOVE = 1.25  # multiple of the upper band edge at which the correction has faded out
+FRAMES = 3  # number of measured frames of the identification; one more precedes them
+BESIDE = 25  # number of lines over which the noise of a response function is averaged
+NOISES = 4.0  # multiple of its variance that limits |H|² from below
 
 
 @attrs.frozen(kw_only=True)
 class ReplicatePlan:
-    """How a history is replicated.
+    """Settings of a replication.
 
     Attributes:
-        low_hz: lower edge of the band in which the drive is corrected; 0: down to rest itself.
+        low_hz: lower edge of the band in which the drive is corrected; 0 includes the static value.
         high_hz: its upper edge.
-        iterations: at the most, the first trial included.
-        enough: relative error at which it is good enough.
-        rest_s: at rest before and after the history [s].
-        identify_rms: of the drive while the response function is estimated [A].
+        iterations: maximum number of trials, including the first.
+        enough: relative error that is small enough.
+        rest_s: rest before and after the history [s].
+        identify_rms: rms of the drive while the response function is estimated [A].
         identify_s: length of the frame [s]; four are played.
-        response: what follows, of `RESPONSES`.
-        seed: of its random numbers.
+        response: controlled response, of `RESPONSES`.
+        seed: seed of the random numbers.
     """
 
     low_hz: float = attrs.field(default=2.0, validator=attrs.validators.ge(0.0))
@@ -76,36 +76,38 @@ class ReplicatePlan:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Replicated:
-    """A history and what followed it, in the best trial so far."""
+    """Requested history and the response, in the best trial so far."""
 
     rate_hz: int  # samples per second
     asked: Real  # shape (n,)
-    reached: Real  # shape (n,), within the band that is controlled
+    reached: Real  # shape (n,), within the controlled band
     linear: Real
-    """What the drive would have given by H alone, shape (n,): where `reached` departs, the rig is not linear, or its
-    sensors are noisy."""
-    drive: Real  # of the whole trial, shape (m,) [A]
-    lead: int  # samples of it before the history
-    errors: tuple[float, ...]  # rms error over rms of what was asked, trial by trial
+    """Response of the drive by H alone, shape (n,).
+
+    If `reached` differs, the rig is not linear, or its sensors are noisy.
+    """
+    drive: Real  # drive of the whole trial, shape (m,) [A]
+    lead: int  # samples before the history
+    errors: tuple[float, ...]  # rms error over rms of the requested history, trial by trial
     floor: float
-    """What of such an error the sensor's noise and twice the standard uncertainty of its gain may account for."""
+    """Part of such an error that the sensor's noise and twice the standard uncertainty of its gain can explain."""
 
     def relative(self, rest: Real) -> float:
-        """Return the rms of a difference over that of what was asked."""
+        """Return the rms of a difference over that of the requested history."""
         return float(np.sqrt(np.mean(rest**2) / np.mean(self.asked**2)))
 
 
 def replicate(hardware: Hardware, asked: Real, plan: ReplicatePlan) -> Iterator[Replicated]:
-    """Make a response follow a history; yields after each trial.
+    """Make a response follow a history; yield the best result after each trial.
 
     Args:
-        hardware: output and acquisition, of one rate.
-        asked: the history, in the unit of the response; it begins and ends near zero; shape (n,).
-        plan: how.
+        hardware: output and acquisition, with equal rates.
+        asked: the history, in the unit of the response, shape (n,); it begins and ends near zero.
+        plan: settings.
 
     Raises:
-        CommandError: the shaker trips, or refuses the drive.
-        TimeoutError: the rig did not go on.
+        CommandError: the shaker trips, or rejects the drive.
+        TimeoutError: the rig did not advance.
     """
     rate_hz = hardware.rig.stream_rate_hz
     lead = round(plan.rest_s * rate_hz)
@@ -118,7 +120,7 @@ def replicate(hardware: Hardware, asked: Real, plan: ReplicatePlan) -> Iterator[
     h, inverse = _identify(hardware, plan, length, calibration)
     drive = np.fft.irfft(inverse * np.fft.rfft(target), length)
     fade = np.sin(0.5 * np.pi * np.clip(4.0 * np.arange(played) / max(1, lead) - 2.0, 0.0, 1.0)) ** 2
-    fade *= fade[::-1]  # at rest where a trial begins and ends, also of what an offset would have corrected
+    fade *= fade[::-1]  # at rest where a trial begins and ends, including the correction of an offset
     top_hz = min(ABOVE * plan.high_hz, 0.5 * rate_hz)
     noise = float(plan.response.noises(calibration, len(asked), 1, top_hz).std() / np.sqrt(np.mean(asked**2)))
     floor = math.hypot(noise, 2.0 * float(calibration.gain_uncertainty[plan.response.channel_index]))
@@ -175,9 +177,9 @@ def _identify(
     x, frames = np.fft.rfft(drive[:length]), np.fft.rfft(found[length:].reshape(FRAMES, length))
     h, inverse = np.zeros((2, len(frequency)), np.complex128)
     h[inside] = frames.mean(axis=0)[inside] / x[inside]
-    # what does not repeat is noise, about the same on lines side by side: where it hides H, little is corrected
+    # the part that does not repeat is noise, similar on neighbouring lines: where it hides H, little is corrected
     noise = np.convolve(frames.var(axis=0, ddof=1) / FRAMES, np.full(BESIDE, 1.0 / BESIDE), "same")
-    if plan.low_hz == 0.0:  # at rest the springs answer, as on the lowest line
+    if plan.low_hz == 0.0:  # the static response is that of the springs, as on the lowest line
         edge[0], inside[0], x[0], h[0] = 1.0, True, abs(x[1]), abs(h[1])
     floor = noise[inside] / np.abs(x[inside]) ** 2
     inverse[inside] = edge[inside] * np.conj(h[inside]) / (np.abs(h[inside]) ** 2 + NOISES * floor)
@@ -189,36 +191,36 @@ STEP_S = 1.0
 
 @attrs.frozen(eq=False, kw_only=True)
 class Played:
-    """What was played so far."""
+    """Part of a history played so far."""
 
     rate_hz: int  # samples per second, and scans
     asked: Real  # shape (n,), A, m or V by `drive.kind`
-    rows: NDArray[np.void]  # of `daq/scan`, shape (n,): a scan a sample
-    whole: int  # samples of the history
-    clipped: int  # samples of it that were clipped
+    rows: NDArray[np.void]  # rows of `daq/scan`, shape (n,): one scan per sample
+    whole: int  # total number of samples of the history
+    clipped: int  # number of clipped samples
 
     @property
     def error(self) -> float:
-        """Rms of the current less what was asked, without its mean, over the rms asked; NaN if that is 0."""
+        """Rms of the current minus the request, without its mean, over the requested rms; NaN if that is 0."""
         apart, asked = (self.rows["current"] - self.asked).std(), self.asked.std()
         return float(apart / asked) if asked > 0.0 else math.nan
 
     def kurtosis(self, name: str) -> float:
-        """Return that of a channel: 1.5 of a sine, 3 of Gaussian noise."""
+        """Return the kurtosis of a channel: 1.5 for a sine, 3 for Gaussian noise."""
         return float(scipy.stats.kurtosis(self.rows[name].astype(float), fisher=False))
 
 
 def play(hardware: Hardware, samples: Real, limit: float | None = None) -> Iterator[Played]:
-    """Play samples; yields what was played so far once a second of it, and at its end.
+    """Play samples; yield the part played so far once per second of it, and at its end.
 
     Args:
-        hardware: output and acquisition, of one rate.
+        hardware: output and acquisition, with equal rates.
         samples: A, m or V by `drive.kind`, shape (n,).
-        limit: samples are clipped there, either side; None: the rig refuses what is beyond the shaker.
+        limit: absolute value at which samples are clipped; None means that the rig rejects samples beyond the shaker.
 
     Raises:
-        CommandError: the shaker trips, or refuses a sample.
-        TimeoutError: the rig did not go on.
+        CommandError: the shaker trips, or rejects a sample.
+        TimeoutError: the rig did not advance.
     """
     rate_hz = hardware.rig.stream_rate_hz
     asked = samples if limit is None else np.clip(samples, -limit, limit)

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Random control: the drive is equalised line by line until a response has the power spectral density asked for.
+"""Random control: the drive is equalised line by line until a response has the requested power spectral density.
 
 Frames of the drive's line amplitudes with random phases are windowed (a half sine) and overlapped by a half, which
-gives a stationary, nearly Gaussian signal. After each loop the drive's density goes towards asked / |H|², line by
-line, with |H|² the density of the response over that of the drive as measured meanwhile, distortion included.
+gives a stationary, nearly Gaussian signal. After each loop the drive's density moves towards requested / |H|², line by
+line. |H|² is the measured density of the response over that of the drive, including distortion.
 """
 
 from __future__ import annotations
@@ -31,16 +31,17 @@ from impact_rig.driver.hardware import Exchange, Hardware
 from impact_rig.errors import CommandError
 from impact_rig_studies.excitation.response import Response
 
-MOST_STEP_DB = 6.0  # by which a line of the drive changes in one loop, at most
-LEAST_DRIVE_DB = -60.0  # of a line below the strongest, at the least: a line that answers to nothing is not driven away
+MOST_STEP_DB = 6.0  # largest change of a line of the drive in one loop
+# lower limit of a line relative to the strongest, so that a line without a response is not removed
+LEAST_DRIVE_DB = -60.0
 
 
 @attrs.frozen(kw_only=True)
 class Spectrum:
-    """A power spectral density by its corners, straight lines between them on logarithmic axes."""
+    """Power spectral density defined by its corners, with straight lines between them on logarithmic axes."""
 
-    frequency_hz: tuple[float, ...]  # of the corners, ascending
-    density: tuple[float, ...]  # there, unit² / Hz
+    frequency_hz: tuple[float, ...]  # frequencies of the corners, ascending
+    density: tuple[float, ...]  # densities there, unit² / Hz
 
     def at(self, frequency_hz: Real) -> Real:
         """Return the density at some frequencies, 0 outside of the corners."""
@@ -53,20 +54,20 @@ class Spectrum:
 
 @attrs.frozen(kw_only=True)
 class RandomPlan:
-    """How a spectrum is held.
+    """Settings of random control.
 
     Attributes:
-        spectrum: what is asked for, in the response's unit² / Hz.
-        response: what is controlled, of `RESPONSES`.
-        frame_s: length of a frame [s]: lines lie 1 / frame_s apart.
-        loops: corrections of the drive.
-        frames: frames in each of them, half overlapped.
-        averages: frames of the measurement after the last, likewise.
+        spectrum: requested density, in the response's unit² / Hz.
+        response: controlled response, of `RESPONSES`.
+        frame_s: length of a frame [s]: lines are 1 / frame_s apart.
+        loops: number of corrections of the drive.
+        frames: frames in each loop, half overlapped.
+        averages: frames of the measurement after the last loop, likewise.
         gain: exponent of a correction.
-        start_rms: of the drive in the first loop [A].
-        crest: the drive is clipped at this many times its rms.
-        abort_db: a line this far above what is asked ends the test.
-        seed: of the phases.
+        start_rms: rms of the drive in the first loop [A].
+        crest: multiple of its rms at which the drive is clipped.
+        abort_db: excess of a line over the request that ends the test.
+        seed: seed of the phases.
     """
 
     spectrum: Spectrum = Spectrum(frequency_hz=(5.0, 15.0, 200.0), density=(0.02, 0.25, 0.25))
@@ -84,17 +85,17 @@ class RandomPlan:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Reached:
-    """What was asked and what came."""
+    """Requested and reached spectra."""
 
     frequency_hz: Real  # the lines within the band, shape (n,)
     asked: Real  # density, shape (n,)
-    reached: Real  # likewise, by the averages after the last correction
-    noise: Real  # density of the sensor's own, likewise
-    coherence: Real  # of response and drive, shape (n,): what is missing is noise and distortion
+    reached: Real  # likewise, from the averages after the last correction
+    noise: Real  # density of the sensor's own noise, likewise
+    coherence: Real  # of response and drive, shape (n,): the difference to 1 is noise and distortion
     loops: tuple[float, ...]  # rms error of the lines in each loop [dB]
-    drive_rms: float  # of the drive at the end [A]
-    kurtosis: float  # of the response, 3 for a Gaussian one
-    clipped: int  # samples of the drive that were clipped
+    drive_rms: float  # rms of the drive at the end [A]
+    kurtosis: float  # kurtosis of the response, 3 for a Gaussian one
+    clipped: int  # number of clipped samples of the drive
 
     @property
     def error_db(self) -> Real:
@@ -103,11 +104,11 @@ class Reached:
 
     @property
     def distortion(self) -> Real:
-        """Density of what the drive causes and is not proportional to it, shape (n,)."""
+        """Density caused by the drive but not proportional to it, shape (n,)."""
         return np.maximum((1.0 - self.coherence) * self.reached - self.noise, 0.0)
 
     def share(self, density: Real) -> float:
-        """Return what of the mean square within the band a density is."""
+        """Return the share of a density in the mean square within the band."""
         return float(np.sum(density) / np.sum(self.reached))
 
     def within(self, bound_db: float) -> float:
@@ -116,7 +117,7 @@ class Reached:
 
 
 class _Drive:
-    """Makes frames of random phase, windowed and overlapped, without end."""
+    """Endless frames of random phase, windowed and overlapped."""
 
     def __init__(self, length: int, random: np.random.Generator) -> None:
         self._length, self._random = length, random
@@ -136,11 +137,11 @@ class _Drive:
 
 
 def control(hardware: Hardware, plan: RandomPlan) -> Iterator[Reached]:
-    """Hold a spectrum by hardware of one rate; yields after each loop, at last the averages.
+    """Control a spectrum with hardware of one rate; yield the result after each loop, and finally the averages.
 
     Raises:
-        CommandError: the shaker trips or refuses, or a line is too strong.
-        TimeoutError: the rig did not go on.
+        CommandError: the shaker trips or rejects the drive, or a line is too strong.
+        TimeoutError: the rig did not advance.
     """
     rate_hz = hardware.rig.stream_rate_hz
     length = 2 * round(plan.frame_s * rate_hz / 2)
@@ -160,7 +161,7 @@ def control(hardware: Hardware, plan: RandomPlan) -> Iterator[Reached]:
         drive_rms = float(np.sqrt(np.sum(density) * rate_hz / length))
         clipped += int(np.count_nonzero(np.abs(samples) > plan.crest * drive_rms))
         played, rows = exchange.exchange(np.clip(samples, -plan.crest * drive_rms, plan.crest * drive_rms))
-        settled = slice(4 * (length // 2), None)  # what was before has died away
+        settled = slice(4 * (length // 2), None)  # the earlier response has decayed
         y, x = rows[plan.response.channel].astype(float)[settled], played[settled]
         options = {"fs": rate_hz, "nperseg": length, "noverlap": length // 2}
         reached, sent = scipy.signal.welch(y, **options)[1] * scale, scipy.signal.welch(x, **options)[1]
@@ -173,8 +174,8 @@ def control(hardware: Hardware, plan: RandomPlan) -> Iterator[Reached]:
         )  # fmt: skip
         if loop > 1 and error.max() > plan.abort_db:
             worst = lines[band][np.argmax(error)]
-            raise CommandError(f"the line at {worst:g} Hz is {error.max():.1f} dB above what is asked")
-        # by what came of what was sent: that these frames were not their mean is not to be corrected
+            raise CommandError(f"the line at {worst:g} Hz is {error.max():.1f} dB above the request")
+        # relative to the frames actually sent: their deviation from the mean must not be corrected
         wanted = sent[band] * 10.0 ** (-error / 10.0) / density[band]
         step = np.clip(plan.gain * 10.0 * np.log10(wanted), -MOST_STEP_DB, MOST_STEP_DB)
         density[band] *= 10.0 ** (step / 10.0)

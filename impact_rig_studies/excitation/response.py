@@ -13,12 +13,12 @@
 # limitations under the License.
 """Frequency response of a rig to its current: burst random, pseudo-random or chirp, frame by frame, with coherence.
 
-Every response is the motion, not the reading: lag, skew, high-pass and order of derivative of its sensor are undone as
-calibrated (`motion`).
+Every response is the motion, not the reading: lag, skew, high-pass and order of derivative of its sensor are corrected
+by its calibration (`motion`).
 
-A burst fills the first part of a frame and has died away at its end, a pseudo-random frame or a chirp repeats: nothing
-leaks, so no window is needed. Of a rig with its sphere this is the best linear approximation at this level: what the
-coherence lacks is noise and distortion (Pintelon & Schoukens 2012, System Identification, chapter 4).
+A burst fills the first part of a frame and has decayed at its end; a pseudo-random frame or a chirp repeats. Nothing
+leaks, so no window is needed. For a rig with its sphere this is the best linear approximation at this level: the
+missing coherence is noise and distortion (Pintelon & Schoukens 2012, System Identification, chapter 4).
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ BURST, PSEUDO, CHIRP = KINDS = ("burst_random", "pseudo_random", "chirp")
 
 
 class Response(enum.StrEnum):
-    """What may be controlled: the reading of a channel, or its second derivative."""
+    """Controllable response: the reading of a channel, or its second derivative."""
 
     BASE = "base"
     SUPERIOR = "superior"
@@ -51,7 +51,7 @@ class Response(enum.StrEnum):
 
     @property
     def channel(self) -> str:
-        """The channel that reads it."""
+        """Channel that measures it."""
         return {"superior": "laser", "superior_acceleration": "accelerometer"}.get(self, "base")
 
     @property
@@ -61,47 +61,47 @@ class Response(enum.StrEnum):
 
     @property
     def channel_index(self) -> int:
-        """Place of that channel in `scans.CHANNELS`."""
+        """Index of that channel in `scans.CHANNELS`."""
         return CHANNELS.index(self.channel)
 
     def of(self, rows: NDArray[np.void], calibration: Calibration, top_hz: float) -> Real:
-        """Return the motion up to a frequency that the channel of scans read, shape (n,)."""
+        """Return the motion that the channel measured up to a frequency, shape (n,)."""
         return motion(rows[self.channel].astype(float), calibration, self.channel_index, top_hz)
 
     def weight(self, calibration: Calibration, frequency_hz: Real) -> Real:
-        """Return what the density of the channel is multiplied by to be that of the response."""
+        """Return the factor from the density of the channel to that of the response."""
         power = 4 if self is Response.BASE_ACCELERATION else 0
         seen = np.abs(calibration.response(self.channel_index, frequency_hz))
         return np.asarray((2.0 * np.pi * frequency_hz) ** power / seen**2)
 
     def noise(self, calibration: Calibration, frequency_hz: Real) -> Real:
-        """Return the density of the sensor's own noise, white over what the scans can show."""
+        """Return the density of the sensor's own noise, white over the bandwidth of the scans."""
         white = 2.0 * _white_rms(calibration, self.channel_index) ** 2 / calibration.rate_hz
         return np.asarray(self.weight(calibration, frequency_hz) * white)
 
     def noises(self, calibration: Calibration, length: int, count: int, top_hz: float) -> Real:
-        """Return what the sensor's own noise makes of a motion at rest up to a frequency, shape (count, length)."""
+        """Return simulated sensor noise as motion at rest up to a frequency, shape (count, length)."""
         drawn = np.random.default_rng(0).normal(0.0, _white_rms(calibration, self.channel_index), (count, length))
         return np.array([motion(one, calibration, self.channel_index, top_hz) for one in drawn])
 
 
 def _white_rms(calibration: Calibration, channel: int) -> float:
-    """Return the rms of white noise as dense as that of a channel near 0 Hz."""
+    """Return the rms of white noise with the density of a channel near 0 Hz."""
     return float(calibration.noise[channel] * np.sqrt(calibration.noise_crowding()[channel]))
 
 
-FADE = 0.8  # of a band, where its edge begins to fall
+FADE = 0.8  # fraction of a band at which its edge begins to fall
 
 
 def motion(values: Real, calibration: Calibration, channel: int, top_hz: float, around: int = 0) -> Real:
-    """Return the motion that a sensor read: its lag, skew, high-pass and derivative undone, within a band.
+    """Return the motion that a sensor measured: corrected for lag, skew, high-pass and derivative, within a band.
 
     Args:
         values: contiguous readings, shape (n,).
-        calibration: of the instruments.
+        calibration: calibration of the instruments.
         channel: index into `scans.CHANNELS`.
         top_hz: upper edge of the band; half of the rate keeps it open.
-        around: samples that are mirrored at both ends, where the record does not begin and end at rest.
+        around: number of samples mirrored at both ends if the record does not begin and end at rest.
     """
     mirrored = np.pad(values, around, mode="reflect", reflect_type="odd") if around else values
     frequency: Real = np.asarray(np.fft.rfftfreq(len(mirrored), 1.0 / calibration.rate_hz), np.float64)
@@ -109,30 +109,30 @@ def motion(values: Real, calibration: Calibration, channel: int, top_hz: float, 
     if top_hz < 0.5 * calibration.rate_hz:
         edge = np.sin(0.5 * np.pi * np.clip((top_hz - frequency) / ((1.0 - FADE) * top_hz), 0.0, 1.0)) ** 2
     response = calibration.response(channel, frequency)
-    seen = (edge > 0.0) & (response != 0.0)  # a sensor with a high-pass does not see the mean
+    seen = (edge > 0.0) & (response != 0.0)  # a sensor with a high-pass does not measure the mean
     spectrum = np.where(seen, np.fft.rfft(mirrored) * edge, 0.0)
     spectrum[seen] /= response[seen]
     found: Real = np.fft.irfft(spectrum, len(mirrored))[around : around + len(values)]
     return found
 
 
-MOST_SAMPLES = 50_000_000  # of an excitation, in memory at once
+MOST_SAMPLES = 50_000_000  # limit for an excitation in memory
 
 
 @attrs.frozen(kw_only=True)
 class Excitation:
-    """What drives the rig for a frequency response."""
+    """Excitation for a frequency response."""
 
     kind: str = attrs.field(default=BURST, validator=attrs.validators.in_(KINDS))  # one of `KINDS`
     frames: int = attrs.field(default=20, validator=attrs.validators.ge(3))
-    """That are measured; of a repeated one, one more goes ahead."""
+    """Number of measured frames; a repeated one is preceded by one more."""
     frame_s: float = attrs.field(default=8.0, validator=attrs.validators.gt(0.0))  # length of a frame [s]
     burst: float = attrs.field(default=0.5, validator=[attrs.validators.gt(0.0), attrs.validators.le(1.0)])
-    """Share of a frame that a burst fills."""
+    """Fraction of a frame that a burst fills."""
     low_hz: float = attrs.field(default=4.0, validator=attrs.validators.gt(0.0))  # lower edge of the band
     high_hz: float = attrs.field(default=60.0, validator=attrs.validators.gt(0.0))  # upper edge
-    rms: float = attrs.field(default=0.2, validator=attrs.validators.gt(0.0))  # of the drive while it is on [A]
-    seed: int = attrs.field(default=1, validator=attrs.validators.ge(0))  # of its random numbers
+    rms: float = attrs.field(default=0.2, validator=attrs.validators.gt(0.0))  # rms of the drive while it is on [A]
+    seed: int = attrs.field(default=1, validator=attrs.validators.ge(0))  # seed of the random numbers
 
     def samples(self, rate_hz: int) -> Real:
         """Return all frames one after the other, shape (n,)."""
@@ -165,18 +165,18 @@ class Excitation:
 def measure(hardware: Hardware, excitation: Excitation, channel: str, reference: str = "current") -> Iterator[Frf]:
     """Drive the rig and yield channel / reference after each frame from the third on.
 
-    Lag, skew and high-pass of the sensors are corrected as calibrated.
+    Lag, skew and high-pass of the sensors are corrected by their calibration.
 
     Args:
-        hardware: output and acquisition, of one rate.
+        hardware: output and acquisition, with equal rates.
         excitation: the drive.
-        channel: of the response.
-        reference: of the excitation.
+        channel: channel of the response.
+        reference: channel of the excitation.
 
     Raises:
         ConfigError: the band does not fit the rate.
-        CommandError: the shaker trips, or refuses the drive.
-        TimeoutError: the rig did not go on.
+        CommandError: the shaker trips, or rejects the drive.
+        TimeoutError: the rig did not advance.
     """
     rate_hz = hardware.rig.rate_hz
     samples, length = excitation.samples(rate_hz), round(excitation.frame_s * rate_hz)
@@ -199,10 +199,11 @@ def measure(hardware: Hardware, excitation: Excitation, channel: str, reference:
             lag = calibration.response(x, found.frequency_hz) / calibration.response(y, found.frequency_hz)
         lag[~np.isfinite(lag)] = 0.0
         if reference == "current":
-            # of straight lines between samples: scans at the samples fold its harmonics onto it
+            # straight lines between samples: scans at the samples fold their harmonics onto it
             lag = lag / np.sinc(found.frequency_hz / rate_hz) ** 2
         lines = found.frequency_hz[found.excited]
-        inside = (lines >= excitation.low_hz) & (lines <= excitation.high_hz)  # others hold what the edges let through
+        # other lines contain only leakage through the edges
+        inside = (lines >= excitation.low_hz) & (lines <= excitation.high_hz)
         yield attrs.evolve(
             found, h1=found.h1 * lag, h2=found.h2 * lag, hv=found.hv * lag, u_relative=np.hypot(found.u_relative, gain),
             excited=found.excited[inside] if inside.any() else found.excited,

@@ -11,15 +11,15 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Shocks: a half sine with compensation, so that a shaker can make it, and shock response spectra.
+"""Half-sine shocks with compensation that a shaker can reproduce, and shock response spectra.
 
-A half sine of acceleration changes the velocity for good, which no table can. Two low pulses of the opposite sign,
-before and after, each a quarter of a cosine wide at its ends, take the velocity and the displacement back to zero.
+A half sine of acceleration changes the velocity permanently, which no table can. Two low pulses of the opposite sign,
+before and after, each a quarter of a cosine wide at its ends, bring velocity and displacement back to zero.
 
     shock response spectrum: the largest |response| of x'' + 2ζω x' + ω² x = −a over time, for each natural frequency
 
-by the ramp-invariant filter (Smallwood 1981, Shock and Vibration Bulletin 51, 279–287), which is exact for an
-acceleration of straight lines between its samples.
+It is computed by the ramp-invariant filter (Smallwood 1981, Shock and Vibration Bulletin 51, 279–287), which is exact
+for an acceleration of straight lines between its samples.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ from impact_rig_studies.excitation.history import ABOVE, Replicated, ReplicatePl
 
 @attrs.frozen(kw_only=True)
 class Pulse:
-    """A half sine with its compensation."""
+    """Half sine with its compensation."""
 
     peak: float = attrs.field(default=20.0, validator=attrs.validators.gt(0.0))  # of the acceleration [m/s²]
     duration_s: float = attrs.field(default=11e-3, validator=attrs.validators.gt(0.0))  # of the half sine
     compensation_s: float = attrs.field(default=0.15, validator=attrs.validators.gt(0.0))
-    """Of each of the two pulses beside it."""
+    """Duration of each of the two compensating pulses."""
 
     def acceleration(self, rate_hz: int) -> Real:
         """Return the acceleration [m/s²], shape (n,); its sum and the sum of its running sum are zero."""
@@ -58,7 +58,7 @@ class Pulse:
         return np.asarray(whole + low[0] * before + low[1] * after)
 
     def displacement(self, rate_hz: int) -> Real:
-        """Return the base's displacement that has this acceleration [m], shape (n,); it begins and ends at zero."""
+        """Return the displacement of the base with this acceleration [m], shape (n,); it begins and ends at zero."""
         acceleration = self.acceleration(rate_hz)
         velocity = np.cumsum(acceleration) / rate_hz
         return np.asarray((np.cumsum(velocity) - 0.5 * velocity) / rate_hz)
@@ -82,7 +82,7 @@ def shock_response_spectrum(acceleration: Real, rate_hz: float, frequency_hz: Re
         c, s = e * math.cos(k), e * math.sin(k)
         ratio = s / k
         numerator = (1.0 - ratio, 2.0 * (ratio - c), e * e - ratio)
-        ring = np.zeros(math.ceil(rate_hz / natural))  # the residual: a whole period of what rings on
+        ring = np.zeros(math.ceil(rate_hz / natural))  # the residual: a whole period of the free vibration
         response = scipy.signal.lfilter(numerator, (1.0, -2.0 * c, e * e), np.concatenate([acceleration, ring]))
         found[i] = np.abs(response).max()
     return found
@@ -112,9 +112,9 @@ def half_sine_spectrum(peak: float, duration_s: float, frequency_hz: Real) -> Re
 
 @attrs.frozen(eq=False, kw_only=True)
 class Shocked:
-    """A shock of the inferior base, as its displacement sensor saw it, and what was asked.
+    """Shock of the inferior base, as measured by its displacement sensor, and the request.
 
-    A figure within its floor is no error: so much may come of the sensor's noise, of twenty draws the largest, and of
+    A figure within its floor is not an error: the floor is the largest of twenty draws of the sensor's noise, plus
     twice the standard uncertainty of its gain.
     """
 
@@ -129,16 +129,16 @@ class Shocked:
     velocity_error: float  # relative, of the velocity that the pulse changes
     left_m: float  # displacement at the end
     srs_worst_db: float  # largest difference of the spectra
-    floors: Mapping[str, float]  # of the four figures, by name
+    floors: Mapping[str, float]  # floors of the four figures, by name
 
 
-DRAWS = 20  # of the sensor's noise
+DRAWS = 20  # number of draws of the sensor's noise
 CORNER = 3.0
-"""Over the pulse's duration, the frequency up to which a displacement is differentiated: noise grows as its square."""
+"""Frequency up to which a displacement is differentiated, times the pulse's duration: noise grows as its square."""
 
 
 def differentiated(displacement: Real, rate_hz: int, corner_hz: float) -> tuple[Real, Real]:
-    """Return velocity and acceleration of what begins and ends at rest, without phase, up to about `corner_hz`."""
+    """Return velocity and acceleration of a record from rest to rest, without phase, up to about `corner_hz`."""
     padded = np.concatenate([displacement, np.zeros(len(displacement))])
     frequency: Real = np.asarray(np.fft.rfftfreq(len(padded), 1.0 / rate_hz), np.float64)
     i_omega = 2j * np.pi * frequency
@@ -148,15 +148,15 @@ def differentiated(displacement: Real, rate_hz: int, corner_hz: float) -> tuple[
 
 
 def shock(hardware: Hardware, pulse: Pulse) -> Iterator[Shocked]:
-    """Let the inferior base make a shock; yields after each trial.
+    """Let the inferior base perform a shock; yield the result after each trial.
 
     Args:
-        hardware: output and acquisition, of one rate.
-        pulse: what is asked for; its displacement is replicated from rest up to `CORNER` / duration.
+        hardware: output and acquisition, with equal rates.
+        pulse: requested pulse; its displacement is replicated from 0 Hz up to `CORNER` / duration.
 
     Raises:
-        CommandError: the shaker trips, or refuses the drive.
-        TimeoutError: the rig did not go on.
+        CommandError: the shaker trips, or rejects the drive.
+        TimeoutError: the rig did not advance.
     """
     rate_hz, corner_hz = hardware.rig.stream_rate_hz, CORNER / pulse.duration_s
     plan = ReplicatePlan(low_hz=0.0, high_hz=corner_hz, rest_s=1.0, identify_s=16.0, identify_rms=3.0, enough=1e-3)
@@ -165,7 +165,7 @@ def shock(hardware: Hardware, pulse: Pulse) -> Iterator[Shocked]:
     on = slice(round(pulse.compensation_s * rate_hz), round((pulse.compensation_s + pulse.duration_s) * rate_hz))
     ideal = half_sine_spectrum(pulse.peak, pulse.duration_s, frequency)
     displacement = pulse.displacement(rate_hz)
-    wanted, smooth = differentiated(displacement, rate_hz, corner_hz)  # by the same filter as what is reached
+    wanted, smooth = differentiated(displacement, rate_hz, corner_hz)  # with the same filter as the result
     srs_asked = shock_response_spectrum(smooth, rate_hz, frequency)
 
     def figures(moved: Real) -> tuple[Real, Real, dict[str, float]]:

@@ -11,4 +11,4 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""From measurements to the constants of the rig, and what the measurements cannot tell."""
+"""Identification of the rig's constants from measurements, including what the measurements cannot determine."""

@@ -49,12 +49,12 @@ NAMES = ("f_n", "ζ", "m_1", "K_f", "k_f", "M", "c_f")
 """Structure: natural frequency, damping ratio, mass. Shaker: force factor, suspension, mass m_a + m_b, damping."""
 UNITS = ("Hz", "-", "kg", "N/A", "N/m", "kg", "N s/m")
 SCALED = ("m_1", "K_f", "k_f", "M", "c_f")
-"""Forces and masses: multiplied by one factor they give the same motion, unless something of known mass takes part."""
-SCALE = np.array([float(name in SCALED) for name in NAMES])  # the direction of that factor
+"""Forces and masses: a common factor gives the same motion, unless something of known mass takes part."""
+SCALE = np.array([float(name in SCALED) for name in NAMES])  # direction of that factor
 
 
 START = np.log([9.0, 0.005, 0.2, 6.0, 8000.0, 2.5, 60.0])
-"""Where a fit begins: round numbers in the right order of magnitude."""
+"""Start of a fit: round numbers of the right order of magnitude."""
 
 
 def logarithms(config: RigConfig) -> Real:
@@ -67,10 +67,10 @@ def logarithms(config: RigConfig) -> Real:
 
 
 def rig(base: RigConfig, log_constants: Real) -> RigConfig:
-    """Return `base` with these constants; the share of the armature in the moving mass stays.
+    """Return `base` with these constants; the share of the armature in the moving mass is unchanged.
 
     Raises:
-        ConfigError: they make no rig.
+        ConfigError: they are not a valid rig.
     """
     values = dict(zip(NAMES, (float(value) for value in np.exp(log_constants)), strict=True))
     moving = base.shaker.armature_mass_kg + base.shaker.base_mass_kg
@@ -88,26 +88,25 @@ def rig(base: RigConfig, log_constants: Real) -> RigConfig:
 
 
 # --- What a least-squares problem determines: Fisher information, its singular values, and combinations of parameters.
-#
 # Parameters are logarithms, so a direction in their space is a product of powers, and 1/s, s a singular value of the
-# whitened Jacobian, is the relative standard uncertainty of that product. Nuisance parameters (gain errors of sensors,
-# say) are eliminated first: what they can imitate is no information.
+# whitened Jacobian, is the relative standard uncertainty of that product. Nuisance parameters (for example gain errors
+# of sensors) are eliminated first: effects that they can imitate are no information.
 
 
 DETERMINED = 0.2  # relative standard uncertainty up to which a parameter, or a combination, counts as determined
 LEAST_SHARE = 0.05  # powers below this share of the largest are left out of a combination's name
 SMALLEST = 1e-9  # singular values below this share of the largest are rounding
 UNTOUCHED = 1e-3
-"""A parameter with less than this power in a combination that is not known at all does not take part in it."""
+"""Power below which a parameter does not take part in a completely unknown combination."""
 
 
 @attrs.frozen(eq=False)
 class Combination:
-    """A product of powers of parameters."""
+    """Product of powers of parameters."""
 
     powers: Real  # by parameter, shape (n,); the largest is 1
-    u_relative: float  # its relative standard uncertainty; infinite if the data say nothing
-    text: str  # for people
+    u_relative: float  # its relative standard uncertainty; infinite if the data do not determine it
+    text: str  # readable text
 
     @property
     def determined(self) -> bool:
@@ -117,11 +116,12 @@ class Combination:
 
 @attrs.frozen(eq=False)
 class Information:
-    """What the data say about logarithmic parameters."""
+    """Information of the data on logarithmic parameters."""
 
-    names: tuple[str, ...]  # of the parameters, n of them
+    names: tuple[str, ...]  # names of the parameters
     combinations: tuple[Combination, ...]  # independent ones, best determined first
-    u_relative: Real  # relative standard uncertainty of each parameter, infinite if it takes part in what is not known
+    # relative standard uncertainty of each parameter; infinite if it takes part in an unknown combination
+    u_relative: Real
 
     def determined(self, name: str) -> bool:
         """Return whether the data determine a parameter by itself."""
@@ -129,12 +129,12 @@ class Information:
 
 
 def information(names: Sequence[str], jacobian: Real, nuisances: Real | None = None) -> Information:
-    """Return what a whitened Jacobian says.
+    """Compute the information of a whitened Jacobian.
 
     Args:
-        names: of the parameters.
+        names: names of the parameters.
         jacobian: d residual / d ln parameter, residuals in units of their standard uncertainty, shape (m, n).
-        nuisances: the same for nuisance parameters, shape (m, k), rows of their prior knowledge included.
+        nuisances: the same for nuisance parameters, shape (m, k), including rows of their prior knowledge.
     """
     matrix = np.asarray(jacobian, float)
     if nuisances is not None and nuisances.shape[1]:
@@ -171,26 +171,26 @@ def _combination(names: Sequence[str], direction: Real, u: float) -> Combination
 
 STEP = 1e-6  # of logarithms, for derivatives of closed forms
 U_SIMULATED = 1e-4
-"""Relative standard uncertainty of a ratio in addition to its noise: transients that the analysis calls settled."""
-SIGNIFICANCE = 0.01  # a fit as bad as this or worse by chance alone is an alarm
+"""Relative standard uncertainty of a ratio in addition to its noise: transients that the analysis considers settled."""
+SIGNIFICANCE = 0.01  # probability of a fit this bad below which it is an alarm
 ITERATIONS = 30
-CONVERGED = 1e-4  # a step this small, in standard uncertainties, ends the fit of the closed forms
-ROUNDS = 8  # of adjusting the constants to the reductions with e held, at most
-SMALL = 0.05  # a step this small, in standard uncertainties, ends them
-SCATTERED = 0.5  # the same where a mean of a motion that does not repeat scatters
+CONVERGED = 1e-4  # step, in standard uncertainties, that ends the fit of the closed forms
+ROUNDS = 8  # maximum number of adjustments of the constants to the reductions with e held
+SMALL = 0.05  # step, in standard uncertainties, that ends them
+SCATTERED = 0.5  # the same if a mean of an irregular motion scatters
 RANK = 1e-6
-"""Share of the largest singular value below which a direction is not determined; derivatives are good to that."""
+"""Share of the largest singular value below which a direction is not determined: the accuracy of the derivatives."""
 UNBOUND = 1.0
-"""Relative standard uncertainty beyond which a constant is hardly moved: a few data would send it out of all range."""
+"""Relative standard uncertainty above which a constant is hardly changed: a few data would move it out of range."""
 LARGEST_STEP = 0.5
-LEAST_RESTITUTION, MOST_RESTITUTION = 0.02, 0.98  # of a fitted e
+LEAST_RESTITUTION, MOST_RESTITUTION = 0.02, 0.98  # range of a fitted e
 
 
 @attrs.frozen(eq=False)
 class Alternative:
-    """One of several sets of constants that explain the data."""
+    """Set of constants that is one of several explanations of the data."""
 
-    share: float  # of the probability
+    share: float  # its share of the probability
     log_constants: Real  # in the order of `NAMES`
     u_relative: Real  # their standard uncertainties
     restitution: float  # nominal e
@@ -199,22 +199,24 @@ class Alternative:
 
 @attrs.frozen(eq=False)
 class Identified:
-    """The result."""
+    """Result of an identification."""
 
-    log_constants: Real  # in the order of `NAMES`; what the data do not determine stays near its start
-    information: Information  # what the data say
-    chi_square: float  # sum of squared residuals at the best fit, priors of e and of the nuisances included
-    freedom: int  # residuals less determined parameters
+    log_constants: Real  # in the order of `NAMES`; constants that the data do not determine stay near their start
+    information: Information  # information of the data
+    chi_square: float  # sum of squared residuals at the best fit, including priors of e and of the nuisances
+    freedom: int  # residuals minus determined parameters
     config: RigConfig  # the known rig, with the identified constants
     restitution: float = math.nan  # nominal e found, NaN without reductions; u_restitution likewise
     u_restitution: float = math.nan
     irregular: Mapping[float, float] = attrs.field(factory=dict)
-    """Gaps [m] at which the fitted motion does not repeat, with the standard uncertainty of its mean ratio."""
-    contradicted: tuple[float, ...] = ()  # those of them at which the motion was measured to be periodic
+    """Gaps [m] at which the fitted motion is irregular, with the standard uncertainty of its mean ratio."""
+    contradicted: tuple[float, ...] = ()  # those of them at which a periodic motion was measured
     alternatives: tuple[Alternative, ...] = ()
-    """Where the data have several explanations, all of them, the most probable first; the uncertainties above include
-    the distance between them."""
-    converged: bool = True  # whether the last step was small; where not, the uncertainties are of no minimum
+    """All explanations of the data if there are several, the most probable first.
+
+    The uncertainties above include the distance between them.
+    """
+    converged: bool = True  # whether the last step was small; otherwise the uncertainties do not belong to a minimum
 
     @property
     def chance(self) -> float:
@@ -223,7 +225,7 @@ class Identified:
 
     @property
     def consistent(self) -> bool:
-        """Whether the fit has converged, and data, uncertainties and what was taken as known go together."""
+        """Whether the fit has converged, and data, uncertainties and known values are consistent."""
         return self.converged and self.chance >= SIGNIFICANCE and not self.contradicted
 
     @property
@@ -246,10 +248,10 @@ def identify(
     """Return the constants that fit best.
 
     Args:
-        measured: what there is.
-        known: what is taken as known: sphere, contact, barriers; its own constants do not matter.
-        start: logarithms of the constants to begin with.
-        on_step: is told what is being done.
+        measured: the measurements.
+        known: known properties: sphere, contact, barriers; its own constants are ignored.
+        start: logarithms of the constants to start with.
+        on_step: receives a description of each step.
 
     Raises:
         ConfigError: nothing was measured.
@@ -263,7 +265,7 @@ def identify(
         residual, jacobian, bent = _linear(measured, known, theta, nuisance)
         change, along = _step(residual, jacobian, bent)
         theta, nuisance = theta + change, nuisance + along
-        # seen by the data: along what they do not determine, rounding in the derivatives moves the constants for ever
+        # measured by the data: along undetermined directions, rounding in the derivatives moves the constants forever
         converged = bool(np.linalg.norm(jacobian @ change + bent @ along) < CONVERGED)
         if converged:
             break
@@ -276,7 +278,7 @@ def identify(
 
 
 def _begun(measured: Measured, start: Real) -> Real:
-    """Return the start with the f_n and ζ that the data show at a glance: far from them nothing else can be fitted."""
+    """Return the start with f_n and ζ estimated from the data: far from them nothing else can be fitted."""
     theta = start.copy()
     if measured.decay is not None:
         theta[:2] = np.log([measured.decay.natural_frequency_hz, measured.decay.damping_ratio])
@@ -287,45 +289,46 @@ def _begun(measured: Measured, start: Real) -> Real:
 
 
 def _step(residual: Real, jacobian: Real, bent: Real) -> tuple[Real, Real]:
-    """Return the Gauss-Newton step; along what the data do not determine, none, or a damped one."""
+    """Return the Gauss-Newton step; along undetermined directions none, or a damped one."""
     damped = np.eye(len(NAMES), len(NAMES) + bent.shape[1]) / UNBOUND
     whole = np.concatenate([np.concatenate([jacobian, bent], axis=1), damped])
-    size = np.maximum(np.linalg.norm(whole, axis=0), 1e-30)  # so that f_n, known best, hides nothing
+    size = np.maximum(np.linalg.norm(whole, axis=0), 1e-30)  # so that f_n, the best known one, hides nothing
     change = -np.linalg.lstsq(whole / size, np.append(residual, np.zeros(len(damped))), rcond=RANK)[0] / size
     change *= min(1.0, LARGEST_STEP / max(float(np.abs(change).max()), 1e-30))
     return change[: len(NAMES)], change[len(NAMES) :]
 
 
-# --- Reductions. The masses follow from them, and e is known beforehand within its uncertainty only. χ² is not smooth
-# in e: where the sphere strikes in another pattern, the slopes are others, and there the data may have another
-# explanation. So χ² is profiled: e is held at many values, the constants are fitted at each, and the result is the mean
-# over the profile, weighted by exp(−χ²/2), with all of its spread.
+# --- Reductions. The masses follow from them, and e is known beforehand within its uncertainty only. χ² is not smooth -
+# in e: when the sphere strikes in another pattern, the slopes change, and the data may have another explanation.
+# Therefore χ² is profiled: e is held at many values, the constants are fitted at each, and the result is the mean over
+# the profile, weighted by exp(−χ²/2), including its spread.
 
 FACTORS = np.arange(-1.2, 1.21, 0.08)  # logarithms of the common factor of forces and masses that are tried first
-U_FACTOR = 0.03  # relative: how well a ratio must be met there
-TRIED, WORSE = 3, 24.0  # factors that are the start of a fit, and the χ² up to which they are worse than the best
+U_FACTOR = 0.03  # relative uncertainty with which a ratio must be met there
+TRIED, WORSE = 3, 24.0  # number of factors that start a fit, and the excess of χ² over the best up to which they do
 COARSE_E = np.arange(-3.0, 3.1, 0.75)  # values of e of the first profile, in its standard uncertainties
-MINIMA = 3  # values of e from which a minimum is looked for
+MINIMA = 3  # number of values of e from which a minimum is searched
 PROPOSED = 4  # steps towards it
-NEAR_E = 0.3  # nearer to a value that is there, in standard uncertainties, none is added
-KNOWN = 0.05  # change of the density over an interval of e, in share of the area, that need not be resolved
-MOST_E = 30  # values of e
-SAME_E, SAME_M = 0.01, 0.01  # change of e, and relative one of the mass, over which slopes of one kind of motion hold
+NEAR_E = 0.3  # distance to an existing value, in standard uncertainties, below which none is added
+KNOWN = 0.05  # change of the density over an interval of e, as a share of the area, that need not be resolved
+MOST_E = 30  # maximum number of values of e
+# change of e, and relative one of the mass, within which slopes of one kind of motion are valid
+SAME_E, SAME_M = 0.01, 0.01
 GRID = 4001  # points of the profile between its values
 SEPARATE, LEAST_PART = 0.1, 0.05
-"""The density between two explanations falls below this share of the lower peak; least probability of one."""
+"""Share of the lower peak to which the density between two explanations falls; smallest probability of one."""
 APART = 2.0  # standard uncertainties on either side: explanations that overlap in all constants are one
 
 
 @attrs.frozen(eq=False)
 class _Held:
-    """The fit with e held."""
+    """Fit with e held."""
 
     e: float
     theta: Real
     nuisance: Real
     chi_square: float
-    cost: float  # −2 ln of the probability: χ², and what widths that depend on the motion add
+    cost: float  # −2 ln of the probability: χ², and the contribution of widths that depend on the motion
     jacobian: Real  # whitened, by the constants
     bent: Real  # by the nuisances
     by_e: Real  # by e
@@ -342,7 +345,7 @@ class _Held:
         return np.asarray(inverse @ inverse.T)
 
     def proposal(self) -> tuple[float, float]:
-        """Return the e of the minimum as the slopes tell it, and its standard uncertainty."""
+        """Return the e of the minimum according to the slopes, and its standard uncertainty."""
         others = np.concatenate([self.jacobian, self.bent], axis=1)
         size = np.maximum(np.linalg.norm(others, axis=0), 1e-30)
         basis, values, _ = np.linalg.svd(others / size, full_matrices=False)
@@ -355,9 +358,9 @@ class _Held:
 def _with_reductions(
     measured: Measured, known: RigConfig, theta: Real, nuisance: Real, on_step: Callable[[str], None]
 ) -> Identified:
-    """Return the constants from everything that was measured."""
+    """Return the constants from all measurements."""
     profile = _Profile(measured, known)
-    on_step("weighing the structure with the sphere")
+    on_step("fitting the masses with the sphere")
     starts = profile.factors(theta)
     on_step(f"fitting with e held, from {len(starts)} starts")
     held = profile.run(starts, nuisance, on_step)
@@ -366,7 +369,7 @@ def _with_reductions(
     constants, e, u_e = mean[:-1], float(mean[-1]), math.sqrt(float(covariance[-1, -1]))
     if np.linalg.matrix_rank(covariance[:-1, :-1] / np.outer(*2 * [np.sqrt(np.diag(covariance)[:-1])])) == len(NAMES):
         found = information(NAMES, np.linalg.cholesky(np.linalg.inv(covariance[:-1, :-1])).T)
-    else:  # there is something of which the data say nothing
+    else:  # the data do not determine everything
         found = information(NAMES, best.jacobian, np.column_stack([best.bent, best.by_e]))
     determined = sum(combination.determined for combination in found.combinations)
     irregular = {gap: motion.u for gap, motion in best.motions.items() if motion.regime != Regime.PERIODIC.value}
@@ -380,7 +383,7 @@ def _with_reductions(
 
 
 class _Profile:
-    """Fits with e held."""
+    """Profile: fits with e held."""
 
     def __init__(self, measured: Measured, known: RigConfig) -> None:
         assert measured.reduced is not None
@@ -390,7 +393,7 @@ class _Profile:
         self._slopes: dict[float, list[tuple[float, float, tuple[float, ...], Real]]] = {}
 
     def factors(self, theta: Real) -> list[Real]:
-        """Return the constants with common factors with which the ratios are met best."""
+        """Return the constants with the common factors that meet the ratios best."""
         misfits = []
         for factor in FACTORS:
             off = 0.0
@@ -423,7 +426,7 @@ class _Profile:
                     if new is not None:
                         self._keep(held, new)
                         here = new
-        on_step("looking for the minima of χ² over e")
+        on_step("searching for the minima of χ² over e")
         for one in sorted(held.values(), key=lambda each: each.cost)[:MINIMA]:
             self._descend(held, one)
         while len(held) < MOST_E and self._divide(held):
@@ -431,7 +434,7 @@ class _Profile:
         return [held[e] for e in sorted(held)]
 
     def _descend(self, held: dict[float, _Held], here: _Held) -> None:
-        """Go towards the minimum of χ² over e as the slopes tell."""
+        """Descend towards the minimum of χ² over e along the slopes."""
         for _ in range(PROPOSED):
             e, u = here.proposal()
             beyond = abs(e - self._nominal) > COARSE_E[-1] * self._u or e != self._within(e)
@@ -444,7 +447,7 @@ class _Profile:
             here = new
 
     def _divide(self, held: dict[float, _Held]) -> bool:
-        """Divide the interval of e over which the density changes most; return whether there is one that matters."""
+        """Divide the interval of e with the largest change of the density; return whether there is a relevant one."""
         e = sorted(held)
         cost = np.array([held[one].cost for one in e])
         density, width = np.exp(-0.5 * (cost - cost.min())), np.diff(e)
@@ -471,7 +474,7 @@ class _Profile:
             held[new.e] = new
 
     def _place(self, gap_m: float, theta: Real, gain: float, e: float) -> Place:
-        """Return a rig with a gap, driven by what moved the current's sensor so far, its gain being off by `gain`."""
+        """Return a rig with a gap, driven by the measured current with a relative gain error `gain`."""
         config = from_flat(rig(self._known, theta), {"contact.restitution": e})
         return place_of(config, gap_m, self._reduced.frequency_hz, self._reduced.current_a[gap_m] * math.exp(-gain))
 
@@ -523,7 +526,10 @@ class _Profile:
         )  # fmt: skip
 
     def _motion(self, gap_m: float, theta: Real, gain: float, e: float) -> tuple[SettledMotion, Real]:
-        """Return a motion, and its derivatives by the constants and e; those of a near motion of the same kind do."""
+        """Return a motion, and its derivatives by the constants and e.
+
+        Derivatives of a close motion of the same kind are reused.
+        """
         force = NAMES.index("K_f")
         here = SettledRig(self._place(gap_m, theta, gain, e))
         motion = here.motion
@@ -595,7 +601,7 @@ def _parts(density: Real) -> Iterator[slice]:
 
 
 def _linear(measured: Measured, known: RigConfig, theta: Real, nuisance: Real) -> tuple[Real, Real, Real]:
-    """Return whitened residuals of what needs no simulation, and their derivatives by constants and nuisances."""
+    """Return whitened residuals of data without simulation, and their derivatives by constants and nuisances."""
     residuals, rows, bends = [], [], []
     decay, sine, gains = measured.decay, measured.sine, measured.gains
     if decay is not None:
@@ -620,12 +626,12 @@ def _linear(measured: Measured, known: RigConfig, theta: Real, nuisance: Real) -
         effects = np.stack([laser - base, base - current, np.zeros_like(base)])
         off = _apart(model, data)
         for row in range(3):
-            told = np.isfinite(data[row])  # a point whose current is unsound tells DT and phase
+            told = np.isfinite(data[row])  # a point with an unsound current still has DT and phase
             residuals.append(((off[row] + effects[row] @ nuisance) / u[row])[told])
             rows.append((derivative[row] / u[row][:, None])[told])
             bends.append((effects[row] / u[row][:, None])[told])
     prior = _prior(measured)
-    uncertain = prior > 0.0  # what is known exactly bends nothing
+    uncertain = prior > 0.0  # exactly known nuisances have no effect
     width = np.where(uncertain, prior, 1.0)
     residuals.append(np.where(uncertain, nuisance / width, 0.0))
     rows.append(np.zeros((len(NUISANCES), len(NAMES))))
@@ -635,14 +641,14 @@ def _linear(measured: Measured, known: RigConfig, theta: Real, nuisance: Real) -
 
 
 def _apart(one: Real, other: Real) -> Real:
-    """Return the difference of two arrays as `_model` returns them; of phases the smallest."""
+    """Return the difference of two results of `_model`; of phases the smallest."""
     difference = one - other
     difference[2] -= 2.0 * math.pi * np.round(difference[2] / (2.0 * math.pi))
     return difference
 
 
 def _prior(measured: Measured) -> Real:
-    """Return the standard uncertainty of each nuisance, known beforehand."""
+    """Return the prior standard uncertainty of each nuisance."""
     without = measured.reduced.u_without if measured.reduced else 0.0
     return np.array([*measured.gains.u, without])
 

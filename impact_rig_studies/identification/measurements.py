@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What identification is given: results of the analysis, with noise kept apart from errors of calibration.
+"""Measurements for identification: results of the analysis, with noise separated from errors of calibration.
 
 Errors of calibration are common to all points: one gain and one curve per sensor (`analysis.calibration`). They become
-nuisance parameters with the certificate's standard uncertainties; what is left per point is noise.
+nuisance parameters with the certificate's standard uncertainties; the rest per point is noise.
 """
 
 from __future__ import annotations
@@ -44,26 +44,26 @@ from impact_rig_studies.campaign.results import Curves, Point
 from impact_rig_studies.decay import Decay, DecayMethod, fit_decay, measure_decay
 from impact_rig_studies.reduction import repeatability
 
-LEAST_NOISE = 1e-4  # relative; repeatability that is not claimed to be better, whatever a few seconds of signal suggest
+LEAST_NOISE = 1e-4  # relative; smallest repeatability assumed, even if a few seconds of signal suggest a smaller one
 CALIBRATION = ("gain laser", "gain base", "gain current", "curve laser", "curve base")
 NUISANCES = (*CALIBRATION, "DT without sphere")
-"""Errors that several data share. "DT without sphere" is the noise of the point that all reductions refer to."""
+"""Errors shared by several data. "DT without sphere" is the noise of the reference point of all reductions."""
 GAIN_CURRENT = NUISANCES.index("gain current")
 U_RESTITUTION = 0.02
-"""Standard uncertainty of the nominal e, unless a better one is given: the reductions tell more if they are several."""
+"""Standard uncertainty of the nominal e by default: several reductions determine it better."""
 
 
 @attrs.frozen(eq=False)
 class SineData:
-    """The stepped sine without sphere; arrays of shape (n,), u_: standard uncertainty by noise alone, relative, rad."""
+    """Stepped sine without sphere; arrays of shape (n,), u_: standard uncertainty by noise alone, relative, rad."""
 
     frequency_hz: Real  # of the points
     dt: Real  # transmissibility
-    phase_rad: Real  # of x_1 to x_b
+    phase_rad: Real  # phase of x_1 to x_b
     base_per_a: Real  # amplitude of the base over that of the current [m/A]
     laser_m: Real  # amplitude
     base_m: Real  # amplitude
-    u_amplitude: Real  # relative, of dt and of base_per_a
+    u_amplitude: Real  # relative, of dt and base_per_a
     u_phase: Real  # [rad]
 
 
@@ -72,19 +72,21 @@ class Reduced:
     """DT with the sphere over DT without, at one frequency."""
 
     frequency_hz: float  # of the drive
-    current_a: Mapping[float, float]  # amplitude of the drive with the sphere, by gap [m], as its sensor read it
+    current_a: Mapping[float, float]  # measured amplitude of the drive with the sphere, by gap [m]
     ratio: Mapping[float, float]  # by gap [m]
-    u: Real  # relative standard uncertainty by the noise of DT with the sphere, shape (n,)
-    u_without: float  # that of DT without
-    effects: Real  # d ln ratio / d nuisance, shape (n, 6); what the current does is left to the simulation
+    u: Real  # relative standard uncertainty due to the noise of DT with the sphere, shape (n,)
+    u_without: float  # the same without the sphere
+    effects: Real  # d ln ratio / d nuisance, shape (n, 6); the simulation includes the effect of the current
     regimes: Mapping[float, str]
-    """What the motion with the sphere was measured to be, by gap; unknown where nobody counted the impacts: a light
-    sphere strikes irregularly while the amplitude stands still."""
+    """Measured regime of the motion with the sphere, by gap.
+
+    Unknown without a count of impacts, because a light sphere strikes irregularly while the amplitude is constant.
+    """
 
 
 @attrs.frozen(eq=False)
 class Gains:
-    """Errors of calibration: standard uncertainties and what they do."""
+    """Errors of calibration: standard uncertainties and effects."""
 
     u: Real  # of `CALIBRATION`, shape (5,)
     calibration: Calibration  # the certificate
@@ -97,7 +99,7 @@ class Gains:
         bent = [float(calibration.linearity[one]) / half if math.isfinite(half) else 0.0 for one, half in halves]
         curve = [U_CUBIC * one for one in bent]
         gains = [float(calibration.gain_uncertainty[channel]) for channel in (LASER, BASE, CURRENT)]
-        # the certificate counts the curve's slope at mid-range among the gains; here the curve has a parameter itself
+        # the certificate includes the curve's slope at mid-range in the gain; here the curve is a parameter of its own
         for place, one in enumerate(curve):
             gains[place] = math.sqrt(max(gains[place] ** 2 - (1.5 * one) ** 2, 0.0))
         return cls(np.array([*gains, *curve]), calibration)
@@ -135,9 +137,9 @@ def sine_of(points: Sequence[Point], gains: Gains) -> SineData:
 
 
 def reduced_of(curves: Curves, frequency_hz: float, gaps_m: Sequence[float], gains: Gains) -> Reduced | None:
-    """Return the ratios at one frequency, or None if there are none; only impacting orbits tell anything.
+    """Return the ratios at one frequency, or None if there are none; only impacting orbits are informative.
 
-    Where no accelerometer was there, nobody counted: then the simulated motion says.
+    Without an accelerometer impacts were not counted; the simulated motion then decides.
     """
     without = curves.at(NO_SPHERE, frequency_hz)
     at = [point for gap in gaps_m if (point := curves.at(gap, frequency_hz)) is not None]
@@ -161,7 +163,7 @@ def reduced_of(curves: Curves, frequency_hz: float, gaps_m: Sequence[float], gai
 
 
 def _current(point: Point) -> float:
-    """Return the measured amplitude of the current, that of the command where it was not measured."""
+    """Return the measured amplitude of the current, or that of the command if it was not measured."""
     read = float(np.mean(point.rows["current_amplitude"]))
     return read if math.isfinite(read) and read > 0.0 else point.current_a
 
@@ -171,15 +173,15 @@ def _counted(point: Point) -> bool:
 
 
 def _noise(point: Point, gains: Gains) -> float:
-    """Return the relative standard uncertainty of DT less what the calibration contributes to it."""
+    """Return the relative standard uncertainty of DT without the contribution of the calibration."""
     return max(repeatability(point.rows, gains.calibration), LEAST_NOISE)
 
 
 @attrs.frozen(eq=False, kw_only=True)
 class Measured:
-    """Everything that was measured; None where it was not.
+    """All measurements; None for those that were not made.
 
-    `u_restitution` is the standard uncertainty of the nominal e before the measurement.
+    `u_restitution` is the prior standard uncertainty of the nominal e.
     """
 
     gains: Gains
@@ -193,7 +195,7 @@ class Measured:
 
 DISPLACEMENT_M = 5e-3
 RECORD_S = 20.0  # five time constants of the structure
-SETTLE_S = 0.05  # left out at the beginning: the laser's lag dies away
+SETTLE_S = 0.05  # left out at the beginning: the laser's lag decays
 
 
 def measured_decay(config: RigConfig, method: DecayMethod = fit_decay) -> Decay:
@@ -208,10 +210,8 @@ def measured_decay(config: RigConfig, method: DecayMethod = fit_decay) -> Decay:
 def recorded_decay(run: Run, method: DecayMethod = fit_decay) -> Decay:
     """Measure the decay after the last pluck of a recorded run by a fit, or by `method`.
 
-    It ends where the rig is reset, or where scans are missing: the scans of a decay are consecutive.
-
-    A measurement of somebody's own rig has no journal: its decay begins where the structure is farthest from where it
-    comes to rest.
+    It ends at a reset or at missing scans: the scans of a decay are consecutive. A measurement of an external rig has
+    no journal: its decay begins where the structure is farthest from its final position.
 
     Raises:
         RecordingError: nothing was plucked, or the run holds no scans after it.
@@ -230,7 +230,7 @@ def recorded_decay(run: Run, method: DecayMethod = fit_decay) -> Decay:
         elif entry.kind is InputKind.RESET:
             end_ns = min(end_ns, entry.stamp_ns)
     if begin_ns is None:
-        raise RecordingError(f"{run.path}: nothing was plucked in this run (rig/pluck)")
+        raise RecordingError(f"{run.path}: no pluck in this run (rig/pluck)")
     info = list(run.tables(topics.INFO.name, recorded_order=True))[-1]
     first = begin_ns + round(SETTLE_S * NS_PER_S)
     decay = Recent(float(info.rows["rate"][0]), sys.maxsize)

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Simulated reductions for identification: what the rig settles to with its sphere, and how constants change that.
+"""Simulated reductions for identification: the settled motion of the rig with its sphere, and its derivatives.
 
-Where the motion repeats, its slopes come from the stroboscopic map (`Stroboscope.slopes`): single returns tell them,
-and the multipliers tell whether the orbit lasts. Where it does not repeat, its mean over many cycles is compared with a
+If the motion repeats, its slopes follow from the stroboscopic map (`Stroboscope.slopes`): single returns suffice, and
+the multipliers show whether the orbit is stable. If it does not repeat, its mean over many cycles is compared with a
 measurement. The mean has a standard uncertainty, from the scatter of batches, and its slopes are coarse differences.
 """
 
@@ -37,15 +37,15 @@ from impact_rig_studies.maps.plan import CURRENT
 
 SETTLED = Settings(settle_tolerance=1e-6, settle_cycles=288, cycles=48)
 REPEATS = 1e-5  # relative change of DT between the halves of a record up to which a periodic motion repeats
-BATCHES, BATCH_CYCLES = 10, 48  # over which a motion that does not repeat is averaged
+BATCHES, BATCH_CYCLES = 10, 48  # number and length of the batches over which an irregular motion is averaged
 COARSE = 0.02  # relative step of the differences for such a motion
 
 
 class SettledMotion(NamedTuple):
-    """What the rig settles to with its sphere."""
+    """Settled motion of the rig with its sphere."""
 
     log_ratio: float  # ln(DT with sphere / DT without)
-    u: float  # standard uncertainty of it, of the mean of a motion that does not repeat; 0 of one that does
+    u: float  # standard uncertainty of the mean of an irregular motion; 0 for a repeating one
     regime: str  # periodic, modulated, chaotic or intermittent
     period: float  # cycles after which it repeats; NaN if it does not
     impacts: float  # number in a period
@@ -66,7 +66,7 @@ CURRENT_DRIVE = "current"
 
 
 def simulated(config: RigConfig, gap_m: float, frequency_hz: float, current_a: float) -> SettledMotion:
-    """Return the motion of a rig, from its reset on; without the sphere DT is known in closed form.
+    """Return the motion of a rig after its reset; without the sphere DT is known in closed form.
 
     Raises:
         SimulationError: it could not be resolved.
@@ -75,7 +75,7 @@ def simulated(config: RigConfig, gap_m: float, frequency_hz: float, current_a: f
 
 
 class SettledRig:
-    """A rig that has settled, and what it does.
+    """Settled rig and its motion.
 
     Raises:
         SimulationError: it could not be resolved.
@@ -101,10 +101,10 @@ class SettledRig:
         self.motion = SettledMotion(math.log(dt) - _log_dt(place), u, found.regime, found.period, impacts)
 
     def slopes(self, neighbour: Callable[[int, float], Place], count: int, amplitude: int, mass: int) -> Real:
-        """Return the derivatives of `motion.log_ratio` by parameters, shape (count,). The rig has moved on then.
+        """Return the derivatives of `motion.log_ratio` by parameters, shape (count,). This advances the rig.
 
         Args:
-            neighbour: the place with the i-th parameter changed by a small step.
+            neighbour: returns the rig with the i-th parameter changed by a small step.
             count: number of parameters.
             amplitude: the parameter that multiplies the current.
             mass: the parameter that multiplies the mass of the structure.
@@ -120,7 +120,7 @@ class SettledRig:
                 found = None
             if found is not None and found.stable:
                 return found.by - _closed_form(neighbour, self.place, count, _log_dt)
-        # The mean of a motion that does not repeat: by amplitude and mass, through which the other constants act.
+        # Mean of an irregular motion: by amplitude and mass, through which the other constants act.
         by_amplitude, by_mass = (
             (SettledRig(neighbour(i, COARSE)).motion.log_ratio - SettledRig(neighbour(i, -COARSE)).motion.log_ratio)
             / (2.0 * COARSE)

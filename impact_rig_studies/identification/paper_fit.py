@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""How the default rig follows from the paper: f_n and ζ, fitted to five reductions and 9.1 Hz.
+"""Derivation of the default rig from the paper: f_n and ζ, fitted to five reductions and 9.1 Hz.
 
-Taken as known: the sphere, contact law and e of the paper, catalogue values for mass and shaker, and the current, which
-stands for how far the paper's superior base moved. What the paper says about all of these is `PaperFit.information`;
-freeing the current as well shows that it says too little.
+Known are the sphere, contact law and e of the paper, catalogue values for mass and shaker, and the current, which
+represents the motion of the paper's superior base. `PaperFit.information` shows what the paper determines of all
+constants; freeing the current as well shows that it determines too little.
 """
 
 from __future__ import annotations
@@ -36,35 +36,36 @@ U_POINTS = 1.0
 uncertainty, and set the gaps by hand."""
 U_FREQUENCY_HZ = 0.05 / 3**0.5  # 9.1 Hz is printed to one digit
 ALL = (*NAMES, "I")
-START = {"f_n": 9.1, "ζ": 0.005, "I": 0.5}  # where the fit begins: away from the shipped values
-STEPS = np.array([2e-4, *[0.02] * 6, 0.02])  # for derivatives by `NAMES` and I: the natural frequency matters most
-LARGEST = {"f_n": 5e-4, "ζ": 0.1, "I": 0.1}  # of a step: the rig is far from linear
+START = {"f_n": 9.1, "ζ": 0.005, "I": 0.5}  # start of the fit: away from the shipped values
+# for derivatives by `NAMES` and I: the natural frequency has the largest effect
+STEPS = np.array([2e-4, *[0.02] * 6, 0.02])
+LARGEST = {"f_n": 5e-4, "ζ": 0.1, "I": 0.1}  # largest steps: the rig is far from linear
 ITERATIONS = 12
-CONVERGED = 0.1  # a step this small, in standard uncertainties, ends the fit
+CONVERGED = 0.1  # step, in standard uncertainties, that ends the fit
 
 
 @attrs.frozen(eq=False)
 class PaperFit:
-    """The result."""
+    """Result of the fit."""
 
-    fitted: Mapping[str, float]  # by name: f_n [Hz], ζ, perhaps I [A]
-    u: Mapping[str, float]  # their standard uncertainties, everything else given
-    converged: bool  # whether the fit came to rest
+    fitted: Mapping[str, float]  # fitted values by name: f_n [Hz], ζ, optionally I [A]
+    u: Mapping[str, float]  # their standard uncertainties with all other values fixed
+    converged: bool  # whether the fit converged
     points: dict[float, float]  # reductions of the fit, percent, by gap
     rms_points: float  # distance of the fit from the paper
     default_rms_points: float  # that of the shipped configuration
-    information: Information  # of the paper about all constants and the current
+    information: Information  # information of the paper on all constants and the current
 
 
 def fit_paper(
     base: RigConfig, free: Sequence[str] = ("f_n", "ζ"), on_step: Callable[[str], None] = lambda _: None
 ) -> PaperFit:
-    """Fit the paper's numbers, beginning away from the shipped values, and tell what they determine.
+    """Fit the paper's numbers, starting away from the shipped values, and compute what they determine.
 
     Args:
-        base: everything that is taken as known.
-        free: what is fitted, keys of `START`.
-        on_step: is told what is being done.
+        base: all values taken as known.
+        free: fitted values, keys of `START`.
+        on_step: receives a description of each step.
     """
     published = np.array(list(REDUCTION_PERCENT.values()))
     default = np.append(logarithms(base), np.log(CURRENT_A))
@@ -87,10 +88,10 @@ def fit_paper(
         change = -np.linalg.solve(information_matrix, jacobian.T @ fitted_residual)
         converged = bool(change @ information_matrix @ change < CONVERGED**2)
         if converged or iteration == ITERATIONS - 1:
-            break  # what was computed is of these constants
+            break  # the results belong to these constants
         at[places] += change * min(1.0, float((largest / np.abs(change)).min()))
     covariance = np.linalg.inv(information_matrix)
-    on_step("what the paper says about every constant")
+    on_step("computing what the paper determines of every constant")
     here = residual(default)
     slopes = _slopes(residual, default, here, range(len(default)))
     rms = [float(np.sqrt(np.mean((U_POINTS * r[:-1]) ** 2))) for r in (fitted_residual, here)]
@@ -107,7 +108,7 @@ def fit_paper(
 
 
 def _slopes(residual: Callable[[Real], Real], at: Real, here: Real, places: Sequence[int]) -> Real:
-    """Return the derivatives of the residuals by the parameters at these places, a column each."""
+    """Return the derivatives of the residuals by the parameters at these indices, one column each."""
     unit = np.eye(len(at))
     return np.stack([(residual(at + STEPS[place] * unit[place]) - here) / STEPS[place] for place in places], axis=1)
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Maps: DT, regime and impacts over two or three parameters, measured on the mechanics alone, and the best gap.
+"""Maps: DT, regime and impacts over two or three parameters, computed from the mechanics alone, and the best gap.
 
-No instruments, no analysis of scans, no noise: what is measured here is what the mechanics do, and named so.
+They involve no instruments, no analysis of scans and no noise, and are labelled so.
 """

@@ -11,11 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The largest Lyapunov exponent by two particles: how fast neighbours part, with events as they are.
+"""Largest Lyapunov exponent by the two-particle method: the rate at which neighbours separate, with exact events.
 
-A second state a small distance away is taken along; after each return the distance is read and made small again
-(Benettin, Galgani & Strelcyn 1976). No derivative is needed, so an impact is no exception. The exponent is the mean
-over windows, its standard uncertainty their scatter: windows longer than the motion remembers count as independent.
+A second state at a small distance follows the motion. After each return the distance is measured and reset (Benettin,
+Galgani & Strelcyn 1976). No derivative is needed, so impacts are no exception. The exponent is the mean over windows,
+and its standard uncertainty follows from their scatter: windows longer than the memory of the motion count as
+independent.
 
 G. Benettin, L. Galgani & J.-M. Strelcyn (1976), "Kolmogorov entropy and numerical experiments", Phys. Rev. A 14, 2338.
 """
@@ -31,13 +32,13 @@ import numpy as np
 from impact_rig.analysis.calibration import Real
 
 APART = 1e-7  # distance of the two states at the beginning of a return, in dimensionless coordinates
-_OUT_OF_SIGHT = 64  # returns in a row after which a motion is never seen whole
+_OUT_OF_SIGHT = 64  # consecutive undetermined returns after which a motion counts as never determined
 
 
 class Exponent(NamedTuple):
-    """The largest exponent per return."""
+    """Largest exponent per return."""
 
-    value: float  # mean over the windows; NaN where the states are never seen
+    value: float  # mean over the windows; NaN if the states are always undetermined
     uncertainty: float  # standard uncertainty, from the windows' scatter
     windows: tuple[float, ...]  # of each window
 
@@ -46,10 +47,10 @@ def largest(f: Callable[[Real, int], Real], z: Real, returns: int, windows: int 
     """Return the largest exponent of the motion from z on, which should have settled.
 
     Args:
-        f: coordinates after a number of returns; NaN where they cannot be told then.
+        f: coordinates after a number of returns; NaN if they are undetermined then.
         z: coordinates, shape (n,).
-        returns: in each window.
-        windows: how many; one more at the beginning only turns the distance to the direction that grows.
+        returns: returns in each window.
+        windows: number of windows; one more at the beginning only turns the distance to the growing direction.
     """
     apart = np.full(len(z), APART / math.sqrt(len(z)))
     found = []

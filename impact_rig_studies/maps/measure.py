@@ -11,17 +11,17 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What the mechanics settle to at one place of a map: DT and phase of the fundamental, impacts per cycle, regime.
+"""Settled motion of the mechanics at one point of a map: DT and phase of the fundamental, impacts per cycle, regime.
 
-One drive segment is one cycle, so the record is stroboscopic: the fundamentals of both bases, and where the sphere is
-when each cycle begins. A motion that comes ever nearer to one that repeats has settled where what is left of the
-transient, a geometric series, is too little to matter.
+One drive segment is one cycle, so the record is stroboscopic: the fundamentals of both bases, and the position of the
+sphere at the start of each cycle. A motion that approaches a repeating one has settled when the rest of the transient,
+a geometric series, is negligible.
 
-Of a motion that has not settled, the structure alone does not tell the regime: a chaotic sphere may leave the structure
-as steady as an orbit does. So its largest exponent is measured (`exponent.largest`). Where neighbours part, the motion
-is chaotic. Where they do not, it is what `analysis.spread.classify` makes of the structure and of the impacts. Where
-they approach one another, it may also repeat after more cycles than `classify` looks for. Everything is deterministic,
-and starts either from a reset rig or from what the place before left.
+If a motion has not settled, the structure alone does not show the regime: a chaotic sphere may leave the structure as
+steady as an orbit does. Therefore its largest exponent is measured (`exponent.largest`). If neighbours separate, the
+motion is chaotic. Otherwise `analysis.spread.classify` decides from the structure and the impacts. If they approach one
+another, it may also repeat after more cycles than `classify` considers. Everything is deterministic, and starts either
+from a reset rig or from the state of the previous point.
 """
 
 from __future__ import annotations
@@ -46,25 +46,25 @@ from impact_rig.rig.config import RigConfig
 from impact_rig.states import Regime
 from impact_rig_studies.maps.exponent import largest
 
-CHUNK = 24  # cycles looked at together, for a response that repeats after up to six of them
-_PART = CHUNK // 2  # the later ones, which such a response is read from
-_FIRST = 2 * CHUNK  # cycles before it is looked for the first time: hardly a response has settled earlier
-LASTING = 0.98  # ratio of a difference in the halves of a record from which it does not die
-TINY = 1e-12  # least scale of a coordinate
-_ROUNDING = 1e-9  # relative change of a cycle that is none
+CHUNK = 24  # cycles examined together, for a response that repeats after up to six of them
+_PART = CHUNK // 2  # the later ones, from which such a response is measured
+_FIRST = 2 * CHUNK  # cycles before the first check: hardly any response has settled earlier
+LASTING = 0.98  # ratio of a difference in the halves of a record from which it does not decay
+TINY = 1e-12  # smallest scale of a coordinate
+_ROUNDING = 1e-9  # relative change of a cycle that counts as none
 WEAK = 0.02
-"""Impacts slower than this share of the fastest one are bounces that settle: not counted, no part of the regime."""
-WINDOWS, WINDOW_CYCLES = 16, 12  # over which an exponent is measured
+"""Fraction of the fastest impact below which impacts are settling bounces: not counted, not part of the regime."""
+WINDOWS, WINDOW_CYCLES = 16, 12  # windows of an exponent, and their cycles
 SURE = 2.0  # standard uncertainties from which the sign of an exponent counts
-LONGEST_LOOKED = 64  # cycles of a period that is looked for where neighbours approach one another
+LONGEST_LOOKED = 64  # longest period, in cycles, considered if neighbours approach one another
 NEAR_S = TrackerSettings().wait_limit_s
-"""A sphere that will strike a wall within this time has not come to rest: a measurement waits for it as long."""
-FAILED = "failed"  # the regime of a place whose motion could not be resolved
+"""Time within which a moving sphere will strike a wall, so that it has not come to rest: a measurement waits for it."""
+FAILED = "failed"  # regime of a point whose motion could not be resolved
 
 
 @attrs.frozen(kw_only=True)
 class Settings:
-    """How a place of a map is measured."""
+    """Settings for measuring a point of a map."""
 
     settle_tolerance: float = quantity(
         5e-4,
@@ -77,27 +77,27 @@ class Settings:
         1e-3, "-", "Relative cycle-to-cycle spread up to which a response counts as periodic.", above=0, at_most=0.5
     )
     settle_cycles: int = integer(
-        360, "-", "Cycles of waiting for a settled response, at most.", at_least=48, at_most=100_000
+        360, "-", "Maximum number of cycles to wait for a settled response.", at_least=48, at_most=100_000
     )
     cycles: int = integer(
-        200, "-", "Last cycles, over which a response that does not repeat is averaged.", at_least=48, at_most=100_000
+        200, "-", "Number of last cycles over which an irregular response is averaged.", at_least=48, at_most=100_000
     )
 
 
 class Reading(NamedTuple):
-    """What was found at one place."""
+    """Result at one point."""
 
     regime: str
-    """Periodic, modulated, chaotic, intermittent (impacts stay away, and will come again), or `FAILED`."""
+    """Periodic, modulated, chaotic, intermittent (impacts are absent but will return), or `FAILED`."""
     dt: float  # |X_1| / |X_b| of the fundamentals
     reduction_percent: float  # 100 (1 − DT / DT without the sphere, in closed form)
-    phase_rad: float  # of X_1 / X_b
+    phase_rad: float  # phase of X_1 / X_b
     base_m: float  # |X_b|
     superior_m: float  # |X_1|
-    impacts_per_cycle: float  # of the impacts that are not weak
+    impacts_per_cycle: float  # number of impacts that are not weak
     period: float  # cycles after which the response repeats; NaN if it does not
     spread: float  # relative cycle-to-cycle rms of X_1
-    drift: float  # relative change of DT between the halves of the record: what a longer one might change
+    drift: float  # relative change of DT between the halves of the record: possible change with a longer one
     cycles: float
 
 
@@ -108,7 +108,7 @@ class _Record(NamedTuple):
     """Consecutive cycles, dtype `fundamental.CYCLE`, and their impacts."""
 
     cycles: NDArray[np.void]
-    cycle: NDArray[np.int64]  # of each impact
+    cycle: NDArray[np.int64]  # cycle of each impact
     turn: NDArray[np.float64]
     speed: NDArray[np.float64]
 
@@ -119,7 +119,7 @@ class _Record(NamedTuple):
         return _Record(self.cycles[before:], self.cycle[later] - before, self.turn[later], self.speed[later])
 
     def then(self, other: _Record) -> _Record:
-        """Return this record and what comes after it."""
+        """Return this record followed by another."""
         later = other._replace(cycle=other.cycle + len(self.cycles))
         return _Record(
             joined([self.cycles, later.cycles]),
@@ -130,7 +130,7 @@ class _Record(NamedTuple):
 
 
 class MapRig:
-    """The mechanics in the hands of a map."""
+    """Mechanics controlled by a map."""
 
     def __init__(self, config: RigConfig, settings: Settings) -> None:
         self._settings = settings
@@ -139,18 +139,18 @@ class MapRig:
         self._amplitude = 0.0
 
     def change(self, config: RigConfig) -> None:
-        """Go on with another configuration: the structure keeps its motion, the sphere begins at its start again."""
+        """Continue with another configuration: the structure keeps its motion, the sphere returns to its start."""
         if config is not self._config:
             self.simulation.configure(config)
             self._config = config
 
     def carry(self, config: RigConfig) -> None:
-        """Go on with another configuration: all keeps its motion, the sphere stays between the new walls."""
+        """Continue with another configuration: everything keeps its motion, the sphere stays between the new walls."""
         if config is self._config:
             return
         state = self.simulation.state()
         self.change(config)
-        if state is not None:  # in a contact: it begins at its start
+        if state is not None:  # in a contact: the sphere returns to its start
             half = config.barriers.gap_m / 2.0
             state[-2] = min(max(state[-2], -half), half)
             self.simulation.set_state(state)
@@ -159,7 +159,7 @@ class MapRig:
         """Put everything to rest, the sphere at its start.
 
         Args:
-            sphere: instead, where it is, from the middle between the walls [m], and its speed to the right [m/s].
+            sphere: other start: its position from the middle between the walls [m], and its speed to the right [m/s].
         """
         self.simulation.reset()
         if sphere is not None:
@@ -168,10 +168,10 @@ class MapRig:
         self._amplitude = 0.0
 
     def measure(self, frequency_hz: float, amplitude: float) -> Reading:
-        """Drive with a sine, wait until settled, and return what the mechanics do.
+        """Drive with a sine, wait until settled, and return the motion of the mechanics.
 
         Args:
-            frequency_hz: of the drive.
+            frequency_hz: frequency of the drive.
             amplitude: peak; A, m or V by `drive.kind`.
         """
         try:
@@ -188,13 +188,13 @@ class MapRig:
             behaviour = _settled(last, frequency_hz, settings)
             if behaviour:
                 found = _reading(last.last(_PART), behaviour, self._config, frequency_hz)
-                # of an orbit they are whole, though one at the border of a cycle may fall on either side
+                # whole for an orbit, although an impact at the border of a cycle may count on either side
                 whole = round(found.impacts_per_cycle * found.period)
                 return found._replace(impacts_per_cycle=whole / found.period)
             done = len(record.cycles)
             if done >= settings.settle_cycles:
                 break
-            more, rest = done // 2 // _PART * _PART, settings.settle_cycles - done  # looked at less often, the later
+            more, rest = done // 2 // _PART * _PART, settings.settle_cycles - done  # checked less often later
             record = record.then(self._run(frequency_hz, amplitude, more if rest > 2 * more else rest))
         last = record.last(2 * CHUNK)
         behaviour, drifts = _behaviour(last, settings), self._drifts(last)
@@ -213,9 +213,9 @@ class MapRig:
         return _reading(last, behaviour, self._config, frequency_hz)
 
     def _parting(self, frequency_hz: float, amplitude: float, record: _Record) -> int:
-        """Return whether neighbours part (1), approach one another (-1), or neither is certain (0).
+        """Return whether neighbours separate (1), approach one another (-1), or neither is certain (0).
 
-        The motion of the rig goes on from where it was.
+        The rig continues from its present state.
         """
         before = self.simulation.state()
         if before is None or not len(record.speed):
@@ -240,7 +240,7 @@ class MapRig:
     def _drifts(self, record: _Record) -> bool:
         """Return whether a record without impacts ends with the sphere on its way to one.
 
-        Between impacts the sphere keeps its velocity, and the wall moves to and fro by |X_1|.
+        Between impacts the sphere keeps its velocity, and the wall moves by |X_1| in either direction.
         """
         if len(record.speed) or not self._config.sphere.present:
             return False
@@ -254,7 +254,7 @@ class MapRig:
         segments = np.zeros(cycles, SEGMENT)
         segments["duration"], segments["omega"] = period, 2.0 * np.pi * frequency_hz
         segments["amplitude"] = amplitude
-        segments[0]["amplitude"] = self._amplitude  # a ramp of one cycle to what is new
+        segments[0]["amplitude"] = self._amplitude  # a ramp of one cycle to the new values
         segments[0]["growth"] = (amplitude - self._amplitude) / period
         self._amplitude = amplitude
         return self.simulation.advance(segments)
@@ -263,15 +263,15 @@ class MapRig:
         """Advance by whole cycles."""
         motion, period = self.run_cycles(frequency_hz, amplitude, cycles), 1.0 / frequency_hz
         hits = motion.impacts
-        cycle = np.maximum(hits["tick"] - motion.first_tick, 0)  # one that began before is told of now
+        cycle = np.maximum(hits["tick"] - motion.first_tick, 0)  # an impact that began earlier is reported now
         return _Record(motion.cycles(), cycle, hits["offset"] / period, hits["approach_speed"])
 
 
 def _settled(record: _Record, frequency_hz: float, settings: Settings) -> Behaviour | None:
-    """Return what the motion does if it repeats, and is as near to what it will be as the settings ask.
+    """Return the behaviour of the motion if it repeats, and is close enough to its limit.
 
-    Every number of a cycle changes from one period to the next by no more than `settle_tolerance`, and by a factor less
-    each time, so that all changes to come, a geometric series, are together no more than that either.
+    Every number of a cycle changes from one period to the next by at most `settle_tolerance`, and by a decreasing
+    factor, so that all future changes, a geometric series, are together at most that large.
     """
     series = np.array([record.cycles[name] for name in ("x_b", "x_1", "x_2", "v_2")])
     base, superior = np.abs(series[:2].sum(axis=1)).tolist()
@@ -295,7 +295,7 @@ def _settled(record: _Record, frequency_hz: float, settings: Settings) -> Behavi
                 return behaviour
             if not math.isfinite(behaviour.period) or period % int(behaviour.period):
                 return None
-            # the structure repeats earlier: either so does the sphere in the end, or it never will
+            # the structure repeats earlier: either the sphere does so in the end, or it never will
             shorter = np.abs(series[:, int(behaviour.period) :] - series[:, : -int(behaviour.period)])
             half = shorter.shape[1] // 2
             lasts = shorter[:, half:].max() > LASTING * shorter[:, :half].max()
@@ -304,7 +304,7 @@ def _settled(record: _Record, frequency_hz: float, settings: Settings) -> Behavi
 
 
 def _long_period(record: _Record, frequency_hz: float, settings: Settings) -> int | None:
-    """Return after how many cycles all numbers of a cycle come back, of more cycles than `classify` looks for."""
+    """Return the number of cycles after which all numbers of a cycle repeat, beyond the range of `classify`."""
     series = np.array([record.cycles[name] for name in ("x_1", "x_2", "v_2")])
     superior = float(np.abs(series[0]).mean())
     sizes = np.array([superior, superior, 2.0 * np.pi * frequency_hz * superior])[:, np.newaxis]
@@ -335,7 +335,7 @@ def _behaviour(record: _Record, settings: Settings) -> Behaviour:
 
 def _reading(record: _Record, behaviour: Behaviour, config: RigConfig, frequency_hz: float) -> Reading:
     half = len(record.cycles) // 2
-    if math.isfinite(behaviour.period):  # whole periods, or the mean is none
+    if math.isfinite(behaviour.period):  # whole periods, otherwise the mean is meaningless
         half -= half % int(behaviour.period)
     parts = record.cycles[-2 * half : -half], record.cycles[-half:]
     amplitudes = np.array([[part["x_b"].mean(), part["x_1"].mean()] for part in parts])

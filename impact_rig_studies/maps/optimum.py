@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The value of one parameter that reduces DT most under bounds, the region nearly as good, and what it hangs on.
+"""Optimum of one parameter that reduces DT most within bounds, the region nearly as good, and its sensitivities.
 
-DT over the gap is smooth where the response is one motion and ragged beyond the fold, so nothing here follows a slope:
-a look over the whole range, then closer looks around the best place.
+DT over the gap is smooth within one motion and irregular beyond the fold, so no slope is followed: a scan of the whole
+range is refined around the best point.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from impact_rig.rig.config import to_flat
 from impact_rig_studies.maps.measure import Reading
 from impact_rig_studies.maps.plan import CURRENT, FREQUENCY, GAP, MapPlan, Search, measure_line
 
-REGION_POINTS = 1.0  # reductions within so many points of the best one belong to its region
+REGION_POINTS = 1.0  # distance from the best reduction, in points, within which values belong to its region
 _ROUNDS, _POINTS, _HALVINGS = 4, 9, 10
-_SHARE = 0.005  # of a value, either way, for its sensitivity
+_SHARE = 0.005  # relative change of a value, either way, for its sensitivity
 SENSITIVE = (
     "barriers.gap_m",
     "sphere.density_kg_m3",
@@ -44,16 +44,16 @@ SENSITIVE = (
 
 @attrs.frozen(kw_only=True)
 class Optimum:
-    """The best place."""
+    """Best point."""
 
     over: str
     value: float  # where DT is reduced most
-    reading: Reading  # what the mechanics do there
+    reading: Reading  # motion of the mechanics there
     region: tuple[float, float]  # lowest and highest value around it whose reductions are within 1 point of the best
-    points_per_percent: dict[str, float]  # what 1 % more of a value changes the reduction there [points], by name
+    points_per_percent: dict[str, float]  # change of the reduction there by 1 % more of a value [points], by name
 
     def plain(self) -> dict[str, object]:
-        """Return it for JSON."""
+        """Return the optimum for JSON."""
         return {
             "over": self.over, "value": self.value, "reduction_percent": self.reading.reduction_percent,
             "dt": self.reading.dt, "regime": self.reading.regime, "impacts_per_cycle": self.reading.impacts_per_cycle,
@@ -62,7 +62,7 @@ class Optimum:
 
 
 def find(plan: MapPlan, search: Search) -> Optimum:
-    """Return the optimum; every place is measured from a reset rig, with the plan's rig, frequency and current."""
+    """Return the optimum; every point is measured from a reset rig, with the plan's rig, frequency and current."""
     known: dict[float, Reading] = {}
 
     def measure(values: Sequence[float]) -> None:
@@ -108,7 +108,7 @@ def _best(known: dict[float, Reading]) -> float:
 
 
 def _measured(plan: MapPlan, over: str, values: tuple[float, ...], **changed: float) -> list[Reading]:
-    """Return the readings at values of one parameter, others changed by their names."""
+    """Return the readings at values of one parameter, with others changed by name."""
     return measure_line(plan.search_line(over, values, {name: one for name, one in changed.items() if name != over}))
 
 
@@ -126,7 +126,7 @@ def _sensitivity(plan: MapPlan, over: str, best: float) -> dict[str, float]:
                     if name == over
                     else _measured(plan, over, (best,), **{name: factor * value})[0]
                 )
-            except ConfigError:  # beyond the range of the value: the difference to the other side alone
+            except ConfigError:  # beyond the range of the value: only the difference to the other side
                 continue
             reductions.append((factor, one.reduction_percent))
         if len(reductions) < 2:

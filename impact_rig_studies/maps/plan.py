@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`MapPlan`: what a map file asks for, checked, and the lines it is measured in.
+"""`MapPlan`: a validated map file, and the lines in which it is measured.
 
-A map is one YAML file: two or three axes, everything else held. Wrong files are refused as a whole before anything
-runs; the message names key, value, range and file. So is a map that would take too long, with that time.
+A map is one YAML file with two or three axes; all other values are fixed. A wrong file is rejected before anything
+runs; the message names key, value, range and file. A map that would take too long is rejected with its estimated time.
 """
 
 from __future__ import annotations
@@ -40,52 +40,54 @@ from impact_rig_studies.maps.measure import FAILED, MapRig, Reading, Settings
 
 FREQUENCY, CURRENT, GAP = "frequency_hz", "current_a", "gap_m"
 POSITION, SPEED = "sphere_position_m", "sphere_speed_m_s"
-"""Where the sphere begins, from the middle between the walls, and how fast: positive to the right."""
+"""Start of the sphere: position from the middle between the walls, and speed, positive to the right."""
 NAMED = (FREQUENCY, CURRENT, GAP, POSITION, SPEED)
 """Axes with a name of their own; all others are configuration values by dotted name."""
-FASTEST_M_S = 100.0  # of a sphere at its beginning
+FASTEST_M_S = 100.0  # limit of the initial speed of a sphere
 RESET, UP, DOWN, BOTH = "reset", "up", "down", "both"
 DIRECTIONS = (RESET, UP, DOWN, BOTH)
 OWNED = ("daq.", "instruments.", "time.", "step.", "pluck.", "output.", "drive.waveform", "drive.frequency_hz")
-"""Configuration that means nothing to a map, or that it decides itself."""
-POINT_S = 0.004  # what a point costs on one core, about: narrow gaps and chaos cost twice as much, wide gaps a fifth
-LIMIT_S = 3600.0  # estimated time above which a map is refused
+"""Configuration that is irrelevant to a map, or that the map decides itself."""
+POINT_S = 0.004  # approximate cost of a point on one core: narrow gaps and chaos cost twice as much, wide gaps a fifth
+LIMIT_S = 3600.0  # estimated time above which a map is rejected
 
 
 @attrs.frozen(kw_only=True)
 class MapLine(HashedTask):
-    """Places measured one after the other, the unit that is measured, stored and never repeated."""
+    """Points measured one after the other, the unit that is measured, stored and never repeated."""
 
     changes: Mapping[str, Value]  # configuration values that differ from the default rig, by dotted name
     settings: Settings
-    held: Mapping[str, float]  # what stays along the line, by name of axis
+    held: Mapping[str, float]  # fixed values along the line, by name of axis
     along: str  # name of the axis that changes
-    values: tuple[float, ...]  # its values, in the order of the visit
+    values: tuple[float, ...]  # its values, in the order of measurement
     direction: str
-    """Up or down: with what the place before left; else every place begins at rest, and this is `reset` or where the
-    sphere starts."""
-    frequency_hz: float  # of the drive, unless it is an axis
+    """Up or down: each point starts from the state of the previous one; otherwise from rest.
+
+        `reset` or the start of the sphere.
+    """
+    frequency_hz: float  # frequency of the drive, unless it is an axis
     current_a: float  # amplitude of the drive (A, m or V by `drive.kind`), unless it is an axis
 
     def describe(self) -> str:
-        """Return a short name for people."""
+        """Return a short readable name."""
         held = ", ".join(f"{name} {value:g}" for name, value in self.held.items())
         return f"{held}, {self.direction}"
 
     def read(self, rows: Sequence[Row]) -> list[Reading]:
-        """Return stored rows as readings.
+        """Convert stored rows to readings.
 
         Raises:
-            ValueError: they are none.
+            ValueError: they are invalid.
         """
         if len(rows) != len(self.values):
-            raise ValueError("not the readings of this line")
+            raise ValueError("not valid readings of this line")
         return [_reading(row) for row in rows]
 
     def place(self, value: float) -> tuple[dict[str, Value], float, float, tuple[float, float] | None]:
-        """Return configuration values, frequency, amplitude and sphere of the place with this value of the axis.
+        """Return configuration values, frequency, amplitude and sphere of the point with this value of the axis.
 
-        The sphere is where it begins and its speed, or None where that is `sphere.start`.
+        The sphere is its initial position and speed, or None if `sphere.start` applies.
         """
         at = {**self.held, self.along: value}
         frequency, current = at.pop(FREQUENCY, self.frequency_hz), at.pop(CURRENT, self.current_a)
@@ -97,14 +99,14 @@ class MapLine(HashedTask):
 def _reading(row: Row) -> Reading:
     regime, *numbers = row
     if len(row) != len(Reading._fields) or any(isinstance(value, str) for value in numbers):
-        raise ValueError("not a reading")
+        raise ValueError("not a valid reading")
     if not (regime == FAILED or float(numbers[0]) > 0.0):
-        raise ValueError("not a reading")
+        raise ValueError("not a valid reading")
     return Reading(str(regime), *map(float, numbers))
 
 
 def measure_line(line: MapLine) -> list[Reading]:
-    """Return the readings of a line, in the order of the visit."""
+    """Return the readings of a line, in the order of measurement."""
     base = from_flat(RigConfig(), line.changes)
     rig: MapRig | None = None
     readings, config, before = [], base, None
@@ -122,7 +124,7 @@ def measure_line(line: MapLine) -> list[Reading]:
 
 @attrs.frozen(kw_only=True)
 class Search:
-    """Where the best value of one parameter is looked for."""
+    """Search range for the best value of one parameter."""
 
     over: str
     low: float
@@ -132,30 +134,30 @@ class Search:
 
 @attrs.frozen(eq=False, kw_only=True)
 class MapPlan:
-    """A whole map."""
+    """Complete map."""
 
     title: str
     base: RigConfig
     axes: Mapping[str, tuple[float, ...]]
-    """Two or three, by name, in the order of the file: across, up, and one picture each."""
+    """Two or three axes by name, in the order of the file: horizontal, vertical, and one picture each."""
     direction: str  # reset, up, down or both
     starts: tuple[str, ...]
-    """Values of `sphere.start` that are measured one beside the other, for `reset`; none: that of `base`."""
-    sweep: str  # the axis along which places are visited one after the other
-    frequency_hz: float  # of the drive, unless it is an axis
+    """Values of `sphere.start` that are measured side by side, for `reset`; empty means that of `base`."""
+    sweep: str  # axis along which points are measured one after the other
+    frequency_hz: float  # frequency of the drive, unless it is an axis
     current_a: float  # amplitude of the drive, unless it is an axis
     settings: Settings
-    search: Search | None  # for the best value, or None
+    search: Search | None  # search for the best value, or None
     text: str
 
     @property
     def layers(self) -> tuple[str, ...]:
-        """The directions, or starts, that are measured."""
+        """Measured directions, or starts."""
         return (UP, DOWN) if self.direction == BOTH else self.starts or (self.direction,)
 
     @property
     def points(self) -> int:
-        """How many places are measured, each direction counted."""
+        """Number of measured points, counting each direction."""
         return len(self.layers) * math.prod(map(len, self.axes.values()))
 
     def changes(self) -> dict[str, Value]:
@@ -163,7 +165,7 @@ class MapPlan:
         return differences(self.base)
 
     def search_line(self, over: str, values: tuple[float, ...], held: Mapping[str, float] | None = None) -> MapLine:
-        """Return the line of values of one parameter from a reset rig, which a search measures, others held."""
+        """Return a line of values of one parameter from a reset rig for a search, with other values fixed."""
         return MapLine(
             changes=self.changes(),
             settings=self.settings,
@@ -196,7 +198,7 @@ class MapPlan:
 
 
 def allow_time(points: int, workers: int | None = None) -> None:
-    """Refuse a map that would take too long.
+    """Reject a map that would take too long.
 
     Raises:
         BudgetError: names the points, the time they would take and how to raise the limit.
@@ -211,12 +213,12 @@ def allow_time(points: int, workers: int | None = None) -> None:
 
 
 def load_map(path: Path, workers: int | None = None, resolved: RigConfig | None = None) -> MapPlan:
-    """Return the map in a YAML file.
+    """Read the map in a YAML file.
 
     Args:
-        path: of the file.
-        workers: cores it would run on; None: those of this machine.
-        resolved: the rig, instead of the file's `config` and `set`: of a map that is there, which need not be run.
+        path: path of the file.
+        workers: number of cores it would use; None means those of this machine.
+        resolved: rig that replaces the file's `config` and `set`, for an existing map that need not be run.
 
     Raises:
         ConfigError: the file cannot be read or is wrong; the message names key, value, range and file.
@@ -240,12 +242,12 @@ def _read(top: Mapping[str, object], path: Path, text: str, resolved: RigConfig 
     sweep = axes.word("sweep", top.get("sweep", FREQUENCY if FREQUENCY in given else next(iter(given))), given)
     for name in (FREQUENCY, CURRENT):
         if name in top and name in given:
-            raise ConfigError(f"{name} is an axis, and cannot be held as well")
+            raise ConfigError(f"{name} is an axis and cannot be fixed as well")
     direction = axes.word("direction", top.get("direction", RESET), DIRECTIONS)
     starts = axes.values("starts", top["starts"]) if "starts" in top else []
     for name in ("starts", POSITION, SPEED):
         if direction != RESET and (name in given or name in top):
-            raise ConfigError(f"{name} is how a place begins: direction must be {RESET}, got {direction!r}")
+            raise ConfigError(f"{name} is a start condition: direction must be {RESET}, got {direction!r}")
     if starts and {POSITION, SPEED} & set(given):
         raise ConfigError(f"starts and an axis {POSITION} or {SPEED} exclude each other")
     return MapPlan(
@@ -298,17 +300,17 @@ def _search(given: object) -> Search | None:
 
 
 def refuse_owned(key: str, name: str) -> None:
-    """Refuse the name of a value that is no parameter of the mechanics, or has a shorter one."""
+    """Reject the name of a value that is not a parameter of the mechanics, or has a shorter one."""
     if name == "sphere.start" and key.startswith("axes."):
         raise ConfigError(f"{key}: use starts: [left, centre, right]")
     if name == "barriers.gap_m" and not key.startswith("set."):
         raise ConfigError(f"{key}: use gap_m")
     if name.startswith(OWNED):
-        raise ConfigError(f"{key}: means nothing to a map")
+        raise ConfigError(f"{key}: irrelevant to a map")
 
 
 def _check_corners(plan: MapPlan) -> None:
-    """Refuse values at the ends of the axes and of the search that cannot be simulated, before anything runs."""
+    """Reject values at the ends of the axes and of the search that cannot be simulated, before anything runs."""
     lines = plan.lines()
     ends = lines[:: max(1, len(lines) - 1)]
     if plan.search is not None:

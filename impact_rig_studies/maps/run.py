@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A map's directory: what `impact_rig_studies.campaign.tasks.TaskStore` keeps in it, and its results.
+"""Directory of a map: the content of `impact_rig_studies.campaign.tasks.TaskStore`, and its results.
 
 | file | content |
 |---|---|
-| `map.csv` | every place, every direction |
+| `map.csv` | every point, every direction |
 | `map.json` | figures for programs: points, regimes, the optimum |
 """
 
@@ -44,16 +44,18 @@ CSV_FILE, JSON_FILE = "map.csv", "map.json"
 
 @attrs.frozen(eq=False, kw_only=True)
 class FinishedMap:
-    """A map with what is measured of it."""
+    """Map with its results."""
 
-    plan: MapPlan  # what was asked for
+    plan: MapPlan  # definition of the map
     directory: Path
     values: dict[str, dict[str, NDArray[np.generic]]]
-    """By direction and name of a reading, or of what was added beside: arrays in the order of the axes, NaN (or "")
-    where not measured."""
+    """By direction and name of a reading, or of an added quantity.
+
+    Arrays in the order of the axes, NaN (or "") if not measured.
+    """
 
     def to_dataframe(self) -> Any:
-        """Return the measured places as a `pandas.DataFrame`, with the columns of `map.csv`.
+        """Return the measured points as a `pandas.DataFrame`, with the columns of `map.csv`.
 
         Raises:
             ImpactRigError: pandas is not installed, or nothing is measured yet.
@@ -72,12 +74,12 @@ class FinishedMap:
 
 
 def store(directory: Path) -> TaskStore[MapLine]:
-    """Return what keeps a map's lines in a directory."""
+    """Return the store of a map's lines in a directory."""
     return TaskStore(directory, "map", "lines", ("maps",))
 
 
 def finished(plan: MapPlan, directory: Path) -> FinishedMap:
-    """Return a map with everything that is stored of it."""
+    """Return a map with all its stored results."""
     kept = store(directory)
     shape, names = tuple(map(len, plan.axes.values())), list(plan.axes)
     values: dict[str, dict[str, NDArray[np.generic]]] = {}
@@ -101,7 +103,7 @@ def open_map(directory: Path) -> FinishedMap:
     """Return the map in a directory.
 
     Raises:
-        ConfigError: it is no map's directory.
+        ConfigError: it is not a map's directory.
     """
     kept = store(directory)
     return finished(load_map(kept.file, resolved=kept.configuration()), directory)
@@ -119,16 +121,16 @@ def write_results(done: FinishedMap, more: dict[str, object]) -> None:
 
 
 def table(done: FinishedMap) -> tuple[list[str], list[list[object]]]:
-    """Return the names of the columns and a row a measured place; NaN where a reading is none.
+    """Return the names of the columns and one row per measured point; NaN for a missing reading.
 
-    `direction` is up, down or reset, `start` where the sphere begins, unless that is an axis.
+    `direction` is up, down or reset, `start` the start of the sphere, unless that is an axis.
     """
     first = next(iter(done.values))
     return [*done.plan.axes, *_layer(done.plan, first), *done.values[first]], list(_rows(done))
 
 
 def _layer(plan: MapPlan, layer: str) -> dict[str, str]:
-    """Return what a layer of a map means, by column."""
+    """Return the meaning of a layer of a map, by column."""
     found = {"direction": layer if layer in (UP, DOWN) else RESET}
     if not {POSITION, SPEED} & set(plan.axes):
         found["start"] = layer if layer in STARTS else plan.base.sphere.start

@@ -11,8 +11,8 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Operators: set the drive, wait until it is applied and settled, measure, and set again. No rig of their own, no ROS.
+"""Operators: loops that set the drive, wait until it is applied and settled, and measure; without a rig or ROS.
 
-`stepped_sine` decides what comes next; `operator` is the loop that does it on a rig of `impact_rig.driver`, in this
-process or behind topics, or from a node's callbacks.
+`stepped_sine` decides the next setpoint. `operator` is the loop that applies it to a rig of `impact_rig.driver`, in
+this process or behind topics, or from a node's callbacks.
 """

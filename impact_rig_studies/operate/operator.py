@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The loop of every operator here: set, wait until applied, settle, measure, report, and set again.
+"""Loop of every operator here: set, wait until applied, settle, measure, report, and repeat.
 
-`Operator` takes updates and acts: a node with callbacks hands it what arrives. `operate` drives a rig and its analysis
+`Operator` processes updates: a node with callbacks passes on what arrives. `operate` drives a rig and its analysis
 block by block, for campaigns and the demo.
 """
 
@@ -32,19 +32,19 @@ from impact_rig.simtime import NS_PER_S
 from impact_rig_studies.operate.phase_lock import LockedSine
 from impact_rig_studies.operate.stepped_sine import Setpoint, SteppedSine, SweepState
 
-OnUpdate = Callable[[SteppedSine], None]  # gets the sweep at its begin and whenever its curve has grown
+OnUpdate = Callable[[SteppedSine], None]  # receives the sweep at its start and whenever its curve has grown
 
 
 @attrs.frozen
 class Applied:
-    """A change of the drive that the rig has accepted."""
+    """Change of the drive that the rig has accepted."""
 
-    setpoint: Setpoint  # frequency and current from then on
+    setpoint: Setpoint  # frequency and current from that time on
     at_ns: int  # rig time
 
     @classmethod
     def of(cls, table: Table, at_ns: int | None = None) -> list[Applied]:
-        """Return the changes in a table of `shaker/applied`; `at_ns` stands for their own instants."""
+        """Return the changes in a table of `shaker/applied`; `at_ns` replaces their own times."""
         return [
             cls(
                 Setpoint(float(row["frequency"]), float(row["current"])),
@@ -56,27 +56,27 @@ class Applied:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Update:
-    """What happened to a rig since the last update; handled in the order of the attributes."""
+    """Events of a rig since the last update; processed in the order of the attributes."""
 
     now_ns: int  # rig time
     applied: Sequence[Applied] = ()  # accepted changes of the drive
     rows: Iterable[np.void] = ()  # measurements, rows of `transmissibility/table`
-    scans: Iterable[Table] = ()  # blocks of `daq/scan`, for a run that needs them
-    stopped: str = ""  # why the shaker is stopped; empty while it is not
+    scans: Iterable[Table] = ()  # blocks of `daq/scan`, for a run that requires them
+    stopped: str = ""  # reason why the shaker is stopped; empty otherwise
 
 
 ControllerRun = SteppedSine | LockedSine
-"""A sweep, or the lock on a resonance: it answers updates with the next setpoint."""
+"""Controller run, such as a sweep or a phase lock: it answers updates with the next setpoint."""
 R = TypeVar("R", bound=ControllerRun)
 
 
 class Operator(Generic[R]):
-    """Hands updates to a controller run, and its setpoints to a drive.
+    """Connection of a controller run to a drive: it passes updates to the run and setpoints to the drive.
 
     Args:
-        run: decides what comes next, and keeps what was measured.
-        drive: sets frequency and current; the last setpoint, when the run is no longer busy, has no current.
-        on_update: gets the run at its begin and after every measurement.
+        run: decides the next setpoint, and keeps the measurements.
+        drive: sets frequency and current; the last setpoint, when the run is no longer busy, has zero current.
+        on_update: receives the run at its start and after every measurement.
     """
 
     def __init__(self, run: R, drive: Callable[[Setpoint], None], on_update: Callable[[R], None]) -> None:
@@ -86,7 +86,7 @@ class Operator(Generic[R]):
 
     @property
     def busy(self) -> bool:
-        """Whether the run goes on."""
+        """Whether the run is still going on."""
         return self.run.state is SweepState.RUNNING
 
     def begin(self, now_ns: int) -> None:
@@ -95,7 +95,7 @@ class Operator(Generic[R]):
         self._on_update(self.run)
 
     def handle(self, update: Update) -> None:
-        """Hand over what happened, and set what the run asks for."""
+        """Pass on an update, and set what the run requests."""
         run, measured = self.run, self.run.measured
         for applied in update.applied:
             self._follow(run.on_applied(applied.setpoint.frequency_hz, applied.setpoint.current_a, applied.at_ns))
@@ -110,7 +110,7 @@ class Operator(Generic[R]):
         self._follow(run.on_time(update.now_ns))
 
     def abort(self, reason: str) -> None:
-        """End a run that goes on."""
+        """End a run in progress."""
         self._follow(self.run.abort(reason))
 
     def _follow(self, setpoint: Setpoint | None) -> None:
@@ -123,15 +123,15 @@ def ignore(_sweep: SteppedSine) -> None:
 
 
 def operate(sweep: SteppedSine, rig: RigDriver, on_update: OnUpdate = ignore) -> None:
-    """Take a rig through a whole sweep, however it ends, and leave the drive as it is then.
+    """Take a rig through a whole sweep until it ends, and leave the drive in its final state.
 
     Args:
-        sweep: decides what comes next.
-        rig: new, with its analysis; a block is what passes from one update to the next.
-        on_update: gets the sweep at its begin and after every measurement.
+        sweep: decides the next setpoint.
+        rig: new rig with its analysis; a block is the interval between two updates.
+        on_update: receives the sweep at its start and after every measurement.
 
     Raises:
-        ImpactRigError: the rig refused, or failed; the sweep has what was measured before.
+        ImpactRigError: the rig rejected a command, or failed; the sweep keeps its measurements.
     """
     applied: list[Applied] = []
 

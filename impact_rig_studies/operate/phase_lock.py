@@ -11,22 +11,22 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Resonance search, track and dwell: which setpoint comes next, as a pure state machine.
+"""Resonance search, track and dwell: the next setpoint, as a pure state machine.
 
     idle ── start ──► seeking ── phase crosses −90° ──► tracking ⇄ locked ── dwelt ──► finished
                          └──────────────── rule broken ─────────────┴───────────────► aborted
 
-Seeking steps the frequency coarsely towards the side that the phase says, until it has crossed. Tracking turns the
-frequency by the detuning that each sample shows, a part at a time, for ever: an integral controller. Against the base
-the detuning is known, whatever the damping: 1/T = 1 − r² + 2iζr, so it is f/2 Re(X_b/X_1). Against the current it is
-tan φ' (φ' = phase + 90°) times the resonance's own slope, which the search has shown and which is corrected under way:
-where the detuning changes sign from sample to sample it was taken for too large, where it keeps its sign for too small.
+Seeking steps the frequency coarsely in the direction indicated by the phase, until the phase has crossed. Tracking
+corrects the frequency continuously by a part of the detuning of each sample: an integral controller. Against the base
+the detuning is known for any damping: 1/T = 1 − r² + 2iζr, so it is f/2 Re(X_b/X_1). Against the current it is tan φ'
+(φ' = phase + 90°) times the slope of the resonance. The search has measured this slope, and tracking corrects it: the
+slope was too large if the detuning changes sign from sample to sample, and too small if it keeps its sign.
 
-A sample (`PhasorMeter`) is quicker than a settled measurement: of every stretch of constant frequency the scans of its
-last whole cycles are fitted by a sine of that frequency, and corrected for skew and lag by the certificate.
+A sample (`PhasorMeter`) is faster than a settled measurement: the scans of the last whole cycles at constant frequency
+are fitted by a sine, and corrected for skew and lag by the certificate.
 
-`LockedSine` locks by the updates that an operator gets. A program that drives a rig (`LockLoop`) goes on with `follow`
-and `lock_on`, and finds the backbone, a sweep of locks, with `sweep_amplitude`.
+`LockedSine` locks with the updates of an operator. A program that drives a rig (`LockLoop`) continues with `follow` and
+`lock_on`, and measures the backbone, an amplitude sweep of locks, with `sweep_amplitude`.
 """
 
 from __future__ import annotations
@@ -56,14 +56,14 @@ MIN_CYCLES = 2
 
 
 class Sample(NamedTuple):
-    """One stretch of scans."""
+    """Sample of the motion: one stretch of scans."""
 
     end_ns: int  # rig time of its end
-    frequency_hz: float  # of the drive
-    base: complex  # complex amplitude [m]; only ratios of the three mean anything
+    frequency_hz: float  # drive frequency
+    base: complex  # complex amplitude [m]; only ratios of the three are meaningful
     superior: complex  # complex amplitude [m]
     current: complex  # complex amplitude [A]
-    u_gain: float = 0.0  # relative standard uncertainty of DT by the sensitivities, at these amplitudes
+    u_gain: float = 0.0  # relative standard uncertainty of DT due to the sensitivities, at these amplitudes
 
     @property
     def dt(self) -> float:
@@ -72,13 +72,13 @@ class Sample(NamedTuple):
 
     @property
     def sound(self) -> bool:
-        """Whether all three are numbers, and base and current move at all."""
+        """Whether all three are finite, and base and current are not zero."""
         sizes = abs(self.base), abs(self.superior), abs(self.current)
         return all(map(math.isfinite, sizes)) and sizes[0] > 0.0 and sizes[2] > 0.0
 
 
 class PhasorMeter:
-    """Fits the newest scans."""
+    """Sine fit of the newest scans."""
 
     def __init__(self, info: NDArray[np.void]) -> None:
         self._calibration = Calibration.from_info(info)
@@ -87,8 +87,8 @@ class PhasorMeter:
         """Return the phasors of consecutive scans at one frequency, or None if they are fewer than `MIN_CYCLES`.
 
         Args:
-            rows: of `daq/scan`, shape (n,).
-            frequency_hz: of the drive during all of them.
+            rows: rows of `daq/scan`, shape (n,).
+            frequency_hz: frequency of the drive during all of them.
             end_ns: rig time of the scan after the last.
         """
         period = self._calibration.rate_hz / frequency_hz
@@ -107,12 +107,12 @@ class PhasorMeter:
         return Sample(end_ns, frequency_hz, base, superior, current, math.hypot(*u))
 
 
-STEEPEST = 4.0  # tan φ' that is believed: beyond, the phase says only on which side the resonance is
-MEAN_S = 1.0  # the phase that counts is a mean over so long
-SMALLER, LARGER = 0.6, 1.25  # factors of the slope when the detuning overshoots, and when it stays
+STEEPEST = 4.0  # largest tan φ' that is used: beyond it, the phase only shows the direction of the resonance
+MEAN_S = 1.0  # duration over which the phase is averaged
+SMALLER, LARGER = 0.6, 1.25  # factors of the slope if the detuning overshoots, and if it persists
 SLUGGISH = 4
-"""Looks with a detuning of one sign, none of them within the bound, after which the slope counts as too small."""
-DIGITS = 6  # of a commanded frequency [Hz]
+"""Number of samples with a detuning of one sign and outside the bound from which the slope counts as too small."""
+DIGITS = 6  # digits of a commanded frequency [Hz]
 
 
 PHASE_LOCK = np.dtype([
@@ -126,7 +126,7 @@ PHASE_LOCK = np.dtype([
 
 
 class Reference(enum.StrEnum):
-    """What the superior base's phase is measured against."""
+    """Reference of the superior base's phase."""
 
     BASE = "base"
     CURRENT = "current"
@@ -139,27 +139,27 @@ def _amount(default: float) -> float:
 
 @attrs.frozen(kw_only=True)
 class LockPlan:
-    """A search, and what follows it.
+    """Plan of a search and its continuation.
 
     Raises:
-        ConfigError: a value that cannot work; the message names it.
+        ConfigError: an invalid value; the message names it.
     """
 
-    start_hz: float = attrs.field(validator=positive)  # where the search begins
+    start_hz: float = attrs.field(validator=positive)  # start of the search
     current_a: float = attrs.field(validator=positive)  # peak current
-    low_hz: float = _amount(5.0)  # the frequency goes no lower
-    high_hz: float = _amount(20.0)  # nor higher
+    low_hz: float = _amount(5.0)  # lower limit of the frequency
+    high_hz: float = _amount(20.0)  # upper limit
     reference: Reference = attrs.field(default=Reference.BASE, converter=Reference)
-    """Of the phase; against the base, −90° is where the structure on a fixed base would resonate."""
-    step_hz: float = _amount(0.2)  # of the coarse search
-    seek_s: float = _amount(1.5)  # each of them is held so long
-    sample_s: float = _amount(0.5)  # when tracking, the frequency is held so long between two corrections
-    time_constant_s: float = _amount(3.0)  # in which a detuning is corrected; longer than the structure's answer takes
+    """Target of the phase; against the base, −90° is the resonance of the structure on a fixed base."""
+    step_hz: float = _amount(0.2)  # step of the coarse search
+    seek_s: float = _amount(1.5)  # duration of each step
+    sample_s: float = _amount(0.5)  # interval between two corrections during tracking
+    time_constant_s: float = _amount(3.0)  # time constant of the correction; longer than the structure's response
     within_deg: float = _amount(2.0)  # bound of the mean phase of a second that counts as locked
-    seek_limit_s: float = _amount(60.0)  # rig time until the first lock after which it is given up
+    seek_limit_s: float = _amount(60.0)  # rig time until the first lock, after which the search is given up
     lose_limit_s: float = _amount(20.0)  # rig time without lock after which it is given up
     dwell_s: float = _amount(30.0)  # rig time to stay, counted from the first lock
-    superior_limit_m: float = _amount(0.05)  # a superior base beyond it aborts
+    superior_limit_m: float = _amount(0.05)  # amplitude of the superior base that aborts
 
     def __attrs_post_init__(self) -> None:
         if not self.low_hz < self.start_hz < self.high_hz:
@@ -170,7 +170,7 @@ class LockPlan:
 
 
 class Stage(enum.StrEnum):
-    """What a running lock does."""
+    """Stage of a running lock."""
 
     SEEKING = "seeking"
     TRACKING = "tracking"
@@ -178,14 +178,14 @@ class Stage(enum.StrEnum):
 
 
 class PhaseLock:
-    """Seeks a resonance, tracks it, dwells there.
+    """State machine that seeks a resonance, tracks it, and dwells there.
 
     Attributes:
         state: running, finished, aborted.
-        stage: of a running one.
-        reason: why it was aborted, in words; empty otherwise.
-        frequency_hz: commanded.
-        current_a: commanded.
+        stage: stage of a running one.
+        reason: why it was aborted; empty otherwise.
+        frequency_hz: commanded frequency.
+        current_a: commanded current.
         locked_ns: rig time of the first lock, or None.
     """
 
@@ -196,21 +196,21 @@ class PhaseLock:
         self.locked_ns: int | None = None
         self.u_gain = 0.0
         self._began_ns = self._held_ns = 0
-        self._tracked_ns = 0  # since when it is tracked at these settings
+        self._tracked_ns = 0  # start of tracking at these settings
         self._rows: list[tuple[float, ...]] = []
         self._slope = 0.0  # Hz per tan φ'
         self._before: tuple[float, float] | None = None
         self._samples: list[tuple[int, complex]] = []
-        self._signs = 0  # samples in a row with a detuning of one sign, negative for a negative one
+        self._signs = 0  # number of consecutive samples with a detuning of one sign, negative for a negative one
 
     @property
     def sample_s(self) -> float:
-        """How long the next sample is to be [s]."""
+        """Duration of the next sample [s]."""
         return self._plan.seek_s if self.stage is Stage.SEEKING else self._plan.sample_s
 
     @property
     def rows(self) -> NDArray[np.void]:
-        """Every sample so far: rows of `PHASE_LOCK`, `time` from the start."""
+        """All samples so far: rows of `PHASE_LOCK`, `time` from the start."""
         return np.array(self._rows, PHASE_LOCK)
 
     def rows_from(self, first: int) -> NDArray[np.void]:
@@ -223,26 +223,26 @@ class PhaseLock:
         return self.state is SweepState.RUNNING and self.stage is Stage.LOCKED
 
     def start(self, now_ns: int) -> Setpoint:
-        """Begin."""
+        """Start the search."""
         self._began_ns = self._held_ns = now_ns
         self.state = SweepState.RUNNING
         return self._setpoint()
 
     def set_current(self, current_a: float, now_ns: int) -> Setpoint:
-        """Go on with another current; what was locked must lock again within the limit."""
+        """Continue with another current; a lock must be found again within the limit."""
         self.current_a = current_a
         self.unlock(now_ns)
         return self._setpoint()
 
     def unlock(self, now_ns: int) -> None:
-        """Forget the lock: something was changed, the phase must be found again."""
+        """Drop the lock, because a setting has changed and the phase must be found again."""
         if self.stage is Stage.LOCKED:
             self.stage = Stage.TRACKING
         self._held_ns = self._tracked_ns = now_ns
         self._samples.clear()
 
     def on_sample(self, sample: Sample) -> Setpoint:
-        """Take what the rig does; return what to set next, the same as before where nothing is to change."""
+        """Process a sample; return the next setpoint, equal to the last one if nothing changes."""
         if self.state is not SweepState.RUNNING:
             return self._setpoint()
         if not sample.sound:
@@ -261,7 +261,7 @@ class PhaseLock:
         return self._setpoint()
 
     def abort(self, reason: str) -> Setpoint:
-        """End: the rig tripped, or the operator wants it."""
+        """End, because the rig tripped or the operator requests it."""
         if self.state is SweepState.RUNNING:
             self.state, self.reason = SweepState.ABORTED, reason
         return self._setpoint()
@@ -272,7 +272,7 @@ class PhaseLock:
     def _seek(self, turned: complex) -> None:
         detuned = _detuning(turned)  # > 0: the resonance is above
         other, was = self._before or (self.frequency_hz, detuned)
-        # where the range has held the frequency back the phase crosses by itself, as a transient dies: that is no slope
+        # if the range has limited the frequency, the phase crosses by itself as a transient decays: that is no slope
         if (was > 0.0) != (detuned > 0.0) and other != self.frequency_hz:
             self._slope = (self.frequency_hz - other) / (was - detuned)
             self.stage = Stage.TRACKING
@@ -287,9 +287,7 @@ class PhaseLock:
         self._samples.append((now_ns, turned / abs(turned)))
         first = now_ns - round(MEAN_S * NS_PER_S)
         self._samples = [one for one in self._samples if one[0] > first]
-        whole = (
-            now_ns - self._tracked_ns >= MEAN_S * 0.999 * NS_PER_S
-        )  # between two samples a command may take its time
+        whole = now_ns - self._tracked_ns >= MEAN_S * 0.999 * NS_PER_S  # a command may be delayed between two samples
         mean = sum(one for _, one in self._samples)
         if whole and abs(math.degrees(_turn_from_quarter(mean))) <= self._plan.within_deg:
             self.stage, self._held_ns = Stage.LOCKED, now_ns
@@ -299,7 +297,7 @@ class PhaseLock:
             self.stage = Stage.TRACKING
 
     def _detuning_hz(self, turned: complex) -> float:
-        """Return how far above the present frequency the resonance is, at most a step of the search."""
+        """Return the distance of the resonance above the present frequency, at most a step of the search."""
         if self._plan.reference is Reference.BASE:
             detuning = 0.5 * self.frequency_hz * (1.0 / turned).real
         else:
@@ -310,7 +308,7 @@ class PhaseLock:
         return min(max(detuning, -self._plan.step_hz), self._plan.step_hz)
 
     def _adapt(self, detuned: float) -> None:
-        """Correct the slope by what the detunings' signs say of it."""
+        """Correct the slope according to the signs of the detunings."""
         if self._signs * detuned < 0.0:
             self._slope *= SMALLER
             self._signs = 0
@@ -346,7 +344,7 @@ def _turn_from_quarter(turned: complex) -> float:
 
 
 def _detuning(turned: complex) -> float:
-    """Return tan φ', bounded: what a resonance is detuned, in units of its slope."""
+    """Return tan φ', bounded: the detuning in units of the slope."""
     angle = _turn_from_quarter(turned)
     if abs(angle) >= math.atan(STEEPEST):
         return math.copysign(STEEPEST, angle)
@@ -354,36 +352,36 @@ def _detuning(turned: complex) -> float:
 
 
 class LockedSine:
-    """Seeks a resonance, tracks it, dwells there.
+    """Phase lock driven by the updates of an operator.
 
     Args:
         info: rows of `daq/info`.
-        accept_limit_s: rig time within which a command must be accepted, and the next scans must come.
+        accept_limit_s: rig time within which a command must be accepted, and the next scans must arrive.
     """
 
     def __init__(self, plan: LockPlan, info: NDArray[np.void], accept_limit_s: float = 5.0) -> None:
         self._lock, self._meter = PhaseLock(plan), PhasorMeter(info)
         self._rate_hz, self._limit_s = float(info["rate"][0]), accept_limit_s
         self._wanted = Setpoint(plan.start_hz, plan.current_a)
-        self._since_ns: int | None = None  # from when the setpoint is in force
+        self._since_ns: int | None = None  # time from which the setpoint is active
         self._heard_ns = 0
         self._scans: list[NDArray[np.void]] = []
         self._end_ns = 0
-        self.measured = 0  # samples so far
+        self.measured = 0  # number of samples
 
     @property
     def state(self) -> SweepState:
-        """Where the lock stands."""
+        """State of the lock."""
         return self._lock.state
 
     @property
     def reason(self) -> str:
-        """Why it was aborted, in words; empty otherwise."""
+        """Reason why it was aborted; empty otherwise."""
         return self._lock.reason
 
     @property
     def rows(self) -> NDArray[np.void]:
-        """Every sample so far: rows of `PHASE_LOCK`."""
+        """All samples so far: rows of `PHASE_LOCK`."""
         return self._lock.rows
 
     def sweep_from(self, first: int) -> NDArray[np.void]:
@@ -393,24 +391,24 @@ class LockedSine:
         return found
 
     def describe(self) -> str:
-        """Say what it does, for people."""
+        """Return a readable description of the state."""
         at = f"{self._lock.frequency_hz:.6g} Hz"
         return (
             f"{self._lock.stage} at {at}" if self.state is SweepState.RUNNING else f"finished, the resonance is at {at}"
         )
 
     def figures(self) -> dict[str, float]:
-        """Return how far it is, for programs."""
+        """Return the progress for programs."""
         phase = math.degrees(float(self._lock.rows_from(-1)["phase"][0])) if self.measured else math.nan
         locked = float(self._lock.locked)
         return {"samples": self.measured, "frequency_hz": self._lock.frequency_hz, "phase_deg": phase, "locked": locked}
 
     def start(self, now_ns: int) -> Setpoint:
-        """Begin."""
+        """Start the search."""
         return self._ask(self._lock.start(now_ns), now_ns)
 
     def on_applied(self, frequency_hz: float, current_a: float, now_ns: int) -> Setpoint | None:
-        """Take an accepted change of the drive; one that is not ours ends the lock."""
+        """Process an accepted change of the drive; a change by another client ends the lock."""
         if self.state is not SweepState.RUNNING:
             return None
         wanted = self._wanted
@@ -421,21 +419,21 @@ class LockedSine:
                 self._since_ns = self._heard_ns = now_ns
             return None
         if self._since_ns is not None:
-            return self.abort(f"somebody else set {frequency_hz:g} Hz and {current_a:g} A")
-        return None  # frequency and current come one after the other
+            return self.abort(f"another client set {frequency_hz:g} Hz and {current_a:g} A")
+        return None  # frequency and current are applied one after the other
 
     def on_measurement(self, row: np.void, now_ns: int) -> Setpoint | None:
-        """Leave a settled measurement to others: a lock is quicker."""
+        """Ignore a settled measurement: a lock is faster."""
         del row, now_ns
         return None
 
     def on_scans(self, table: Table) -> Setpoint | None:
-        """Take a block of `daq/scan`; return what to set next once a stretch is whole."""
+        """Process a block of `daq/scan`; return the next setpoint once a stretch is complete."""
         rows, step_ns = table.rows, NS_PER_S / self._rate_hz
         if self.state is not SweepState.RUNNING or self._since_ns is None or not len(rows):
             return None
         if self._scans and abs(table.stamp_ns - self._end_ns) > step_ns / 2.0:
-            self._scans.clear()  # scans are missing: the stretch begins anew
+            self._scans.clear()  # scans are missing: the stretch restarts
         self._heard_ns = self._end_ns = table.stamp_ns + round(len(rows) * step_ns)
         early = max(0, math.ceil((self._since_ns - table.stamp_ns) / step_ns - 0.5))
         self._scans.append(rows[early:])
@@ -452,15 +450,15 @@ class LockedSine:
         return self._ask(setpoint, self._end_ns)
 
     def on_time(self, now_ns: int) -> Setpoint | None:
-        """Take the rig time; ends the lock when a command is not accepted, or no scans come."""
+        """Process the rig time; end the lock if a command is not accepted, or no scans arrive."""
         if self.state is not SweepState.RUNNING or (now_ns - self._heard_ns) / NS_PER_S <= self._limit_s:
             return None
         if self._since_ns is None:
             return self.abort(f"{self._wanted.frequency_hz:g} Hz was not accepted within {self._limit_s:g} s")
-        return self.abort(f"no scans came for {self._limit_s:g} s")
+        return self.abort(f"no scans received for {self._limit_s:g} s")
 
     def abort(self, reason: str) -> Setpoint | None:
-        """End a lock under way: the rig tripped, or the operator wants it."""
+        """End a running lock, because the rig tripped or the operator requests it."""
         return self._lock.abort(reason) if self.state is SweepState.RUNNING else None
 
     def _ask(self, setpoint: Setpoint, now_ns: int) -> Setpoint:
@@ -469,15 +467,15 @@ class LockedSine:
         return setpoint
 
 
-FEWEST = 6  # samples from which their scatter says something
-NEVER_S = 1e9  # rig time that no test takes
+FEWEST = 6  # number of samples from which their scatter is meaningful
+NEVER_S = 1e9  # rig time that no test reaches
 
 
 class LockLoop:
-    """A rig whose resonance is locked: rig time passes only while it is looked at.
+    """Rig with a locked resonance, whose time advances only in `sample`.
 
     Args:
-        rig: its blocks are short against a sample.
+        rig: rig with blocks that are short compared with a sample.
     """
 
     def __init__(self, rig: RigDriver) -> None:
@@ -486,11 +484,11 @@ class LockLoop:
 
     @property
     def now_ns(self) -> int:
-        """Rig time since the start."""
+        """Rig time since the start [ns]."""
         return self.rig.now_ns
 
     def set(self, setpoint: Setpoint) -> None:
-        """Command frequency, then current, where they are new."""
+        """Command frequency, then current, if they have changed."""
         if self.rig.stopped:
             return
         if setpoint.frequency_hz != self._setpoint.frequency_hz:
@@ -500,7 +498,7 @@ class LockLoop:
         self._setpoint = setpoint
 
     def sample(self, seconds: float) -> Sample | str:
-        """Let so much rig time pass and return what the rig did in it, or why it goes on no more."""
+        """Advance by a rig time and return the motion during it, or the reason why the rig stopped."""
         rig = self.rig
         rig.clear()
         rig.step(max(1, round(seconds * rig.rate_hz / rig.block_scans)))
@@ -512,7 +510,7 @@ class LockLoop:
 
 
 def follow(lock: PhaseLock, loop: LockLoop, until: Callable[[PhaseLock], bool]) -> None:
-    """Go on with a lock until it ends, or until a condition holds; it must have been started."""
+    """Continue a started lock until it ends, or until a condition is true."""
     while lock.state is SweepState.RUNNING and not until(lock):
         now = loop.sample(lock.sample_s)
         setpoint = lock.abort(now) if isinstance(now, str) else lock.on_sample(now)
@@ -520,7 +518,7 @@ def follow(lock: PhaseLock, loop: LockLoop, until: Callable[[PhaseLock], bool]) 
 
 
 def lock_on(plan: LockPlan, loop: LockLoop) -> PhaseLock:
-    """Search, track and dwell; return the lock as it ended."""
+    """Search, track and dwell; return the final state of the lock."""
     lock = PhaseLock(plan)
     loop.set(lock.start(loop.now_ns))
     follow(lock, loop, lambda _: False)
@@ -528,20 +526,20 @@ def lock_on(plan: LockPlan, loop: LockLoop) -> PhaseLock:
 
 
 class Mean(NamedTuple):
-    """A locked stretch: means with standard uncertainties."""
+    """Means of a locked stretch, with standard uncertainties."""
 
     frequency_hz: float  # of the resonance
     u_frequency_hz: float
-    """By the scatter of the samples, correlation included, and by the mean phase's distance from −90°."""
+    """From the scatter of the samples, including correlation, and the distance of the mean phase from −90°."""
     dt: float  # |X_1| / |X_b|
-    u_dt: float  # by the scatter of the samples and by the sensitivities, which are common to all that a rig measures
+    u_dt: float  # from the scatter of the samples and the sensitivities, which are common to all measurements of a rig
 
 
 def mean(rows: NDArray[np.void], u_gain: float) -> Mean:
     """Return the means of samples (`PHASE_LOCK`), shape (n,); uncertainties are NaN for fewer than `FEWEST`.
 
-    Against the base the resonance lies (f/2) Re(X_b/X_1) above the frequency of a sample, whatever the damping; where
-    the mean phase is not −90°, that much is uncertain.
+    Against the base the resonance is (f/2) Re(X_b/X_1) above the frequency of a sample, for any damping. If the mean
+    phase is not −90°, this distance is uncertain.
     """
     frequency = float(np.mean(rows["frequency"]))
     dt = float(np.mean(rows["laser_amplitude"]) / np.mean(rows["base_amplitude"]))
@@ -556,23 +554,24 @@ def mean(rows: NDArray[np.void], u_gain: float) -> Mean:
 
 @attrs.frozen(kw_only=True)
 class AmplitudeSweep:
-    """A backbone: the locked loop over currents, visited up, then down."""
+    """Amplitude sweep along a backbone: the locked loop over currents, up, then down."""
 
     currents_a: tuple[float, ...]  # ascending
-    lock: LockPlan  # of the loop; its current and dwell are not used, and its bound of lost locks is that of each point
+    # plan of the lock; its current and dwell are not used, and its limit for lost locks applies to each point
+    lock: LockPlan
     wait_s: float = 8.0
-    """Rig time on each point, locked or given up, before it is measured; bounds what a transient leaves."""
+    """Rig time at each point, locked or given up, before it is measured; limits the remaining transient."""
     mean_s: float = 6.0  # rig time over which a point is averaged
-    jump: float = 0.25  # relative change of DT from one point to the next that is told as a jump, not joined by a line
+    jump: float = 0.25  # relative change of DT between two points that is reported as a jump and not joined by a line
 
 
 @attrs.frozen(kw_only=True)
 class AmplitudePoint:
-    """One amplitude of a backbone."""
+    """Point of an amplitude sweep."""
 
     direction: str  # up or down
     current_a: float  # commanded
-    frequency_hz: float  # mean; u_frequency_hz: its standard uncertainty, see `Mean`
+    frequency_hz: float  # mean; u_frequency_hz is its standard uncertainty, see `Mean`
     u_frequency_hz: float
     dt: float  # ratio of the mean amplitudes; u_dt likewise
     u_dt: float
@@ -580,10 +579,8 @@ class AmplitudePoint:
     superior_m: float  # mean amplitude
     base_m: float  # mean amplitude
     phase_deg: float  # mean
-    locked: (
-        bool  # whether the phase was held in every sample; where not, the numbers are means of a motion that wanders
-    )
-    jumped: bool  # the response is another one than on the point before: DT jumped, or the lock came or went
+    locked: bool  # whether the phase was held in every sample; otherwise the numbers are means of a wandering motion
+    jumped: bool  # whether the response differs from the previous point: DT jumped, or the lock appeared or was lost
 
 
 def sweep_amplitude(sweep: AmplitudeSweep, loop: LockLoop) -> tuple[list[AmplitudePoint], str]:
@@ -612,7 +609,7 @@ def sweep_amplitude(sweep: AmplitudeSweep, loop: LockLoop) -> tuple[list[Amplitu
 def _pass(
     lock: PhaseLock, loop: LockLoop, seconds: float, until: Callable[[PhaseLock], bool] = lambda _: False
 ) -> None:
-    """Follow a lock for so much rig time, or until a condition holds."""
+    """Follow a lock for a rig time, or until a condition is true."""
     end_ns = loop.now_ns + round(seconds * NS_PER_S)
     follow(lock, loop, lambda one: until(one) or loop.now_ns >= end_ns)
 

@@ -11,17 +11,17 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Stepped sine, also with an amplitude held: which setpoint comes next, as a pure state machine that `operator` asks.
+"""Stepped sine, optionally with a held amplitude: the next setpoint, as a pure state machine called by `operator`.
 
     idle ── start ──► running ── all points measured ──► finished
                          └────── rule broken ──────────► aborted
 
-It sees what an operator sees — accepted commands, measurements, the time — and answers with the next setpoint.
-The last one of a sweep, finished or aborted, always sets the current to zero.
+It receives what an operator sees (accepted commands, measurements, the time) and answers with the next setpoint. The
+last setpoint of a sweep, finished or aborted, always sets the current to zero.
 
-`ControlledSine` holds an amplitude: at each point it measures settled, compares, corrects the current by the slope that
-the last two measurements show (in logarithms; 1 to begin with, which is exact on a linear rig) and measures again. What
-is held is what the instruments say.
+`ControlledSine` holds an amplitude: at each point it measures the settled response, compares, corrects the current by
+the slope of the last two measurements (in logarithms; initially 1, which is exact for a linear rig) and measures again.
+The held quantity is a reading of the instruments.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from impact_rig.states import Status
 
 
 class Direction(enum.StrEnum):
-    """Order in which the frequencies are visited; up_down keeps the state of the rig between the two."""
+    """Order of the frequencies; up_down keeps the state of the rig between the two."""
 
     UP = "up"
     DOWN = "down"
@@ -51,14 +51,14 @@ class Direction(enum.StrEnum):
 
 @attrs.frozen
 class Setpoint:
-    """What to set the drive to: frequency [Hz] and peak current [A]."""
+    """Setpoint of the drive: frequency [Hz] and peak current [A]."""
 
     frequency_hz: float
     current_a: float
 
 
 def positive(_: object, attribute: attrs.Attribute[float], value: float) -> None:
-    """Refuse a value of a plan that is not > 0 and finite."""
+    """Check that a value of a plan is > 0 and finite."""
     if not (math.isfinite(value) and value > 0.0):
         raise ConfigError(f"{attribute.name} must be > 0 and finite, got {value!r}")
 
@@ -80,21 +80,21 @@ def _at_least(lowest: int) -> Callable[[object, attrs.Attribute[int], int], None
 
 @attrs.frozen(kw_only=True)
 class SweepPlan:
-    """A stepped sweep.
+    """Plan of a stepped sweep.
 
     Attributes:
-        frequencies_hz: the points; visited in ascending or descending order, whatever their order here.
+        frequencies_hz: the points; visited in ascending or descending order, in whatever order they are given.
         current_a: peak current at all of them.
-        direction: order of the visit.
-        measurements_per_point: rows taken at each point.
-        dwell_limit_s: rig time at one point after which the sweep is aborted; longer than the tracker's own bound.
+        direction: order of the points.
+        measurements_per_point: number of rows at each point.
+        dwell_limit_s: rig time at one point after which the sweep is aborted; longer than the tracker's own limit.
         accept_limit_s: rig time within which a command must be accepted.
-        retries: refused measurements (lost blocks, silence, …) borne per point.
-        skip_over_range: leave out a point where a sensor goes over range, instead of aborting.
-        keep_unsettled: take a row of a point whose response did not settle in the tracker's bound (its `settled` is 0).
+        retries: rejected measurements (lost blocks, silence, …) tolerated per point.
+        skip_over_range: whether to skip a point where a sensor goes over range, instead of aborting.
+        keep_unsettled: whether to accept a point that did not settle within the tracker's limit (its `settled` is 0).
 
     Raises:
-        ConfigError: a value that cannot work; the message names it.
+        ConfigError: an invalid value; the message names it.
     """
 
     frequencies_hz: tuple[float, ...] = attrs.field(converter=tuple, validator=_frequencies)
@@ -108,16 +108,16 @@ class SweepPlan:
     keep_unsettled: bool = True
 
     def points(self) -> tuple[float, ...]:
-        """Return the frequencies in the order of the visit."""
+        """Return the frequencies in the order of measurement."""
         up = tuple(sorted(self.frequencies_hz))
         down = up[::-1]
         return {Direction.UP: up, Direction.DOWN: down, Direction.UP_DOWN: up + down}[self.direction]
 
 
-SAME = 1e-9  # relative difference up to which two frequencies or currents are one
+SAME = 1e-9  # relative difference up to which two frequencies or currents are equal
 
 PASSING = frozenset({Status.COMMAND_CHANGED, Status.LABEL_CHANGED, Status.CALIBRATION_CHANGED, Status.NO_FREQUENCY})
-"""Words that only say that a change came through."""
+"""Statuses that only report that a change was applied."""
 
 
 def sweep_rows(rows: NDArray[np.void]) -> NDArray[np.void]:
@@ -131,7 +131,7 @@ def sweep_rows(rows: NDArray[np.void]) -> NDArray[np.void]:
 
 
 class SweepState(enum.StrEnum):
-    """Where a sweep stands."""
+    """State of a sweep."""
 
     IDLE = "idle"
     RUNNING = "running"
@@ -140,12 +140,12 @@ class SweepState(enum.StrEnum):
 
 
 class SteppedSine:
-    """Walks through a plan.
+    """State machine of a stepped sweep.
 
     Attributes:
-        state: where the sweep stands.
-        reason: why it was aborted, in words; empty otherwise.
-        skipped: frequencies left out [Hz].
+        state: state of the sweep.
+        reason: why it was aborted; empty otherwise.
+        skipped: skipped frequencies [Hz].
     """
 
     def __init__(self, plan: SweepPlan) -> None:
@@ -156,7 +156,7 @@ class SteppedSine:
 
     @property
     def rows(self) -> NDArray[np.void]:
-        """The curve so far: rows of `transmissibility/table` in the order of the visit, `time` from the start."""
+        """Curve so far: rows of `transmissibility/table` in the order of measurement, `time` from the start."""
         return np.concatenate(self._rows) if self._rows else np.zeros(0, dtype=TRANSMISSIBILITY)
 
     def sweep_from(self, first: int) -> NDArray[np.void]:
@@ -165,22 +165,22 @@ class SteppedSine:
 
     @property
     def measured(self) -> int:
-        """How many rows the curve has so far."""
+        """Number of rows of the curve so far."""
         return len(self._rows)
 
     @property
     def progress(self) -> tuple[int, int]:
-        """Points done and points in all."""
+        """Number of completed points, and of all points."""
         return self._at, len(self._points)
 
     def describe(self) -> str:
-        """Say what it does, for people."""
+        """Return a readable description of the state."""
         done, count = self.progress
         running = f"point {done + 1} of {count}: {self.frequency_hz:g} Hz"
         return running if self.state is SweepState.RUNNING else f"finished, {count} points"
 
     def figures(self) -> dict[str, object]:
-        """Return how far it is, for programs."""
+        """Return the progress for programs."""
         done, count = self.progress
         return {"points_done": done, "points": count, "frequency_hz": self.frequency_hz, "skipped": self.skipped}
 
@@ -195,14 +195,14 @@ class SteppedSine:
         return self._plan.current_a
 
     def start(self, now_ns: int) -> Setpoint:
-        """Begin, or begin again from the first point."""
+        """Start, or start again from the first point."""
         self._reset()
         self._start_ns = now_ns
         self.state = SweepState.RUNNING
         return self._go(now_ns)
 
     def on_applied(self, frequency_hz: float, current_a: float, now_ns: int) -> Setpoint | None:
-        """Take an accepted change of the drive; one that is not ours aborts the sweep."""
+        """Process an accepted change of the drive; a change by another client aborts the sweep."""
         if self.state is not SweepState.RUNNING:
             return None
         ours = math.isclose(frequency_hz, self.frequency_hz, rel_tol=SAME)
@@ -212,11 +212,11 @@ class SteppedSine:
                 self._accepted, self._since_ns = True, now_ns
             return None
         if self._accepted:
-            return self._abort(f"somebody else set {frequency_hz:g} Hz and {current_a:g} A")
-        return None  # frequency and current come one after the other
+            return self._abort(f"another client set {frequency_hz:g} Hz and {current_a:g} A")
+        return None  # frequency and current are applied one after the other
 
     def on_measurement(self, row: np.void, now_ns: int) -> Setpoint | None:
-        """Take a row of `transmissibility/table`; rows of other frequencies are ignored."""
+        """Process a row of `transmissibility/table`; rows of other frequencies are ignored."""
         if self.state is not SweepState.RUNNING or not math.isclose(
             float(row["frequency"]), self.frequency_hz, rel_tol=SAME
         ):
@@ -244,12 +244,12 @@ class SteppedSine:
         return self._abort(f"{status.value} at {self.frequency_hz:g} Hz, {self._failures} times")
 
     def on_scans(self, table: Table) -> Setpoint | None:
-        """Leave scans to the analysis: a sweep goes by what it measures."""
+        """Ignore scans: a sweep uses the measurements of the analysis."""
         del table
         return None
 
     def on_time(self, now_ns: int) -> Setpoint | None:
-        """Take the rig time; aborts when a point takes too long."""
+        """Process the rig time; abort if a point takes too long."""
         if self.state is not SweepState.RUNNING:
             return None
         waited = (now_ns - self._since_ns) / NS_PER_S
@@ -260,7 +260,7 @@ class SteppedSine:
         return None
 
     def abort(self, reason: str) -> Setpoint | None:
-        """End a sweep under way: the rig tripped, or the operator wants it."""
+        """End a running sweep, because the rig tripped or the operator requests it."""
         return self._abort(reason) if self.state is SweepState.RUNNING else None
 
     def _reset(self) -> None:
@@ -279,7 +279,7 @@ class SteppedSine:
         return Setpoint(self.frequency_hz, self.current_a)
 
     def _adjusted(self, row: np.void, now_ns: int) -> Setpoint | None:
-        """Return with what to try again because this measurement is not what is wanted; None: it is."""
+        """Return a new setpoint if this measurement is not acceptable, or None if it is."""
         del row, now_ns
         return None
 
@@ -290,7 +290,7 @@ class SteppedSine:
             self.state = SweepState.FINISHED
             return Setpoint(before, 0.0)
         setpoint = self._go(now_ns)
-        # between up and down nothing changes, so nothing is accepted anew
+        # nothing changes between up and down, so no new acceptance follows
         self._accepted = setpoint.frequency_hz == before
         return setpoint
 
@@ -300,7 +300,7 @@ class SteppedSine:
 
 
 class Hold(enum.StrEnum):
-    """What is held."""
+    """Held quantity."""
 
     CURRENT = "current"
     BASE = "base"
@@ -308,33 +308,35 @@ class Hold(enum.StrEnum):
 
 
 COLUMN = {Hold.CURRENT: "current_amplitude", Hold.BASE: "base_amplitude", Hold.SUPERIOR: "laser_amplitude"}
-"""Where a row of `transmissibility/table` has it."""
-LARGEST_STEP = 3.0  # factor by which the current changes at once, at most
-SLOPES = (0.3, 3.0)  # bounds of d ln amplitude / d ln current that a correction believes
+"""Column of `transmissibility/table` for each quantity."""
+LARGEST_STEP = 3.0  # largest factor of a single change of the current
+SLOPES = (0.3, 3.0)  # range of d ln amplitude / d ln current that a correction uses
 
 
 @attrs.frozen(kw_only=True)
 class HoldPlan:
-    """What is held, and how far a point may go for it.
+    """Plan of a held quantity, with limits for each point.
 
     Raises:
-        ConfigError: a value that cannot work; the message names it.
+        ConfigError: an invalid value; the message names it.
     """
 
     hold: Hold = attrs.field(converter=Hold)  # base, superior or current
-    target: float = attrs.field(validator=positive)  # its amplitude, peak [m or A]
-    tolerance: float = attrs.field(default=2e-3, validator=positive)  # relative error up to which it counts as held
-    corrections: int = 8  # of the current per point; then the point is kept as it is, with its error
+    target: float = attrs.field(validator=positive)  # target amplitude, peak [m or A]
+    # relative error up to which the amplitude counts as held
+    tolerance: float = attrs.field(default=2e-3, validator=positive)
+    # maximum number of corrections of the current per point; then the point is kept with its error
+    corrections: int = 8
     current_limit_a: float = attrs.field(default=15.0, validator=positive)  # a correction beyond it aborts the sweep
     superior_limit_m: float = attrs.field(default=0.05, validator=positive)
-    """A measured superior base beyond it aborts the sweep."""
+    """Measured amplitude of the superior base above which the sweep aborts."""
 
 
 class ControlledSine(SteppedSine):
-    """Walks through a plan with an amplitude held.
+    """State machine of a stepped sweep with a held amplitude.
 
     Args:
-        plan: the points; its current is what the first one begins with.
+        plan: plan of the points; its current is the initial value of the first one.
     """
 
     def __init__(self, plan: SweepPlan, hold: HoldPlan) -> None:
@@ -344,7 +346,7 @@ class ControlledSine(SteppedSine):
 
     @property
     def current_a(self) -> float:
-        """Current of the present try."""
+        """Current of the present attempt."""
         return self._current_a
 
     @property
@@ -369,7 +371,7 @@ class ControlledSine(SteppedSine):
         self._before: tuple[float, float] | None = None  # logarithms of current and amplitude at this point
 
     def on_measurement(self, row: np.void, now_ns: int) -> Setpoint | None:
-        """Take a row of `transmissibility/table`; one of a current before the present one is ignored."""
+        """Process a row of `transmissibility/table`; a row of an earlier current is ignored."""
         if self._accepted and now_ns >= self._since_ns:
             return super().on_measurement(row, now_ns)
         return None
@@ -391,7 +393,7 @@ class ControlledSine(SteppedSine):
         return self._go(now_ns)
 
     def _next(self, now_ns: int) -> Setpoint:
-        self._corrected, self._before = 0, None  # also of a point that is left out
+        self._corrected, self._before = 0, None  # also for a skipped point
         return super()._next(now_ns)
 
     def _corrected_current(self, reached: float) -> float:

@@ -78,7 +78,7 @@ def test_what_does_not_last_is_a_line_of_its_own_that_joins_its_neighbours() -> 
         (lambda: of(32.0), "no motion with two impacts per cycle at 32 mm, 0.52 A"),
         (lambda: of(6.0, 0.0), "No prediction at rest"),
         (lambda: of(6.0, sphere__present=False), "Without a sphere"),
-        (lambda: of(6.0, sphere__guide_friction=0.1), "no friction of the guide"),
+        (lambda: of(6.0, sphere__guide_friction=0.1), "not include friction of the guide"),
         (lambda: of(6.0, drive__kind="voltage"), "a drive of constant voltage"),
         (lambda: of(6.0, drive__waveform="chirp"), "a drive that is chirp"),
     ],

@@ -381,7 +381,7 @@ def test_a_recorded_pluck_gives_what_a_pluck_of_our_own_gives(directory, tmp_pat
     assert found != round(decay.natural_frequency_hz, 6), "it is another estimate"
     assert found == pytest.approx(decay.natural_frequency_hz, abs=2 * u2 + 1e-6)
     assert main([*arguments, str(tmp_path / "quiet")]) == 1
-    assert "nothing was plucked in this run (rig/pluck)" in capsys.readouterr().err
+    assert "no pluck in this run (rig/pluck)" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("ended_by", ["lost blocks", "reset"])

@@ -151,7 +151,7 @@ def test_workers_with_other_code_are_named_and_nothing_of_them_is_stored(cluster
             one.terminate()
             one.wait(20)
     assert process.returncode == 0, output
-    assert "nothing of it is taken" in output
+    assert "its results are ignored" in output
     store = Store(directory)
     assert all(store.get(job) is not None for job in run.unique_jobs(load_campaign(file).planned()))
 

@@ -94,7 +94,7 @@ def stored(tmp_path: Path) -> tuple[Store, Job, Path]:
         ("status", '"splendid"', "rows[0].status must be one of ok"),
         ("simulated_s", "1e999", "simulated_s must be a number"),
         ("lost_scans", "1" + 400 * "0", "lost_scans must be a number"),
-        ("lost_scans", "1" + 5000 * "0", "is no stored result: Exceeds the limit"),
+        ("lost_scans", "1" + 5000 * "0", "is not a valid stored result: Exceeds the limit"),
         ("rows", "{}", "rows must be a list, got {}"),
         ("rows", "[3]", "rows[0] must be a row, got 3"),
         ("skipped_hz", "[null]", "skipped_hz must be a number"),
@@ -121,7 +121,7 @@ def test_a_stored_result_that_is_none_is_one_line(
 def test_half_a_character_is_one_line(stored: tuple[Store, Job, Path]) -> None:
     store, job, file = stored
     file.write_bytes(file.read_bytes().replace(b"2 mm", "2 µm".encode()[:3]))
-    with pytest.raises(DamagedPointError, match=r"is no stored result: .*utf-8"):
+    with pytest.raises(DamagedPointError, match=r"is not a valid stored result: .*utf-8"):
         store.get(job, as_it_is=True)
 
 
@@ -153,7 +153,7 @@ def _npy(column: object) -> bytes:
         (_npy(np.full(9, np.nan)), "column laser must be finite"),
         (_npy(np.full(9, 2.0)), "was changed after it was stored"),
         (_npy(np.array(["a"] * 9)), "must be one column of real numbers"),
-        (b"", "is no stored trace"),
+        (b"", "is not a valid stored trace"),
     ],
     ids=["1e13 elements", "reshaped", "empty", "shorter", "nan", "changed", "texts", "nothing"],
 )

@@ -173,7 +173,7 @@ def test_starts_are_measured_one_beside_the_other(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (COEXISTENCE + "direction: up\n", "sphere_position_m is how a place begins: direction must be reset"),
+        (COEXISTENCE + "direction: up\n", "sphere_position_m is a start condition: direction must be reset"),
         (COEXISTENCE + "starts: [left]\n", "exclude each other"),
         (
             COEXISTENCE.replace("0.007", "0.016"),
@@ -342,7 +342,7 @@ SEARCH = "optimum: {{over: {}, from: {}, to: {}}}\naxes: {{gap_m: [0.01, 0.02], 
         ("axes: {gap_m: [0.01, 0.02]}", "axes must be two or three"),
         ("axes: {gap_m: [0.01, 0.02], speed: [1, 2]}", "unknown axis 'speed'"),
         ("axes: {gap_m: [0.01, 0.02], frequency_hz: [9, 9.1]}\nfrequency_hz: 9", "is an axis"),
-        ("axes: {gap_m: [0.01, 0.02], daq.seed: [1, 2]}", "means nothing to a map"),
+        ("axes: {gap_m: [0.01, 0.02], daq.seed: [1, 2]}", "irrelevant to a map"),
         ("axes: {gap_m: [0.01, 0.02], contact.restitution: [0.1, 3]}", "restitution"),
         ("axes: {barriers.gap_m: [0.01, 0.02], frequency_hz: [9, 9.1]}", "use gap_m"),
         ("axes: {gap_m: [0.01, 0.02], frequency_hz: [-9, 9.1]}", "must be > 0"),
@@ -386,7 +386,7 @@ def test_a_directory_of_something_else_is_left_alone(small, tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
     with pytest.raises(RecordingError, match="holds no map"):
         run.store(tmp_path).prepare(plan.text, plan.base)
-    with pytest.raises(ConfigError, match="is no map's directory"):
+    with pytest.raises(ConfigError, match="is not a map's directory"):
         run.open_map(tmp_path)
 
 

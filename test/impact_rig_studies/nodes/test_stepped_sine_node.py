@@ -69,9 +69,9 @@ def current_now(client: Client) -> float:
 def test_the_curve_is_the_closed_form(sweeping: Client) -> None:
     curves = sweeping.collect("sweep/table")
     begin(sweeping)
-    with pytest.raises(ServiceFailedError, match="under way already"):
+    with pytest.raises(ServiceFailedError, match="running already"):
         sweeping.trigger("stepped_sine/start")
-    with pytest.raises(ConfigError, match="a sweep is under way"):
+    with pytest.raises(ConfigError, match="a sweep is running"):
         sweeping.set_parameters("stepped_sine", {"current_a": 0.1})
     sweeping.wait_until(lambda: status(sweeping) == "finished, 6 points", "the end of the sweep", 60.0)
     sweeping.wait_until(lambda: len(curves.rows()) == 6, "the whole curve")
@@ -113,7 +113,7 @@ def locking(client: Client) -> Client:
 def test_the_phase_is_sought_held_and_published(locking: Client) -> None:
     looks = locking.collect("sweep/table")
     begin(locking)
-    with pytest.raises(ConfigError, match="a sweep is under way"):  # at once: all is over in half a second
+    with pytest.raises(ConfigError, match="a sweep is running"):  # at once: all is over in half a second
         locking.set_parameters("stepped_sine", {"reference": "current"})
     locking.wait_until(lambda: status(locking).startswith("finished, the resonance is at 9.10"), "the end", 60.0)
     rows = looks.rows()
@@ -137,7 +137,7 @@ def test_a_lock_that_cannot_go_on_says_why_and_rests(locking: Client, cause: str
         words = "aborted: stopped by the operator"
     else:
         locking.command(frequency_hz=33.0)
-        words = "aborted: somebody else set 33 Hz"
+        words = "aborted: another client set 33 Hz"
     locking.wait_until(lambda: status(locking).startswith(words), words)
     locking.wait_until(lambda: current_now(locking) == 0.0, "the shaker at rest")
 
@@ -155,7 +155,7 @@ def test_a_sweep_that_cannot_go_on_says_why_and_rests(sweeping: Client, cause: s
         words = "aborted: stopped by the operator"
     else:
         sweeping.command(frequency_hz=33.0)
-        words = "aborted: somebody else set 33 Hz and 0.52 A"
+        words = "aborted: another client set 33 Hz and 0.52 A"
     sweeping.wait_until(lambda: status(sweeping) == words, words)
     assert sweeping.status("stepped_sine").level == b"\x02"
     sweeping.wait_until(lambda: current_now(sweeping) == 0.0, "the shaker at rest")
@@ -164,10 +164,10 @@ def test_a_sweep_that_cannot_go_on_says_why_and_rests(sweeping: Client, cause: s
 def test_without_a_rig_nothing_begins(client: Client) -> None:
     client.host(SteppedSineNode, parameter_overrides=ros_parameters({"begin": True}))
     client.wait_active("stepped_sine")
-    client.wait_until(lambda: "no rig listens" in status(client), "a reason")
-    with pytest.raises(ServiceFailedError, match="no rig listens"):
+    client.wait_until(lambda: "no rig subscribes" in status(client), "a reason")
+    with pytest.raises(ServiceFailedError, match="no rig subscribes"):
         client.trigger("stepped_sine/start")
-    assert client.trigger("stepped_sine/stop") == "no sweep is under way"
+    assert client.trigger("stepped_sine/stop") == "no sweep is running"
 
 
 @pytest.mark.parametrize(

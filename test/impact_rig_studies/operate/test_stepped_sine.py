@@ -128,7 +128,7 @@ def test_a_trip_and_a_stranger_at_the_knob_end_the_sweep():
     assert one.on_applied(8.0, 0.0, 0) is None, "the frequency comes first, the current after it"
     one.on_applied(8.0, 0.5, 0)
     assert one.on_applied(8.5, 0.5, S) == Setpoint(8.0, 0.0)
-    assert one.reason == "somebody else set 8.5 Hz and 0.5 A"
+    assert one.reason == "another client set 8.5 Hz and 0.5 A"
 
 
 @pytest.mark.parametrize(

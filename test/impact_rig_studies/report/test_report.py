@@ -334,7 +334,7 @@ def test_figures_lie_beside_the_page(reported):
 def test_a_directory_without_campaign_is_refused(tmp_path, capsys):
     assert main(["report", str(tmp_path)]) == 1
     told = capsys.readouterr().err
-    assert "is no campaign's directory" in told
+    assert "is not a campaign's directory" in told
     assert "--output NEW`" in told, "into the directory of something else no campaign goes"
 
 
