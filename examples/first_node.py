@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A first node: drive the rig at 9.1 Hz and 0.52 A, and say what the analysis measures.
+"""A first node: drive the rig at 9.1 Hz and 0.52 A, and log what the analysis measures.
 
 python first_node.py --ros-args -r __ns:=/rig
 """
@@ -27,11 +27,11 @@ FREQUENCY_HZ, CURRENT_A = 9.1, 0.52
 
 
 class FirstNode(Node):
-    """Commands until the rig says that the drive is in force, and keeps every transmissibility it hears."""
+    """Sends commands until the rig confirms them, and keeps every transmissibility it receives."""
 
     def __init__(self):
         super().__init__("first")
-        self.heard = []
+        self.received = []
         self.frequency = self.create_publisher(Float64, "shaker/frequency", 10)
         self.current = self.create_publisher(Float64, "shaker/current", 10)
         self.create_subscription(PointCloud2, "shaker/applied", self.on_applied, 10)
@@ -39,7 +39,7 @@ class FirstNode(Node):
         self.timer = self.create_timer(0.5, self.drive)
 
     def drive(self):
-        """A message that is sent before the rig has found this node is lost: say it again."""
+        """A message sent before the rig has discovered this node is lost: repeat it."""
         self.frequency.publish(Float64(data=FREQUENCY_HZ))
         self.current.publish(Float64(data=CURRENT_A))
 
@@ -49,7 +49,7 @@ class FirstNode(Node):
             self.timer.cancel()
 
     def on_transmissibility(self, message):
-        self.heard.append(message.data)
+        self.received.append(message.data)
         self.get_logger().info(f"DT = {message.data:.2f}")
 
 

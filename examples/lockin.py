@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Displacement transmissibility by lock-in: a pipeline as somebody else would write it; it does not import impact_rig.
+"""Displacement transmissibility by lock-in: a pipeline of a user, which does not import impact_rig.
 
 Blocks go in, complex ratios X_1 / X_b come out, one for each window of whole cycles. A gap between blocks, or a clipped
 sample, makes it start over: a lock-in that counts samples would otherwise be wrong and never know.

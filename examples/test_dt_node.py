@@ -39,8 +39,8 @@ def test_it_measures_the_closed_form(ros_rig):
 def test_lost_blocks_are_noticed_and_cost_one_window(ros_rig):
     """Three gaps, the last of a single block; every value published is right all the same.
 
-    Windows take a second, and a second of settling: at 2, 3 and 4 s (the first two while the rig still starts to move),
-    none between the gaps at 4, 4.5 and 6 s, then at 8, 9 and 10 s.
+    Windows take a second, and a second of settling. They end at 2, 3 and 4 s (the first two while the rig still starts
+    to move), none between the gaps at 4, 4.5 and 6 s, then at 8, 9 and 10 s.
     """
     gaps = [(40_000, 700), (45_000, 2_000), (60_000, 100)]
     faults = [Fault(kind="lost_block", start_sample=start, samples=count) for start, count in gaps]

@@ -21,6 +21,6 @@ def test_it_drives_the_rig_and_hears_what_is_measured(ros_rig):
     rig = ros_rig({"barriers.gap_m": 6e-3})
     rig.processes.start("analysis")
     rig.follow("analysis")
-    node = rig.client.host(FirstNode)  # it answers no block: nobody waits for it
-    rig.wait_until(lambda: node.heard, "a transmissibility", limit_s=60)
-    assert node.heard[-1] == pytest.approx(63.4, rel=0.01)
+    node = rig.client.host(FirstNode)  # it acknowledges no block, so the rig does not wait for it
+    rig.wait_until(lambda: node.received, "a transmissibility", limit_s=60)
+    assert node.received[-1] == pytest.approx(63.4, rel=0.01)

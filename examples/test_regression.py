@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Example (c): an analysis, and the rig, held against what they gave when they were right.
+"""Example (c): an analysis and the rig, compared with their earlier correct results.
 
-The recorded run is an MCAP run like any other; here the rig records it anew for each session, so that no binary lies
-beside the tests. One from a laboratory does as well: let `recorded` return its path. `golden/` holds what was found in
+The recorded run is an MCAP run like any other; here the rig records it in each session, so that the repository has no
+binary. A run of a laboratory works as well: let `recorded` return its path. `golden/` holds what was found in
 it, as text, and is written by `pytest --rig-update-golden`.
 """
 
@@ -64,7 +64,7 @@ def test_what_it_found_is_right(recorded, virtual_rig):
 
 
 def test_a_change_of_the_analysis_is_noticed(recorded, golden):
-    """Somebody drops the correction of the laser's lag: 0.7 ms are 2 degrees at 8.5 Hz."""
+    """Without the correction of the laser's lag: 0.7 ms are 2 degrees at 8.5 Hz."""
     right = Golden(golden.directory.parent / test_the_analysis_finds_what_it_found.__name__, update=False)
     with pytest.raises(AssertionError, match="phase_deg"):
         right.values(analyse(recorded, correct_lag=False), rel=FLIPPED)

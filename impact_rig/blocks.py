@@ -129,7 +129,7 @@ APPLIED_COLUMNS = (
     time("Since the stamp, which is the first scan it acts on: 0."),
     index("sample", "Index of the first scan it acts on, since the start or reset."),
     Column("frequency", "Hz", "Drive frequency."),
-    Column("current", "A", "Amplitude commanded, peak (rms for random; m or V by `drive.kind`); a ramp leads there."),
+    Column("current", "A", "Amplitude at the end of the ramp, peak (rms for random; m or V by `drive.kind`)."),
     Column("phase", "rad", "Phase of the drive at that scan, in [0, 2π)."),
 )
 APPLIED = row_type(APPLIED_COLUMNS)
@@ -139,10 +139,10 @@ WAVEFORM = row_type(WAVEFORM_COLUMNS)
 
 STREAM_COLUMNS = (
     time("Since the stamp, which is that of the sample wanted next: 0."),
-    index("wanted", "Number of that sample since the start or reset; all before it are in force."),
+    index("wanted", "Number of that sample since the start or reset; all earlier ones have acted."),
     Column("buffered", "-", "Samples that are there from that one on, without a gap."),
     Column("capacity", "-", "Samples that may be there."),
-    Column("playing", "-", "1 while samples are in force, 0 before the first and where they are missing or over."),
+    Column("playing", "-", "1 while samples act, 0 before the first one and where they are missing or over."),
     Column("late", "-", "Samples that came too late."),
     Column("refused", "-", "Blocks that were refused."),
     Column("missing", "-", "Samples that did not come in time."),
@@ -270,11 +270,11 @@ SETTINGS_COLUMNS = (
     Column(
         "key",
         "-",
-        "Setting; `gap_m`: the operator's label (0 = no sphere, NaN = unknown); `machine`: number of the machine that "
+        "Setting. `gap_m`: label of the operator (0 = no sphere, NaN = unknown). `machine`: number of the machine that "
         "analyses, with its libraries.",
         TEXT,
     ),
-    Column("value", "as the key", "In force from the stamp on."),
+    Column("value", "as the key", "Valid from the stamp on."),
 )
 SETTINGS = row_type(SETTINGS_COLUMNS)
 

@@ -104,7 +104,7 @@ JOURNAL = Topic(
 )  # fmt: skip
 CONFIGURATION = Topic(
     "rig/configuration", "std_msgs/msg/String", Qos.STATE, "rig",
-    "The configuration in force, complete, as a ROS 2 parameter file.",
+    "The complete current configuration, as a ROS 2 parameter file.",
     (Column("data", "-", "YAML that `--params-file` and `impact-rig check` take."),),
 )  # fmt: skip
 ROBOT_DESCRIPTION = Topic(

@@ -33,7 +33,7 @@ from impact_rig.simtime import NS_PER_S
 def add_info(commands: Commands) -> None:
     """Register the subcommand."""
     parser = subcommand(
-        commands, "info", _info, "what a run holds and whether it is whole",
+        commands, "info", _info, "contents of a run, and whether it is complete",
         [
             ("info runs/demo/gap_6mm", "verdict, duration, topics"),
             ("info runs/demo/gap_6mm --json", "the same for a script"),
@@ -136,8 +136,8 @@ def add_recover(commands: Commands) -> None:
     """Register the subcommand."""
     parser = subcommand(
         commands, "recover", _recover, "save every whole chunk of a damaged or unfinished run",
-        [("recover runs/killed runs/saved", "writes what is whole to a new run, and says what is missing")],
-        f"Exit code 0: all that was found is whole; {INCOMPLETE}: something is missing; 1: nothing was saved.",
+        [("recover runs/killed runs/saved", "writes the intact data to a new run, and lists what is missing")],
+        f"Exit code 0: all data found is intact; {INCOMPLETE}: something is missing; 1: nothing was saved.",
     )  # fmt: skip
     parser.add_argument("path", type=Path, metavar="RUN", help="run directory or .mcap file")
     add_json(parser)
@@ -145,7 +145,7 @@ def add_recover(commands: Commands) -> None:
     parser.add_argument(
         "--accept-unchecked",
         action="store_true",
-        help="also take chunks without a checksum, as rosbag2 writes them: nobody can tell whether they are right",
+        help="also take chunks without a checksum, as rosbag2 writes them; they may be wrong",
     )
 
 

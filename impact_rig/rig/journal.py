@@ -74,9 +74,9 @@ class InputKind(enum.Enum):
     STREAM = (
         "stream",
         (
-            "An event of shaker/waveform: value = number of a sample; name = begin (samples act from it on), end (they "
-            "no longer do; text = underrun, ended or stopped), crc32 (text = how many samples from it on acted, and "
-            "their CRC-32); a result, not an input."
+            "An event of shaker/waveform, a result, not an input. value = number of a sample. name = begin (samples "
+            "act from it on), end (they stop; text = underrun, ended or stopped), or crc32 (text = number of samples "
+            "from it on that acted, and their CRC-32)."
         ),
     )
 

@@ -68,7 +68,7 @@ RIG = (
     Figure("active_faults", "-", "Instrument faults that act now: how many."),
     Figure("faults", "-", "Which: kind/channel, comma-separated."),
     Figure("over_range.<channel>", "-", "Scans flagged over range or clipped, since the activation."),
-    Figure("other_publishers", "-", "Who else publishes this rig's topics or its clock; there must be nobody."),
+    Figure("other_publishers", "-", "Other nodes that publish this rig's topics or its clock; must be empty."),
     Figure("subscribers", "-", "Matched subscriptions of daq/scan."),
     Figure("behind.<peer>", "blocks", "Blocks that are out and that a peer has not acknowledged."),
     Figure("other_acks", "-", "Acknowledgements in the name of no node that subscribes to daq/scan: ignored."),
