@@ -57,6 +57,19 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Register the plugin's marker."""
+    config.addinivalue_line(
+        "markers", "requirement(id, ...): requirements that the test verifies; listed in JUnit files"
+    )
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Note the requirements of a test in its properties, which are in a JUnit file whether it passes or not."""
+    named = dict.fromkeys(str(name) for marker in item.iter_markers("requirement") for name in marker.args)
+    item.user_properties += [("requirement", name) for name in named]
+
+
 @pytest.fixture
 def virtual_rig(request: pytest.FixtureRequest) -> Iterator[Callable[..., LocalRig]]:
     """Return a function that starts a rig in this process: `virtual_rig({"barriers.gap_m": 0.004}, faults=[...])`."""

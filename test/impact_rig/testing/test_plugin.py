@@ -21,6 +21,7 @@ import subprocess
 import sys
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree as ET
 
 import pytest
 
@@ -64,3 +65,42 @@ def test_no_two_rigs_of_a_test_have_one_name(request: pytest.FixtureRequest) -> 
     first.close()
     assert (first.name, second.name, start().name, start().name) == ("rig", "rig2", "rig", "rig3")
     assert next(started, None) is None
+
+
+MARKED = """
+import pytest
+pytestmark = pytest.mark.requirement("R1")
+
+@pytest.mark.requirement("R2", "R3")
+@pytest.mark.requirement("R1")
+def test_passes(): pass
+
+@pytest.mark.requirement("R4")
+def test_fails(): assert False
+
+@pytest.mark.requirement("R5")
+@pytest.mark.skip
+def test_skipped(): pass
+"""
+
+
+def test_requirements_are_in_the_junit_file_of_every_test(tmp_path: Path) -> None:
+    (tmp_path / "test_marked.py").write_text(MARKED)
+    words = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-q",
+        "--strict-markers",
+        "-p",
+        "impact_rig.testing.plugin",
+        "--junitxml=found.xml",
+    ]
+    subprocess.run([*words, "test_marked.py"], cwd=tmp_path, check=False, capture_output=True)
+    cases = ET.parse(tmp_path / "found.xml").iter("testcase")
+    found = {
+        case.get("name"): [one.get("value") for one in case.iter("property") if one.get("name") == "requirement"]
+        for case in cases
+    }
+    assert found["test_passes"] == ["R1", "R2", "R3"]
+    assert found["test_fails"] == ["R4", "R1"]
