@@ -12,7 +12,7 @@ VENV := $(if $(filter kilted,$(ROS)),build/kilted-venv,.venv)
 
 # --- Which ROS 2: that of ROS=kilted, or a sourced Jazzy whose rclpy works, else the PyPI wheels ----------------------
 ifeq ($(filter kilted,$(ROS))$(ROS_DISTRO),jazzy)
-# an rclpy inside somebody's activated virtual environment is not a sourced one
+# an rclpy in an activated virtual environment is not a sourced one
 SOURCED := $(shell $(or $(PYTHON),python3) -c 'import rclpy, sys; \
     sys.exit(sys.prefix != sys.base_prefix and rclpy.__file__.startswith(sys.prefix))' 2>/dev/null && echo yes)
 endif
@@ -36,7 +36,7 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH ROS_DISTRO
 endif
 endif
 unexport VIRTUAL_ENV
-# Container images set it; every process would compile all that it imports anew, which is most of a short one's time.
+# Container images set it. Every process would then compile all of its imports, most of the time of a short one.
 unexport PYTHONDONTWRITEBYTECODE
 
 # --- What everything that is started here sees ------------------------------------------------------------------------
@@ -49,7 +49,7 @@ export MPLCONFIGDIR ?= $(CURDIR)/build/matplotlib
 
 # --- Environment ------------------------------------------------------------------------------------------------------
 # A stamp for each part: new versions are installed over the old ones, a new version or script of this package is only
-# registered again. A copied or moved checkout needs all of it anew, because an environment holds absolute paths.
+# registered again. A copied or moved checkout needs a new environment, because it holds absolute paths.
 STAMP := $(VENV)/has-$(ROS)$(subst /,_,$(PYTHON))
 RUN := $(STAMP)-run
 TEST := $(STAMP)-test
@@ -80,7 +80,7 @@ $(PACKAGE): $(RUN) setup.py setup.cfg package.xml
 	    --no-deps --no-build-isolation --no-index --editable .
 	@touch $@
 
-kernels: $(PACKAGE) ## build the library of compiled kernels, where their sources have changed
+kernels: $(PACKAGE) ## build the library of compiled kernels if their sources have changed
 	@requirements/kernels.sh $(VENV)
 
 # --- Targets ----------------------------------------------------------------------------------------------------------
@@ -90,18 +90,18 @@ help: ## print this list
 	@echo 'impact_rig: make TARGET, where TARGET is one of'
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/  \1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 14
 
-lab: kernels ## see the rig move and turn its knobs, live, in the browser; ARGS=--sample plays back a short run
+lab: kernels ## start the live laboratory in the browser; ARGS=--sample plays back a short run
 	@$(VENV)/bin/impact-rig lab $(ARGS)
 
-demo: kernels ## run the rig, measure the paper's five reductions through its topics, print and draw them
+demo: kernels ## measure the paper's five reductions through ROS topics, print and draw them
 	@$(VENV)/bin/impact-rig demo $(ARGS)
 
-campaign: kernels ## measure all points of the paper, judge its statements, write a report; ARGS='--only curves'
+campaign: kernels ## measure all points of the paper and write a report; ARGS='--only curves' measures a part
 	@$(VENV)/bin/impact-rig campaign config/paper.yaml --check --output runs/campaign_paper $(ARGS); status=$$?; \
 	    $(VENV)/bin/impact-rig report runs/campaign_paper && exit $$status
 
-# A test that waited in vain for another process is run once more, and the last line says so: real nodes on a machine
-# that does something else as well may need longer than anybody would wait. Nothing else gets a second chance.
+# A test that timed out waiting for another process is run once more, and the last line says so: real nodes on a busy
+# machine may need very long. Nothing else is repeated.
 SECOND_CHANCE := --reruns 1 --only-rerun WaitTimeoutError --only-rerun TimeoutExpired
 
 # Files go to the workers in the order of test/conftest.py, the longest first; left to itself, xdist begins with the file
@@ -119,7 +119,7 @@ LINES := IMPACT_RIG_LINES=$(CURDIR)/build/coverage/data PYTHONPATH=$(CURDIR)/too
 KERNELS = $$(grep -rl --include='*.py' '^from impact_rig.kernels import .*kernel\|^from impact_rig.kernels import .*entry' impact_rig | paste -sd,)
 MEASURED := $(if $(ARGS),,1)
 
-test: $(TEST) kernels ## run all tests on real ROS 2; ARGS=--changed or '-k codec' chooses, SHUFFLE=7 draws another order
+test: $(TEST) kernels ## run all tests on real ROS 2; ARGS=--changed or '-k codec' selects, SHUFFLE=7 changes the order
 	@$(if $(MEASURED),mkdir -p build/coverage && $(COVERAGE) erase)
 	@begin=$$(date +%s); IMPACT_RIG_REQUIRE_ROS=1 \
 	    $(if $(MEASURED),$(LINES)) $(VENV)/bin/python -m pytest $(PYTEST_PLUGINS_USED) \
@@ -132,42 +132,42 @@ LINT = $(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check . && $(VENV)/
     if command -v node >/dev/null; then for file in impact_rig_lab/static/*.js; do \
     node --check --input-type=module < $$file || exit 1; done; fi
 
-check: $(TEST) kernels ## after every edit: style, types, layers, and the tests without process, browser and ROS
+check: $(TEST) kernels ## quick checks after an edit: style, types, layers, tests without processes, browser and ROS
 	@begin=$$(date +%s); $(LINT) && \
 	    $(VENV)/bin/python -m pytest $(PYTEST_PLUGINS_USED) -q -n 2 $(BY_FILE) --check $(ARGS) $(if $(MEASURED),&& $(call note,check_s))
 
 lint: $(TEST) kernels ## check style, types, layers and prose
 	@$(LINT)
 
-generate: $(TEST) kernels ## rewrite the pages and files that are made from the code
+generate: $(TEST) kernels ## rewrite the pages and files generated from the code
 	@$(VENV)/bin/python -m tools.generate
 
-journeys: $(TEST) kernels ## run every command of README and docs in the environment its page names; ARGS=--cheap for a few
+journeys: $(TEST) kernels ## run every command of README and docs as a new user; ARGS=--cheap runs a few
 	@$(VENV)/bin/python -m tools.journeys $(ARGS)
 
-figures: $(TEST) kernels ## draw every figure of README and docs; ARGS='paper.svg lab_pictures' chooses
+figures: $(TEST) kernels ## draw all figures of README and docs; ARGS='paper.svg lab_pictures' selects
 	@$(VENV)/bin/python -m tools.figures $(ARGS)
 
-docs: $(DOCS) kernels ## build the website from docs/ into build/site, offline, without a warning
+docs: $(DOCS) kernels ## build the documentation as a website in build/site
 	@$(VENV)/bin/python -m tools.website $(ARGS)
 
-site: $(TEST) kernels ## build the rig in a browser, one page that opens from disk, into build/rig
+site: $(TEST) kernels ## build the rig as one web page in build/rig
 	@$(VENV)/bin/python tools/browser_page.py $(ARGS)
 
-format: $(TEST) $(PACKAGE) ## bring the code into the one format
+format: $(TEST) $(PACKAGE) ## format the code
 	@$(VENV)/bin/ruff check --fix-only .
 	@$(VENV)/bin/ruff format .
 
 bench: $(TEST) kernels ## measure the figures of docs/ and write build/bench.json; ONLY=physics measures one part
 	@$(VENV)/bin/python -m benchmarks $(ONLY)
 
-fuzz: $(TEST) kernels ## throw 10,000 hostile inputs at each decoder and validator; ARGS='--inputs 1000 texts' chooses
+fuzz: $(TEST) kernels ## send 10,000 hostile inputs to each decoder and validator; ARGS='--inputs 1000 texts' selects
 	@$(VENV)/bin/python -m fuzz $(ARGS)
 
-portability: kernels ## prove the same bits under masks of this CPU and on emulated ones; ARGS=--write takes this machine's
+portability: kernels ## compare bits under masked and emulated CPUs; ARGS=--write stores those of this machine
 	@$(VENV)/bin/python -m qualification.portability $(ARGS)
 
-soak: kernels ## run for hours: two of rig time free-running, ten minutes live at 50 kS/s; ARGS='--part live' chooses
+soak: kernels ## run two hours of rig time free-running and ten minutes live; ARGS='--part live' selects
 	@$(VENV)/bin/python qualification/soak.py $(ARGS)
 
 COLCON := build/colcon-venv
@@ -176,7 +176,7 @@ $(COLCON)/ready: requirements/run.txt requirements/$(ROS).txt requirements/test.
 	@$(COLCON)/bin/python -m pip install --quiet --disable-pip-version-check --no-input --requirement requirements/colcon.txt
 	@touch $@
 
-colcon: $(COLCON)/ready ## build, install, start and test with colcon from PyPI, from nothing, as in a ROS workspace
+colcon: $(COLCON)/ready ## build, install, start and test with colcon from PyPI, as in a ROS workspace
 	@$(if $(filter wheels,$(ROS)),AMENT_PREFIX_PATH='$(CURDIR)/$(COLCON)') \
 	    $(COLCON)/bin/python qualification/check_colcon.py $(PYTEST_PLUGINS_USED) $(ARGS)
 
@@ -186,18 +186,18 @@ $(ADAPTERS)/ready: requirements/run.txt requirements/$(ROS).txt requirements/ada
 	@$(ADAPTERS)/bin/python -m pip install --quiet --disable-pip-version-check --no-input --requirement requirements/adapters.txt
 	@touch $@
 
-adapters: $(ADAPTERS)/ready kernels ## run examples/adapters against the real Gymnasium and LDAQ; RATTLESNAKE=DIR, a clone, adds it
+adapters: $(ADAPTERS)/ready kernels ## test examples/adapters with the real Gymnasium and LDAQ; RATTLESNAKE=DIR (a clone) adds it
 	@$(if $(filter wheels,$(ROS)),AMENT_PREFIX_PATH='$(CURDIR)/$(ADAPTERS)') PYTHONPATH=$(CURDIR):$(CURDIR)/examples/adapters \
 	    RATTLESNAKE='$(RATTLESNAKE)' $(ADAPTERS)/bin/python -m pytest -c /dev/null -p no:cacheprovider -ra examples/adapters $(ARGS)
 
-release: $(RUN) ## build wheel and source distribution in build/release and look into them; ARGS=--try uses them, too
+release: $(RUN) ## build and check wheel and source distribution in build/release; ARGS=--try also installs them
 	@$(VENV)/bin/python tools/release.py $(ARGS)
 
-venv: $(TEST) $(DOCS) $(PACKAGE) ## only make the environment .venv, with all its parts
+venv: $(TEST) $(DOCS) $(PACKAGE) ## set up the environment .venv with all its parts
 
-lock: $(RUN) ## choose new versions for every supported Python; ARGS=--check only checks those that are written down
+lock: $(RUN) ## choose new versions of dependencies; ARGS=--check only checks the present ones
 	@$(VENV)/bin/python requirements/lock.py $(ARGS)
 
-clean: ## remove the environment, caches and everything in build/, never recorded runs elsewhere
+clean: ## remove the environment, caches and build/, but no recorded runs elsewhere
 	@rm -rf $(VENV) build install log *.egg-info .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
 	@find impact_rig impact_rig_studies impact_rig_lab test qualification tools benchmarks launch requirements -name __pycache__ -type d -prune -exec rm -rf {} +

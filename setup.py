@@ -45,7 +45,7 @@ def files(pattern: str) -> list[str]:
 
 
 class BuildKernels(build_ext):
-    """Puts the library of compiled kernels into what is built; where that cannot be had, Numba compiles at run time."""
+    """Build step for the library of compiled kernels; without it, Numba compiles at run time."""
 
     def build_extension(self, ext: Extension) -> None:
         folder = Path(self.get_ext_fullpath(ext.name)).absolute().parent

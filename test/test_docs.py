@@ -231,6 +231,15 @@ def test_what_is_right_is_not():
     assert list(TOOL["faults"](TOOL["Page"].parse("docs/page.md", text))) == []
 
 
+@pytest.mark.parametrize("page", [name for name in TOOL["pages"]() if re.match(r"docs/(?!decisions)", name)])
+def test_a_page_begins_with_one_sentence_that_says_what_it_is_for(page):
+    text = re.sub(r"<!--.*?-->\s*|`[^`]*`", "", (ROOT / page).read_text(encoding="utf-8"), flags=re.DOTALL)
+    title, first = [part.strip() for part in text.split("\n\n") if part.strip()][:2]
+    assert title.startswith("# ")
+    assert re.findall(r"[.!?](?=\s|$)", first) == ["."]
+    assert len(first.split()) <= 32
+
+
 @pytest.mark.parametrize("block", [block for block in BLOCKS if block.language == "sh"], ids=by_place)
 def test_shell_is_shell(block):
     done = subprocess.run(["bash", "-n"], input=block.content, capture_output=True, text=True, check=False)
