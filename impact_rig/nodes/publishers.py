@@ -127,6 +127,9 @@ class Publishers:
 
     Args:
         config: defines the depth of the queues, and whether `/clock` is published.
+
+    Attributes:
+        kept_blocks: number of blocks of scans that are kept for a slow subscriber; it loses older ones.
     """
 
     def __init__(self, node: ManagedNode[RigConfig], config: RigConfig) -> None:
@@ -135,6 +138,7 @@ class Publishers:
         per_second = config.daq.rate_hz / config.daq.block_scans
         kept = min(math.ceil(KEPT_S * per_second), KEPT_BYTES // block_bytes)
         depth = max(kept, math.ceil(LEAST_S * per_second), LEAST_BLOCKS)
+        self.kept_blocks = depth
         fitted = {instrument.name for instrument in config.instruments.fitted()}
         absent = [topic for name, topic in MONITORS.items() if name not in fitted]
         # enough for all blocks that may be published and not acknowledged, so that none is overwritten

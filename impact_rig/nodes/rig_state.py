@@ -60,6 +60,7 @@ class RigState:
         self._stream: StreamState | None = None
         self._silent: tuple[str, ...] = ()
         self._gone: set[str] = set()
+        self._lost: dict[str, int] = {}  # by subscriber, the largest number of blocks beyond what is kept for it
 
     def word(self) -> NodeState:
         """Return the state of the rig: what prevents its start or progress, what stops the shaker, or its drive."""
@@ -134,6 +135,7 @@ class RigState:
                 "lateness_worst_ms": late.worst_ms,
             }
         values |= {f"behind.{name}": count for name, count in session.window.behind().items()}
+        values |= {f"lost.{name}": count for name, count in self._lost.items()}
         over_range = counts.over_range()
         values |= {f"over_range.{one.name}": over_range[one.name] for one in config.instruments.fitted()}
         return values
@@ -181,7 +183,8 @@ class RigState:
             per_second = daq.rate_hz * timing.factor / daq.block_scans
             for name, count in session.window.behind().items():
                 if count > SLOW_S * per_second + 1:
-                    yield Problem(Level.WARN, f"{name} is {count / per_second:.0f} s behind")
+                    loses = " and loses scans" if count > session.publishers.kept_blocks else ""
+                    yield Problem(Level.WARN, f"{name} is {count / per_second:.0f} s behind{loses}")
         if realtime and abs(self._clock_step_s()) > CLOCK_STEP_S:
             moved = f"the system clock was moved by {self._clock_step_s():+.3f} s, stamps were not"
             yield Problem(Level.WARN, moved)
@@ -199,7 +202,7 @@ class RigState:
         if rig is None:
             return
         if rig is not self._rig:
-            self._rig, self._latched, self._faults, self._silent = rig, None, {}, ()
+            self._rig, self._latched, self._faults, self._silent, self._lost = rig, None, {}, (), {}
             self._info(f"running: {summary(self._node.settings)}")
             if session.absent:
                 self._warn(f"scan 0 without {session.absent}, not discovered in time")
@@ -215,6 +218,12 @@ class RigState:
             say(f"{topics.WAVEFORM.name}: {state.value if state else 'the drive is another one'}")
         self._stream = state
         self._look_at_faults(session.counts.faults)
+        for name, count in window.behind().items():
+            lost = count - session.publishers.kept_blocks
+            if lost > 0 and name not in self._lost:
+                self._warn(f"{name} is too slow and loses blocks of {topics.SCAN.name}")
+            if lost > self._lost.get(name, 0):
+                self._lost[name] = lost
         # A restarted peer never received the outstanding blocks: stop waiting for its predecessor.
         window.forgive(name for name in window.silent() if session.readers.came_ns(name) > window.heard_ns(name))
         silent = window.silent()

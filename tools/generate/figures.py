@@ -71,6 +71,7 @@ RIG = (
     Figure("other_publishers", "-", "Other nodes that publish this rig's topics or its clock; must be empty."),
     Figure("subscribers", "-", "Matched subscriptions of daq/scan."),
     Figure("behind.<peer>", "blocks", "Blocks that are out and that a peer has not acknowledged."),
+    Figure("lost.<peer>", "blocks", "Blocks that a peer has lost, because it fell behind by more than the rig keeps."),
     Figure("other_acks", "-", "Acknowledgements in the name of no node that subscribes to daq/scan: ignored."),
 )
 

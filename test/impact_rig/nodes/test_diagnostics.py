@@ -86,6 +86,20 @@ def test_a_slow_reader_is_named_in_real_time_and_one_that_leaves_forgotten(clien
     assert "behind.client" not in client.figures("rig")
 
 
+def test_a_reader_that_is_too_slow_to_get_all_scans_is_named_and_counted(client: Client) -> None:
+    """Of 250 blocks of 0.1 s are kept; what a reader has not processed by then is lost to it."""
+    host_rig(client, "realtime", time__factor=20.0, daq__block_scans=1000)
+    client.wait_active("rig")
+    silent = False
+    client.collect("daq/scan").then(
+        lambda message: client.acknowledge_for("client", codec.header_stamp_ns(message.data)) if not silent else None
+    )
+    client.wait_until(lambda: "behind.client" in client.figures("rig"), "an acknowledgement")
+    silent = True
+    client.wait_until(lambda: int(client.figures("rig").get("lost.client", 0)) > 0, "the count", 30.0)
+    assert re.search(r"client is \d+ s behind and loses scans", client.status("rig").message)
+
+
 def test_the_worst_message_wins_and_equals_are_joined() -> None:
     assert worst((Level.OK, "fine"), (Level.WARN, "one"), (Level.WARN, "two")) == (Level.WARN, "one; two")
     assert worst() == (Level.OK, "")
