@@ -228,7 +228,7 @@ def of_help(file: str, tree: ast.Module) -> Iterator[Finding]:
         parts = [one for one in ast.walk(given["help"]) if isinstance(one, ast.Constant) and isinstance(one.value, str)]
         for text in (one.value for one in parts if " " in one.value.strip() and one is parts[0]):
             first, second = ([*(word.lower() for word in re.findall(r"[\w'’-]+", text)), "", ""])[:2]
-            finite = first.endswith("s") and second in DETERMINERS | RELATIVES
+            finite = first.endswith("s") and second in DETERMINERS
             if first in HEADLESS - {"do"} | PRIVATE or finite:
                 yield Finding(file, node.lineno, "help", f"{subject}: {text[:60]}")
 

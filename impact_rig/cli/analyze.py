@@ -57,7 +57,8 @@ class Analysis(NamedTuple):
     """Another analysis of a run than the live one, chosen by an option of its own."""
 
     name: str  # of its option, without the dashes
-    add: Callable[[argparse._MutuallyExclusiveGroup], object]  # adds the option, whose default is None or False
+    # function that adds the option; its default is None or False
+    add: Callable[[argparse._MutuallyExclusiveGroup], object]
     run: Callable[[Console, Run, argparse.Namespace], int]  # analyses, prints, and returns the exit code
 
 
@@ -84,15 +85,15 @@ def add_command(commands: Commands) -> None:
         analysis.add(instead)
     parser.add_argument(
         "--segment", type=float, metavar="S",
-        help="with --frf: length of a segment, the lines lie 1/S Hz apart (default: what resolves the resonance found, "
+        help="length of a segment with --frf; the lines are 1/S Hz apart (default: what resolves the resonance found, "
         "at most 2/5 of the record)",
     )  # fmt: skip
     parser.add_argument(
         "--window", choices=WINDOWS, default="hann",
-        help="with --frf: of the segments; boxcar for a drive that repeats every segment (default: hann)",
+        help="window of the segments with --frf; boxcar for a drive that repeats every segment (default: hann)",
     )  # fmt: skip
     parser.add_argument(
-        "--damping", type=float, metavar="ZETA", help="with --frf: damping ratio to resolve (default: what is found)"
+        "--damping", type=float, metavar="ZETA", help="damping ratio to resolve with --frf (default: what is found)"
     )
     add_figures(
         parser,
@@ -253,7 +254,7 @@ def _frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
 
 
 def _resolution(found: Frf, window: str, apart_hz: float) -> list[str]:
-    """Return what the lines resolve, and what they do not, as sentences."""
+    """Return sentences on what the lines resolve."""
     from impact_rig.analysis.frf import RESOLVED, SEGMENTS, resolving_s  # noqa: PLC0415  # as above
 
     resonance = found.resonance

@@ -98,10 +98,10 @@ def read(path: Path) -> dict[str, Any]:
 
 
 def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> tuple[list[str], list[str]]:
-    """Return what of `new` breaks a client of `old`, and the other differences, each as a text.
+    """Return the changes that break a client of `old`, and the other differences, each as a text.
 
     Raises:
-        AttributeError, KeyError, TypeError: one of them is no document of an interface.
+        AttributeError, KeyError, TypeError: one of them is not a document of an interface.
     """
     before, after = dict(_rows(old)), dict(_rows(new))
     gone = [name for name in before if name not in after and _whole(name) not in set(before) - set(after)]
@@ -146,12 +146,12 @@ def _shown(value: object) -> str:
 
 
 def _offers(less: str, more: str) -> Callable[[Any, Any, Row], bool]:
-    """A quality of service breaks whoever asks for more than is offered (OMG DDS 1.4, 2.2.3: request and offer)."""
+    """Return a check that a setting breaks clients that request more than is offered (OMG DDS 1.4, 2.2.3)."""
     return lambda _was, now, row: bool(now == (more if row["taken"] else less))
 
 
 def _reaches(sign: float) -> Callable[[Any, Any, Row], bool]:
-    """A bound breaks who sends, if less is taken than before."""
+    """Return a check that a bound breaks senders if the accepted range has shrunk."""
 
     def narrower(was: float | None, now: float | None, row: Row) -> bool:
         end = sign * math.inf
@@ -164,7 +164,7 @@ _BREAKS: dict[str, Callable[[Any, Any, Row], bool]] = {
     "publisher": lambda was, now, _: (was in CLIENTS) != (now in CLIENTS),
     "reliability": _offers("best effort", "reliable"),
     "durability": _offers("volatile", "transient local"),
-    # who joins late gets fewer; how many wait for one who is slow, nobody can rely on
+    # late subscribers get fewer messages; no client can rely on the number kept for a slow one
     "depth": lambda was, now, row: row.get("durability") == "transient local" and not row["taken"] and now < was,
     **dict.fromkeys(("required", "start_only"), lambda _was, now, _: bool(now)),
     "least": _reaches(-1.0),

@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Parse the command line and run one subcommand; errors become one clear line and exit code 1.
+"""Command line of the package: it parses the arguments and runs one subcommand; errors become one line and exit code 1.
 
-Loads the module of the chosen subcommand only, and that after the signals are taken.
+Only the module of the chosen subcommand is loaded, after the signal handlers are installed.
 """
 
 from __future__ import annotations
@@ -74,7 +74,12 @@ def command_line(command: str = "") -> argparse.ArgumentParser:
         epilog="example: impact-rig lab --sample\n`impact-rig COMMAND --help` shows examples of a command.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--version", action="version", version=f"{PROGRAM} {impact_rig.__version__}")
+    parser.add_argument(
+        "--version",
+        action="version",
+        version=f"{PROGRAM} {impact_rig.__version__}",
+        help="show the version and exit",
+    )
     registered = parser.add_subparsers(
         dest="command", required=True, metavar="COMMAND", prog=PROGRAM, help=argparse.SUPPRESS
     )
@@ -99,7 +104,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _run(_parse(arguments), None)
     words = sys.argv[1:]
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="surrogateescape")  # a file's name may be no text: it goes out as it came in
+        sys.stdout.reconfigure(errors="surrogateescape")  # a file name may not be valid text: it is printed as it is
     if "_ARGCOMPLETE" in os.environ:
         _complete()
     ending = Ending(PROGRAM)

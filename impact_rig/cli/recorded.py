@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig info`, `verify`, `recover` and `replay`: what a run holds, whether it is sound, what is whole; played."""
+"""Commands on recorded runs: `impact-rig info`, `verify`, `recover` and `replay`."""
 
 from __future__ import annotations
 

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What every command shares: how it is registered, and the one way of text to the terminal.
+"""Common parts of all commands: their registration, and the output of text to the terminal.
 
-Nothing in a text is markup, a picture word or a control character: names of files and topics, texts of recordings and
-campaigns come from anybody. What is coloured here is coloured by `style`, never inside a text; `NO_COLOR` in the
-environment switches all colours off.
+No part of a text is interpreted as markup, emoji or control character: names of files and topics and texts of
+recordings and campaigns have any origin. Colours are set by `style`, never inside a text; `NO_COLOR` in the environment
+switches all colours off.
 """
 
 from __future__ import annotations
@@ -56,16 +56,16 @@ LONGEST_HEADING = 11  # characters of a heading over numbers that stay in one li
 LONGEST_WORD = 12  # characters of a word in a cell that are not parted
 LARGEST_WIDTH = 10_000  # of a table, in characters
 LONGEST_TEXT = 20_000  # characters of a text: what belongs together is printed sentence by sentence
-LINES = 50  # of a progress that nobody watches, about
+LINES = 50  # approximate number of lines of a progress report without a terminal
 BYTES = re.compile("[\ud800-\udfff]")  # what Python makes of the bytes of a file's name that are no UTF-8
 
 
 class Console(rich_console.Console):
-    """A terminal that shows every text as it is.
+    """Terminal that shows every text literally.
 
     Args:
-        quiet: show nothing: what was found is told as JSON.
-        stderr: what is under way, beside the results.
+        quiet: whether to show nothing: the results are printed as JSON.
+        stderr: whether to show progress in addition to the results.
     """
 
     def __init__(self, *, quiet: bool = False, stderr: bool = False) -> None:
@@ -163,7 +163,7 @@ class Counted(Progress):
         super().__init__(*columns, console=console, disable=not console.is_terminal)
         self.add_task(what, total=total, state="starting")
         self._steps = Steps(what, total)
-        self.end = "done"  # what is said at the end
+        self.end = "done"  # text at the end
 
     def show(self, done: int, state: str) -> None:
         """Show how many are done."""
@@ -190,7 +190,7 @@ def tell_json(content: object) -> None:
 
 
 def tell_results(directory: Path, content: Mapping[str, object], *, as_json: bool) -> None:
-    """Tell where the results are, as the last line, or as JSON together with what was found."""
+    """Print the path of the results as the last line, or as JSON together with the results."""
     if as_json:
         tell_json({"directory": str(directory), **content})
     else:

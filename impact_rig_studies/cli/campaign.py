@@ -64,7 +64,7 @@ def add_command(commands: Commands) -> None:
     parser.add_argument("file", nargs="?", type=Path, metavar="FILE", help="campaign file, e.g. config/paper.yaml")
     parser.add_argument(
         "--through", nargs="+", default=["process"], metavar="WAY",
-        help="process: all cores, no ROS (default); ros: through the real graph; dask ADDRESS: on a Dask cluster",
+        help="way of measuring: process (all cores; default), ros (the real graph) or dask ADDRESS (a Dask cluster)",
     )  # fmt: skip
     parser.add_argument(
         "--output", type=Path, metavar="DIR", help="default: runs/campaign_<file>; resumed if it exists"
@@ -75,7 +75,7 @@ def add_command(commands: Commands) -> None:
     )
     parser.add_argument("--scan-rate", type=int, metavar="HZ", help="scans per second (default: the file's)")
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
-    parser.add_argument("--record", action="store_true", help="with --through ros: record every run as MCAP")
+    parser.add_argument("--record", action="store_true", help="record every run as MCAP (with --through ros)")
     parser.add_argument(
         "--check", action="store_true", help="exit with 1 if a point failed, or what was measured contradicts the paper"
     )
@@ -117,7 +117,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _content(done: run.Finished) -> dict[str, object]:
-    """Return what is printed, for programs: `summary.json`, and what it leaves to the CSV."""
+    """Return the printed results for programs: `summary.json`, and the rest of the CSV."""
     return {
         **json.loads((done.directory / FILE_NAME).read_text(encoding="utf-8")),
         "verdicts": [
@@ -251,7 +251,7 @@ def add_report(commands: Commands) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--branches", type=Path, metavar="DIR", nargs="+", default=(),
-        help="of `impact-rig dynamics continue`: its stable and unstable motions, drawn beside what was measured",
+        help="directories of `impact-rig dynamics continue`, whose motions are drawn next to the measurements",
     )  # fmt: skip
     add_figures(parser, "directory of the figures (default: figures in that of the page)")
     add_rig(parser)

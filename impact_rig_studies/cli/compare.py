@@ -56,10 +56,10 @@ def add_command(commands: Commands) -> None:
     add_run(parser)
     parser.add_argument("--config", type=Path, metavar="FILE", help="the model (default: the run's own configuration)")
     parser.add_argument(
-        "--drive", choices=("current", "base"), help="what drives the model (default: the current if it was measured)"
+        "--drive", choices=("current", "base"), help="drive of the model (default: current if it was measured)"
     )
     add_figures(parser, "also draw model and measurement")
-    parser.add_argument("--no-fit", action="store_true", help="look for no better constants")
+    parser.add_argument("--no-fit", action="store_true", help="skip the search for better constants")
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -138,4 +138,4 @@ def _print(console: Console, found: Comparison) -> None:
     if found.constants is not None:
         print_identified(console, found.constants)
     else:
-        console.print("constants: none can be told without DT without the sphere, beside a measured current")
+        console.print("constants: none can be determined without DT without the sphere and a measured current")

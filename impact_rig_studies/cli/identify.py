@@ -84,7 +84,7 @@ def add_command(commands: Commands) -> None:
         help=f"standard uncertainty of the configuration's e, 0 if it is exact (default: {U_RESTITUTION:g})",
     )  # fmt: skip
     parser.add_argument("--paper", action="store_true", help="instead: fit the default rig to the paper's numbers")
-    parser.add_argument("--config", type=Path, metavar="FILE", help="with --paper: what is taken as known")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="rig that is taken as known (with --paper)")
 
 
 def _run(arguments: argparse.Namespace) -> int:

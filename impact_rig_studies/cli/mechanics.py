@@ -143,7 +143,7 @@ def add_dynamics(commands: Commands) -> None:
         ],
         more="Everything is of the mechanics, without instruments. Run again, it goes on where it was interrupted.",
     )  # fmt: skip
-    parser.add_argument("kind", choices=plans.KINDS, help="of study: a section of the file")
+    parser.add_argument("kind", choices=plans.KINDS, help="kind of study: a section of the file")
     parser.add_argument("file", nargs="?", type=Path, metavar="FILE", help="e.g. config/dynamics/nominal.yaml")
     tasks.add_words(parser, "dynamics")
 
@@ -179,7 +179,7 @@ def _dynamics(arguments: argparse.Namespace) -> int:
 
 
 def _named(plan: Plan, rows: list[Row], names: tuple[str, ...]) -> list[dict[str, object]]:
-    """Return some columns of rows by name; what is no number is None."""
+    """Return some columns of rows by name, with None for values that are not numbers."""
     return [
         {
             name: None if isinstance(cell, float) and not math.isfinite(cell) else cell

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What the commands that measure a study's tasks share: words of the command line, the way, progress."""
+"""Common parts of the commands that measure a study's tasks: options, way of measuring, progress."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def add_words(parser: argparse.ArgumentParser, what: str) -> None:
     """Add the words that every such command takes."""
     parser.add_argument(
         "--through", nargs="+", default=["process"], metavar="WAY",
-        help="process: all cores (default); dask ADDRESS: on a Dask cluster",
+        help="way of measuring: process (all cores; default) or dask ADDRESS (a Dask cluster)",
     )  # fmt: skip
     parser.add_argument("--output", type=Path, metavar="DIR", help=f"default: runs/{what}_<file>; resumed if it exists")
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
@@ -75,7 +75,7 @@ def words(
 def runner(
     work: Callable[[P], R], address: str, workers: int | None
 ) -> Callable[[Sequence[P]], Generator[tuple[P, R], None, None]]:
-    """Return what measures tasks: on the cluster at an address, or on the cores of this machine."""
+    """Return a function that measures tasks: on the cluster at an address, or on the cores of this machine."""
     return on_cluster(work, address) if address else lambda tasks: in_parallel(work, tasks, workers)
 
 

@@ -13,6 +13,6 @@
 # limitations under the License.
 """Import of measurements of other rigs: files of other programs become runs.
 
-`readers` turn a file into `signals`; `mapping` and `assignment` say which signal is which channel; `uniform` finds the
-rate; `conversion` makes scans of them and `store` writes these as a run.
+`readers` turn a file into `signals`. `mapping` and `assignment` assign signals to channels. `uniform` finds the rate.
+`conversion` turns the signals into scans, and `store` writes these as a run.
 """

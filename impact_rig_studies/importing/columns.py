@@ -182,7 +182,7 @@ def _axis(
     if stamps is not None and len(stamps):
         since = np.zeros(len(stamps)) if timed is None else _float(numeric.pop(timed))
         begin = float(since[0]) if len(since) else 0.0
-        # a table that was cut begins amid a block: its first sample is then later than its first stamp
+        # a truncated table begins within a block: its first sample is then later than its first stamp
         start_ns = int(stamps[0]) + (round(begin * NS_PER_S) if math.isfinite(begin) else 0)
         return _Axis(AbscissaKind.TIME, headings.STAMP, "s", since + (stamps - stamps[0]) / NS_PER_S, start_ns)
     if timed is not None:

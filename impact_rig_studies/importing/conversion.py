@@ -163,7 +163,7 @@ def _unassigned(source: ImportedSignals) -> str:
 
 
 def _unit_doubts(name: str, one: Channel, si_unit: str) -> list[str]:
-    """Return what the unit of a channel was taken for, where that is not certain."""
+    """Return the uncertain assumptions about the unit of a channel."""
     said = f'--channel {name}="{one.column} mm" gives another'
     if not one.unit and not one.sensitivity:
         return [f"no unit is given for {one.column}: {si_unit} was taken; {said}"]
@@ -333,7 +333,7 @@ def _commands(
 
 
 def _changes(values: Real) -> list[int]:
-    """Return where a signal has another value than before, the first scan included; NaN is one value, unknown."""
+    """Return the scans at which a signal changes, including the first; NaN counts as one value, unknown."""
     same = (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
     return [0, *(np.flatnonzero(~same) + 1).tolist()]
 

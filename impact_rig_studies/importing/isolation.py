@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Process of its own for a reader: memory and time have a limit, and a crash of a library is only an error."""
+"""Separate process for a reader: memory and time are limited, and a crash of a library is only an error."""
 
 from __future__ import annotations
 
@@ -44,18 +44,18 @@ _REFUSED, _DAMAGED, _MEMORY = "refused", "damaged", "memory"
 def run(
     path: Path, what: str, file_bytes: int, reader: Callable[[], ImportedSignals], prepare: Callable[[], object]
 ) -> ImportedSignals:
-    """Return what a reader gives, computed in a child process.
+    """Return the result of a reader, computed in a child process.
 
     Args:
         path: the file, for messages.
         what: its format, for messages.
-        file_bytes: its size, by which memory and time are limited.
+        file_bytes: its size, which determines the limits of memory and time.
         reader: reads it.
-        prepare: imports what the reader needs, before the process is divided.
+        prepare: imports the modules of the reader before the process is forked.
 
     Raises:
-        RecordingError: the reader refuses the file, fails, crashes, or exceeds memory or time.
-        BudgetError: the reader refuses it as too large.
+        RecordingError: the reader rejects the file, fails, crashes, or exceeds memory or time.
+        BudgetError: the reader rejects it as too large.
     """
     prepare()
     seconds = (LIMIT_S + LIMIT_PER_MIB_S * file_bytes / budget.MIB) * budget.factor()

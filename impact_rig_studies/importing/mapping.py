@@ -231,4 +231,4 @@ def _text(value: object) -> str:
     try:
         return str(value)
     except ValueError:  # Python does not write out the longest integers
-        return "a number beyond all measure"
+        return "a number too large to represent"

@@ -49,9 +49,9 @@ class AbscissaKind(enum.StrEnum):
 
 @attrs.frozen(eq=False)
 class Abscissa:
-    """Values that a signal is given over: evenly spaced, or listed one by one.
+    """Abscissa of a signal: evenly spaced, or listed one by one.
 
-    Times are in seconds, whatever the unit in the file; `unit` keeps that of the file.
+    Times are in seconds, independent of the unit in the file; `unit` keeps that of the file.
     """
 
     kind: AbscissaKind = AbscissaKind.NONE

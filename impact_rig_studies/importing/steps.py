@@ -13,8 +13,8 @@
 # limitations under the License.
 """Step of imported readings: the spacing of the values that a converter, an integer or few digits leave.
 
-No format states it reliably: values are scaled, printed and truncated before they are read. It is found in the values
-themselves, as the largest number of which all their differences are whole multiples (Euclid's algorithm).
+No format states it reliably: values are scaled, printed and truncated before they are read. It is found from the values
+themselves, as the largest number of which all their differences are integer multiples (Euclid's algorithm).
 """
 
 from __future__ import annotations

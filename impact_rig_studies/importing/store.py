@@ -86,7 +86,7 @@ def write(found: ImportedRun, directory: Path, clock_ns: int | None = None) -> P
 
 
 def describe(found: ImportedRun) -> dict[str, object]:
-    """Return what was read from a file, assumed about it and left out, for programs."""
+    """Return the origin of a run for programs: what was read from a file, assumed about it and left out."""
     source = found.source
     used = {one.column: name for name, one in found.mapping.channels.items()}
     return {

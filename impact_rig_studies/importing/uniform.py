@@ -45,7 +45,7 @@ EXACT = 1e-9  # relative uncertainty of a rate that is written with all its digi
 DECIMALS = 9
 MOSTLY = 0.9
 FEWEST = 2  # scans that several time bases must have in common
-Rate = int | float  # scans per second: int where it is whole
+Rate = int | float  # scans per second: int for a whole number
 
 
 @attrs.frozen(eq=False)

@@ -140,7 +140,7 @@ def is_unit(text: str) -> bool:
 
 
 def doubt(unit: str) -> str:
-    """Return what a unit with more than one meaning is taken for; empty: it has one meaning."""
+    """Return the assumed meaning of an ambiguous unit; empty if it has one meaning."""
     return _DOUBTFUL.get(_bare(unit), "")
 
 
@@ -225,7 +225,7 @@ class Sensitivity(NamedTuple):
 
     @classmethod
     def parse(cls, text: str) -> Sensitivity | None:
-        """Return the sensitivity in a text such as `500 mV/mm`, `10.2 mV/(m/s^2)` or `100 mV/g`; None: it is none."""
+        """Parse a sensitivity such as `500 mV/mm`, `10.2 mV/(m/s^2)` or `100 mV/g`; return None if it is invalid."""
         match = re.match(r"\s*([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*([^/]{1,40})/(.{1,40})$", text)
         if match is None:
             return None

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What the page says, as data: every table, figure and number that is shown goes through here into `report.json`.
+"""Content of the page as data: every displayed table, figure and number is also written to `report.json`.
 
-So no number of the page exists only as text: it is in `report.json` at full precision, in the unit it is shown in, or
-in `points.csv` or `summary.json`, which a test proves.
+No number of the page exists only as text: it is in `report.json` at full precision, in its displayed unit, or in
+`points.csv` or `summary.json`. A test proves this.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def plus_minus(value: float, u: float, spec: str) -> Cell:
 
 
 class Content:
-    """Collects what the page shows while it is put together."""
+    """Collection of the page's content during its construction."""
 
     def __init__(self) -> None:
         self.drawn: list[Drawn] = []

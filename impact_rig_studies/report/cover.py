@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The first page: whose results these are, what of, and what came out; then what was measured with, drawn."""
+"""First page: title, authors and key results, then the drawn set-up and its instruments."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def opening(done: Finished, content: Content) -> Iterator[Markup]:
 
 
 def versions(done: Finished) -> dict[str, object]:
-    """Return what the campaign was measured with.
+    """Return the software versions and the machine of the campaign.
 
     Raises:
         RecordingError: it cannot be read.

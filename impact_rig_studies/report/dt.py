@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What was measured, drawn: DT over frequency and gap beside paper and theory, what is left, motion and regimes."""
+"""Figures of the measurements: DT over frequency and gap with paper and theory, residuals, motion and regimes."""
 
 from __future__ import annotations
 
@@ -322,7 +322,7 @@ def case(gap_m: float) -> str:
 
 
 def measured_line(gap_m: float, points: Sequence[Point]) -> Line:
-    """Return what was measured of a case, as its curve is drawn."""
+    """Return the measurements of a case, as drawn in its curve."""
     return Line(
         case(gap_m),
         {
@@ -382,7 +382,7 @@ def peaks(curves: Curves) -> Iterator[Drawn]:
 
 
 def dampers(curves: Curves, calibration: Calibration) -> dict[float, dict[float, Damper]]:
-    """Return what DT with and without the sphere tells of it, by gap and frequency, where both were measured."""
+    """Return the damper's effect from DT with and without the sphere, by gap and frequency, if both exist."""
     found: dict[float, dict[float, Damper]] = {}
     for gap in curves.gaps():
         for frequency, point in sorted(curves.by_gap[gap].items()):
@@ -454,7 +454,8 @@ def regime_map(curves: Curves) -> Iterator[Drawn]:
     for row, gap in enumerate(cases):
         for column, frequency in enumerate(FREQUENCIES_HZ):
             point = curves.at(gap, frequency)
-            counted = point is not None and not math.isnan(point.impacts_per_cycle)  # else nobody knows of none
+            # otherwise impacts were not counted
+            counted = point is not None and not math.isnan(point.impacts_per_cycle)
             shade = GRID if point is None else REGIMES.get(point.regime, GRID)
             if point is not None and counted and not point.impacts:
                 shade = QUIET

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What a test through the stream has reached: figures for programs, sentences, and a page of drawings."""
+"""Results of a test through the stream: figures for programs, sentences, and a page of drawings."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ SHOWN_S = 1.0  # of a played history, around its largest sample
 
 @attrs.frozen(eq=False)
 class ResultSummary:
-    """What is said of a result."""
+    """Summary of a result."""
 
     progress: str  # how far it is, in one line
     figures: Mapping[str, object]  # for programs
@@ -64,7 +64,7 @@ class ResultSummary:
 
 
 def tell(found: object, unit: str = "") -> ResultSummary:
-    """Return what is said of the result of a test; `unit` is that of its response."""
+    """Summarise the result of a test; `unit` is that of its response."""
     told = _TELLERS[type(found)](found, unit)
     lacking = [name for name, value in told.figures.items() if not _is_known(value)]
     if lacking and not told.missing:
@@ -75,7 +75,7 @@ def tell(found: object, unit: str = "") -> ResultSummary:
 
 
 def _is_known(value: object) -> bool:
-    """Whether a figure, or every figure of a mapping, exists; tables may have gaps."""
+    """Return whether a figure, or every figure of a mapping, exists; tables may have gaps."""
     if isinstance(value, Mapping):
         return all(_is_known(one) for one in value.values())
     return not isinstance(value, float) or math.isfinite(value)
@@ -222,7 +222,7 @@ def _shocked(found: Shocked, unit: str) -> ResultSummary:
 
 
 def _error(found: Shocked, name: str, factor: float, unit: str) -> str:
-    """Return an error with its floor in words."""
+    """Return an error with its floor as text."""
     value, floor = factor * getattr(found, name), factor * found.floors[name]
     if abs(value) <= floor:
         return f"as asked within the noise floor of {floor:.2g} {unit}"

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What was found: reductions and residuals, statements and their worth, the budget of one transmissibility."""
+"""Findings: reductions and residuals, statements and their evidence, the uncertainty budget of one transmissibility."""
 
 from __future__ import annotations
 
@@ -89,10 +89,10 @@ def statements(done: Finished, content: Content) -> Iterator[Markup]:
     if all(verdict.result is None for verdict in verdicts):
         return
     yield paragraph(
-        "Each verdict is computed from the points of this campaign. What it is worth stands beside it: a statement "
-        "that other values of the chosen constants would break is a fit, one that says again what was fitted follows "
-        "from it, and only the rest are predictions. The margin is how far the figure is from its limit. Limits in "
-        "words of ours (“here”) are not the paper’s."
+        "Each verdict is computed from the points of this campaign. The evidence is stated next to it: a "
+        "statement that other values of the chosen constants would break is a fit, one that repeats what was "
+        "fitted follows from it, and only the rest are predictions. The margin is the distance of the figure "
+        "from its limit. Limits introduced by us (“here”) are not the paper’s."
     )
     rows: list[list[str | Cell]] = []
     for i, one in enumerate(verdicts, 1):

@@ -62,7 +62,7 @@ def heat_maps(done: FinishedMap) -> Iterator[Drawn]:
 
 
 def classes(values: dict[str, NDArray[np.generic]]) -> NDArray[np.int64]:
-    """Return what each place does as one number: `QUIET` … `CHAOTIC`, `NONE` where nothing was measured."""
+    """Return the class of each point as a number: `QUIET` … `CHAOTIC`, `NONE` without a measurement."""
     regime, impacts = values["regime"], np.asarray(values["impacts_per_cycle"], float)
     period = np.asarray(values["period"], float)
     found = np.full(regime.shape, NONE)

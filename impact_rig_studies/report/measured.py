@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Report of what was measured, whatever the rig: an imported campaign, or a single run, recorded or imported.
+"""Report of any measurement: an imported campaign, or a single run, recorded or imported.
 
-It says only what its data say: nothing of the paper, and nothing of a configuration unless the run was simulated.
+It contains only results of its data: nothing of the paper, and nothing of a configuration unless the run was simulated.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ BATCHES = 4  # of the scatter of a response that is not periodic: the fewer of t
 
 @attrs.frozen(eq=False, kw_only=True)
 class MeasuredData:
-    """What a report of measurements is made of."""
+    """Data of a report of measurements."""
 
     title: str
     kind: str  # one sentence: what was measured, and how
@@ -74,7 +74,7 @@ class MeasuredData:
 
 
 def of_campaign(done: Finished) -> MeasuredData:
-    """Return what an imported campaign holds."""
+    """Return the data of an imported campaign."""
     settled = [point for point in done.points if point.settled]
     parts = [point.rows[-1:] for point in settled]
     rows: NDArray[np.void] = np.concatenate(parts) if parts else np.empty(0, TRANSMISSIBILITY)
@@ -104,7 +104,7 @@ def _origins(directory: Path) -> Iterator[tuple[str, str]]:
 
 
 def of_run(path: Path, rig: str | None = None) -> MeasuredData:
-    """Return what a run holds, of several rigs in it that of one namespace.
+    """Return the data of a run; with several rigs, those of one namespace.
 
     Raises:
         RecordingError: it cannot be read or analysed.

@@ -119,7 +119,7 @@ def study_figures(
 
 
 def _place(point: Point) -> dict[str, float | str]:
-    """Return where a point lies on every axis; numbers as floats."""
+    """Return the position of a point on every axis, with numbers as floats."""
     place: dict[str, float | str] = {
         "frequency_hz": point.frequency_hz,
         "gap_m": point.gap_m,

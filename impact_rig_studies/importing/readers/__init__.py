@@ -142,7 +142,7 @@ def _bag_bytes(path: Path) -> int:
     """Return the size of a bag.
 
     Raises:
-        RecordingError: it is empty, or one of its files is none.
+        RecordingError: it is empty, or one of its files is not a regular file.
         BudgetError: it is larger than the budget.
     """
     members = sorted(path.iterdir()) if path.is_dir() else [path]

@@ -78,7 +78,7 @@ def read(path: Path, content: bytes) -> ImportedSignals:
     """Read a LabVIEW measurement file.
 
     Raises:
-        RecordingError: it is none, or has no rows of numbers.
+        RecordingError: it has another format, or has no rows of numbers.
     """
     lines = split_lines(decode(content)[0])
     if not is_labview(lines):
