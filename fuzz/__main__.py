@@ -43,10 +43,11 @@ def main() -> int:
     arguments, rest = parser.parse_known_args()
     warnings.simplefilter("ignore")  # numpy warns of what it was asked to compare
     with _guide() if arguments.guided else _branches() as watching:
-        from fuzz import decoders, importers, sockets, target, validators  # noqa: PLC0415  # measured
+        from fuzz import calls, decoders, importers, sockets, target, validators  # noqa: PLC0415  # measured
 
         known = {
-            one.name: one for one in (*decoders.TARGETS, *validators.TARGETS, *importers.TARGETS, *sockets.TARGETS)
+            one.name: one
+            for one in (*decoders.TARGETS, *validators.TARGETS, *importers.TARGETS, *sockets.TARGETS, *calls.TARGETS)
         }
         unknown = set([arguments.guided] if arguments.guided else arguments.targets) - set(known)
         if unknown:

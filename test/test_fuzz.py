@@ -27,7 +27,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))  # the targets are no part of the package
 
-from fuzz import decoders, importers, sockets, target, validators  # noqa: E402
+from fuzz import calls, decoders, importers, sockets, target, validators  # noqa: E402
 from impact_rig import blocks  # noqa: E402
 from impact_rig.analysis.settings import read_settings  # noqa: E402
 from impact_rig.analysis.tracker import Tracker  # noqa: E402
@@ -39,7 +39,7 @@ from impact_rig.rig import resimulate  # noqa: E402
 from impact_rig.rig.config import load_config  # noqa: E402
 from impact_rig.rig.journal import JournalEntry  # noqa: E402
 
-TARGETS = (*decoders.TARGETS, *validators.TARGETS, *importers.TARGETS, *sockets.TARGETS)
+TARGETS = (*decoders.TARGETS, *validators.TARGETS, *importers.TARGETS, *sockets.TARGETS, *calls.TARGETS)
 SLICE = 60
 
 

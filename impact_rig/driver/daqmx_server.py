@@ -486,6 +486,12 @@ def _property_method(name: str, verb: str) -> Callable[..., Any]:
     return method
 
 
+def servicer(board: Board) -> Any:
+    """Return an object with a method for each call of NI's service."""
+    stubs = extras.load("nidaqmx._stubs.nidaqmx_pb2_grpc", PURPOSE, EXTRA)
+    return type("Servicer", (Service, stubs.NiDAQmxServicer), _properties(stubs.NiDAQmxServicer))(board)
+
+
 @contextlib.contextmanager
 def serving(board: Board, address: str) -> Iterator[tuple[Any, int]]:
     """Serve a board until the end of the block; yields the server and its port.
@@ -499,7 +505,6 @@ def serving(board: Board, address: str) -> Iterator[tuple[Any, int]]:
     """
     grpc = extras.load("grpc", PURPOSE, EXTRA)
     stubs = extras.load("nidaqmx._stubs.nidaqmx_pb2_grpc", PURPOSE, EXTRA)
-    servicer = type("Servicer", (Service, stubs.NiDAQmxServicer), _properties(stubs.NiDAQmxServicer))
     with futures.ThreadPoolExecutor(MOST_CALLS) as pool:
         server = grpc.server(
             pool, maximum_concurrent_rpcs=MOST_CALLS,
