@@ -27,7 +27,7 @@ import webbrowser
 from pathlib import Path
 from typing import Any  # a source of either kind
 
-from impact_rig.cli.terminal import Commands, Console, subcommand
+from impact_rig.cli.terminal import Commands, Console, add_rig, subcommand
 from impact_rig.errors import ImpactRigError
 from impact_rig.system import files
 
@@ -57,6 +57,7 @@ def add_command(commands: Commands) -> None:
     parser.add_argument("--sample", action="store_true", help="play back a short run, recorded for this on first use")
     parser.add_argument("--port", type=int, default=8765, help="port of the page; 0: any free one (default: 8765)")
     parser.add_argument("--host", default="127.0.0.1", help="address to serve; other machines may then open the page")
+    add_rig(parser)
     parser.add_argument("--no-browser", action="store_true", help="print the address only")
     parser.add_argument("--scan-rate", type=int, default=10_000, metavar="HZ", help="scans per second (default: 10000)")
     parser.add_argument(
@@ -130,7 +131,7 @@ def _source(arguments: argparse.Namespace, stack: contextlib.ExitStack) -> Any:
             from impact_rig.driver.sample_run import make_sample  # noqa: PLC0415
 
             arguments.runs = [make_sample(files.state_dir("") / SAMPLE)]
-        return PlaybackSource(arguments.runs)
+        return PlaybackSource(arguments.runs, arguments.rig)
     from impact_rig.client.processes import Processes, domain_of_environment  # noqa: PLC0415
     from impact_rig_lab.live import LiveSource  # noqa: PLC0415
 

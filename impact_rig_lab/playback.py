@@ -76,13 +76,14 @@ class RunPlayer:
 
     Args:
         path: a run directory or an MCAP file; a truncated one is first recovered into a temporary directory.
+        rig: namespace of the rig to show; None: the only one in the recording.
 
     Raises:
         RecordingError: it contains nothing intact, no scans, or an impossible calibration.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, rig: str | None = None) -> None:
+        self.path, self._rig = path, rig
         self.recovered = False
         self.offset_s = 0.0  # offset from the time of the page to the time of this run
         self._stack = contextlib.ExitStack()
@@ -120,14 +121,14 @@ class RunPlayer:
 
     def _open(self, path: Path, stack: contextlib.ExitStack) -> Run:
         try:
-            return open_run(path)
+            return open_run(path, self._rig)
         except RecordingError:
             if not path.exists():
                 raise
         directory = stack.enter_context(tempfile.TemporaryDirectory(prefix="impact_rig_lab_"))
         recover(path, Path(directory) / "run")
         self.recovered = True
-        return open_run(Path(directory) / "run")
+        return open_run(Path(directory) / "run", self._rig)
 
     def _messages(self, wanted: Sequence[topics.Topic], from_ns: int | None = None) -> Iterator[Message]:
         names = [name for name, topic in self._topics.items() if topic in wanted]
@@ -293,13 +294,14 @@ class PlaybackSource(Source):
 
     Args:
         paths: path of one run, or of two; the second is drawn next to the first.
+        rig: namespace of the rig to show; None: the only one in each recording.
     """
 
-    def __init__(self, paths: Sequence[Path]) -> None:
+    def __init__(self, paths: Sequence[Path], rig: str | None = None) -> None:
         self._runs: list[RunPlayer] = []
         try:
             for path in paths:
-                self._runs.append(RunPlayer(path))
+                self._runs.append(RunPlayer(path, rig))
         except BaseException:
             for run in self._runs:
                 run.close()

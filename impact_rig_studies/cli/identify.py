@@ -22,7 +22,17 @@ from pathlib import Path
 
 import numpy as np
 
-from impact_rig.cli.terminal import Commands, Console, TextTable, add_json, figure, subcommand, tell_json, tell_program
+from impact_rig.cli.terminal import (
+    Commands,
+    Console,
+    TextTable,
+    add_json,
+    add_rig,
+    figure,
+    subcommand,
+    tell_json,
+    tell_program,
+)
 from impact_rig.errors import ConfigError, ImpactRigError
 from impact_rig.recording import open_run
 from impact_rig.rig.config import RigConfig, dump, load_config
@@ -68,6 +78,7 @@ def add_command(commands: Commands) -> None:
     add_json(parser)
     parser.add_argument("directory", nargs="?", type=Path, metavar="DIR", help="directory of a campaign")
     parser.add_argument("--decay", type=Path, metavar="RUN", help="recorded run with a pluck (default: pluck the rig)")
+    add_rig(parser)
     parser.add_argument(
         "--decrement", action="store_true", help="take the free decay by its logarithmic decrement, not by a fit"
     )
@@ -132,7 +143,7 @@ def _measured(done: run.Finished, arguments: argparse.Namespace, console: Consol
         if arguments.decay is None:
             decay = None if done.imported else measured_decay(base, method)
         else:
-            with open_run(arguments.decay) as recorded:
+            with open_run(arguments.decay, arguments.rig) as recorded:
                 decay = recorded_decay(recorded, method)
     if decay is not None:
         if decay.status is not Status.OK:

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 import queue
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -24,12 +25,15 @@ import attrs
 import numpy as np
 import pytest
 from kits.browser import PATIENCE_S, Page, wait_until
-from kits.recorded_rig import Messages, edited, messages, record
+from kits.recorded_rig import PROVENANCE, Messages, edited, messages, published, record
 
-from impact_rig import topics
+from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.cli.main import main
 from impact_rig.errors import RecordingError
+from impact_rig.recording import RunWriter, TopicDescription
+from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
 from impact_rig_lab.playback import PlaybackSource
 from impact_rig_lab.protocol import Request
@@ -173,6 +177,27 @@ def test_a_run_that_begins_in_mid_session_begins_with_its_first_scan(recorded: M
         wait_until(lambda: source.record.scope.end_s > 6.2, "scans at once")
         assert source.snapshot.get("playback")["begin"] == 6.0
         wait_until(lambda: (source.snapshot.get("applied") or {}).get("current") == 0.52, "the drive of before")
+
+
+def test_of_a_recording_of_two_rigs_one_is_shown(tmp_path: Path) -> None:
+    writer = RunWriter(tmp_path / "two", provenance=PROVENANCE, clock=time.monotonic)
+    with writer:
+        for namespace, current in (("left", 0.3), ("right", 0.6)):
+            rig = Rig(from_flat(RigConfig(), {"daq.seed": 5, "drive.amplitude": current}))
+            tables = [
+                ("daq/info", rig.info()),
+                *((name, one) for name, one in published(rig, 50) if name != "rig/journal"),
+            ]
+            for name in {name for name, _ in tables}:
+                writer.add_topic(TopicDescription(name=f"/{namespace}/{name}", type_name=topics.TABLE))
+            for name, one in tables:
+                writer.write(f"/{namespace}/{name}", codec.encode(one), one.stamp_ns)
+    with pytest.raises(RecordingError, match=r"several rigs: /left, /right; choose one with --rig NAMESPACE"):
+        PlaybackSource([tmp_path / "two"])
+    for namespace, current in (("/left", 0.3), ("/right", 0.6)):
+        with PlaybackSource([tmp_path / "two"], namespace) as source:
+            wait_until(lambda source=source: source.snapshot.get("applied"), "the drive")
+            assert source.snapshot.get("applied")["current"] == current
 
 
 def test_of_two_runs_of_a_session_nothing_is_played_of_what_lies_between_them(

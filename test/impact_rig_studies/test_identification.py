@@ -380,6 +380,8 @@ def test_a_recorded_pluck_gives_what_a_pluck_of_our_own_gives(directory, tmp_pat
     found, u2 = map(float, told.groups())
     assert found != round(decay.natural_frequency_hz, 6), "it is another estimate"
     assert found == pytest.approx(decay.natural_frequency_hz, abs=2 * u2 + 1e-6)
+    assert main([*arguments, str(tmp_path / "plucked"), "--rig", "/left"]) == 1
+    assert "/left" in capsys.readouterr().err
     assert main([*arguments, str(tmp_path / "quiet")]) == 1
     assert "no pluck in this run (rig/pluck)" in capsys.readouterr().err
 
