@@ -24,7 +24,7 @@ from std_srvs.srv import Trigger
 
 from impact_rig import codec, states, topics
 from impact_rig.blocks import Table
-from impact_rig.config.fields import Origin, choice, integer, quantities, quantity, switch
+from impact_rig.config.fields import choice, switch
 from impact_rig.config.tree import Tree
 from impact_rig.errors import CodecError, ConfigError, ImpactRigError
 from impact_rig.names import one_line
@@ -33,10 +33,9 @@ from impact_rig.nodes.managed import Done, Level, ManagedNode, NodeState
 from impact_rig.nodes.messages import MONITORS
 from impact_rig.rig.journal import InputKind, JournalEntry
 from impact_rig_studies.operate.operator import Applied, ControllerRun, Operator, Update
-from impact_rig_studies.operate.phase_lock import LockedSine, LockPlan, Reference
+from impact_rig_studies.operate.phase_lock import LockedSine, LockPlan, LockSettings
 from impact_rig_studies.operate.stepped_sine import (
     ControlledSine,
-    Direction,
     Hold,
     HoldPlan,
     Setpoint,
@@ -55,88 +54,31 @@ COMMAND, PHASE = "command", "phase"  # constant quantities in addition to the am
 
 
 @attrs.frozen(kw_only=True)
-class SteppedSineSettings:
-    """Parameters of the stepped-sine node: those of `SweepPlan`, and the start condition."""
+class SteppedSineSettings(SweepPlan, HoldPlan, LockSettings):
+    """Parameters of the stepped-sine node: a sweep, what stays constant in it, and when to begin."""
 
-    frequencies_hz: tuple[float, ...] = quantities(
-        (7.5, 8.0, 8.5, 8.9, 9.0, 9.1, 9.2, 9.5, 10.0, 10.5),
-        "Hz",
-        "Frequencies of the points.",
-        Origin.PAPER,
-        above=0,
-        at_most=1000,
-    )
-    current_a: float = quantity(
-        0.52, "A", "Peak current at all points (m or V by drive.kind).", Origin.IDENTIFIED, above=0, at_most=1000
-    )
-    direction: str = choice("up", tuple(Direction), "Order of the points; up_down keeps the state between the two.")
-    measurements_per_point: int = integer(1, "-", "Number of measurements at each point.", at_least=1, at_most=1000)
-    dwell_limit_s: float = quantity(
-        150.0, "s", "Rig time at one point after which the sweep is aborted.", above=0, at_most=1e5
-    )
-    accept_limit_s: float = quantity(
-        5.0, "s", "Rig time within which a command must be accepted.", above=0, at_most=1e5
-    )
-    retries: int = integer(2, "-", "Number of rejected measurements tolerated per point.", at_least=0, at_most=1000)
-    skip_over_range: bool = switch(True, "Skip a point where a sensor is over range, instead of aborting.")
-    keep_unsettled: bool = switch(True, "Accept a response that does not settle within the analysis' limit.")
     hold: str = choice(
-        "command",
+        COMMAND,
         (COMMAND, *Hold, PHASE),
-        "Constant quantity: the commanded current, a measured amplitude (the current is adjusted), or the "
-        "phase at -90 degrees (the frequency is adjusted, starting at the first point).",
+        "Constant quantity: the commanded current, a measured amplitude (the current is adjusted), or the phase at -90 "
+        "degrees (the frequency is adjusted, starting at the first point).",
     )
-    target: float = quantity(
-        60e-6,
-        "m or A",
-        "Held amplitude, peak; ignored if hold is command or phase.",
-        above=0,
-        at_most=1000,
-    )
-    tolerance: float = quantity(
-        2e-3, "-", "Relative error up to which the amplitude counts as held.", above=0, at_most=0.5
-    )
-    corrections: int = integer(
-        8, "-", "Maximum number of adjustments of the current per point.", at_least=1, at_most=1000
-    )
-    current_limit_a: float = quantity(
-        15.0, "A", "Current above which a held amplitude aborts the sweep.", above=0, at_most=1000
-    )
-    superior_limit_m: float = quantity(
-        0.05,
-        "m",
-        "Amplitude of the superior base above which the sweep aborts while an amplitude is held.",
-        above=0,
-        at_most=1,
-    )
-    reference: str = choice("base", tuple(Reference), "Reference of the superior base's phase.")
-    within_deg: float = quantity(
-        2.0, "deg", "Deviation of a second's mean phase up to which it counts as locked.", above=0, at_most=90
-    )
-    dwell_s: float = quantity(30.0, "s", "Rig time at the resonance, from the first lock on.", above=0, at_most=1e6)
     begin: bool = switch(False, "Start when the rig is running; otherwise with ~/start.", read_only=True)
     autostart: bool = switch(True, "Configure and activate at start without a request.", read_only=True)
 
     def __attrs_post_init__(self) -> None:
-        self.plan()  # rejects duplicate frequencies
+        super().__attrs_post_init__()
         if self.hold == PHASE:
             self.lock_plan()  # rejects a start out of range
 
-    def plan(self) -> SweepPlan:
-        """Return the sweep."""
-        return SweepPlan(**{attribute.name: getattr(self, attribute.name) for attribute in attrs.fields(SweepPlan)})
-
     def lock_plan(self) -> LockPlan:
-        """Return the plan of the search, from the first point on, and of its continuation."""
-        names = ("current_a", "reference", "within_deg", "dwell_s", "superior_limit_m")
-        return LockPlan(start_hz=self.plan().points()[0], **{name: getattr(self, name) for name in names})
+        """Return the search, from the first point on, and what follows it."""
+        names = ("current_a", "superior_limit_m", *(attribute.name for attribute in attrs.fields(LockSettings)))
+        return LockPlan(start_hz=self.points()[0], **{name: getattr(self, name) for name in names})
 
     def sweep(self) -> SteppedSine:
-        """Return the controller of the sweep, with a held amplitude if configured."""
-        if self.hold == COMMAND:
-            return SteppedSine(self.plan())
-        names = [attribute.name for attribute in attrs.fields(HoldPlan)]
-        return ControlledSine(self.plan(), HoldPlan(**{name: getattr(self, name) for name in names}))
+        """Return the sweep, with an amplitude controlled if that is asked for."""
+        return SteppedSine(self) if self.hold == COMMAND else ControlledSine(self, self)
 
 
 class SteppedSineNode(ManagedNode[SteppedSineSettings]):
@@ -264,7 +206,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         done(True, "the shaker ramps to rest")
 
     def _announced(self) -> str:
-        points = self.settings.plan().points()
+        points = self.settings.points()
         return (
             f"searching for the resonance from {points[0]:g} Hz"
             if self.settings.hold == PHASE

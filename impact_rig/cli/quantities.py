@@ -29,7 +29,7 @@ from impact_rig.config.fields import FieldInfo
 from impact_rig.config.sections import Barriers
 from impact_rig.errors import ConfigError
 
-__all__ = ["GAP", "NO_SPHERE_WORD", "Quantity", "positive"]
+__all__ = ["GAP", "NO_SPHERE_WORD", "Quantity", "add_field", "positive"]
 
 LENGTH = "m"
 NO_SPHERE_WORD = "none"
@@ -124,6 +124,33 @@ class Quantity:
 def positive(unit: str) -> Quantity:
     """Return the parser of a quantity above zero."""
     return Quantity(FieldInfo("", unit, low=0.0, low_open=True))
+
+
+def add_field(
+    parser: argparse.ArgumentParser, field: attrs.Attribute[Any], metavar: str | None = None, option: str = ""
+) -> None:
+    """Add the option of a described field, with its default, unit, range and meaning.
+
+    Args:
+        parser: parser of a command.
+        field: field of a configuration or a plan.
+        metavar: placeholder of its value; None for one out of several words.
+        option: name of the option (default: that of the field).
+    """
+    about = fields.info(field)
+    default: Any = field.default
+    several = isinstance(default, tuple)
+    shown = " ".join(f"{one:g}" for one in default) if several else default
+    kind: dict[str, Any] = {"type": int} if isinstance(default, int) else {"type": Quantity.of(field)}
+    if about.choices:
+        kind = {"choices": about.choices}
+    if several:
+        kind["nargs"] = "+"
+    meaning = about.doc[:1].lower() + about.doc[1:].rstrip(".")
+    parser.add_argument(
+        option or f"--{field.name.replace('_', '-')}", default=default, metavar=metavar,
+        help=f"{meaning} (default: {shown})", **kind,
+    )  # fmt: skip
 
 
 GAP = Quantity.of(attrs.fields(Barriers).gap_m, {NO_SPHERE_WORD: 0.0})

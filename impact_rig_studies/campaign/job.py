@@ -101,7 +101,7 @@ class Job:
             ConfigError: a value is wrong.
         """
         return SweepPlan(
-            frequencies_hz=self.frequencies_hz,  # type: ignore[arg-type]  # mypy cannot solve the generic converter
+            frequencies_hz=self.frequencies_hz,
             current_a=self.current_a,
             direction=self.direction,
             measurements_per_point=self.repetitions,

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.uncertainty_budget import combined
 from impact_rig.rig.gaps import NO_SPHERE
+from impact_rig_studies.operate.stepped_sine import SweepPlan
 from impact_rig_studies.reduction import reduction
 
 TITLE = "Modeling of an impact damper submitted to forced vibration from a nonlinear contact force model"
@@ -38,9 +39,9 @@ DOI = ""  # none was found
 
 FREQUENCY_HZ = 9.1  # frequency at which the paper compares the gaps: the natural frequency it prints
 
-FREQUENCIES_HZ = (7.5, 8.0, 8.5, 8.9, 9.0, 9.1, 9.2, 9.5, 10.0, 10.5)  # the paper's excitation frequencies
+FREQUENCIES_HZ = SweepPlan().frequencies_hz  # the paper's excitation frequencies
 
-CURRENT_A = 0.520
+CURRENT_A = SweepPlan().current_a
 """Constant coil current, peak; identified: the superior base then moves about 5.85 mm at 9.1 Hz without the sphere."""
 
 REDUCTION_PERCENT: Mapping[float, float] = {2e-3: 29.4, 4e-3: 38.5, 6e-3: 43.0, 8e-3: 45.0, 10e-3: 49.0}

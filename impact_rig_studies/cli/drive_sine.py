@@ -26,7 +26,7 @@ from typing import Any
 import attrs
 import numpy as np
 
-from impact_rig.cli.quantities import positive
+from impact_rig.cli.quantities import add_field, positive
 from impact_rig.cli.rig_options import add_rig, rig_of, run_directory
 from impact_rig.cli.terminal import Commands, Console, TextTable, add_json, figure, subcommand, tell_results
 from impact_rig.driver import LocalRig, RigDriver
@@ -36,7 +36,6 @@ from impact_rig.rig.gaps import NO_SPHERE
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system import files
 from impact_rig_studies.campaign.job import Job
-from impact_rig_studies.campaign.paper import CURRENT_A, FREQUENCIES_HZ
 from impact_rig_studies.closed_loop import with_short_blocks
 from impact_rig_studies.operate.operator import operate
 from impact_rig_studies.operate.phase_lock import (
@@ -45,12 +44,19 @@ from impact_rig_studies.operate.phase_lock import (
     AmplitudeSweep,
     LockLoop,
     LockPlan,
-    Reference,
     lock_on,
     mean,
     sweep_amplitude,
 )
-from impact_rig_studies.operate.stepped_sine import ControlledSine, Direction, Hold, HoldPlan, SteppedSine, SweepState
+from impact_rig_studies.operate.stepped_sine import (
+    ControlledSine,
+    Direction,
+    Hold,
+    HoldPlan,
+    SteppedSine,
+    SweepPlan,
+    SweepState,
+)
 
 HELD_UNITS = {Hold.BASE: "m", Hold.SUPERIOR: "m", Hold.CURRENT: "A"}
 SHOWN = 12  # samples of a lock that are printed; all of them are in the CSV
@@ -65,9 +71,7 @@ def add_hold(tests: Commands) -> None:
     parser.add_argument("what", choices=[*Hold], help="controlled amplitude")
     parser.add_argument("target", metavar="PEAK", help="its peak with the unit, e.g. 60um, or 0.5A for the current")
     _add_points(parser)
-    parser.add_argument(
-        "--tolerance", type=float, default=2e-3, metavar="X", help="largest relative error (default: 0.002)"
-    )
+    add_field(parser, attrs.fields(HoldPlan).tolerance, "X")
     _add_current(parser)
     _add_options(parser, "hold")
 
@@ -89,9 +93,7 @@ def add_lock(tests: Commands) -> None:
         tests, "lock", _lock, "search a resonance, track it, and dwell there",
         [("drive lock --gap none", "the resonance without a sphere")],
     )  # fmt: skip
-    parser.add_argument(
-        "--dwell", type=float, default=30.0, metavar="S", help="rig time at the resonance (default: 30)"
-    )
+    add_field(parser, attrs.fields(LockPlan).dwell_s, "S", "--dwell")
     _add_search(parser)
     _add_current(parser)
     _add_options(parser, "lock")
@@ -111,32 +113,19 @@ def add_backbone(tests: Commands) -> None:
 
 
 def _add_points(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--frequencies", type=float, nargs="+", default=FREQUENCIES_HZ, metavar="HZ",
-        help=f"drive frequencies (default: {len(FREQUENCIES_HZ)} from {FREQUENCIES_HZ[0]} to {FREQUENCIES_HZ[-1]})",
-    )  # fmt: skip
-    parser.add_argument(
-        "--direction", choices=[*Direction], default=Direction.UP, help="order of the frequencies (default: up)"
-    )
-    parser.add_argument(
-        "--measurements", type=int, default=1, metavar="N", help="measurements at each frequency (default: 1)"
-    )
+    plan = attrs.fields(SweepPlan)
+    add_field(parser, plan.frequencies_hz, "HZ", "--frequencies")
+    add_field(parser, plan.direction)
+    add_field(parser, plan.measurements_per_point, "N", "--measurements")
 
 
 def _add_search(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--start", type=float, default=9.0, metavar="HZ", help="frequency where the search begins (default: 9)"
-    )
-    parser.add_argument(
-        "--reference", choices=[*Reference], default=Reference.BASE, help="reference of the phase (default: base)"
-    )
+    add_field(parser, attrs.fields(LockPlan).start_hz, "HZ", "--start")
+    add_field(parser, attrs.fields(LockPlan).reference)
 
 
 def _add_current(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--current", type=positive("A"), default=CURRENT_A, metavar="A",
-        help=f"peak current, for hold that of the first measurement (default: {CURRENT_A})",
-    )  # fmt: skip
+    add_field(parser, attrs.fields(SweepPlan).current_a, "A", "--current")
 
 
 def _add_options(parser: argparse.ArgumentParser, test: str) -> None:

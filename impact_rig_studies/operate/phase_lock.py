@@ -35,7 +35,7 @@ import cmath
 import enum
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import attrs
 import numpy as np
@@ -46,11 +46,19 @@ from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.scans import BASE, CHANNELS, CURRENT, LASER
 from impact_rig.analysis.spread import student_factor, variance_of_mean
 from impact_rig.blocks import SWEEP, Table
+from impact_rig.config.fields import choice, quantity
 from impact_rig.driver import RigDriver
 from impact_rig.errors import ConfigError
 from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Status
-from impact_rig_studies.operate.stepped_sine import SAME, Setpoint, SweepState, positive, sweep_rows
+from impact_rig_studies.operate.stepped_sine import (
+    SAME,
+    Setpoint,
+    SweepState,
+    current_field,
+    superior_limit_field,
+    sweep_rows,
+)
 
 MIN_CYCLES = 2
 
@@ -132,34 +140,42 @@ class Reference(enum.StrEnum):
     CURRENT = "current"
 
 
-def _amount(default: float) -> float:
-    value: float = attrs.field(default=default, validator=positive)
-    return value
+def _amount(default: float, unit: str, doc: str) -> Any:
+    return quantity(default, unit, doc, above=0)
+
+
+@attrs.frozen(kw_only=True, slots=False)  # one of several bases of the node's parameters
+class LockSettings:
+    """Settings of a phase lock that are also parameters of the stepped-sine node."""
+
+    reference: str = choice("base", tuple(Reference), "Reference of the superior base's phase.")
+    within_deg: float = quantity(
+        2.0, "deg", "Deviation of a second's mean phase up to which it counts as locked.", above=0, at_most=90
+    )
+    dwell_s: float = quantity(30.0, "s", "Rig time at the resonance, from the first lock on.", above=0, at_most=1e9)
 
 
 @attrs.frozen(kw_only=True)
-class LockPlan:
-    """Plan of a search and its continuation.
+class LockPlan(LockSettings):
+    """Search for a resonance, and what follows it.
 
     Raises:
         ConfigError: an invalid value; the message names it.
     """
 
-    start_hz: float = attrs.field(validator=positive)  # start of the search
-    current_a: float = attrs.field(validator=positive)  # peak current
-    low_hz: float = _amount(5.0)  # lower limit of the frequency
-    high_hz: float = _amount(20.0)  # upper limit
-    reference: Reference = attrs.field(default=Reference.BASE, converter=Reference)
-    """Target of the phase; against the base, −90° is the resonance of the structure on a fixed base."""
-    step_hz: float = _amount(0.2)  # step of the coarse search
-    seek_s: float = _amount(1.5)  # duration of each step
-    sample_s: float = _amount(0.5)  # interval between two corrections during tracking
-    time_constant_s: float = _amount(3.0)  # time constant of the correction; longer than the structure's response
-    within_deg: float = _amount(2.0)  # bound of the mean phase of a second that counts as locked
-    seek_limit_s: float = _amount(60.0)  # rig time until the first lock, after which the search is given up
-    lose_limit_s: float = _amount(20.0)  # rig time without lock after which it is given up
-    dwell_s: float = _amount(30.0)  # rig time to stay, counted from the first lock
-    superior_limit_m: float = _amount(0.05)  # amplitude of the superior base that aborts
+    start_hz: float = _amount(9.0, "Hz", "Frequency where the search begins.")
+    current_a: float = current_field()
+    low_hz: float = _amount(5.0, "Hz", "Lowest frequency.")
+    high_hz: float = _amount(20.0, "Hz", "Highest frequency.")
+    step_hz: float = _amount(0.2, "Hz", "Step of the coarse search.")
+    seek_s: float = _amount(1.5, "s", "Rig time at each step of the search.")
+    sample_s: float = _amount(0.5, "s", "Rig time between two corrections of the frequency.")
+    time_constant_s: float = _amount(
+        3.0, "s", "Time constant of the correction; longer than the structure takes to respond."
+    )
+    seek_limit_s: float = _amount(60.0, "s", "Rig time until the first lock after which the search ends.")
+    lose_limit_s: float = _amount(20.0, "s", "Rig time without lock after which the run ends.")
+    superior_limit_m: float = superior_limit_field()
 
     def __attrs_post_init__(self) -> None:
         if not self.low_hz < self.start_hz < self.high_hz:
@@ -249,7 +265,7 @@ class PhaseLock:
             return self.abort("base or current do not move")
         if abs(sample.superior) > self._plan.superior_limit_m:
             return self.abort(f"the superior base swings {abs(sample.superior) * 1e3:.3g} mm")
-        turned = sample.superior / (sample.base if self._plan.reference is Reference.BASE else sample.current)
+        turned = sample.superior / (sample.base if self._plan.reference == Reference.BASE else sample.current)
         if self.stage is Stage.SEEKING:
             self._seek(turned)
             self._tracked_ns = sample.end_ns
@@ -298,7 +314,7 @@ class PhaseLock:
 
     def _detuning_hz(self, turned: complex) -> float:
         """Return the distance of the resonance above the present frequency, at most a step of the search."""
-        if self._plan.reference is Reference.BASE:
+        if self._plan.reference == Reference.BASE:
             detuning = 0.5 * self.frequency_hz * (1.0 / turned).real
         else:
             detuned = _detuning(turned)

@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Callable
+from typing import Any
 
 import attrs
 import numpy as np
@@ -36,13 +36,14 @@ from numpy.lib import recfunctions
 from numpy.typing import NDArray
 
 from impact_rig.blocks import SWEEP, TRANSMISSIBILITY, Table
+from impact_rig.config.fields import Origin, choice, integer, quantities, quantity, switch
 from impact_rig.errors import ConfigError
 from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Status
 
 
 class Direction(enum.StrEnum):
-    """Order of the frequencies; up_down keeps the state of the rig between the two."""
+    """Order of the points; up_down keeps the state of the rig between the two."""
 
     UP = "up"
     DOWN = "down"
@@ -57,61 +58,60 @@ class Setpoint:
     current_a: float
 
 
-def positive(_: object, attribute: attrs.Attribute[float], value: float) -> None:
-    """Check that a value of a plan is > 0 and finite."""
-    if not (math.isfinite(value) and value > 0.0):
-        raise ConfigError(f"{attribute.name} must be > 0 and finite, got {value!r}")
+def current_field() -> Any:
+    """Return the field of the current that a sweep or a search sets."""
+    return quantity(0.52, "A", "Peak current (m or V by drive.kind).", Origin.IDENTIFIED, above=0, at_most=1000)
 
 
-def _frequencies(_: object, attribute: attrs.Attribute[tuple[float, ...]], value: tuple[float, ...]) -> None:
-    if not value or not all(math.isfinite(one) and one > 0.0 for one in value):
-        raise ConfigError(f"{attribute.name} must be one or more finite numbers > 0, got {value!r}")
-    if len(set(value)) != len(value):
-        raise ConfigError(f"{attribute.name} must not repeat a frequency, got {value!r}")
-
-
-def _at_least(lowest: int) -> Callable[[object, attrs.Attribute[int], int], None]:
-    def check(_: object, attribute: attrs.Attribute[int], value: int) -> None:
-        if value < lowest:
-            raise ConfigError(f"{attribute.name} must be >= {lowest}, got {value!r}")
-
-    return check
+def superior_limit_field() -> Any:
+    """Return the field of the largest motion of the superior base that a controller accepts."""
+    return quantity(
+        0.05,
+        "m",
+        "Amplitude of the superior base above which a controller aborts.",
+        above=0,
+        at_most=1,
+    )
 
 
 @attrs.frozen(kw_only=True)
 class SweepPlan:
-    """Plan of a stepped sweep.
-
-    Attributes:
-        frequencies_hz: the points; visited in ascending or descending order, in whatever order they are given.
-        current_a: peak current at all of them.
-        direction: order of the points.
-        measurements_per_point: number of rows at each point.
-        dwell_limit_s: rig time at one point after which the sweep is aborted; longer than the tracker's own limit.
-        accept_limit_s: rig time within which a command must be accepted.
-        retries: rejected measurements (lost blocks, silence, …) tolerated per point.
-        skip_over_range: whether to skip a point where a sensor goes over range, instead of aborting.
-        keep_unsettled: whether to accept a point that did not settle within the tracker's limit (its `settled` is 0).
+    """Points and limits of a stepped sweep; its fields are also parameters of the stepped-sine node.
 
     Raises:
         ConfigError: an invalid value; the message names it.
     """
 
-    frequencies_hz: tuple[float, ...] = attrs.field(converter=tuple, validator=_frequencies)
-    current_a: float = attrs.field(validator=positive)
-    direction: Direction = attrs.field(default=Direction.UP, converter=Direction)
-    measurements_per_point: int = attrs.field(default=1, validator=_at_least(1))
-    dwell_limit_s: float = attrs.field(default=150.0, validator=positive)
-    accept_limit_s: float = attrs.field(default=5.0, validator=positive)
-    retries: int = attrs.field(default=2, validator=_at_least(0))
-    skip_over_range: bool = True
-    keep_unsettled: bool = True
+    frequencies_hz: tuple[float, ...] = quantities(
+        (7.5, 8.0, 8.5, 8.9, 9.0, 9.1, 9.2, 9.5, 10.0, 10.5),
+        "Hz",
+        "Frequencies of the points.",
+        Origin.PAPER,
+        above=0,
+        at_most=10_000,
+    )
+    current_a: float = current_field()
+    direction: str = choice("up", tuple(Direction), "Order of the points; up_down keeps the state between the two.")
+    measurements_per_point: int = integer(1, "-", "Number of measurements at each point.", at_least=1, at_most=1000)
+    dwell_limit_s: float = quantity(
+        150.0, "s", "Rig time at one point after which the sweep is aborted.", above=0, at_most=1e9
+    )
+    accept_limit_s: float = quantity(
+        5.0, "s", "Rig time within which a command must be accepted.", above=0, at_most=1e5
+    )
+    retries: int = integer(2, "-", "Number of rejected measurements tolerated per point.", at_least=0, at_most=1000)
+    skip_over_range: bool = switch(True, "Skip a point where a sensor is over range, instead of aborting.")
+    keep_unsettled: bool = switch(True, "Accept a response that does not settle within the analysis' limit.")
+
+    def __attrs_post_init__(self) -> None:
+        if len(set(self.frequencies_hz)) != len(self.frequencies_hz):
+            raise ConfigError(f"frequencies_hz must not repeat a frequency, got {self.frequencies_hz!r}")
 
     def points(self) -> tuple[float, ...]:
         """Return the frequencies in the order of measurement."""
         up = tuple(sorted(self.frequencies_hz))
         down = up[::-1]
-        return {Direction.UP: up, Direction.DOWN: down, Direction.UP_DOWN: up + down}[self.direction]
+        return {Direction.UP: up, Direction.DOWN: down, Direction.UP_DOWN: up + down}[Direction(self.direction)]
 
 
 SAME = 1e-9  # relative difference up to which two frequencies or currents are equal
@@ -313,23 +313,28 @@ LARGEST_STEP = 3.0  # largest factor of a single change of the current
 SLOPES = (0.3, 3.0)  # range of d ln amplitude / d ln current that a correction uses
 
 
-@attrs.frozen(kw_only=True)
+@attrs.frozen(kw_only=True, slots=False)  # one of several bases of the node's parameters
 class HoldPlan:
-    """Plan of a held quantity, with limits for each point.
+    """Controlled amplitude, and limits of its control; its fields are also parameters of the stepped-sine node.
 
     Raises:
         ConfigError: an invalid value; the message names it.
     """
 
-    hold: Hold = attrs.field(converter=Hold)  # base, superior or current
-    target: float = attrs.field(validator=positive)  # target amplitude, peak [m or A]
-    # relative error up to which the amplitude counts as held
-    tolerance: float = attrs.field(default=2e-3, validator=positive)
-    # maximum number of corrections of the current per point; then the point is kept with its error
-    corrections: int = 8
-    current_limit_a: float = attrs.field(default=15.0, validator=positive)  # a correction beyond it aborts the sweep
-    superior_limit_m: float = attrs.field(default=0.05, validator=positive)
-    """Measured amplitude of the superior base above which the sweep aborts."""
+    hold: str = choice("base", tuple(Hold), "Controlled amplitude.")
+    target: float = quantity(
+        60e-6, "m or A", "Held amplitude, peak; ignored if hold is command or phase.", above=0, at_most=1000
+    )
+    tolerance: float = quantity(
+        2e-3, "-", "Relative error up to which the amplitude counts as held.", above=0, at_most=0.5
+    )
+    corrections: int = integer(
+        8, "-", "Maximum number of adjustments of the current per point.", at_least=1, at_most=1000
+    )
+    current_limit_a: float = quantity(
+        15.0, "A", "Current above which a held amplitude aborts the sweep.", above=0, at_most=1000
+    )
+    superior_limit_m: float = superior_limit_field()
 
 
 class ControlledSine(SteppedSine):
@@ -355,7 +360,7 @@ class ControlledSine(SteppedSine):
         rows = self.rows
         found = sweep_rows(rows)
         found["target"], found["corrections"] = self._hold.target, self._tries[: len(rows)]
-        found["error"] = rows[COLUMN[self._hold.hold]] / self._hold.target - 1.0
+        found["error"] = rows[COLUMN[Hold(self._hold.hold)]] / self._hold.target - 1.0
         found["held"] = np.abs(found["error"]) <= self._hold.tolerance
         return found
 
@@ -377,7 +382,7 @@ class ControlledSine(SteppedSine):
         return None
 
     def _adjusted(self, row: np.void, now_ns: int) -> Setpoint | None:
-        superior, reached = float(row["laser_amplitude"]), float(row[COLUMN[self._hold.hold]])
+        superior, reached = float(row["laser_amplitude"]), float(row[COLUMN[Hold(self._hold.hold)]])
         if superior > self._hold.superior_limit_m:
             return self._abort(f"the superior base swings {superior * 1e3:.3g} mm at {self.frequency_hz:g} Hz")
         close = abs(reached / self._hold.target - 1.0) <= self._hold.tolerance

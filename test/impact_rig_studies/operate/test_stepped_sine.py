@@ -135,7 +135,7 @@ def test_a_trip_and_a_stranger_at_the_knob_end_the_sweep():
     ("changes", "message"),
     [
         ({"frequencies_hz": ()}, "frequencies_hz must be one or more"),
-        ({"frequencies_hz": (9.0, np.nan)}, "frequencies_hz must be one or more"),
+        ({"frequencies_hz": (9.0, np.nan)}, "frequencies_hz must be > 0"),
         ({"frequencies_hz": (9.0, 9.0)}, "must not repeat"),
         ({"current_a": 0.0}, "current_a must be > 0"),
         ({"current_a": np.inf}, "current_a must be > 0"),
