@@ -51,7 +51,7 @@ class _RefusedError(ImpactRigError):
 
 
 class _Context:
-    """What a call sees of its client, who has left: so nothing waits."""
+    """Context of a call whose client has left, so that nothing waits."""
 
     def is_active(self) -> bool:
         return False
@@ -85,7 +85,7 @@ def _call(name: str) -> st.SearchStrategy[tuple[str, dict[str, Any]]]:
 
 
 def _usual(*, output: bool) -> st.SearchStrategy[list[tuple[str, dict[str, Any]]]]:
-    """A task that is ready to be started, so that what follows comes far."""
+    """Return the calls that make a task ready to start, so that later calls reach deeper."""
     task, kind = {"name": "t"}, "CreateAOVoltageChan" if output else "CreateAIVoltageChan"
     channel = {"physical_channel": "Dev1/ao0" if output else "Dev1/ai0:3", "min_val": -10.0, "max_val": 10.0}
     clock = {"rate": 1000.0, "sample_mode_raw": 10123, "samps_per_chan": 200}
@@ -96,7 +96,7 @@ def _usual(*, output: bool) -> st.SearchStrategy[list[tuple[str, dict[str, Any]]
 
 
 def daqmx(calls: list[tuple[str, dict[str, Any]]]) -> tuple[int, int]:
-    """A call answers or is refused with an error of NI-DAQmx."""
+    """Check that a call answers or is refused with an error of NI-DAQmx."""
     board, refused = Board(RigConfig()), 0
     service = servicer(board)
     try:

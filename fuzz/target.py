@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What a fuzz target is, and how inputs are thrown at it."""
+"""Fuzz targets, and the loop that feeds inputs to them."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ BATCH = 1000
 
 @dataclasses.dataclass(frozen=True)
 class Target:
-    """Something that reads hostile input.
+    """Reader of hostile input.
 
     Attributes:
         name: for the command line.
@@ -52,7 +52,7 @@ class Target:
 
 @dataclasses.dataclass
 class Tally:
-    """What became of the inputs."""
+    """Counts and times of the inputs."""
 
     inputs: int = 0
     refused: int = 0

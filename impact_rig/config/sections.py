@@ -95,7 +95,7 @@ class Shaker:
 
 @attrs.frozen(kw_only=True)
 class Drive:
-    """What moves the base."""
+    """Drive of the base."""
 
     kind: str = choice(
         "current",
@@ -196,7 +196,7 @@ class Daq:
 
 @attrs.frozen(kw_only=True)
 class Time:
-    """How rig time passes."""
+    """Passage of rig time."""
 
     mode: str = choice(
         "realtime",
@@ -229,7 +229,7 @@ class Time:
 
     @property
     def is_simulated(self) -> bool:
-        """Whether rig time is another time than everybody's: not in real time × 1."""
+        """Return whether rig time differs from wall time, i.e. does not pass in real time × 1."""
         return self.mode != "realtime" or self.factor != 1.0
 
     @property
@@ -240,14 +240,14 @@ class Time:
 
 @attrs.frozen(kw_only=True)
 class Step:
-    """What ~/step does."""
+    """Length of one call of ~/step."""
 
     blocks: int = integer(1, "blocks", "Blocks by which ~/step advances.", at_least=1, at_most=1_000_000)
 
 
 @attrs.frozen(kw_only=True)
 class Pluck:
-    """What ~/pluck does."""
+    """Displacement by ~/pluck."""
 
     displacement_m: float = quantity(
         2e-3, "m", "Displacement of the superior base from which it is released.", at_least=-0.1, at_most=0.1
@@ -256,7 +256,7 @@ class Pluck:
 
 @attrs.frozen(kw_only=True)
 class Output:
-    """What is published besides the scans."""
+    """Publications besides the scans."""
 
     monitor_rate_hz: float = quantity(
         50.0, "Hz", "Rate of the plotter-friendly monitor topics and truth/joint_states.", above=0, at_most=200

@@ -51,7 +51,7 @@ class Tree(Generic[Root]):
 
     @functools.cached_property
     def _known(self) -> dict[str, FieldInfo]:
-        """What each value means, by dotted name, in order."""
+        """Description of each value, by dotted name, in order."""
         return dict(_walk(self.root, ""))
 
     def load(self, path: Path | str, overrides: Mapping[str, object] | None = None) -> Root:

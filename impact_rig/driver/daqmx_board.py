@@ -657,7 +657,7 @@ class Board:
             raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"SampClk.Rate: {error}") from None
 
     def _values(self, task: DaqmxTask, rows: NDArray[np.void]) -> NDArray[np.float64]:
-        """Return what a task's channels say of scans: the volts of the sensors, scaled as the task wants them."""
+        """Return the readings of a task's channels: the sensors' volts, scaled as the task requests."""
         assert self._rig is not None
         info = {bytes(row["name"]).rstrip(b"\0").decode(): row for row in self._rig.tables(INFO.name)[-1].rows}
         found = []

@@ -75,7 +75,7 @@ def _abort(context: Any, code: Code, message: str, transferred: Sequence[tuple[s
 
 
 class Service:
-    """What the service `nidaqmx_grpc.NiDAQmx` does; methods that are missing here are UNIMPLEMENTED.
+    """Service `nidaqmx_grpc.NiDAQmx`; it answers UNIMPLEMENTED to methods that are missing here.
 
     Args:
         board: the rig as a board.

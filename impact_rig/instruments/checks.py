@@ -41,7 +41,7 @@ a rectangular one reaches √3 standard uncertainties, linearity √6."""
 
 @attrs.frozen
 class ChannelCheck:
-    """What a known sine looked like on one channel."""
+    """Measurement of a known sine on one channel."""
 
     channel: str  # which
     expected: float  # peak of the reading, by the certificate [unit]

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What an instrument is: a section of the configuration that knows its channel, sensor, faults and message."""
+"""Base class of instruments: a section of the configuration that knows its channel, sensor, faults and message."""
 
 from __future__ import annotations
 
@@ -65,11 +65,11 @@ class Instrument:
         return bool(getattr(self, "present", True))
 
     def sensor(self) -> Sensor:
-        """Return what it does to its quantity."""
+        """Return the sensor model: the transfer function, range and noise of the channel."""
         raise NotImplementedError
 
     def message(self, reading: float, clipped: bool, noise: float) -> Mapping[str, object]:
-        """Return what its monitor message says of one reading: value by field, `linear_acceleration.x`.
+        """Return the fields of the monitor message for one reading: value by field, e.g. `linear_acceleration.x`.
 
         Args:
             reading: in the channel's unit.

@@ -103,7 +103,10 @@ class DuplicatePublishers:
         self._sentence = ""
 
     def sentence(self) -> str:
-        """Return who else publishes which topics, or an empty text; checks at most twice a second, and logs changes."""
+        """Describe other publishers of the topics, or return an empty text.
+
+        The graph is polled at most twice a second; changes are logged.
+        """
         now = time.monotonic()
         if now - self._polled_at >= GRAPH_POLL_S:
             self._polled_at = now

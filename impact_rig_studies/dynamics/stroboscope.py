@@ -256,8 +256,8 @@ class Stroboscope:
     def slopes(self, z: Real, p: float, varied: Callable[[int, float], Place], count: int) -> Slopes | None:
         """Return the transmissibility on the orbit near z and its derivatives by `count` parameters.
 
-        With the map z → f(z, q), the transmissibility g(z, q) of one return and J = ∂f/∂z, the orbit moves by (I − J)⁻¹
-        ∂f/∂q, so that dg/dq = ∂g/∂q + ∂g/∂z (I − J)⁻¹ ∂f/∂q. Single returns are enough.
+        z → f(z, q) is the map, g(z, q) the transmissibility of one return, and J = ∂f/∂z. The orbit moves by
+        (I − J)⁻¹ ∂f/∂q, so that dg/dq = ∂g/∂q + ∂g/∂z (I − J)⁻¹ ∂f/∂q. Single returns are enough.
 
         Args:
             z: coordinates near the orbit, shape (n,).
