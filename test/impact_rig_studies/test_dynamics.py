@@ -736,7 +736,7 @@ def test_the_exponent_stands_beside_the_regime_in_a_map_that_asks(tmp_path, caps
         ("exponent", "exponent: {over: current_a, values: [0.5, -0.5]}", r"exponent.values\[1\] must be > 0"),
         ("basin", "basin: {sphere_position_m: [0.5], sphere_speed_m_s: [0, 1]}", r"basin.sphere_position_m\[0\]"),
         ("exponent", "exponent: {over: gap_m, values: [0.02], windows: 1}", "exponent.windows must be"),
-        ("exponent", "set: {daq.seed: 1}\nexponent: {}", "means nothing to"),
+        ("exponent", "set: {daq.seed: 1}\nexponent: {}", "irrelevant to"),
         ("orbit", "orbit: [", "not a YAML file"),
     ],
 )

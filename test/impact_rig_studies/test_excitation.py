@@ -245,7 +245,7 @@ def test_a_run_with_a_gap_is_no_history(tmp_path):
     record(tmp_path / "whole", whole)
     assert len(history(tmp_path / "whole", 2_000, "A")) == 4_000
     record(tmp_path / "holed", whole[:50] + whole[51:])
-    with pytest.raises(RecordingError, match="without a gap"):
+    with pytest.raises(RecordingError, match="must have no gap"):
         history(tmp_path / "holed", 2_000, "A")
     one = [("daq/scan", Table(table.stamp_ns, table.rows[:1])) for _, table in scans[:1]]
     record(tmp_path / "one", [*whole[:1], *one])

@@ -297,7 +297,7 @@ def test_going_on_while_running_gives_up_no_time(client: Client, monkeypatch: py
 
 
 def test_a_paused_rig_looks_at_each_step_who_listens(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(publishers, "LOOK_S", 1000.0)  # a running one in real time looks now and then
+    monkeypatch.setattr(publishers, "GRAPH_POLL_S", 1000.0)  # a running one in real time looks now and then
     host_rig(client, "realtime")
     client.wait_active("rig")
     client.pause()

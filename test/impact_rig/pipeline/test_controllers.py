@@ -127,8 +127,17 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
 
 def test_a_file_is_played_to_a_rig_that_runs_already(bench: Bench, tmp_path: Path) -> None:
     np.savez(tmp_path / "wave.npz", drive=0.3 * np.sin(2.0 * np.pi * 9.1 * np.arange(5_000) / 10_000), fs=10_000.0)
-    program = [sys.executable, "-c", "from impact_rig.cli import main; raise SystemExit(main())", "play", "--json"]
-    words = [str(tmp_path / "wave.npz"), "--through", "running", "--namespace", "/", "--output", str(tmp_path / "run")]
+    program = [sys.executable, "-c", "from impact_rig.cli import main; raise SystemExit(main())", "drive", "play"]
+    words = [
+        "--json",
+        str(tmp_path / "wave.npz"),
+        "--through",
+        "running",
+        "--namespace",
+        "/",
+        "--output",
+        str(tmp_path / "run"),
+    ]
     environment = {**os.environ, "ROS_DOMAIN_ID": str(bench.domain_id)}
     recorder = bench.processes.running["recorder"]
     bench.wait(lambda: "behind.recorder" in bench.client.figures("rig"), "the rig to know its reader")
