@@ -131,6 +131,7 @@ class PageSession:
         self._view: dict[str, Any] = {"span": 0.5, "columns": 600, "trigger": True, "spectrum": "", "top": 100.0}
         self._frame = self._acknowledged = 0
         self._sent_at = self._state_at = self._spectrum_at = 0.0
+        self._spectrum_end = -1.0
         self._version = 0
         self._epoch = -1
         self._seen = {FrameKind.MOTION: 0, FrameKind.IMPACTS: 0, FrameKind.DETECTED: 0}
@@ -172,7 +173,7 @@ class PageSession:
             self._acknowledged = max(self._acknowledged, min(int(request.values["frame"]), self._frame))
         elif request.do == "view":
             self._view = dict(request.values)
-            self._drawn_end = -1.0
+            self._drawn_end = self._spectrum_end = -1.0
             self._spectrum_at = 0.0
         else:
             self._source.ask(request, lambda ok, text: self._reply(request.id, ok, text))
@@ -222,10 +223,15 @@ class PageSession:
         source, record, view = self._source, self._source.record, self._view
         with record.lock:
             if record.epoch != self._epoch:
-                self._epoch, self._drawn_end = record.epoch, -1.0
+                self._epoch, self._drawn_end, self._spectrum_end = record.epoch, -1.0, -1.0
                 self._seen = dict.fromkeys(self._seen, 0)
             scope, motion = record.scope, record.motion
-            if scope is None or scope.end_s == self._drawn_end:
+            if scope is None:
+                return []
+            channel = view["spectrum"]
+            # also of a picture that has been drawn already: a paused player moved soon after the last spectrum
+            due = channel and scope.end_s != self._spectrum_end and now - self._spectrum_at >= SPECTRUM_S
+            if scope.end_s == self._drawn_end and not due:
                 return []
             trace = self._trace(scope)
             if trace is None:
@@ -240,9 +246,8 @@ class PageSession:
                 if rows.count > self._seen[kind]:
                     frames.append(protocol.rows_frame(kind, self._epoch, rows.since(self._seen[kind])))
                 self._seen[kind] = rows.count
-            channel = view["spectrum"]
-            if channel and now - self._spectrum_at >= SPECTRUM_S:
-                self._spectrum_at = now
+            if due:
+                self._spectrum_at, self._spectrum_end = now, scope.end_s
                 number = CHANNELS.index(channel)
                 found = spectrum(scope.stretch(SPECTRUM_SPAN_S)[number], scope.rate_hz, view["top"])
                 frames.append(protocol.spectrum_frame(self._epoch, *found, number))

@@ -102,6 +102,7 @@ def playback(browser: Browser, directory: Path) -> None:
         page.js("lab.link.ask('seek', {value: 14.2})")
         page.wait("Math.abs(lab.now.playback.now - 14.2) < 0.01 && lab.now.dt.length > 0", "the instant")
         page.wait("document.getElementById('dt-number').textContent !== '–'", "the measurement")
+        page.wait("lab.spectrum.plot.data[0].length > 100", "the spectrum")
         picture(page, "lab_playback")
 
 

@@ -106,6 +106,7 @@ const SHOW = {
   applied: (applied) => {
     knobs.show({ frequency: applied?.frequency ?? null, current: applied?.current ?? null });
     spectrum.drive = applied?.current > 0 ? applied.frequency : 0;
+    spectrum.plot.redraw(false);
   },
   knobs: (values) => {
     knobs.show({

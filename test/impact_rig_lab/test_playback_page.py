@@ -80,6 +80,7 @@ def test_play_pause_jump_and_step_to_the_next_impact(
     seek(page, 15.0)
     at(page, 15.0)
     page.wait("Math.abs(lab.scope.trace.now - 15) < 0.02", "traces of that instant")
+    page.wait("lab.spectrum.plot.data[0].length > 100", "the spectrum of the two seconds before it")
     page.wait("document.getElementById('dt-number').textContent !== '–'", "the measurement of before")
     shown_lines = "document.querySelectorAll('#journal-list li').length"
     page.wait(
