@@ -83,16 +83,12 @@ def one_second() -> dict[str, float]:
     subprocess.run(
         [sys.executable, "-c", ONE_SECOND], check=True, stdout=subprocess.DEVNULL
     )  # whatever has to be compiled
-    cpu_s, rss_mb = [], []
-    for _ in range(FRESH):
-        with subprocess.Popen([sys.executable, "-c", ONE_SECOND], stdout=subprocess.PIPE, text=True) as process:
-            # from the process itself: what wait4 says includes the memory of the one that started it
-            rss_mb.append(float(process.stdout.read()) / 1024.0)
-            _, status, usage = os.wait4(process.pid, 0)
-            process.returncode = os.waitstatus_to_exitcode(status)
-        assert process.returncode == 0
-        cpu_s.append(usage.ru_utime + usage.ru_stime)
-    return {"one_second_cpu_s": statistics.median(cpu_s), "one_second_rss_mb": statistics.median(rss_mb)}
+    usage = [_fresh([sys.executable, "-c", ONE_SECOND]) for _ in range(FRESH)]
+    return {
+        "one_second_cpu_s": statistics.median(cpu_s for cpu_s, _ in usage),
+        # from the process itself: what wait4 says includes the memory of the one that started it
+        "one_second_rss_mb": statistics.median(float(output) / 1024.0 for _, output in usage),
+    }
 
 
 def command_line() -> dict[str, float]:
@@ -104,14 +100,17 @@ def command_line() -> dict[str, float]:
 
 
 def _median_cpu_s(command: list[str]) -> float:
-    cpu_s = []
-    for _ in range(FRESH):
-        with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
-            _, status, usage = os.wait4(process.pid, 0)
-            process.returncode = os.waitstatus_to_exitcode(status)
-        assert process.returncode == 0
-        cpu_s.append(usage.ru_utime + usage.ru_stime)
-    return statistics.median(cpu_s)
+    return statistics.median(_fresh(command)[0] for _ in range(FRESH))
+
+
+def _fresh(command: list[str]) -> tuple[float, str]:
+    """Run a process to its end; return its processor time [s] and its output."""
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        output = process.stdout.read()
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    assert process.returncode == 0
+    return usage.ru_utime + usage.ru_stime, output
 
 
 def memory(seconds: float) -> dict[str, float]:
@@ -122,7 +121,7 @@ def memory(seconds: float) -> dict[str, float]:
 
 
 def noted() -> dict[str, float]:
-    """Return the figures that somebody else's latest run has left."""
+    """Return the figures that other programs noted in their latest runs."""
     return {path.name: float(path.read_text()) for path in sorted(NOTED.glob("*_*"))}
 
 

@@ -316,8 +316,6 @@ def _continued(values: Real, turns: float, count: int) -> Real:
 
 def _drive(scans: _ModelledScans, stretch: _Stretch, config: RigConfig, kind: str, channel: int, gain: float) -> None:
     """Fill in the model's scans of a stretch, driven by the measured drive times `gain`."""
-    from scipy.interpolate import CubicSpline  # noqa: PLC0415  # heavy: imported only when needed
-
     rate, own = scans.rate_hz, slice(stretch.first, stretch.last)
     measured = gain * scans.true[CHANNELS[channel]][own]
     if len(measured) < SHORTEST:
@@ -332,7 +330,7 @@ def _drive(scans: _ModelledScans, stretch: _Stretch, config: RigConfig, kind: st
     lead = _lead(measured, scans.true["laser"][own], rate, stretch.drive_hz, before_s)
     n = len(measured)
     samples = np.arange(math.ceil((n - 1) / rate * STREAM_HZ) + 1) / STREAM_HZ
-    curve = CubicSpline(np.arange(n) / rate, measured)
+    curve = scipy.interpolate.CubicSpline(np.arange(n) / rate, measured)
     drive = np.concatenate([lead, curve(np.minimum(samples, (n - 1) / rate))])
     drive = np.append(drive, np.full(2 * PER_TICK, drive[-1]))
     instants = np.array([stamp_ns(scan, rate) for scan in range(n)]) + lead_s * NS_PER_S

@@ -25,6 +25,7 @@ from pathlib import Path
 
 import attrs
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from impact_rig.blocks import LONGEST_S, MOST_HZ
@@ -66,8 +67,6 @@ def aligned(
     Raises:
         ConfigError: a signal has no times, misses scans, or is never there together with another.
     """
-    from scipy.interpolate import CubicSpline  # noqa: PLC0415  # heavy: only where it is asked for
-
     times: dict[str, Real] = {}
     for name, one in abscissas.items():
         if one.kind is not AbscissaKind.TIME:
@@ -84,7 +83,7 @@ def aligned(
     common = densest[(densest >= begin) & (densest <= end)]
     if len(common) < FEWEST:
         raise ConfigError(f"{path}: the signals of {', '.join(times)} are hardly ever there at the same time")
-    there = {name: CubicSpline(times[name], values)(common) for name, values in found.items()}
+    there = {name: scipy.interpolate.CubicSpline(times[name], values)(common) for name, values in found.items()}
     return Abscissa(AbscissaKind.TIME, "s", float(common[0]), values=common - common[0]), there
 
 
@@ -244,8 +243,6 @@ def _resampled(
     What is followed keeps its value until the next. Nothing is made up where scans are missing: each stretch between
     two holes has a cubic of its own.
     """
-    from scipy.interpolate import CubicSpline  # noqa: PLC0415  # heavy: only where it is asked for
-
     if not exact * (1.0 - 1e-4) <= rate <= MOST_HZ:
         raise ConfigError(f"{path}: resample to at least its {exact:.6g} Hz, at most {MOST_HZ:g}, got {rate}")
     budget.allow("values after resampling", float(times[-1]) * rate * len(found), VALUES)
@@ -263,8 +260,9 @@ def _resampled(
             parts.append((slice(begin, end), index[first:last]))
     if not parts:
         raise ConfigError(f"{path}: its times have more holes than scans")
+    spline = scipy.interpolate.CubicSpline
     splined = {
-        name: np.concatenate([CubicSpline(times[part], values[part])(own / rate) for part, own in parts])
+        name: np.concatenate([spline(times[part], values[part])(own / rate) for part, own in parts])
         for name, values in found.items()
     }
     index = np.concatenate([own for _, own in parts])

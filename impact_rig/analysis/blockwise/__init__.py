@@ -32,6 +32,7 @@ from typing import ClassVar
 
 import attrs
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from impact_rig.analysis.calibration import Real
@@ -77,11 +78,8 @@ class HighPass:
     """
 
     def __init__(self, rate_hz: float, channel: str) -> None:
-        from scipy import signal  # noqa: PLC0415  # 60 MB, loaded only for plotting
-
-        self._signal = signal
         self._channel = channel
-        self._sections = signal.butter(2, min(PULSES_HZ, rate_hz / 5.0), "highpass", fs=rate_hz, output="sos")
+        self._sections = scipy.signal.butter(2, min(PULSES_HZ, rate_hz / 5.0), "highpass", fs=rate_hz, output="sos")
         self._state: NDArray[np.float64] | None = None
 
     def restart(self) -> None:
@@ -92,8 +90,8 @@ class HighPass:
         """Return the block with the single column `pulses`; the first value of a stream is taken as its mean."""
         values = scan.rows[self._channel]
         if self._state is None:
-            self._state = self._signal.sosfilt_zi(self._sections) * values[0]
-        filtered, self._state = self._signal.sosfilt(self._sections, values, zi=self._state)
+            self._state = scipy.signal.sosfilt_zi(self._sections) * values[0]
+        filtered, self._state = scipy.signal.sosfilt(self._sections, values, zi=self._state)
         rows = np.empty(len(values), dtype=[(PULSES, "<f8")])
         rows[PULSES] = filtered
         return attrs.evolve(scan, rows=rows)
@@ -149,9 +147,7 @@ def amplitude_spectrum(samples: Real, rate_hz: float) -> tuple[Real, Real]:
 
 @functools.lru_cache(maxsize=2)
 def _flat_top(length: int) -> Real:
-    from scipy.signal import windows  # noqa: PLC0415  # 60 MB, loaded only for plotting
-
-    window: Real = windows.flattop(length, sym=False)
+    window: Real = scipy.signal.windows.flattop(length, sym=False)
     return window
 
 
