@@ -249,11 +249,11 @@ def _absent_files(run: Run) -> list[str]:
 
 def _unaccounted(account: Mapping[str, list[losses.PublisherStream]], tally: _Tally) -> list[str]:
     """Return the contradictions between the files and the recorder's account, message by message."""
-    short, twice, untold = [], [], []
+    short, twice, uncounted = [], [], []
     for name, numbers in tally.sequences.items():
         streams = account.get(name)
         if streams is None:
-            untold += [name] if account and len(numbers) else []
+            uncounted += [name] if account and len(numbers) else []
             continue
         received = sum(stream.received for stream in streams)
         again, absent = _compared(np.frombuffer(numbers, np.uint64), streams)
@@ -264,9 +264,12 @@ def _unaccounted(account: Mapping[str, list[losses.PublisherStream]], tally: _Ta
     for name, streams in account.items():
         if name not in tally.sequences and any(stream.received for stream in streams):
             short.append(f"{sum(stream.received for stream in streams)} of {name}")
-    said = {"messages that were received are not in it": short, "messages are in it twice": twice}
-    said["without an account by the recorder"] = untold
-    return [f"{what}: {', '.join(which)}" for what, which in said.items() if which]
+    contradictions = {
+        "messages that were received are not in it": short,
+        "messages are in it twice": twice,
+        "without an account by the recorder": uncounted,
+    }
+    return [f"{what}: {', '.join(which)}" for what, which in contradictions.items() if which]
 
 
 def _compared(numbers: NDArray[np.uint64], streams: list[losses.PublisherStream]) -> tuple[int, int]:

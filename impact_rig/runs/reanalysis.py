@@ -39,8 +39,7 @@ from impact_rig.config.tree import parameters_in
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.recording import CONFIGURATION, Message, Run, arithmetic_of, is_measured
 from impact_rig.recording.losses import check_contiguity, last_scan_ns
-from impact_rig.runs.recovery import RECORD_NAME as RECOVERED_RECORD
-from impact_rig.runs.recovery import read_record
+from impact_rig.runs.recovery import is_cut_short
 from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Status
 from impact_rig.system.machine import fingerprint
@@ -110,14 +109,14 @@ def as_set_live(run: Run) -> tuple[TrackerSettings, list[GapLabel]]:
     """
     if not run.holds(topics.ANALYSIS_SETTINGS):
         return TrackerSettings(), [label for label in map(parse_label, remarks(run)) if label is not None]
-    found = _settings_told(run)
-    told = [(one.since_ns, *read_settings(one.table)) for one in found]
-    labels = [] if any(one.in_turn for one in found) else [GapLabel(gap_m, since_ns) for since_ns, _, gap_m in told]
-    return (told[-1][1] if told else TrackerSettings()), labels
+    found = _live_settings(run)
+    active = [(one.since_ns, *read_settings(one.table)) for one in found]
+    labels = [] if any(one.in_turn for one in found) else [GapLabel(gap_m, since_ns) for since_ns, _, gap_m in active]
+    return (active[-1][1] if active else TrackerSettings()), labels
 
 
 @attrs.frozen(eq=False)
-class _Told:
+class _LiveSettings:
     """Settings of a live analysis, and the time from which they apply."""
 
     since_ns: int
@@ -127,7 +126,7 @@ class _Told:
     in_turn: bool
 
 
-def _settings_told(run: Run) -> list[_Told]:
+def _live_settings(run: Run) -> list[_LiveSettings]:
     """Return the settings in the order of publication; invalid tables are skipped.
 
     An analysis labels everything it will see, from stamp 0 on. An analysis that was restarted during the run has seen
@@ -138,28 +137,30 @@ def _settings_told(run: Run) -> list[_Told]:
     if not run.holds(topic):
         return []
     scans = [topics.SCAN.name] if run.holds(topics.SCAN) else []
-    begun_ns = next((message.publish_time for message in run.messages(scans, recorded_order=True)), 0)
-    found: list[_Told] = []
-    refused = []
-    heard: set[float | None] = set()
-    came_ns = 0
+    start_ns = next((message.publish_time for message in run.messages(scans, recorded_order=True)), 0)
+    found: list[_LiveSettings] = []
+    invalid = []
+    earlier: set[float | None] = set()
+    received_ns = 0
     for number, message in enumerate(run.messages([topic.name], recorded_order=True)):
         try:
             table = run.table(message, topic)
             read_settings(table)
         except (ConfigError, RecordingError) as error:
-            refused.append(error)
+            invalid.append(error)
             continue
         another = bool(found) and started_of(table) != started_of(found[-1].table)
-        again = another and message.publish_time > begun_ns
+        again = another and message.publish_time > start_ns
         if again:
-            came_ns = _received_ns(run, topic, number)
+            received_ns = _received_ns(run, topic, number)
         elif another:
             found.clear()
-        found.append(_Told(max(table.stamp_ns, came_ns), table, again, another and started_of(table) in heard))
-        heard.add(started_of(table))
-    if refused and not found:
-        raise RecordingError(f"{run.path}: {refused[0]}") from refused[0]
+        found.append(
+            _LiveSettings(max(table.stamp_ns, received_ns), table, again, another and started_of(table) in earlier)
+        )
+        earlier.add(started_of(table))
+    if invalid and not found:
+        raise RecordingError(f"{run.path}: {invalid[0]}") from invalid[0]
     return found
 
 
@@ -202,12 +203,12 @@ def newest_settled(tables: list[Table]) -> NDArray[np.void]:
 
 
 def texts(run: Run, topic: topics.Topic, blocks: int | None = None) -> list[str]:
-    """Return the texts of a topic of std_msgs/String, in order; nothing where it was not recorded.
+    """Return the texts of a topic of std_msgs/String, in order; none if it was not recorded.
 
     Args:
         run: an open run.
         topic: the topic.
-        blocks: only what was recorded before so many blocks of scans had been (default: everything).
+        blocks: number of blocks of scans; only texts recorded before that many are returned. None means no limit.
     """
     if not run.holds(topic):
         return []
@@ -331,7 +332,7 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
     version = arithmetic_of(run.provenance)
     if version not in ("", str(ARITHMETIC)):
         return Agreement(None, reason=f"the live results were made with arithmetic {version}, this is {ARITHMETIC}")
-    settings = _settings_told(run)
+    settings = _live_settings(run)
     if any(one.in_turn for one in settings):
         return Agreement(None, reason="two analyses labelled this run at once: the source of each gap label is unknown")
     calibration = next(run.tables(topics.INFO), None) if run.holds(topics.INFO) else None
@@ -366,8 +367,7 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
     longest_s = max(length for _, length in blocks) / rate_hz
     late = data_end - round((TrackerSettings().hold_s + lag_s(run, longest_s)) * rate_hz)
     reason, identical = _difference(theirs, found, late, exact=elsewhere is False)
-    recovered = read_record(run.record(RECOVERED_RECORD))
-    if reason and recovered is not None and recovered.unfinished:  # what was applied last may not have been recorded
+    if reason and is_cut_short(run):  # compare again without the rows that may lack a command
         complete = data_end - round(lag_s(run, longest_s) * rate_hz)
         shorter, ours_shorter = ([row for row in rows if row.end <= complete] for rows in (theirs, found))
         reason_before, identical_before = _difference(shorter, ours_shorter, late, exact=elsewhere is False)

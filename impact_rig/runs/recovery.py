@@ -44,7 +44,7 @@ from impact_rig.errors import CodecError, RecordingError
 from impact_rig.recording import description, losses, reader, records
 from impact_rig.recording.description import Attachment, Provenance, TopicDescription
 from impact_rig.recording.losses import check_contiguity, scan_rate_hz
-from impact_rig.recording.reader import mcap_files, run_files
+from impact_rig.recording.reader import Run, mcap_files, run_files
 from impact_rig.recording.records import RECORD_HEAD, DamageError, RawMessage, UncheckedError
 from impact_rig.recording.rigs import prefix_of
 from impact_rig.recording.writer import FOLLOWS, TAIL_RECORD_NAME, TAIL_SUFFIX, RunWriter, tail_of
@@ -342,7 +342,7 @@ class RecoverReport:
 
     @property
     def complete(self) -> bool:
-        """Whether nothing is known to be missing; a run that was never finished has no index to tell."""
+        """Return whether nothing is known to be missing; a run that was never finished has no index to tell."""
         return self.damage_count == 0 and not self.missing_messages
 
     def file(self, path: Path) -> FileReport:
@@ -388,7 +388,7 @@ class Recovered:
 
     @property
     def incomplete(self) -> bool:
-        """Whether anything is known to be missing."""
+        """Return whether anything is known to be missing."""
         return self.damages > 0 or bool(self.missing_messages)
 
     def to_record(self) -> dict[str, str]:
@@ -412,6 +412,18 @@ def read_record(record: Mapping[str, str]) -> Recovered | None:
         return Recovered(record["source"], *counts, missing, record["unfinished"] == "1")
     except (KeyError, ValueError) as error:
         raise DamageError(f"invalid metadata record {RECORD_NAME!r}: {error}") from error
+
+
+def is_cut_short(run: Run) -> bool:
+    """Return whether a run was recovered from a recording that was never finished.
+
+    Topics overtake each other on their way to a recorder, so messages that belong to the last scans may be missing.
+
+    Raises:
+        DamageError: the record of the recovery is invalid.
+    """
+    recovered = read_record(run.record(RECORD_NAME))
+    return recovered is not None and recovered.unfinished
 
 
 def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False) -> RecoverReport:

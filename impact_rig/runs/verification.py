@@ -52,8 +52,7 @@ from impact_rig.rig.resimulation import Resimulation, Sent
 from impact_rig.rig.truth import monitor_step
 from impact_rig.runs import structure
 from impact_rig.runs.reanalysis import Compared, lag_s, texts
-from impact_rig.runs.recovery import RECORD_NAME as RECOVERED_RECORD
-from impact_rig.runs.recovery import read_record
+from impact_rig.runs.recovery import is_cut_short
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, stamp_ns
 
 _NO_JOURNAL = (ConfigError, CommandError, SimulationError)  # errors of an incomplete journal, or one of no rig
@@ -130,8 +129,7 @@ def verify(run: Run) -> Verification:
         changes = ("the digests that its recorder wrote are missing",)
     not_checked = NOT_CHECKED if examined.has_digests else NOT_CHECKED_WITHOUT_DIGESTS
     found = _verify_content(run, changes)
-    recovered = read_record(run.record(RECOVERED_RECORD))
-    if not found.identical and recovered is not None and recovered.unfinished:
+    if not found.identical and is_cut_short(run):
         blocks, ahead = _complete_blocks(run)
         shorter = _verify_content(run, changes, blocks)
         if shorter.identical:
@@ -154,12 +152,12 @@ def _metadata_names(run: Run) -> Iterator[str]:
 
 
 def _verify_content(run: Run, changes: Sequence[str], blocks: int | None = None) -> Verification:
-    """Re-simulate a run and compare, and take what was changed after the recording for a difference.
+    """Re-simulate a run and compare it; changes made after the recording count as differences.
 
     Args:
         run: an open run.
-        changes: what was changed after the recording.
-        blocks: number of blocks of scans to compare, with what was published until then (default: all).
+        changes: changes made after the recording, one sentence each.
+        blocks: number of blocks of scans to compare, with all messages recorded before their end; None means all.
     """
     try:
         journals, waveforms, first, foreign = _journals(run)
@@ -169,11 +167,11 @@ def _verify_content(run: Run, changes: Sequence[str], blocks: int | None = None)
         return Verification(False if changes else None, 0, changes[0] if changes else "the journal is empty")
     if blocks is not None:
         last = max((number for number, _ in _assigned(_scans(run, blocks), journals, first)), default=first)
-        journals = journals[: last + 1]
-    sent = list(zip(journals, waveforms, strict=False))
-    with contextlib.closing(_Beside(run, foreign, sent, blocks)) as beside:
-        found = _verify_all(_scans(run, blocks), journals, first, beside)
-        compared = (Compared(topics.SCAN.name, found.scans, what="scans"), *beside.compared())
+        journals, waveforms = journals[: last + 1], waveforms[: last + 1]
+    sent = list(zip(journals, waveforms, strict=True))
+    with contextlib.closing(_OtherTopics(run, foreign, sent, blocks)) as others:
+        found = _verify_all(_scans(run, blocks), journals, first, others)
+        compared = (Compared(topics.SCAN.name, found.scans, what="scans"), *others.compared())
     differences = [*(str(one) for one in compared if one.difference), *changes]
     if found.identical is not False and (changes or (found.identical and differences)):
         found = attrs.evolve(found, identical=False, reason=differences[0])
@@ -185,16 +183,16 @@ def _scans(run: Run, blocks: int | None) -> Iterator[Table]:
 
 
 def _verify_all(
-    scans: Iterator[Table], journals: list[list[JournalEntry]], first: int, beside: _Beside
+    scans: Iterator[Table], journals: list[list[JournalEntry]], first: int, others: _OtherTopics
 ) -> Verification:
     compared, rest = 0, None
     for number, stretch in itertools.groupby(_assigned(scans, journals, first), key=lambda pair: pair[0]):
-        begun = journals[number][0]
-        is_reset = begun.kind is not InputKind.START  # otherwise the end of the previous rig is unknown
-        if rest is not None and is_reset and _is_missing(rest, begun.stamp_ns):
+        beginning = journals[number][0]
+        is_reset = beginning.kind is not InputKind.START  # otherwise the end of the previous rig is unknown
+        if rest is not None and is_reset and _is_missing(rest, beginning.stamp_ns):
             return _missing(rest, compared)
         following = journals[number + 1][0] if number + 1 < len(journals) else None
-        found, rest = _verify(journals[number], (table for _, table in stretch), beside, following)
+        found, rest = _verify(journals[number], (table for _, table in stretch), others, following)
         compared += found.scans
         if not found.identical:
             return attrs.evolve(found, scans=compared)
@@ -216,7 +214,7 @@ def _journals(run: Run) -> tuple[list[list[JournalEntry]], list[list[Sent]], int
     scan, journal = run.resolve(topics.SCAN.name), run.resolve(topics.JOURNAL.name)
     waveform = run.resolve(topics.WAVEFORM.name) if run.holds(topics.WAVEFORM) else ""
     sent: list[list[Sent]] = [[]]
-    begun, foreign, scans_seen, problem, received_ns = 0, 0, False, None, 0
+    starts, foreign, scans_seen, problem, received_ns = 0, 0, False, None, 0
     for message in run.messages([scan, journal, *([waveform] if waveform else [])], recorded_order=True):
         if message.topic == scan:
             scans_seen = True
@@ -233,14 +231,14 @@ def _journals(run: Run) -> tuple[list[list[JournalEntry]], list[list[Sent]], int
         except ConfigError as error:
             foreign, problem = foreign + 1, problem or error
             continue
-        begun += 0 if scans_seen else int(entry.kind in BEGINNINGS)
+        starts += 0 if scans_seen else int(entry.kind in BEGINNINGS)
         if not found or entry.kind in BEGINNINGS:
             sent += [[]] * bool(found)
             found.append([])
         found[-1].append(entry)
     if problem is not None and not found:
         raise problem
-    return found, _overlapping(found, sent), max(0, begun - 1), foreign
+    return found, _overlapping(found, sent), max(0, starts - 1), foreign
 
 
 def _overlapping(journals: list[list[JournalEntry]], sent: list[list[Sent]]) -> list[list[Sent]]:
@@ -264,8 +262,8 @@ def _assigned(scans: Iterable[Table], journals: list[list[JournalEntry]], first:
     number, before_ns = first, None
     for table in scans:
         while number + 1 < len(journals):
-            following, begun_ns = journals[number + 1][0], journals[number][0].stamp_ns
-            if following.kind is InputKind.RESET or following.stamp_ns > begun_ns:
+            following, start_ns = journals[number + 1][0], journals[number][0].stamp_ns
+            if following.kind is InputKind.RESET or following.stamp_ns > start_ns:
                 is_next = table.stamp_ns >= following.stamp_ns  # stamps continue
             else:
                 is_next = before_ns is not None and table.stamp_ns <= before_ns  # the rig was restarted, again at 0
@@ -277,23 +275,23 @@ def _assigned(scans: Iterable[Table], journals: list[list[JournalEntry]], first:
 
 
 def _verify(
-    journal: list[JournalEntry], scans: Iterator[Table], beside: _Beside, following: JournalEntry | None
+    journal: list[JournalEntry], scans: Iterator[Table], others: _OtherTopics, following: JournalEntry | None
 ) -> tuple[Verification, Block | None]:
     """Compare the blocks of one journal; also return the block that would come next."""
     compared = 0
     try:
-        again = beside.begin(journal)
+        again = others.begin(journal)
         for table in scans:
             block = next(again.blocks)
             while block.scan.stamp_ns < table.stamp_ns:  # the recorder started after the rig's first block
                 if compared and not block.lost:
                     return _missing(block, compared), None
-                beside.take(block)
+                others.compare(block)
                 block = next(again.blocks)
             difference = _difference(table, block.scan)
             if difference:
                 return Verification(False, compared, f"{topics.SCAN.name}{difference}"), None
-            beside.take(block)
+            others.compare(block)
             compared += len(table.rows)
         # nothing is simulated beyond the recorded scans, which the rig may never have reached, except up to a reset
         rest = None
@@ -301,9 +299,9 @@ def _verify(
         if reset_ns is not None:
             rest = _next(again)
             while rest is not None and rest.lost and rest.end_ns <= reset_ns:  # withheld until the end
-                beside.take(rest)
+                others.compare(rest)
                 rest = _next(again)
-        beside.end(reset_ns, last=following is None)
+        others.end(reset_ns, last=following is None)
     except _NO_JOURNAL as error:
         return Verification(None, compared, str(error)), None
     return Verification(True, compared), rest
@@ -428,15 +426,15 @@ class _Recorded:
         self._last_ns = stamp
         self._step()
 
-    def end(self, end_ns: int, *, anew: bool, lag_ns: int) -> None:
+    def end(self, end_ns: int, *, restarted: bool, lag_ns: int) -> None:
         """End the scans of a journal at a time: earlier messages that were not compared are unexpected.
 
         Args:
             end_ns: the time.
-            anew: whether another rig follows, with stamps that go back; the next messages may belong to it.
+            restarted: whether another rig follows, with stamps that go back; the next messages may belong to it.
             lag_ns: duration of the last stretch, whose messages may not have reached the recorder.
         """
-        if not anew and self.coming is not None and self.count and self._last_ns <= self.coming[0] < end_ns:
+        if not restarted and self.coming is not None and self.count and self._last_ns <= self.coming[0] < end_ns:
             self.compare(None)
         if self._absent_ns is not None and self._absent_ns < end_ns - lag_ns:
             self._differs(f" at {_s(self._absent_ns)} s: the message is missing")
@@ -478,7 +476,7 @@ class _Recorded:
             return
 
 
-class _Beside:
+class _OtherTopics:
     """Comparison of all topics except the scans.
 
     Args:
@@ -533,7 +531,7 @@ class _Beside:
             one.begin(entries[0].stamp_ns, self._end_ns)
         return self._again
 
-    def take(self, block: Block) -> None:
+    def compare(self, block: Block) -> None:
         """Compare the messages published with a block, recorded or withheld."""
         self._drain()
         self._end_ns = block.end_ns
@@ -567,9 +565,9 @@ class _Beside:
         for one in self._filters:
             for smoothed in one.feed(first, block.scan.rows):
                 self._smoothed.setdefault(smoothed.sample, []).append((one.step, smoothed))
-        self._hear_monitors(end - self._filters[-1].half)
+        self._compare_smoothed(end - self._filters[-1].half)
 
-    def _hear_monitors(self, end: float = math.inf) -> None:
+    def _compare_smoothed(self, end: float = math.inf) -> None:
         """Compare the monitor messages of scans before `end`."""
         rig = self._again.rig
         fitted = [one for config in self._again.configurations for one in config.instruments.fitted()]
@@ -585,7 +583,7 @@ class _Beside:
         if reset_ns is not None:
             self._again.finish(reset_ns)
             self._end_ns = reset_ns
-        self._hear_monitors()
+        self._compare_smoothed()
         self._drain()
         monitored_ns = self._end_ns
         if last and self._filters:  # the last monitor messages depend on scans that are not recorded
@@ -595,7 +593,9 @@ class _Beside:
         lag_ns = round(lag_s(self._run, rig.config.daq.block_scans / rig.rate_hz) * NS_PER_S)
         for recorded in self._ordered():
             recorded.end(
-                ends_ns.get(recorded, self._end_ns), anew=not last and reset_ns is None, lag_ns=lag_ns if last else 0
+                ends_ns.get(recorded, self._end_ns),
+                restarted=not last and reset_ns is None,
+                lag_ns=lag_ns if last else 0,
             )
         self._compare_journal(reset_ns is not None, lag_ns)
         for config in self._again.configurations:
@@ -630,8 +630,8 @@ class _Beside:
             recorded.close()
 
     def _ordered(self) -> Sequence[_Recorded]:
-        beside = self._applied, self._info, self._truth, self._impacts, self._faults, self._joints
-        return *beside, *(one.recorded for one in self._monitors)
+        tables = self._applied, self._info, self._truth, self._impacts, self._faults, self._joints
+        return *tables, *(one.recorded for one in self._monitors)
 
     def _drain(self) -> None:
         """Compare the effects of inputs since the last block."""
@@ -678,11 +678,11 @@ class _Beside:
     def _compare_configuration(self) -> Compared:
         """Compare each published or attached configuration with those that the journal leads to."""
         name = topics.CONFIGURATION.name
-        told = texts(self._run, topics.CONFIGURATION, self._blocks)
+        recorded = texts(self._run, topics.CONFIGURATION, self._blocks)
         attached = self._run.attachments().get(CONFIGURATION)
         count, found = 0, []
         try:
-            found = [parse(text.encode()) for text in told]
+            found = [parse(text.encode()) for text in recorded]
             opened = None if attached is None else parse(attached)
         except ConfigError as error:
             return Compared(name, count, f"text {len(found)}: {error}")
@@ -695,9 +695,9 @@ class _Beside:
         count = len(published) - since
         if opened is not None and _deciding(opened) not in [*published, *self._configurations]:
             return Compared(name, count, f"attachment {CONFIGURATION}: {self._unlike(_deciding(opened))}")
-        if not told:
+        if not recorded:
             return Compared(name, left_out="it is not in this run")
-        rest = f"{len(told) - count} belong to times before the first scan" if count < len(told) else ""
+        rest = f"{len(recorded) - count} belong to times before the first scan" if count < len(recorded) else ""
         return Compared(name, count, left_out=rest, what="texts")
 
     def _explained(self, published: Sequence[dict[str, object]]) -> int:
@@ -720,9 +720,9 @@ class _Beside:
         name = topics.ROBOT_DESCRIPTION.name
         if not self._run.holds(name):
             return Compared(name, left_out="it is not in this run")
-        told = texts(self._run, topics.ROBOT_DESCRIPTION, self._blocks)
-        wrong = [text for text in told if text not in self._descriptions]
-        return Compared(name, len(told), "it does not match the configuration" if wrong else "", what="texts")
+        recorded = texts(self._run, topics.ROBOT_DESCRIPTION, self._blocks)
+        wrong = [text for text in recorded if text not in self._descriptions]
+        return Compared(name, len(recorded), "it does not match the configuration" if wrong else "", what="texts")
 
 
 class _Monitor:
@@ -757,13 +757,13 @@ class _Monitor:
             fitted: the instruments of all configurations so far.
             calibrations: `daq/info` of all calibrations so far.
         """
-        comes = False
+        is_recorded = False
         for _ in self.recorded.before(stamp_ns + 1, stamp_ns):
-            comes = True
+            is_recorded = True
             is_sure = any(self.following[step] >= HALF_PERIODS for step, _ in made)
             self.recorded.compare((made, fitted, calibrations) if is_sure else ())
         for step, _ in made:
-            self.following[step] = self.following[step] + 1 if comes else 0
+            self.following[step] = self.following[step] + 1 if is_recorded else 0
 
     def _differ(self, found: dict[str, Any], made: tuple[Any, ...]) -> str:
         """Return the difference of a message from all that the configurations and calibrations so far allow."""
@@ -784,9 +784,9 @@ class _Monitor:
 def _monitor_rates_hz(run: Run) -> set[float]:
     """Return the monitor rates of all recorded configurations."""
     usual_hz = RigConfig().output.monitor_rate_hz
-    told = [text.encode() for text in texts(run, topics.CONFIGURATION)]
-    rates_hz = set() if told else {usual_hz}
-    for found in [*told, run.attachments().get(CONFIGURATION)]:
+    recorded = [text.encode() for text in texts(run, topics.CONFIGURATION)]
+    rates_hz = set() if recorded else {usual_hz}
+    for found in [*recorded, run.attachments().get(CONFIGURATION)]:
         with contextlib.suppress(ConfigError):  # reported by the comparison of configurations
             rates_hz |= {parse(found).output.monitor_rate_hz} if found is not None else set()
     return rates_hz or {usual_hz}
