@@ -47,7 +47,7 @@ def _serve(ending: Ending) -> int:
         source = LiveSource(domain_id, namespace)
         with Server(source, host, port, kept_token()) as server, source:
             print(f"lab: {server.address}", flush=True)  # noqa: T201  # the address is the purpose of this program
-            while not ending.told:
+            while not ending.received:
                 time.sleep(WATCH_S)
     except ImpactRigError as error:
         print(f"lab_node: {error}", file=sys.stderr)  # noqa: T201

@@ -147,13 +147,13 @@ def _run(chosen: argparse.Namespace, ending: Ending | None) -> int:
     try:
         result: int = chosen.run(chosen)
     except ImpactRigError as error:
-        if ending is None or not ending.told:  # else it is only what became of the signal
+        if ending is None or not ending.received:  # else it is only what became of the signal
             about_content = isinstance(error, (ValueError, OSError))  # not the last lines of a process that died
             text = one_line(str(error), lines=not about_content)
             print(f"{PROGRAM} {chosen.command}: {text}", file=sys.stderr)  # noqa: T201  # a command line tool talks
         return EXIT_ERROR
     except OSError as error:
-        if isinstance(error, BrokenPipeError) or (ending is not None and ending.told):
+        if isinstance(error, BrokenPipeError) or (ending is not None and ending.received):
             raise
         where = f"{error.filename}: " if error.filename else ""
         print(f"{PROGRAM} {chosen.command}: {visible(where)}{error.strerror or error}", file=sys.stderr)  # noqa: T201

@@ -199,7 +199,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
 
     def __init__(self, name: str, tree: Tree[S], **kwargs: Any) -> None:
         super().__init__(name, **kwargs)
-        self.is_told_to_end: Callable[[], bool] = lambda: False
+        self.is_ending: Callable[[], bool] = lambda: False
         """Whether the process is about to end; the end of other nodes is then expected."""
         self.quitting = False  # whether a client has requested the end of the process
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -289,7 +289,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
 
     @property
     def active(self) -> bool:
-        """Whether the node is in the lifecycle state `active`."""
+        """Return whether the node is in the lifecycle state `active`."""
         return self.state == "active"
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any) -> Any:
@@ -598,7 +598,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
     # Diagnostics
 
     def _report_when_due(self) -> None:
-        if self.is_told_to_end():
+        if self.is_ending():
             return
         if time.monotonic() - self._reported_at >= DIAGNOSTICS_PERIOD_S or self._judged() != self._reported:
             self.report_now()
@@ -607,7 +607,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
 
     def report_change(self) -> None:
         """Publish the present status if the state differs from the last published one."""
-        if self.present().word != self._word and not self.is_told_to_end():
+        if self.present().word != self._word and not self.is_ending():
             self.report_now()
 
     def present(self) -> NodeState:

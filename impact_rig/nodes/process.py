@@ -110,11 +110,11 @@ def run(make_node: Callable[[], ManagedNode[Any]], ending: Ending) -> int:
         print(f"cannot start: {' '.join(str(error).split())}", file=sys.stderr)  # noqa: T201  # there is no logger yet
         rclpy.try_shutdown()
         return EXIT_USAGE
-    node.is_told_to_end = lambda: bool(ending.told) or node.quitting
+    node.is_ending = lambda: bool(ending.received) or node.quitting
     try:
         executor.add_node(node)
         frozen = False
-        while node.context.ok() and not node.is_told_to_end():
+        while node.context.ok() and not node.is_ending():
             try:
                 spin(executor, SPIN_S)
             except (ExternalShutdownException, KeyboardInterrupt):

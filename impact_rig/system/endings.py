@@ -54,21 +54,21 @@ class Ending:
 
     def __init__(self, name: str, code: Callable[[int], int] = lambda number: 128 + number) -> None:
         self.name = name
-        self.told = 0  # number of the first signal; 0 before
+        self.received = 0  # number of the first signal; 0 before
         self.reason = ""  # reason, if the signal alone does not tell it
         self.code = code
-        self._told_at = 0.0
+        self._received_at = 0.0
         self._cut_short = False
         self._answer = self._end_here
         for number in SIGNALS:
-            signal.signal(number, self._take)
+            signal.signal(number, self._on_signal)
 
     def run(self, work: Callable[[], int], *, interrupting: bool = True) -> int:
         """Do the work, and return its exit code or that of the first signal.
 
         Args:
             work: main function of the program.
-            interrupting: whether a signal raises `SignalReceived`; otherwise the work checks `told` itself.
+            interrupting: whether a signal raises `SignalReceived`; otherwise the work checks `received` itself.
         """
         signal.signal(signal.SIGALRM, self._remind)
         sys.unraisablehook = self._unraisable
@@ -77,9 +77,9 @@ class Ending:
             code = self._do(work, self._interrupt if interrupting else lambda: None)
         except SignalReceived:  # a signal at the moment the work was done
             self._over()
-        if self.told:
-            self._say()
-            code = self.code(self.told)
+        if self.received:
+            self._report()
+            code = self.code(self.received)
             last = threading.Timer(LAST_S, os._exit, (code,))  # threads of other libraries may never end
             last.daemon = True
             last.start()
@@ -90,7 +90,7 @@ class Ending:
             self._answer = answer
             return work()
         except BaseException:  # exception into which other code has turned the first signal
-            if not self.told:
+            if not self.received:
                 raise
             return 0
         finally:
@@ -109,35 +109,35 @@ class Ending:
                 ignored = True
         signal.setitimer(signal.ITIMER_REAL, 0.0)
 
-    def _take(self, number: int, _frame: FrameType | None) -> None:
-        if not self.told:
-            self.told, self._told_at = number, time.monotonic()
+    def _on_signal(self, number: int, _frame: FrameType | None) -> None:
+        if not self.received:
+            self.received, self._received_at = number, time.monotonic()
             self._answer()
 
     def _interrupt(self) -> None:
         signal.setitimer(signal.ITIMER_REAL, AGAIN_S, AGAIN_S)
-        _raise_unless_unhurried()
+        _raise_unless_deferred()
 
     def _remind(self, _number: int, _frame: FrameType | None) -> None:
-        if time.monotonic() - self._told_at > PATIENCE_S:
+        if time.monotonic() - self._received_at > PATIENCE_S:
             self._end_here()
-        _raise_unless_unhurried()
+        _raise_unless_deferred()
 
     def _end_here(self) -> None:
         if self._cut_short:  # a second signal arrived while a stream waited for a lock that is never released
-            os._exit(self.code(self.told))
+            os._exit(self.code(self.received))
         self._cut_short = True
-        self._say()
+        self._report()
         for stream in (sys.stdout, sys.stderr):
             with contextlib.suppress(OSError, ValueError, RuntimeError):  # closed, or being written at this moment
                 stream.flush()
-        os._exit(self.code(self.told))
+        os._exit(self.code(self.received))
 
-    def _say(self) -> None:
-        if not self.reason and self.code(self.told) == 0:  # a signal is the regular end of this program
+    def _report(self) -> None:
+        if not self.reason and self.code(self.received) == 0:  # a signal is the regular end of this program
             return
         with contextlib.suppress(OSError):  # the reader may be gone
-            os.write(2, f"{self.name}: {_WORDS[signal.Signals(self.told)]}{self.reason}\n".encode())
+            os.write(2, f"{self.name}: {_WORDS[signal.Signals(self.received)]}{self.reason}\n".encode())
 
     def _unraisable(self, unraisable: sys.UnraisableHookArgs) -> None:
         if not isinstance(unraisable.exc_value, SignalReceived):
@@ -204,7 +204,7 @@ def _poll(parent: int) -> None:
         time.sleep(0.5)
 
 
-def _raise_unless_unhurried() -> None:
+def _raise_unless_deferred() -> None:
     if _Deferred.depth:
         _Deferred.owed = True
     else:

@@ -52,11 +52,11 @@ class Watch:
 
     Args:
         directory: directory of the segments.
-        look_s: interval between two checks [s].
+        poll_s: interval between two checks [s].
     """
 
-    def __init__(self, directory: Path = SHARED, sample_s: float = POLL_S) -> None:
-        self._directory, self._period_s = directory, sample_s
+    def __init__(self, directory: Path = SHARED, poll_s: float = POLL_S) -> None:
+        self._directory, self._period_s = directory, poll_s
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run, name="segments", daemon=True)
 

@@ -135,7 +135,7 @@ def test_a_node_that_is_told_to_end_has_no_more_news(user: Client) -> None:
     user.wait_active("small")
     reports = user.listen("/diagnostics")
     user.wait_until(lambda: reports.messages, "a report")
-    node.is_told_to_end = lambda: True
+    node.is_ending = lambda: True
     ticks = node.ticks
     node.health = lambda: (Level.ERROR, "somebody has gone")  # would be reported within 0.1 s
     user.wait_until(lambda: node.ticks > ticks + 100, "a second of its timer")

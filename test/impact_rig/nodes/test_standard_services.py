@@ -307,17 +307,17 @@ def test_a_rig_that_is_told_to_quit_says_so(user: User) -> None:
 
 
 def test_a_node_that_quits_ends_its_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    ending = SimpleNamespace(told=0)
+    ending = SimpleNamespace(received=0)
     made = []
 
     def make_node() -> RigNode:
         node = RigNode(parameter_overrides=ros_parameters({"output.autostart": False}))
         node.quitting = True
-        node.steady_timer(5.0, lambda: setattr(ending, "told", 1))
+        node.steady_timer(5.0, lambda: setattr(ending, "received", 1))
         made.append(node)
         return node
 
     with isolated_domain() as domain_id:
         monkeypatch.setenv("ROS_DOMAIN_ID", str(domain_id))
         assert process.run(make_node, ending) == 0
-    assert (len(made), ending.told) == (1, 0)
+    assert (len(made), ending.received) == (1, 0)
