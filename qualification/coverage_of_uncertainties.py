@@ -98,7 +98,7 @@ class Deviation:
 
     @property
     def inside(self) -> bool:
-        """Whether ±2u covers the truth."""
+        """Return whether ±2u covers the truth."""
         return abs(self.error) <= 2.0 * self.u
 
 

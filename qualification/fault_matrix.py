@@ -270,7 +270,7 @@ class Outcome:
 
     @property
     def passes(self) -> bool:
-        """Whether no row that looks good is wrong."""
+        """Return whether no row that looks good is wrong."""
         return self.within or not (self.worst > WORST_U or self.claims)
 
     @property

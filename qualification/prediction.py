@@ -66,12 +66,12 @@ class Compared:
 
     @property
     def two_per_cycle(self) -> bool:
-        """Whether the measurement repeats every cycle with two impacts; the two half cycles may differ."""
+        """Return whether the measurement repeats every cycle with two impacts; the two half cycles may differ."""
         return self.regime == "periodic" and self.period == 1.0 and abs(self.impacts_per_cycle - 2.0) < 0.05
 
     @property
     def predicted(self) -> bool:
-        """Whether a stable symmetric motion is predicted."""
+        """Return whether a stable symmetric motion is predicted."""
         return not math.isnan(self.predicted_dt)
 
 

@@ -19,39 +19,38 @@ import pytest
 
 from tools import prose_lint
 
+FIRST_LINES = [
+    (prose_lint.is_noun_phrase, True, "Flow control for `daq/scan`."),
+    (prose_lint.is_noun_phrase, True, "Readers of one run."),
+    (prose_lint.is_noun_phrase, True, "Run and report of a job."),
+    (prose_lint.is_noun_phrase, False, "What a job gave."),
+    (prose_lint.is_noun_phrase, False, "Gives back the messages of a run."),
+    (prose_lint.is_noun_phrase, False, "Reads a file."),
+    (prose_lint.is_noun_phrase, False, "One that waits."),
+    (prose_lint.is_noun_phrase, False, "Of a node: its topics."),
+    (prose_lint.is_noun_phrase, False, "Everything about a topic."),
+    (prose_lint.is_imperative, True, "Decode a received table."),
+    (prose_lint.is_imperative, True, "Return whether the rig is ready."),
+    (prose_lint.is_imperative, True, "Return how many scans were lost."),
+    (prose_lint.is_imperative, False, "Return what was lost."),
+    (prose_lint.is_imperative, False, "Whether the rig is ready."),
+    (prose_lint.is_imperative, False, "A decoded table."),
+    (prose_lint.is_imperative, False, "Hear from a peer."),
+]
+
+
+@pytest.mark.parametrize(("check", "good", "line"), FIRST_LINES)
+def test_a_class_begins_with_a_noun_phrase_and_a_function_with_an_imperative(check, good, line):
+    assert check(line) is good
+
 
 @pytest.mark.parametrize(
-    ("line", "good"),
-    [
-        ("Flow control for `daq/scan`.", True),
-        ("Readers of one run.", True),
-        ("Run and report of a job.", True),
-        ("What a job gave.", False),
-        ("Gives back the messages of a run.", False),
-        ("Reads a file.", False),
-        ("One that waits.", False),
-        ("Of a node: its topics.", False),
-        ("Everything about a topic.", False),
-    ],
+    ("line", "count"),
+    [("Number of scans.", 0), ("Return whether the rig is ready.", 0), ("Whether the rig is ready.", 1)],
 )
-def test_a_class_begins_with_a_noun_phrase(line, good):
-    assert prose_lint.is_noun_phrase(line) is good
-
-
-@pytest.mark.parametrize(
-    ("line", "good"),
-    [
-        ("Decode a received table.", True),
-        ("Return whether the rig is ready.", True),
-        ("Return how many scans were lost.", True),
-        ("Return what was lost.", False),
-        ("Whether the rig is ready.", False),
-        ("A decoded table.", False),
-        ("Hear from a peer.", False),
-    ],
-)
-def test_a_function_begins_with_an_imperative(line, good):
-    assert prose_lint.is_imperative(line) is good
+def test_a_property_begins_with_a_noun_phrase_or_with_return(line, count):
+    tree = ast.parse(f'@property\ndef one(self):\n    """{line}"""')
+    assert len(list(prose_lint.of_docstrings("x.py", tree, heads=True))) == count
 
 
 @pytest.mark.parametrize(

@@ -180,11 +180,7 @@ def of_docstrings(file: str, tree: ast.Module, *, heads: bool) -> Iterator[Findi
         first = text.split("\n", maxsplit=1)[0]
         decorators = " ".join(ast.unparse(one) for one in getattr(node, "decorator_list", ()))
         if isinstance(node, ast.Module | ast.ClassDef) or "property" in decorators:
-            good = (
-                is_noun_phrase(first)
-                or ("property" in decorators and (first.startswith("Whether ") or is_imperative(first)))
-                or first.startswith("`python")
-            )
+            good = is_noun_phrase(first) or first.startswith("`python")
         else:
             good = is_imperative(first)
         if heads and not good:

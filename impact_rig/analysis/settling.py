@@ -150,7 +150,7 @@ class ImpactPause:
 
     @property
     def is_waiting(self) -> bool:
-        """Whether the sphere may still strike within the waiting time."""
+        """Return whether the sphere may still strike within the waiting time."""
         return self.since_s < self.bound_s
 
 
@@ -257,12 +257,12 @@ class Judge:
 
     @property
     def late(self) -> bool:
-        """Whether the next row is overdue: the response no longer agrees with the newest row."""
+        """Return whether the next row is overdue: the response no longer agrees with the newest row."""
         return self._reported and self._since_row > self._span
 
     @property
     def pending(self) -> bool:
-        """Whether windows have been added since the newest row."""
+        """Return whether windows have been added since the newest row."""
         return self._since_row > 0
 
     @property

@@ -133,7 +133,7 @@ class Tracker:
 
     @property
     def is_calibrated(self) -> bool:
-        """Whether `daq/info` has arrived; without it no scan can be measured."""
+        """Return whether `daq/info` has arrived; without it no scan can be measured."""
         return self._calibration is not None
 
     def configure(self, info: Table) -> None:

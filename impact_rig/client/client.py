@@ -180,12 +180,12 @@ class Activation:
 
     @property
     def is_overdue(self) -> bool:
-        """Whether a known rig has not reported for a while."""
+        """Return whether a known rig has not reported for a while."""
         return self._is_there and self._clock() - self._heard_at > DIAGNOSTICS_PERIOD_S
 
     @property
     def _is_changing(self) -> bool:
-        """Whether diagnostics of the previous rig may still arrive."""
+        """Return whether diagnostics of the previous rig may still arrive."""
         return self._clock() - self._changed_at <= DELIVERY_S
 
     def heard(self, instance: str) -> None:

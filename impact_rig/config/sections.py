@@ -234,7 +234,7 @@ class Time:
 
     @property
     def publishes_clock(self) -> bool:
-        """Whether the rig publishes /clock."""
+        """Return whether the rig publishes /clock."""
         return self.is_simulated if self.publish_clock == "auto" else self.publish_clock == "always"
 
 

@@ -162,7 +162,7 @@ class DaqmxTask:
 
     @property
     def is_active(self) -> bool:
-        """Whether it is running or waits for its trigger."""
+        """Return whether it is running or waits for its trigger."""
         return self.state in {State.ARMED, State.RUNNING}
 
     @property

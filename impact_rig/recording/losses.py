@@ -192,7 +192,7 @@ class Contiguity:
 
     @property
     def whole(self) -> bool:
-        """Whether nothing is missing and nothing is duplicated."""
+        """Return whether nothing is missing and nothing is duplicated."""
         return not self.gaps
 
 

@@ -149,7 +149,7 @@ class RunWriter:
 
     @property
     def closed(self) -> bool:
-        """Whether the run has ended: finished, or stopped by an error."""
+        """Return whether the run has ended: finished, or stopped by an error."""
         return self._closed
 
     @property

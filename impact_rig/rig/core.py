@@ -213,7 +213,7 @@ class Rig:
 
     @property
     def plucked(self) -> bool:
-        """Whether the base is locked after a pluck, until the next reset."""
+        """Return whether the base is locked after a pluck, until the next reset."""
         return self._simulation.locked
 
     @property
@@ -223,13 +223,13 @@ class Rig:
 
     @property
     def is_driven(self) -> bool:
-        """Whether an amplitude is commanded, or samples of a stream are active."""
+        """Return whether an amplitude is commanded, or samples of a stream are active."""
         stream = self._generator.stream
         return self.target_amplitude != 0.0 if stream is None else stream.state is StreamState.PLAYING
 
     @property
     def takes_samples(self) -> bool:
-        """Whether the drive is a stream."""
+        """Return whether the drive is a stream."""
         return self._generator.stream is not None
 
     @property

@@ -48,7 +48,7 @@ class Checksums:
 
     @property
     def complete(self) -> bool:
-        """Whether every message and every attachment is covered."""
+        """Return whether every message and every attachment is covered."""
         return (self.chunks, self.outside, self.attachments) == (
             self.checked_chunks,
             self.checked_outside,

@@ -62,7 +62,7 @@ class Point:
 
     @property
     def settled(self) -> bool:
-        """Whether all its rows are settled measurements."""
+        """Return whether all its rows are settled measurements."""
         return len(self.rows) > 0 and not self.failure
 
     @property
@@ -97,7 +97,7 @@ class Point:
 
     @property
     def impacts(self) -> bool:
-        """Whether the sphere strikes at all."""
+        """Return whether the sphere strikes at all."""
         return self.impacts_per_cycle >= IMPACTING
 
     @property

@@ -89,7 +89,7 @@ class Finished:
 
     @property
     def imported(self) -> bool:
-        """Whether the points are measurements of an external rig."""
+        """Return whether the points are measurements of an external rig."""
         return (self.directory / CALIBRATION_FILE).exists()
 
     @property

@@ -52,7 +52,7 @@ class SettledMotion(NamedTuple):
 
     @property
     def repeats(self) -> bool:
-        """Whether it is a periodic orbit."""
+        """Return whether it is a periodic orbit."""
         return self.regime == Regime.PERIODIC.value and not self.u
 
 

@@ -64,7 +64,7 @@ class Abscissa:
 
     @property
     def is_even(self) -> bool:
-        """Whether the file states one spacing for all values."""
+        """Return whether the file states one spacing for all values."""
         return self.step is not None
 
     def __str__(self) -> str:

@@ -86,7 +86,7 @@ class Operator(Generic[R]):
 
     @property
     def busy(self) -> bool:
-        """Whether the run is still going on."""
+        """Return whether the run is still going on."""
         return self.run.state is SweepState.RUNNING
 
     def begin(self, now_ns: int) -> None:

@@ -67,7 +67,7 @@ class Outcome:
 
     @property
     def well(self) -> bool:
-        """Whether this is a proof, and a good one."""
+        """Return whether this is a proof, and a good one."""
         return self.equal > 0 and not self.different and self.held != "NO"
 
 
