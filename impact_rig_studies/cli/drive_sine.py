@@ -58,7 +58,7 @@ from impact_rig_studies.operate.stepped_sine import (
     SweepState,
 )
 
-HELD_UNITS = {Hold.BASE: "m", Hold.SUPERIOR: "m", Hold.CURRENT: "A"}
+HELD_UNITS: Mapping[str, str] = {Hold.BASE: "m", Hold.SUPERIOR: "m", Hold.CURRENT: "A"}
 SHOWN = 12  # samples of a lock that are printed; all of them are in the CSV
 
 
@@ -167,7 +167,7 @@ def _job(arguments: argparse.Namespace) -> Job:
 
 
 def _hold(arguments: argparse.Namespace) -> int:
-    unit = HELD_UNITS[Hold(arguments.what)]
+    unit = HELD_UNITS[arguments.what]
     try:
         target = positive(unit).number(arguments.target)
     except ConfigError as error:

@@ -80,7 +80,7 @@ class Sample(NamedTuple):
 
     @property
     def sound(self) -> bool:
-        """Whether all three are finite, and base and current are not zero."""
+        """Return whether all three are finite, and base and current are not zero."""
         sizes = abs(self.base), abs(self.superior), abs(self.current)
         return all(map(math.isfinite, sizes)) and sizes[0] > 0.0 and sizes[2] > 0.0
 
@@ -157,7 +157,7 @@ class LockSettings:
 
 @attrs.frozen(kw_only=True)
 class LockPlan(LockSettings):
-    """Search for a resonance, and what follows it.
+    """Plan of the search for a resonance, of its tracking and of the dwell there.
 
     Raises:
         ConfigError: an invalid value; the message names it.
@@ -235,7 +235,7 @@ class PhaseLock:
 
     @property
     def locked(self) -> bool:
-        """Whether the phase is held now."""
+        """Return whether the phase is held now."""
         return self.state is SweepState.RUNNING and self.stage is Stage.LOCKED
 
     def start(self, now_ns: int) -> Setpoint:

@@ -28,6 +28,7 @@ from __future__ import annotations
 
 import enum
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import attrs
@@ -307,7 +308,11 @@ class Hold(enum.StrEnum):
     SUPERIOR = "superior"
 
 
-COLUMN = {Hold.CURRENT: "current_amplitude", Hold.BASE: "base_amplitude", Hold.SUPERIOR: "laser_amplitude"}
+COLUMN: Mapping[str, str] = {
+    Hold.CURRENT: "current_amplitude",
+    Hold.BASE: "base_amplitude",
+    Hold.SUPERIOR: "laser_amplitude",
+}
 """Column of `transmissibility/table` for each quantity."""
 LARGEST_STEP = 3.0  # largest factor of a single change of the current
 SLOPES = (0.3, 3.0)  # range of d ln amplitude / d ln current that a correction uses
@@ -360,7 +365,7 @@ class ControlledSine(SteppedSine):
         rows = self.rows
         found = sweep_rows(rows)
         found["target"], found["corrections"] = self._hold.target, self._tries[: len(rows)]
-        found["error"] = rows[COLUMN[Hold(self._hold.hold)]] / self._hold.target - 1.0
+        found["error"] = rows[COLUMN[self._hold.hold]] / self._hold.target - 1.0
         found["held"] = np.abs(found["error"]) <= self._hold.tolerance
         return found
 
@@ -382,7 +387,7 @@ class ControlledSine(SteppedSine):
         return None
 
     def _adjusted(self, row: np.void, now_ns: int) -> Setpoint | None:
-        superior, reached = float(row["laser_amplitude"]), float(row[COLUMN[Hold(self._hold.hold)]])
+        superior, reached = float(row["laser_amplitude"]), float(row[COLUMN[self._hold.hold]])
         if superior > self._hold.superior_limit_m:
             return self._abort(f"the superior base swings {superior * 1e3:.3g} mm at {self.frequency_hz:g} Hz")
         close = abs(reached / self._hold.target - 1.0) <= self._hold.tolerance

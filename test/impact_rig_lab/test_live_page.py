@@ -526,10 +526,10 @@ def sweep(lab: Lab, page: Page) -> None:
     page.click("#sweep-stop")
     page.wait("lab.now.sweep.text.startsWith('aborted')", "the end of it")
     page.choose("#sweep-hold", "phase")
-    looks = lab.client.collect("sweep/table")
+    samples = lab.client.collect("sweep/table")
     page.click("#sweep-start")
-    lab.until(lambda: len(looks.rows()), "a look at the scans")
-    assert looks.rows()["frequency"][0] == 8.0
+    lab.until(lambda: len(samples.rows()), "a sample of the lock")
+    assert samples.rows()["frequency"][0] == 8.0
     page.wait("/^(seeking|tracking|locked) at/.test(lab.now.sweep.text)", "the search for the resonance")
     page.click("#sweep-stop")
     page.wait("lab.now.sweep.text === 'aborted: stopped by the operator'", "the end of the lock")

@@ -165,7 +165,7 @@ def test_the_start_lies_within_the_bounds():
         attrs.evolve(PLAN, start_hz=30.0)
 
 
-def test_a_ladder_tells_jumps():
+def test_an_amplitude_sweep_reports_jumps():
     class Jumping(Resonance):
         def set(self, setpoint):
             super().set(setpoint)
