@@ -100,7 +100,7 @@ def run(arguments: argparse.Namespace) -> int:
         source: Any = None
         stack.callback(lambda: _say_where(source))  # last of all: the recorder has finished by then
         source = _source(arguments, stack)
-        source.theory.beside = branches
+        source.theory.branches = branches
         server = stack.enter_context(Server(source, arguments.host, arguments.port, kept_token(), runs))
         stack.enter_context(source)
         console.print("impact_rig lab: open this address in a browser; Ctrl-C ends it", soft_wrap=True)

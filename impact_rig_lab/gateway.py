@@ -144,7 +144,7 @@ class Gateway:
         }
         self._actions |= {do: functools.partial(self._trigger, name) for do, name in TRIGGERS.items()}
         self._actions |= {do: functools.partial(self._command, do) for do in COMMANDS}
-        self._actions |= {do: functools.partial(self._parameter, *told) for do, told in PARAMETERS.items()}
+        self._actions |= {do: functools.partial(self._parameter, *target) for do, target in PARAMETERS.items()}
         for name in PREPARED:
             client.prepare(Trigger, name)
         client.prepare(SetBool, "rig/pause")
@@ -182,16 +182,16 @@ class Gateway:
 
     def take(self) -> bool:
         """Process the messages received since the last call; return whether there were any."""
-        came = False
+        received = False
         for topic, subscription in self._samples.items():
             found = list(itertools.islice(take_messages(subscription, raw=True), MOST_PER_LOOK))
-            came = came or bool(found)
+            received = received or bool(found)
             if self.record.since_ns() > self.record.start_ns:
                 continue  # scan 0 of this rig is unknown: it would continue where the previous rig ended
             with self.record.lock:
                 for data in found:
                     self.record.take(topic, data)
-        return came
+        return received
 
     def seen(self, node: str) -> Seen:
         """Return the last report of a node, and its age."""
@@ -236,7 +236,7 @@ class Gateway:
 
     @property
     def is_busy(self) -> bool:
-        """Whether an action is in progress."""
+        """Return whether an action is in progress."""
         return bool(self._running)
 
     def watch(self) -> None:
@@ -309,10 +309,10 @@ class Gateway:
         request = SetParametersAtomically.Request(parameters=[one.to_parameter_msg() for one in ros_parameters(values)])
         await self._call(SetParametersAtomically, f"{node}/set_parameters_atomically", request)
         if node == "rig":
-            told = {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()}
+            target = {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()}
             knobs = self.record.knobs
             await self.until(
-                lambda: all(self.record.knobs.get(name) == value for name, value in told.items())
+                lambda: all(self.record.knobs.get(name) == value for name, value in target.items())
                 or self.record.knobs is not knobs, "rig/configuration", ECHO_S,
             )  # fmt: skip
 

@@ -41,11 +41,9 @@ if TYPE_CHECKING:
     from impact_rig_lab.gateway import Gateway, OwnedProcesses
 
 POLL_S = 0.02  # interval between two checks for data while a page is open
-FAST_POLL_S = 0.5  # the same while rig time runs faster than real time
-SUBSCRIBE_S, PAUSE_S = (
-    0.1,
-    1.4,
-)  # if the rig is too fast to follow: durations of listening and of not listening to scans
+FAST_RIG_POLL_S = 0.5  # the same while rig time runs faster than real time
+SUBSCRIBE_S, PAUSE_S = 0.1, 1.4
+"""Durations of listening and of not listening to scans, if the rig is too fast to follow."""
 TURN_S = 0.05  # longest turn of the loop while a page is open, which delays its requests
 IDLE_S = 0.2
 LATE_S = 5.0  # longest delay of a rig's first diagnostics after its other messages
@@ -143,8 +141,8 @@ class LiveSource(Source):
         """
         if self._gateway is None:
             return
-        came = self._gateway.take()
-        self._listens = self._pace.is_followed or self._gateway.is_busy or not (self._listens and came)
+        received = self._gateway.take()
+        self._listens = self._pace.is_followed or self._gateway.is_busy or not (self._listens and received)
         self._gateway.listen(self.watchers > 0 and self._listens, self._pace.is_followed)
 
     def _until_next_look(self) -> float:
@@ -153,7 +151,7 @@ class LiveSource(Source):
         if not self._pace.is_hurried or (self._gateway is not None and self._gateway.is_busy):
             return POLL_S
         if self._pace.is_followed:
-            return FAST_POLL_S
+            return FAST_RIG_POLL_S
         return SUBSCRIBE_S if self._listens else PAUSE_S
 
     def _until_next_word(self) -> float:
@@ -259,9 +257,9 @@ def _waits(rig: Seen) -> bool:
     return rig.lives and "rig_time_s" not in rig.figures
 
 
-def _stamp(told: str) -> int:
+def _stamp(text: str) -> int:
     """Return a stamp of the diagnostics [ns], or 0 if it is invalid."""
-    return int(told) if re.fullmatch("[0-9]{1,19}", told) else 0
+    return int(text) if re.fullmatch("[0-9]{1,19}", text) else 0
 
 
 def _lost(seen: Mapping[str, Seen]) -> dict[str, float] | None:

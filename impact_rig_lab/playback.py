@@ -343,15 +343,15 @@ class PlaybackSource(Source):
 
     def _run(self) -> None:
         before = time.monotonic()
-        told = marked = 0.0
+        reported = marked = 0.0
         while not self.end.wait(TICK_S):
             self.guard("requests", self._obey)
             now = time.monotonic()
             if self._playing and self.watchers:
                 self.guard("playing", lambda: self._play(self.now_s + (now - before) * self._speed))  # noqa: B023
             before = now
-            if now - told >= TELL_S:
-                told = now
+            if now - reported >= TELL_S:
+                reported = now
                 self.guard("state", self._tell)
             if now - marked >= MARKS_S:
                 marked = now

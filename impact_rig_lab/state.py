@@ -91,7 +91,7 @@ class Seen:
 
     @property
     def lives(self) -> bool:
-        """Whether it reported recently, and its process has not ended."""
+        """Return whether it reported recently, and its process has not ended."""
         return not self.ended and self.age_s is not None and self.age_s <= DEAD_S
 
     def part(self) -> dict[str, Any]:
@@ -180,12 +180,12 @@ class Pace:
 
     @property
     def is_hurried(self) -> bool:
-        """Whether rig time runs faster than real time."""
+        """Return whether rig time runs faster than real time."""
         return self.speed > FAST_FACTOR
 
     @property
     def is_followed(self) -> bool:
-        """Whether the motion is slow enough to follow."""
+        """Return whether the motion is slow enough to follow."""
         return self.speed <= FOLLOWED
 
     def read(self, rig_s: float, instance: str = "", *, stands: bool = False) -> float:
@@ -366,15 +366,15 @@ class Source(abc.ABC):
             parts: functions that return the parts; `applied`, `dt` and `dt_now` are among them.
             values: the rig's parameters by name, for the theory; empty if unknown.
         """
-        told: dict[str, Any] = {}
+        content: dict[str, Any] = {}
         for name, make in parts.items():
-            self.guard(f"state of {name}", lambda name=name, make=make: told.update({name: make()}))  # type: ignore[misc]
-        told["refused"] = {name: list(found) for name, found in self._refusals().items()}
-        rows, now = told.get("dt"), told.get("dt_now")
+            self.guard(f"state of {name}", lambda name=name, make=make: content.update({name: make()}))  # type: ignore[misc]
+        content["refused"] = {name: list(found) for name, found in self._refusals().items()}
+        rows, now = content.get("dt"), content.get("dt_now")
         prediction = self.snapshot.get("prediction") or {}
-        told["other_motion"] = contradiction(prediction, rows[-1]["ipc"]) if rows and now and now["holds"] else ""
-        self.snapshot.put(**told)
-        drive = told.get("applied")
+        content["other_motion"] = contradiction(prediction, rows[-1]["ipc"]) if rows and now and now["holds"] else ""
+        self.snapshot.put(**content)
+        drive = content.get("applied")
         if values and drive is not None and self.watchers:
             self.theory.want(values, drive["current"])
 
@@ -389,8 +389,8 @@ def glossary() -> dict[str, str]:
     words: dict[str, str] = {}
     for node, table in states.BY_NODE.items():
         for word in table:
-            told = f"Of the {plain(node)}: {word.doc}."
-            words[plain(word)] = f"{words[plain(word)]} {told}" if plain(word) in words else told
+            sentence = f"Of the {plain(node)}: {word.doc}."
+            words[plain(word)] = f"{words[plain(word)]} {sentence}" if plain(word) in words else sentence
     measured = {plain(word): word.doc for table in (Status, Regime) for word in table}
     own = json.loads((Path(__file__).parent / "words.json").read_text(encoding="utf-8"))
     return {**laws, **faults, **words, **measured, **own}

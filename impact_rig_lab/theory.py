@@ -177,12 +177,12 @@ class Theory:
     """Background computation of predictions; only the newest request counts.
 
     Args:
-        told: called with every prediction, in a thread of this object.
+        on_prediction: called with every prediction, in a thread of this object.
     """
 
-    def __init__(self, told: Callable[[dict[str, Any]], None]) -> None:
-        self.beside: Sequence[Continued] = ()  # drawn as well, where they exist
-        self._told = told
+    def __init__(self, on_prediction: Callable[[dict[str, Any]], None]) -> None:
+        self.branches: Sequence[Continued] = ()  # drawn as well, where they exist
+        self._on_prediction = on_prediction
         self._lock = threading.Lock()
         self._wish: tuple[dict[str, Any], float] | None = None
         self._known: tuple[dict[str, Any], float] | None = None
@@ -221,11 +221,11 @@ class Theory:
                 found = predicted(*wish)
             except Exception as error:  # values of any origin: the next request may differ
                 found = {"lines": [], "words": f"No prediction: {error}"}
-            for one in self.beside:
+            for one in self.branches:
                 if one.exists(*wish):
                     words = f"{found['words']} Also motions of the model: {one.title}."
                     found = {**found, "lines": [*found["lines"], *one.lines], "words": words}
             with self._lock:
                 overtaken = self._wish is not None
             if not overtaken:
-                self._told(found)
+                self._on_prediction(found)

@@ -77,7 +77,7 @@ class SteppedSineSettings(SweepPlan, HoldPlan, LockSettings):
         return LockPlan(start_hz=self.points()[0], **{name: getattr(self, name) for name in names})
 
     def sweep(self) -> SteppedSine:
-        """Return the sweep, with an amplitude controlled if that is asked for."""
+        """Return the sweep, with a controlled amplitude if one is set."""
         return SteppedSine(self) if self.hold == COMMAND else ControlledSine(self, self)
 
 
@@ -319,8 +319,8 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         except ConfigError as error:
             self.refuse(topics.JOURNAL.name, str(error))
             return
-        begun = operator is not None and operator.busy and entry.stamp_ns >= self._began_ns
-        if operator is not None and begun and entry.kind in STOPPING:
+        concerns_sweep = operator is not None and operator.busy and entry.stamp_ns >= self._began_ns
+        if operator is not None and concerns_sweep and entry.kind in STOPPING:
             operator.abort(f"the rig {STOPPING[entry.kind]}" + f" ({entry.name})" * bool(entry.name))
 
     def _on_measurement(self, operator: Operator[ControllerRun], table: Table) -> None:

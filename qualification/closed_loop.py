@@ -61,7 +61,7 @@ BASE_M = 60e-6
 LONG, MANY = {"long_windows": 64, "wait_limit_s": 120.0}, 8
 """Settings of the measurement, and measurements, of a response that does not repeat."""
 CURRENTS_A = tuple(round(float(one), 3) for one in np.geomspace(0.13, 0.7, 12))
-LADDER_GAP_M = 10e-3
+SWEEP_GAP_M = 10e-3
 PICTURE = Path(__file__).parents[1] / "docs" / "images" / "backbone.png"
 Finding = tuple[str, bool]
 
@@ -167,7 +167,7 @@ def locking(_draw: bool) -> list[Finding]:
 
 
 def _backbone(start: str) -> list[AmplitudePoint]:
-    config = from_flat(RigConfig(), {"barriers.gap_m": LADDER_GAP_M, "sphere.start": start})
+    config = from_flat(RigConfig(), {"barriers.gap_m": SWEEP_GAP_M, "sphere.start": start})
     sweep = AmplitudeSweep(currents_a=CURRENTS_A, lock=LockPlan(start_hz=9.0, current_a=CURRENTS_A[0]))
     return sweep_amplitude(sweep, LockLoop(LocalRig(with_short_blocks(config))))[0]
 
@@ -175,7 +175,7 @@ def _backbone(start: str) -> list[AmplitudePoint]:
 def _from_reset(place: tuple[str, float, float]) -> float:
     """Return DT of a campaign's point: from this start, at this frequency and current."""
     start, frequency, current = place
-    one = job(frequency, LADDER_GAP_M, current)
+    one = job(frequency, SWEEP_GAP_M, current)
     rows = execute(attrs.evolve(one, changes={**one.changes, "sphere.start": start})).rows
     return float(rows["transmissibility"][0]) if len(rows) else math.nan
 
@@ -188,7 +188,7 @@ def backbones(draw: bool) -> list[Finding]:
             words = f"{'' if one.locked else 'not locked '}{'JUMP' if one.jumped else ''}"
             tell(
                 f"     {start:6} {one.direction:4} {one.current_a:.3f} A  {one.frequency_hz:.4f} Hz  DT {one.dt:7.2f}  "
-                f"g/X {LADDER_GAP_M / one.superior_m:.2f}  {words}"
+                f"g/X {SWEEP_GAP_M / one.superior_m:.2f}  {words}"
             )
     if draw:
         _draw(points)
@@ -207,10 +207,10 @@ def backbones(draw: bool) -> list[Finding]:
     findings = [(words, kept)]
     fold = Manifold(0.309).gap_per_amplitude_at_fold
     down = list(itertools.takewhile(lambda one: not one.jumped, (r for r in points["left"] if r.direction == "down")))
-    ratio = LADDER_GAP_M / down[-1].superior_m
+    ratio = SWEEP_GAP_M / down[-1].superior_m
     words = f"down: the last point on the branch has g/X = {ratio:.2f}, the fold is at {fold:.2f}"
     findings.append((words, 5.5 < ratio <= fold))
-    line = prediction.backbone(RigConfig(), LADDER_GAP_M)
+    line = prediction.backbone(RigConfig(), SWEEP_GAP_M)
     line = line.take(line.stable)
     on = [one for one in down if one.superior_m < float(line.superior_m.max())]
     worst = max(abs(one.dt / float(np.interp(one.superior_m, line.superior_m, line.dt)) - 1.0) for one in on)
@@ -220,7 +220,7 @@ def backbones(draw: bool) -> list[Finding]:
 
 
 def _draw(points: dict[str, list[AmplitudePoint]]) -> None:
-    line = prediction.backbone(RigConfig(), LADDER_GAP_M)
+    line = prediction.backbone(RigConfig(), SWEEP_GAP_M)
     with style():
         figure, (upper, lower) = new_axes(5.0, (1.3, 1.0))
         x = line.superior_m * 1e3
@@ -230,9 +230,11 @@ def _draw(points: dict[str, list[AmplitudePoint]]) -> None:
         for number, (start, found) in enumerate(sorted(points.items())):
             for direction, marker in (("up", "^"), ("down", "v")):
                 own = [one for one in found if one.direction == direction]
-                x, format_ = [one.superior_m * 1e3 for one in own], {"color": SERIES[number], "fillstyle": "none"}
-                upper.plot(x, [one.dt for one in own], marker, label=f"{direction}, sphere from the {start}", **format_)
-                lower.plot(x, [one.frequency_hz for one in own], marker, **format_)
+                x, appearance = [one.superior_m * 1e3 for one in own], {"color": SERIES[number], "fillstyle": "none"}
+                upper.plot(
+                    x, [one.dt for one in own], marker, label=f"{direction}, sphere from the {start}", **appearance
+                )
+                lower.plot(x, [one.frequency_hz for one in own], marker, **appearance)
         upper.set(ylabel="DT at −90°", ylim=(0, None), xlim=(1, 8), xscale="log")
         lower.set(xlabel="amplitude of the superior base (mm)", ylabel="frequency (Hz)")
         lower.set_xticks([1, 2, 3, 4, 5, 6, 8], ["1", "2", "3", "4", "5", "6", "8"])

@@ -70,7 +70,7 @@ def averaged(case: Case) -> complex:
     return complex(total[1] / total[0])
 
 
-def told(name: str, done: list[dict[str, Any]], *, linear: bool) -> bool:
+def report(name: str, done: list[dict[str, Any]], *, linear: bool) -> bool:
     """Print how the rows of a case are off; return whether they hold."""
     rows = [one for one in done if one["status"] == "ok"]
     dt, phase = (np.array([one[key] for one in rows]) for key in ("dt", "phase"))
@@ -115,7 +115,7 @@ def main() -> int:
                 if seed < first:
                     continue
                 done.add(row_of(case, seed + 1, motion, truth))
-        sound = told(name, done, linear=is_linear) and sound
+        sound = report(name, done, linear=is_linear) and sound
     return 0 if sound else 1
 
 

@@ -113,7 +113,7 @@ def write_csv(path: Path, rows: np.ndarray, gain: float) -> None:
     np.savetxt(path, columns, "%.9g", delimiter=";", header="t [s];tip [mm];table [mm];coil [A]", comments="")
 
 
-def told(*words: object) -> dict[str, object]:
+def run_command(*words: object) -> dict[str, object]:
     """Return what a command of the package prints as JSON; nothing if it refuses, which it says itself."""
     with contextlib.redirect_stdout(io.StringIO()) as output:
         code = impact_rig([str(word) for word in words])
@@ -144,8 +144,8 @@ def measure(seed: int, number: int, place: Path, attempt: int = 0) -> None:
     write_certificate(place / "certificate.csv", config)
     common = ("--mapping", place / "mapping.yaml", "--calibration", place / "certificate.csv", "--json")
     sweep = ("--campaign", "--output", place / "sweep", "--config", place / "known.yaml")
-    told("import", *sorted((place / "csv").iterdir()), *sweep, *common)
-    told("import", place / "decay.csv", "--output", place / "decay", *common)
+    run_command("import", *sorted((place / "csv").iterdir()), *sweep, *common)
+    run_command("import", place / "decay.csv", "--output", place / "decay", *common)
     shutil.rmtree(place / "csv")
     (place / "decay.csv").unlink()
 
@@ -162,8 +162,8 @@ def judged(seed: int, number: int, place: Path, *, compares: bool) -> dict[str, 
     for attempt in range(ATTEMPTS):
         if attempt or not (place / "decay").exists():
             measure(seed, number, place, attempt)
-        found = told("identify", place / "sweep", "--decay", place / "decay", "--json")
-        compared = told("compare", run, "--config", place / "known.yaml", "--json") if compares else {}
+        found = run_command("identify", place / "sweep", "--decay", place / "decay", "--json")
+        compared = run_command("compare", run, "--config", place / "known.yaml", "--json") if compares else {}
         constants = {
             f"{prefix}{name}": [truth[name], value["value"], value["standard_uncertainty"]]
             for prefix, told_of in (("", found), ("compare ", compared))
@@ -202,7 +202,7 @@ def draw(place: Path) -> None:
     write_certificate(place / "certificate.csv", config)
     model = {"structure.natural_frequency_hz": 1.002 * config.structure.natural_frequency_hz}
     (place / "model.yaml").write_text(dump(from_flat(config, model)), encoding="utf-8")
-    told(
+    run_command(
         "import", place / "no_sphere.csv", "--output", place / "mine", "--mapping", place / "mapping.yaml",
         "--calibration", place / "certificate.csv", "--json",
     )  # fmt: skip

@@ -125,10 +125,10 @@ def main() -> int:
     called = [one for one in done if one["predicted"] == prediction.STABLE]
     left = [one for one in called if not one["stable"]]
     lasting = [one for one in done if one["stable"]]
-    told = sum(one["predicted"] == prediction.STABLE for one in lasting)
+    recognised = sum(one["predicted"] == prediction.STABLE for one in lasting)
     print(f"{len(done)} places, {len(called)} called stable, {len(left)} of them left: {left}")  # noqa: T201  # the result
-    print(f"{told} of {len(lasting)} stable motions are called so")  # noqa: T201  # as above
-    return 0 if not left and told >= SHARE * len(lasting) else 1
+    print(f"{recognised} of {len(lasting)} stable motions are called so")  # noqa: T201  # as above
+    return 0 if not left and recognised >= SHARE * len(lasting) else 1
 
 
 if __name__ == "__main__":

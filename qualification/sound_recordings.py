@@ -328,8 +328,8 @@ DEEDS: dict[str, Callable[[Stage], None]] = {
 # Recorders
 
 
-def heard(sent: Sequence[Sent], random: np.random.Generator, late: float) -> list[Sent]:
-    """Return what a recorder hears that joins when a part `late` of all has been sent, topic by topic, scans last."""
+def joined_late(sent: Sequence[Sent], random: np.random.Generator, late: float) -> list[Sent]:
+    """Return the messages of a recorder that joins after a part `late` of them, topic by topic, scans last."""
     begin = round(late * len(sent))
     joined = {name: begin + int(random.integers(0, 40)) for name in sorted({one.topic for one in sent})}
     joined[SCAN] = max(joined.values())
@@ -352,9 +352,9 @@ def slow(sent: Sequence[Sent], random: np.random.Generator, lag_s: float) -> lis
     lags[SCAN] = 0.0
     newest: dict[str, float] = {}
     arrivals = []
-    begun = next(number for number, one in enumerate(sent) if one.topic == SCAN)
+    first_scan = next(number for number, one in enumerate(sent) if one.topic == SCAN)
     for number, one in enumerate(sent):  # a recorder waits for what it needs before the first scan
-        at = one.sent_ns + (NS_PER_S * lags[one.topic] * random.uniform(0.5, 1.0) if number >= begun else 0.0)
+        at = one.sent_ns + (NS_PER_S * lags[one.topic] * random.uniform(0.5, 1.0) if number >= first_scan else 0.0)
         newest[one.topic] = at = max(at, newest.get(one.topic, 0.0))
         arrivals.append((at, number, one))
     return [one for _, _, one in sorted(arrivals, key=lambda arrival: arrival[:2])]
@@ -419,18 +419,18 @@ def recordings(kind: Kind, seed: int, folder: Path) -> list[Recording]:
             return [made("run", sent)]
         case "root":
             return [(record(folder / "run", {"": sent}), None)]
-        case "late":  # a stream begins later: one that nobody recorded from its first sample on cannot be simulated
-            return [made("run", heard(sent, random, random.uniform(0.02, 0.6)))]
+        case "late":  # a stream must start later: without its first samples it cannot be simulated
+            return [made("run", joined_late(sent, random, random.uniform(0.02, 0.6)))]
         case "two":
-            return [made("one", sent), made("other", heard(sent, random, 0.3))]
+            return [made("one", sent), made("other", joined_late(sent, random, 0.3))]
         case "slow":
             return [made("run", slow(sent, random, 0.9))]
         case "slow and late":
-            return [made("run", slow(heard(sent, random, 0.2), random, 0.6))]
+            return [made("run", slow(joined_late(sent, random, 0.2), random, 0.6))]
         case "split":
             return [made("run", sent, max_file_bytes=100_000)]
         case "split in time":
-            return [made("run", heard(sent, random, 0.1), max_file_duration_ns=NS_PER_S)]
+            return [made("run", joined_late(sent, random, 0.1), max_file_duration_ns=NS_PER_S)]
         case "killed":
             return [recovered("run", sent, random.uniform(0.5, 1.0))]
         case "killed and slow":
@@ -453,14 +453,14 @@ def problems(recording: Recording, kind: Kind) -> list[str]:
     """Return what the commands find wrong in a recording, which is sound; blocks that a fault withholds are missing."""
     path, rig = recording
     found = []
-    told = info(path)
-    begins = "recovered: every checksum fits" if told.recovered else "whole: "
+    summary = info(path)
+    begins = "recovered: every checksum fits" if summary.recovered else "whole: "
     if "lost_block" in kind.deeds:
-        is_whole = told.scans is not None and told.scans.whole
-        recovered = "recovered: " if told.recovered else ""
+        is_whole = summary.scans is not None and summary.scans.whole
+        recovered = "recovered: " if summary.recovered else ""
         begins = begins if is_whole else f"{recovered}every checksum fits, but 1 gaps in daq/scan"
-    if not told.verdict.startswith(begins):
-        found.append(f"info: {told.verdict}")
+    if not summary.verdict.startswith(begins):
+        found.append(f"info: {summary.verdict}")
     with open_run(path, rig) as run:
         verdict = verify(run)
         if not verdict.identical:

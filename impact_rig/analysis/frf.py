@@ -282,17 +282,17 @@ def transmissibility_frf(
     raw = frf(x, y, rate_hz, length, overlap=shared, window=window, x_noise=x_noise)
     lag = corrected(raw.frequency_hz)
     gain = np.hypot(calibration.gain_uncertainty[LASER], calibration.gain_uncertainty[BASE])
-    bias, beside = 0.0, np.zeros(len(lag))
+    bias, biases = 0.0, np.zeros(len(lag))
     if resonance is not None and not _periodic(x, length):
         bias = resolution_bias(window, length, resonance.decay_per_s / rate_hz)
         off = 2.0 * math.pi * (raw.frequency_hz - resonance.frequency_hz)
-        beside = bias / (1.0 + (off / resonance.decay_per_s) ** 2)
+        biases = bias / (1.0 + (off / resonance.decay_per_s) ** 2)
     return attrs.evolve(
         raw,
         h1=raw.h1 * lag,
         h2=raw.h2 * lag,
         hv=raw.hv * lag,
-        u_relative=np.sqrt(raw.u_relative**2 + gain**2 + beside**2 / 3.0),
+        u_relative=np.sqrt(raw.u_relative**2 + gain**2 + biases**2 / 3.0),
         resonance=resonance,
         bias=bias,
     )

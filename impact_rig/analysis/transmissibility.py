@@ -194,7 +194,7 @@ def measure(
     unsound = wrong.status if wrong else Status.CURRENT_UNSOUND if no_current else Status.OK
     # irregular impacts may be missed; and without any, an irregular response is a transient
     struck = bool(cycles.impacts.any())  # also where they were not counted
-    untold = (wrong is not None) if response.regime is Regime.PERIODIC else not struck
+    is_unknown = (wrong is not None) if response.regime is Regime.PERIODIC else not struck
     overtones = true[LASER][:, 1:].mean(axis=0)
     clipped = flags & ((1 | RANGE_BIT) << ACCELEROMETER)
     has_current = not no_current and sizes.size[CURRENT] > health.SIGNAL_FACTOR * sizes.u[CURRENT]
@@ -212,8 +212,8 @@ def measure(
         thd=float(np.sqrt(np.sum(np.abs(overtones) ** 2))) / abs(mean1),
         impacts_per_cycle=NAN if wrong else float(cycles.impacts.mean()),
         cycles=len(cycles),
-        regime=Regime.UNKNOWN if untold else response.regime,
-        period=NAN if untold else response.period,
+        regime=Regime.UNKNOWN if is_unknown else response.regime,
+        period=NAN if is_unknown else response.period,
         spread=float(np.std(influence.real)),
         steady=response.steady,
         method=method,

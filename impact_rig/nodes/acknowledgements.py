@@ -264,8 +264,8 @@ class Readers:
         for info in found:
             self._present.setdefault(info.node_name, set()).add(bytes(info.endpoint_gid))
         now_ns = time.monotonic_ns()
-        anew = (name for name, ids in self._present.items() if not ids <= before.get(name, set()))
-        self._came_ns |= dict.fromkeys(anew, now_ns)
+        joined = (name for name, ids in self._present.items() if not ids <= before.get(name, set()))
+        self._came_ns |= dict.fromkeys(joined, now_ns)
         return found
 
 

@@ -70,7 +70,7 @@ class RigState:
             return reason_not_ready
         if session.rig is None:  # only between two callbacks
             return NodeState(states.RigWord.INACTIVE, self._node.state)
-        found = next((one.state for one in self._troubles(session.rig) if one.state is not None), None)
+        found = next((one.state for one in self._problems(session.rig) if one.state is not None), None)
         if found is not None:
             return found
         missing = () if session.readers.all_matched() else session.readers.missing()
@@ -85,7 +85,7 @@ class RigState:
         if rig is None:
             return Level.WARN, self._node.state
         running = (Level.OK, f"running, {self._node.settings.time.mode}")
-        return worst(running, *((one.level, one.message) for one in self._troubles(rig)))
+        return worst(running, *((one.level, one.message) for one in self._problems(rig)))
 
     def figures(self) -> dict[str, object]:
         """Return mode, and of a running rig time, lateness, peers, shaker, energy, over-ranges."""
@@ -143,7 +143,7 @@ class RigState:
     def _clock_step_s(self) -> float:
         return (time.time_ns() - time.monotonic_ns() - self._session.clock_offset_ns) / NS_PER_S
 
-    def _troubles(self, rig: Rig) -> Iterator[Problem]:
+    def _problems(self, rig: Rig) -> Iterator[Problem]:
         """Yield the problems of a running rig; the most severe with a state comes first."""
         session, words, readers = self._session, states.RigWord, self._session.readers
         timing, daq, realtime = self._node.settings.time, self._node.settings.daq, session.is_realtime
@@ -217,12 +217,12 @@ class RigState:
             say = self._warn if state is StreamState.MISSING else self._info
             say(f"{topics.WAVEFORM.name}: {state.value if state else 'the drive is another one'}")
         self._stream = state
-        self._look_at_faults(session.counts.faults)
+        self._log_faults(session.counts.faults)
         for name, count in window.behind().items():
             lost = count - session.publishers.kept_blocks
-            if lost > 0 and name not in self._lost:
-                self._warn(f"{name} is too slow and loses blocks of {topics.SCAN.name}")
             if lost > self._lost.get(name, 0):
+                if name not in self._lost:
+                    self._warn(f"{name} is too slow and loses blocks of {topics.SCAN.name}")
                 self._lost[name] = lost
         # A restarted peer never received the outstanding blocks: stop waiting for its predecessor.
         window.forgive(name for name in window.silent() if session.readers.came_ns(name) > window.heard_ns(name))
@@ -240,7 +240,7 @@ class RigState:
             self._gone.remove(name)
             self._info(f"{name} subscribes to {topics.SCAN.name} again")
 
-    def _look_at_faults(self, now: dict[int, str]) -> None:
+    def _log_faults(self, now: dict[int, str]) -> None:
         before, self._faults = self._faults, dict(now)
         self._few([f"fault {number} acts: {now[number]}" for number in now.keys() - before.keys()], self._warn)
         self._few([f"fault {number} has ended: {before[number]}" for number in before.keys() - now.keys()], self._info)

@@ -268,22 +268,22 @@ class Session:
 
     @property
     def is_realtime(self) -> bool:
-        """Whether blocks are due by the clock."""
+        """Return whether blocks are due by the clock."""
         return self.node.settings.time.mode == "realtime"
 
     @property
     def is_lockstep(self) -> bool:
-        """Whether rig time advances by steps only, paused or not."""
+        """Return whether rig time advances by steps only, paused or not."""
         return self.node.settings.time.mode == "lockstep"
 
     @property
     def is_idle(self) -> bool:
-        """Whether no step is owed, and none has been requested for a while."""
+        """Return whether no step is owed, and none has been requested for a while."""
         return self._steps_left <= 0 and time.monotonic() - self._stepped_at > IDLE_S
 
     @property
     def is_starving(self) -> bool:
-        """Whether the rig has waited for samples of a stream for longer than it waits for a peer."""
+        """Return whether the rig has waited for samples of a stream for longer than it waits for a peer."""
         patience_s = self.node.settings.time.peer_timeout_s
         return self._starved_at is not None and time.monotonic() - self._starved_at > patience_s
 
@@ -715,6 +715,6 @@ class Session:
 
 def _answer(waiting: list[Done], success: bool, message: str) -> None:
     """Answer all waiting requests; the list is empty before the first answer, which may trigger new requests."""
-    told, waiting[:] = list(waiting), []
-    for done in told:
+    answered, waiting[:] = list(waiting), []
+    for done in answered:
         done(success, message)

@@ -259,8 +259,14 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work, of:
             hardware.output.stop()
         if found is None:
             raise interrupted or ImpactRigError(f"{early}; the run so far: {directory}")
-        told = tell(found, unit)
-        figures = {"title": title, "unit": unit, "rate_hz": arguments.scan_rate, "ended_early": early, **told.figures}
+        summary = tell(found, unit)
+        figures = {
+            "title": title,
+            "unit": unit,
+            "rate_hz": arguments.scan_rate,
+            "ended_early": early,
+            **summary.figures,
+        }
         rig = case_of(config.barriers.gap_m if config.sphere.present else NO_SPHERE)
         about = [
             ("Rig", arguments.namespace if arguments.through == RUNNING else rig), ("Through", arguments.through),
@@ -270,14 +276,14 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work, of:
         files.write_text(directory / f"{test}.json", json.dumps(files.plain(figures), indent=2) + "\n")
         page = directory / f"{test}.html"
         # an ending that takes too long is cut short: the words first
-        files.write_text(page, document(title, about, told, early, drawn=False))
-        files.write_text(page, document(title, about, told, early))
-        for sentence in [title, *told.sentences, *([f"ended early: {early}"] if early else [])]:
+        files.write_text(page, document(title, about, summary, early, drawn=False))
+        files.write_text(page, document(title, about, summary, early))
+        for sentence in [title, *summary.sentences, *([f"ended early: {early}"] if early else [])]:
             console.print(sentence)
         tell_results(directory, figures, as_json=arguments.json)
         if interrupted:
             raise interrupted
-    return 1 if early or told.missing else 0
+    return 1 if early or summary.missing else 0
 
 
 @contextlib.contextmanager

@@ -160,7 +160,7 @@ def _measured(done: run.Finished, arguments: argparse.Namespace, console: Consol
         console.print(f"stepped sine without sphere: {len(points)} points")
     if "reductions" not in arguments.without:
         at_hz, gaps = FREQUENCY_HZ, tuple(REDUCTION_PERCENT)
-        if done.imported:  # where most gaps were measured beside the curve without sphere
+        if done.imported:  # at the frequency with the most gaps in addition to the curve without sphere
             gaps = tuple(curves.gaps())
             counts = {f: sum(curves.at(g, f) is not None for g in gaps) for f in curves.frequencies(NO_SPHERE)}
             at_hz = max(counts, key=lambda f: counts[f], default=FREQUENCY_HZ)

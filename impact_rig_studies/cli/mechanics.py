@@ -50,7 +50,7 @@ def add_map(commands: Commands) -> None:
     parser = subcommand(
         commands, "map", _map, "map DT and regimes over two or three parameters; run again to resume",
         [
-            ("map config/maps/gap_frequency.yaml", "on all cores; draws the map beside its table"),
+            ("map config/maps/gap_frequency.yaml", "on all cores; draws the map next to its table"),
             ("map my_map.yaml --through dask tcp://host:8786", "on a Dask cluster"),
         ],
     )  # fmt: skip
@@ -97,7 +97,7 @@ def _map(arguments: argparse.Namespace) -> int:
 
 
 def _add_exponents(done: run.FinishedMap, console: Console, runner: Runner[plans.StudyTask]) -> int:
-    """Add exponent and standard uncertainty beside the regimes; return of how many places."""
+    """Add exponent and standard uncertainty to the regimes; return the number of points."""
     axes, wanted = done.plan.axes, []
     for line in done.plan.lines():
         values = done.values[line.direction]
@@ -160,11 +160,11 @@ def _dynamics(arguments: argparse.Namespace) -> int:
     done = plans.finished(plan, directory)
     rows = done.rows
     files.write_csv(directory / f"{kind}.csv", *done.table())
-    told = {
+    content = {
         "title": plan.title, "kind": kind, "measured_on": "mechanics", "tasks": len(plan.tasks), "rows": len(rows),
         "measured_tasks": measured, "wall_s": wall_s, **_summary(plan, rows),
     }  # fmt: skip
-    files.write_text(directory / f"{kind}.json", json.dumps(files.plain(told), indent=2) + "\n")
+    files.write_text(directory / f"{kind}.json", json.dumps(files.plain(content), indent=2) + "\n")
     if not arguments.no_figures:
         from impact_rig_studies.dynamics.figures import drawn  # noqa: PLC0415  # matplotlib
 
@@ -174,7 +174,7 @@ def _dynamics(arguments: argparse.Namespace) -> int:
     empty = _unsolved(plan, rows) == len(rows)
     if empty:
         console.print(f"none of the {len(rows)} rows could be resolved: there is no result", style="red")
-    tell_results(directory, told, as_json=arguments.json)
+    tell_results(directory, content, as_json=arguments.json)
     return 1 if empty else 0
 
 
@@ -190,7 +190,7 @@ def _named(plan: Plan, rows: list[Row], names: tuple[str, ...]) -> list[dict[str
     ]
 
 
-def _told(plan: Plan, rows: list[Row]) -> list[Row]:
+def _printed(plan: Plan, rows: list[Row]) -> list[Row]:
     """Return the rows that say what happens: along a branch those that are no mere orbits."""
     if plan.kind != plans.CONTINUE:
         return rows
@@ -220,7 +220,7 @@ def _summary(plan: Plan, rows: list[Row]) -> dict[str, object]:
         return {"failed_rows": failed} if failed else {}
     if plan.kind == plans.SECTION:
         return {}
-    return {"found": _named(plan, _told(plan, rows), plan.columns)}
+    return {"found": _named(plan, _printed(plan, rows), plan.columns)}
 
 
 def _show(console: Console, plan: Plan, rows: list[Row]) -> None:
@@ -234,6 +234,6 @@ def _show(console: Console, plan: Plan, rows: list[Row]) -> None:
         return
     shown = (plan.columns[0], *SHOWN[plan.kind])
     table = TextTable(right=[name.replace("_", " ") for name in shown])
-    for row in _named(plan, _told(plan, rows)[:MOST_ROWS], shown):
+    for row in _named(plan, _printed(plan, rows)[:MOST_ROWS], shown):
         table.add_row(*(f"{cell:.5g}" if isinstance(cell, float) else str(cell or "-") for cell in row.values()))
     console.print(table)

@@ -77,7 +77,7 @@ class Orbit:
 
     @property
     def stable(self) -> bool:
-        """Whether small errors decay."""
+        """Return whether small errors decay."""
         return bool(abs(self.multipliers[0]) < 1.0)
 
     @property
@@ -185,10 +185,10 @@ def followed(
         seen = moved([(first, start.p), (here.z, here.p), (new.z, new.p)])
         if seen is not None:  # in other coordinates from now on
             first, *secant = seen
-            told = _told(f, np.append(secant[1], new.p))
-            if told is None:
+            located = _orbit_at(f, np.append(secant[1], new.p))
+            if located is None:
                 return Arc(tuple(orbits), tuple(changes), "lost")
-            new = told.towards(np.append(secant[1] - secant[0], new.p - here.p))
+            new = located.towards(np.append(secant[1] - secant[0], new.p - here.p))
         here, length = new, min(longest, _GROWTH * length)
     return Arc(tuple(orbits), tuple(changes), "length")
 
@@ -202,7 +202,7 @@ def _corrected(f: Map, z: Real, p: float, tangent: Real | None) -> Orbit | None:
         if not math.isfinite(size):
             return None
         if size <= TOLERANCE:
-            return _told(f, y)
+            return _orbit_at(f, y)
         try:
             matrix = _extended(f, y, tangent)
             across = 0.0 if tangent is None else float(tangent @ (y - origin))
@@ -217,9 +217,9 @@ def _corrected(f: Map, z: Real, p: float, tangent: Real | None) -> Orbit | None:
                 break
             share *= 0.5
             if share < _SHORTEST:
-                return _told(f, y) if size < ROUNDED else None
+                return _orbit_at(f, y) if size < ROUNDED else None
         y, residual = trial, after
-    return _told(f, y) if float(np.abs(residual).max()) <= TOLERANCE else None  # the last round may have found it
+    return _orbit_at(f, y) if float(np.abs(residual).max()) <= TOLERANCE else None  # the last round may have found it
 
 
 def _extended(f: Map, y: Real, tangent: Real | None) -> Real:
@@ -238,7 +238,7 @@ def _extended(f: Map, y: Real, tangent: Real | None) -> Real:
     return matrix
 
 
-def _told(f: Map, y: Real) -> Orbit | None:
+def _orbit_at(f: Map, y: Real) -> Orbit | None:
     """Return the orbit at (z, p), or None if its neighbours are undetermined."""
     z, p = y[:-1], float(y[-1])
     try:

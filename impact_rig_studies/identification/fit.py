@@ -110,7 +110,7 @@ class Combination:
 
     @property
     def determined(self) -> bool:
-        """Whether the data determine it."""
+        """Return whether the data determine it."""
         return self.u_relative <= DETERMINED
 
 
@@ -225,12 +225,12 @@ class Identified:
 
     @property
     def consistent(self) -> bool:
-        """Whether the fit has converged, and data, uncertainties and known values are consistent."""
+        """Return whether the fit has converged, and data, uncertainties and known values are consistent."""
         return self.converged and self.chance >= SIGNIFICANCE and not self.contradicted
 
     @property
     def ambiguous(self) -> bool:
-        """Whether the data have more than one explanation."""
+        """Return whether the data have more than one explanation."""
         return len(self.alternatives) > 1
 
     def value(self, name: str) -> float:
@@ -626,10 +626,10 @@ def _linear(measured: Measured, known: RigConfig, theta: Real, nuisance: Real) -
         effects = np.stack([laser - base, base - current, np.zeros_like(base)])
         off = _apart(model, data)
         for row in range(3):
-            told = np.isfinite(data[row])  # a point with an unsound current still has DT and phase
-            residuals.append(((off[row] + effects[row] @ nuisance) / u[row])[told])
-            rows.append((derivative[row] / u[row][:, None])[told])
-            bends.append((effects[row] / u[row][:, None])[told])
+            is_finite = np.isfinite(data[row])  # a point with an unsound current still has DT and phase
+            residuals.append(((off[row] + effects[row] @ nuisance) / u[row])[is_finite])
+            rows.append((derivative[row] / u[row][:, None])[is_finite])
+            bends.append((effects[row] / u[row][:, None])[is_finite])
     prior = _prior(measured)
     uncertain = prior > 0.0  # exactly known nuisances have no effect
     width = np.where(uncertain, prior, 1.0)

@@ -168,7 +168,7 @@ def _axis(
     """Take the columns of times, or of frequencies, out of the others and return what they say."""
     timed = next((name for name in numeric if headings.is_time_name(_name(name)) and _is_column(numeric[name])), None)
     if timed is not None and (clocks or dates):
-        del numeric[timed]  # a column of seconds beside the dates says the same
+        del numeric[timed]  # it repeats the dates in seconds
     if clocks:
         return _clock_axis(clocks)
     if dates:

@@ -80,16 +80,16 @@ def run(
         if os.WIFSIGNALED(status) and os.WTERMSIG(status) in (signal.SIGXCPU, signal.SIGKILL):
             raise RecordingError(f"{path} takes longer than {seconds:.0f} s to read: it is damaged, or made to")
         raise RecordingError(f"{path} is damaged: the library that reads it crashed")
-    told: dict[str, Any] = json.loads(head)
-    if _REFUSED in told:
-        kind = budget.BudgetError if told["budget"] else RecordingError
-        message = str(told[_REFUSED])
+    reply: dict[str, Any] = json.loads(head)
+    if _REFUSED in reply:
+        kind = budget.BudgetError if reply["budget"] else RecordingError
+        message = str(reply[_REFUSED])
         raise kind(message if str(path) in message else f"{path}: {message}")
-    if _MEMORY in told:
+    if _MEMORY in reply:
         raise RecordingError(f"{path} asks for more memory than a file of {file_bytes} bytes may")
-    if _DAMAGED in told:
-        raise RecordingError(f"{path} cannot be read as {what}: {str(told[_DAMAGED])[:300]}")
-    return _decoded(path, told, memoryview(numbers))
+    if _DAMAGED in reply:
+        raise RecordingError(f"{path} cannot be read as {what}: {str(reply[_DAMAGED])[:300]}")
+    return _decoded(path, reply, memoryview(numbers))
 
 
 def _child(reader: Callable[[], ImportedSignals], sink: int, file_bytes: int, seconds: float) -> NoReturn:
@@ -97,23 +97,23 @@ def _child(reader: Callable[[], ImportedSignals], sink: int, file_bytes: int, se
     faulthandler.disable()
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # messages of a library while it fails
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    told: dict[str, object] | None = None
+    reply: dict[str, object] | None = None
     found: ImportedSignals | None = None
     try:
         _limit(file_bytes, seconds)
         found = reader()
     except ImpactRigError as error:
-        told = {_REFUSED: str(error), "budget": isinstance(error, budget.BudgetError)}
+        reply = {_REFUSED: str(error), "budget": isinstance(error, budget.BudgetError)}
     except MemoryError:
-        told = {_MEMORY: True}
+        reply = {_MEMORY: True}
     except BaseException as error:  # whatever a library raises of a file that is damaged or of another format
-        told = {_DAMAGED: " ".join(str(error).split()) or type(error).__name__}
+        reply = {_DAMAGED: " ".join(str(error).split()) or type(error).__name__}
     try:
         with os.fdopen(sink, "wb") as out:
             if found is not None:
                 _send(found, out)
             else:
-                out.write(json.dumps(told).encode() + b"\n")
+                out.write(json.dumps(reply).encode() + b"\n")
     finally:
         os._exit(0)
 
@@ -166,20 +166,20 @@ def _send(found: ImportedSignals, out: BinaryIO) -> None:
         x = one.abscissa
         about = [x.kind.value, x.unit, x.start, x.step, place(x.values), x.resolution, x.note]
         signals.append([name, place(one.values), one.unit, about, one.kind.value, one.origin])
-    told = {
+    reply = {
         "format": found.format, "signals": signals, "lengths": [len(one) for one in arrays], "start_ns": found.start_ns,
         "texts": {name: list(words) for name, words in found.texts.items()}, "left_out": dict(found.left_out),
         "remarks": list(found.remarks),
     }  # fmt: skip
-    out.write(json.dumps(told).encode() + b"\n")
+    out.write(json.dumps(reply).encode() + b"\n")
     for values in arrays:
         out.write(values.data)
 
 
-def _decoded(path: Path, told: dict[str, Any], numbers: memoryview) -> ImportedSignals:
+def _decoded(path: Path, reply: dict[str, Any], numbers: memoryview) -> ImportedSignals:
     arrays: list[Real] = []
     at = 0
-    for length in told["lengths"]:
+    for length in reply["lengths"]:
         arrays.append(np.frombuffer(numbers, np.float64, length, at))
         at += 8 * length
     shared: dict[str, Abscissa] = {}
@@ -194,8 +194,8 @@ def _decoded(path: Path, told: dict[str, Any], numbers: memoryview) -> ImportedS
 
     signals = {
         name: Signal(arrays[place], unit, abscissa(about), SignalKind(kind), origin)
-        for name, place, unit, about, kind, origin in told["signals"]
+        for name, place, unit, about, kind, origin in reply["signals"]
     }
     return ImportedSignals(
-        path, told["format"], signals, told["start_ns"], told["texts"], told["left_out"], tuple(told["remarks"])
+        path, reply["format"], signals, reply["start_ns"], reply["texts"], reply["left_out"], tuple(reply["remarks"])
     )

@@ -62,7 +62,7 @@ def build_report(
         directory: of the campaign or of the run; an MCAP file is a run.
         output: directory of `report.html` and `report.json`; that of the results if None.
         margins: directory of a campaign that varies constants, for the table of what the statements owe to them.
-        branches: directories of `impact-rig dynamics continue`, whose motions are drawn beside what was measured.
+        branches: directories of `impact-rig dynamics continue`, whose motions are drawn next to the measurements.
         figures: directory of the figures; `figures` in that of the page if None.
         formats: of the figures, some of `impact_rig.names.FIGURE_FORMATS`.
         rig: namespace of the rig, of a recording that holds several.
@@ -99,11 +99,11 @@ def build_report(
         raise ConfigError(f"{margins} holds no campaign that varies constants: see config/campaigns/margins.yaml")
     with style():
         opening = list(cover.opening(done, content))
-        beside = [
+        drawn = [
             continued(f"continued_{i}", dynamics.open_study(one, dynamics.CONTINUE), done.points, done.campaign.base)
             for i, one in enumerate(branches)
         ]
-        sections = list(filter(None, _sections(done, varied, beside, content, target.parent)))
+        sections = list(filter(None, _sections(done, varied, drawn, content, target.parent)))
     html = page(done.campaign.title, [*opening, contents(sections), *sections])
     return write(done.campaign.title, html)
 
@@ -128,7 +128,7 @@ def _write(folder: Path, formats: Sequence[str], target: Path, content: Content,
 
 
 def _sections(
-    done: Finished, varied: list[Variation], beside: list[Drawn], content: Content, folder: Path
+    done: Finished, varied: list[Variation], drawn: list[Drawn], content: Content, folder: Path
 ) -> Iterator[Section | None]:
     """Yield the sections of the page that goes into `folder`."""
     curves, config, keep = done.curves, done.campaign.base, content.figures
@@ -151,7 +151,7 @@ def _sections(
     yield section("What the statements owe to the choice", *findings.margins(varied, content))
     yield section("Each gap beside the curve without sphere", keep(dt.figure_8(curves)))
     yield section("Peak, amplitudes, regimes", keep(details))
-    yield section("Stable and unstable motions of the model", keep(beside))
+    yield section("Stable and unstable motions of the model", keep(drawn))
     yield section("Motion", keep(_motions(done)))
     yield section("Further studies", keep(_studies(done)))
     yield section("Points without a settled measurement", _failed(done.failed(), content))

@@ -83,7 +83,7 @@ class Content:
         return page.table(headings, texts, numeric)
 
     def figures(self, found: Iterable[Drawn], *, large: bool = False) -> Markup:
-        """Return figures for the page; they are kept to be saved beside it."""
+        """Return figures for the page; they are kept to be saved next to it."""
         new = list(found)
         self.drawn += new
         return page.figures(new, large=large)

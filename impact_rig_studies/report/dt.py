@@ -171,12 +171,12 @@ def _predicted_line(gap: float, part: Stretch) -> Line:
     return Line(f"{case(gap)}, predicted", columns)
 
 
-# --- The reductions beside the paper's
+# --- The reductions compared with the paper's
 
 
 @style()
 def draw_reductions(reductions: Reductions, path: Path) -> Path:
-    """Draw transmissibility and its reduction by gap beside the paper's five numbers; return `path`."""
+    """Draw transmissibility and its reduction by gap with the paper's five numbers; return `path`."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415  # a second of import, only for figures
     from matplotlib.figure import Figure  # noqa: PLC0415
 
@@ -221,7 +221,7 @@ def draw_reductions(reductions: Reductions, path: Path) -> Path:
 
 
 def reductions_by_gap(reductions: Reductions) -> Iterator[Drawn]:
-    """Draw our reductions beside the paper's."""
+    """Draw our reductions next to the paper's."""
     ours, spread = reductions.percent(), reductions.percent_uncertainty
     if not ours:
         return

@@ -65,13 +65,15 @@ class ResultSummary:
 
 def tell(found: object, unit: str = "") -> ResultSummary:
     """Summarise the result of a test; `unit` is that of its response."""
-    told = _TELLERS[type(found)](found, unit)
-    lacking = [name for name, value in told.figures.items() if not _is_known(value)]
-    if lacking and not told.missing:
+    summary = _TELLERS[type(found)](found, unit)
+    lacking = [name for name, value in summary.figures.items() if not _is_known(value)]
+    if lacking and not summary.missing:
         names = ", ".join(name.replace("_", " ") for name in lacking)
         why = f"No result: {names} cannot be computed, because the signals are too short or do not change."
-        told = attrs.evolve(told, progress=f"no result yet: {names}", missing=why)
-    return attrs.evolve(told, draw=style()(told.draw), sentences=[told.missing] if told.missing else told.sentences)
+        summary = attrs.evolve(summary, progress=f"no result yet: {names}", missing=why)
+    return attrs.evolve(
+        summary, draw=style()(summary.draw), sentences=[summary.missing] if summary.missing else summary.sentences
+    )
 
 
 def _is_known(value: object) -> bool:
@@ -82,14 +84,14 @@ def _is_known(value: object) -> bool:
 
 
 def document(
-    title: str, about: Sequence[tuple[str, str]], told: ResultSummary, early: str, *, drawn: bool = True
+    title: str, about: Sequence[tuple[str, str]], summary: ResultSummary, early: str, *, drawn: bool = True
 ) -> str:
     """Return the page, with its drawings or without."""
     written = ("Written", f"{time.strftime('%Y-%m-%dT%H:%M:%S%z')}, impact_rig {impact_rig.__version__}")
     parts = [page.title(title), page.cover([*about, written])]
     parts += [page.paragraph(f"Ended early: {early}")] if early else []
-    parts += [page.paragraph(sentence) for sentence in told.sentences]
-    return page.page(title, [*parts, page.figures(told.draw() if drawn else (), large=True)])
+    parts += [page.paragraph(sentence) for sentence in summary.sentences]
+    return page.page(title, [*parts, page.figures(summary.draw() if drawn else (), large=True)])
 
 
 def _panes(axes: Sequence[Axes], *labels: str, x: str) -> None:
@@ -203,9 +205,9 @@ def _history(found: Replicated, unit: str) -> Drawn:
 
 
 def _shocked(found: Shocked, unit: str) -> ResultSummary:
-    told = _replicated(found.followed, unit)
+    summary = _replicated(found.followed, unit)
     figures = {
-        **told.figures, "peak_error": found.peak_error, "velocity_change_error": found.velocity_error,
+        **summary.figures, "peak_error": found.peak_error, "velocity_change_error": found.velocity_error,
         "displacement_left_m": found.left_m, "srs_worst_db": found.srs_worst_db,
         "peak_error_floor": found.floors["peak_error"], "velocity_change_error_floor": found.floors["velocity_error"],
         "displacement_left_floor_m": found.floors["left_m"], "srs_floor_db": found.floors["srs_worst_db"],
@@ -217,7 +219,10 @@ def _shocked(found: Shocked, unit: str) -> ResultSummary:
         f"shock response spectrum {_error(found, 'srs_worst_db', 1, 'dB')}."
     )
     return attrs.evolve(
-        told, figures=figures, sentences=[first, *told.sentences], draw=lambda: [_draw_shock(found), *told.draw()]
+        summary,
+        figures=figures,
+        sentences=[first, *summary.sentences],
+        draw=lambda: [_draw_shock(found), *summary.draw()],
     )
 
 

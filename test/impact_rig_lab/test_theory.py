@@ -164,7 +164,7 @@ def test_continued_motions_are_drawn_where_they_exist(tmp_path: Path) -> None:
     for gap_m, amplitude, here in ((0.006, CURRENT_A, True), (0.007, CURRENT_A, False), (0.006, 0.5, False)):
         told: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
         one = Theory(told.put)
-        one.beside = [island]
+        one.branches = [island]
         one.want({**DEFAULT, "barriers.gap_m": gap_m, "sphere.start": "right"}, amplitude)
         found = told.get(timeout=PATIENCE_S)
         one.close()
