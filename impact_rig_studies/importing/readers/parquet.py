@@ -16,7 +16,6 @@
 from __future__ import annotations
 
 import io
-import os
 from pathlib import Path
 from types import ModuleType
 
@@ -24,12 +23,9 @@ from impact_rig_studies.importing.columns import signals_of
 from impact_rig_studies.importing.limits import allow_bytes, allow_columns, allow_values
 from impact_rig_studies.importing.signals import ImportedSignals
 
-# The other memory pools reserve 128 MiB to 1 GiB of addresses, which exceeds the limit of the reader's process.
-os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
-
 
 def reserve() -> None:
-    """Let the default memory pool reserve its addresses before they are limited, if pyarrow was imported earlier."""
+    """Let the memory pool reserve its addresses, 128 MiB to 1 GiB, before the reader's process limits them."""
     pyarrow = __import__("pyarrow")
     pyarrow.allocate_buffer(1, memory_pool=pyarrow.default_memory_pool())
 
