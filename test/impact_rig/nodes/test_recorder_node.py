@@ -39,6 +39,7 @@ from impact_rig.client import Client, ServiceFailedError
 from impact_rig.client.client import ros_parameters
 from impact_rig.errors import RecordingError
 from impact_rig.nodes import messages
+from impact_rig.nodes.managed import Level
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.recording import open_run
 from impact_rig.recording.losses import RECORD_NAME, read_record
@@ -318,6 +319,8 @@ def test_a_message_that_a_newer_one_replaced_is_not_lost(client: Client, tmp_pat
         client.set_parameters("rig", {"barriers.gap_m": 0.002 + 0.001 * number})
         client.wait_until(lambda count=number: len(arrived) > count, "the description")
     client.step(2)
+    assert recorder.health() == (Level.OK, "recording")
+    assert not [key for key in recorder.figures() if key.startswith("lost.")]
     client.trigger("recorder/stop")
     assert client.status("recorder").level == b"\0"
     with open_run(tmp_path / "run") as run:

@@ -282,3 +282,13 @@ def test_journal_and_samples_give_the_run_again_bit_for_bit():
     with pytest.raises(ConfigError, match=r"lacks sample 11000 of shaker/waveform, which was active 1\.100000 s"):
         for _ in zip(resimulate(journal, waveform=waveform[:-2]), blocks, strict=False):
             pass
+
+
+def test_samples_that_a_reset_may_have_discarded_give_way_to_all_others():
+    rig = stream_rig()
+    rig.feed(0, WAVE[:3_000])
+    blocks = rig.advance(NS_PER_S // 5)
+    doubtful = Sent(rig.start_ns, 0.5 * WAVE[:3_000], is_doubtful=True)
+    late = Sent(rig.start_ns, WAVE[:3_000], blocks[-1].end_ns)  # overtaken by its scans
+    again = list(itertools.islice(resimulate(rig.take_journal(), waveform=[doubtful, late]), len(blocks)))
+    assert same(samples(again), samples(blocks))

@@ -83,6 +83,7 @@ def test_it_finds_the_resonance_though_scans_are_lost_and_rests_after_the_dwell(
     assert np.degrees(rows["phase"][-1]) == pytest.approx(-90.0, abs=0.5)
     published = running.lock.sweep_from(len(rows) - 1)
     assert [published[name][0] for name in rows.dtype.names] == [*rows[-1]]
+    assert published["status"][0] == b"ok"
     assert np.isnan(published["error"][0])
     assert running.noted == list(range(len(rows) + 1))
     assert running.lock.describe().startswith("finished, the resonance is at 9.10")
