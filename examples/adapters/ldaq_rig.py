@@ -14,7 +14,6 @@
 """The rig as acquisition and generation of LDAQ, which share one rig and run in LDAQ's threads."""
 
 import itertools
-import time
 
 import numpy as np
 from LDAQ.acquisition_base import BaseAcquisition
@@ -62,9 +61,7 @@ class RigGeneration(BaseGeneration):  # of a signal [A], again and again
     def generate(self):
         parts = itertools.cycle(self.parts)
         while self.is_running:
-            if self.output.ready(len(self.parts[0])):
-                self.output.write(next(parts))
-            time.sleep(0.005)  # the acquisition lets time pass
+            self.output.write(next(parts))
 
     def terminate_data_source(self):
         self.output.stop()

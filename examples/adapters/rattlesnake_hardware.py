@@ -13,9 +13,9 @@
 # limitations under the License.
 """The rig as hardware of Rattlesnake, in its acquisition and output processes.
 
-Import this before Rattlesnake starts and choose the hardware "State Space Integration": its hardware file is the
-namespace of a rig that runs in real time with `drive.waveform: stream`, and `physical_channel` of a channel is one of
-accelerometer, laser, base or current.
+Call `replace_state_space()` before Rattlesnake starts, and choose the hardware "State Space Integration": its hardware
+file is the namespace of a rig that runs in real time with `drive.waveform: stream`, and `physical_channel` of a channel
+is one of accelerometer, laser, base or current.
 """
 
 import sys
@@ -63,6 +63,8 @@ class RigOutput:
         return self.output.ready(self.count)
 
 
-sys.modules["components.state_space_virtual_hardware"] = SimpleNamespace(
-    StateSpaceAcquisition=lambda *_: RigAcquisition(), StateSpaceOutput=lambda *_: RigOutput()
-)
+def replace_state_space():
+    """Let Rattlesnake's processes load this hardware instead of their state space model."""
+    sys.modules["components.state_space_virtual_hardware"] = SimpleNamespace(
+        StateSpaceAcquisition=lambda *_: RigAcquisition(), StateSpaceOutput=lambda *_: RigOutput()
+    )

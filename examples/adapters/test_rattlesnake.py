@@ -31,7 +31,6 @@ sys.path.insert(0, FOLDER)
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 
 import netCDF4
-import rattlesnake_hardware  # noqa: F401  # takes the place of the state space hardware
 from components.acquisition import acquisition_process
 from components.output import output_process
 from components.streaming import streaming_process
@@ -42,6 +41,7 @@ from components.utilities import (
     QueueContainer,
     VerboseMessageQueue,
 )
+from rattlesnake_hardware import replace_state_space
 from rattlesnake_law import control_law
 
 from impact_rig.client.processes import Processes, isolated_domain
@@ -78,6 +78,7 @@ def received(data_in):
 
 @pytest.mark.parametrize("rate_hz", [2_000, 10_000])
 def test_its_processes_drive_the_rig_and_stream_what_they_read(rate_hz, tmp_path, monkeypatch):
+    replace_state_space()
     make = multiprocessing.get_context("fork")
     log, sync, single, gui = (make.Queue() for _ in range(4))
     commands = {name: VerboseMessageQueue(log, name) for name in ("controller", "acquisition", "output", "streaming")}

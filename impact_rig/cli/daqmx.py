@@ -20,12 +20,12 @@ import contextlib
 import os
 from pathlib import Path
 
+from impact_rig import driver
 from impact_rig.cli.terminal import Commands, Console, subcommand
 from impact_rig.errors import ImpactRigError
 from impact_rig.rig.config import RigConfig, load_config
 
 PORT = 31763  # of the NI gRPC Device Server
-WAIT_S = 1.0  # between two looks at signals
 
 
 def add_command(commands: Commands) -> None:
@@ -53,21 +53,18 @@ def add_command(commands: Commands) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from impact_rig.driver.daqmx_board import Board  # noqa: PLC0415  # loads compiled code
-    from impact_rig.driver.daqmx_server import serving  # noqa: PLC0415
+    from impact_rig.driver import daqmx_board, daqmx_server  # noqa: PLC0415  # load compiled code
 
     if not 0 <= arguments.port <= 65535:
         raise ImpactRigError(f"--port must be from 0 to 65535, got {arguments.port}")
     config = load_config(arguments.config) if arguments.config else RigConfig()
     rig = None
     if arguments.namespace:
-        from impact_rig.driver.ros_rig import RosRig  # noqa: PLC0415  # needs rclpy
-
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        rig = RosRig({"drive.waveform": "stream", "time.mode": "realtime"}, namespace=arguments.namespace)
-    board = Board(config, rig, tuple(arguments.device))
-    with contextlib.closing(board), serving(board, f"{arguments.host}:{arguments.port}") as (server, port):
+        rig = driver.RosRig({"drive.waveform": "stream", "time.mode": "realtime"}, namespace=arguments.namespace)
+    board = daqmx_board.Board(config, rig, tuple(arguments.device))
+    address = f"{arguments.host}:{arguments.port}"
+    with contextlib.closing(board), daqmx_server.serving(board, address) as (server, port):
         Console().print(f"nidaqmx server: {arguments.host}:{port}; Ctrl-C ends it", soft_wrap=True)
-        while server.wait_for_termination(WAIT_S):
-            pass
+        server.wait_for_termination()
     return 0

@@ -44,7 +44,7 @@ MOST_SAMPLES = 10_000_000  # of a buffer, and of one finite task
 BUFFER_S = 0.1  # how far the output is written ahead of the rig
 BEHIND_S = 0.5  # a board that was held up longer does not catch up
 BLOCKS_PER_S = 100
-FOREVER = math.inf
+RATE_KEYS = {"ai": "daq.rate_hz", "ao": "drive.stream_rate_hz"}
 
 
 class Code(enum.IntEnum):
@@ -109,7 +109,6 @@ class BoardChannel:
         low: smallest value [unit of the channel].
         high: largest value.
         per_volt: value of one volt at the board.
-        is_accelerometer: whether it was created as one.
     """
 
     name: str
@@ -118,7 +117,11 @@ class BoardChannel:
     low: float
     high: float
     per_volt: float = 1.0
-    is_accelerometer: bool = False
+
+    @property
+    def is_accelerometer(self) -> bool:
+        """Return whether its readings are accelerations."""
+        return self.per_volt != 1.0
 
 
 @attrs.define(eq=False)
@@ -137,7 +140,9 @@ class DaqmxTask:
         auto_starts: whether a read starts it.
         run: number of its starts.
         passed: samples read, of an output those handed to the rig.
+        written: samples written to an output.
         error: what ended it.
+        data: samples of an output that are to be played, or repeated.
     """
 
     name: str
@@ -158,7 +163,6 @@ class DaqmxTask:
     acquisition: Acquisition | None = None
     output: AnalogOutput | None = None
     data: NDArray[np.float64] = attrs.field(factory=lambda: np.empty(0))
-    cleared: bool = False
 
     @property
     def is_active(self) -> bool:
@@ -209,7 +213,7 @@ class Board:
         self.tasks: dict[str, DaqmxTask] = {}
         self.devices = devices
         self._config = from_flat(config, {"drive.waveform": "stream", "drive.stream_wait": False})
-        self._rig, self._is_fixed = rig, rig is not None
+        self._rig = self._fixed = rig
         self._epoch = 0.0
         self._ended = False
         self._named = 0
@@ -259,7 +263,6 @@ class Board:
     def clear(self, task: DaqmxTask) -> None:
         """Stop and forget a task."""
         self.stop(task)
-        task.cleared = True
         self.tasks.pop(task.name, None)
         self.changed.notify_all()
 
@@ -304,7 +307,7 @@ class Board:
             if any(one.physical == channel for one in task.channels):
                 raise DaqmxError(Code.CHAN_ALREADY_IN_TASK, f"{device}/{channel} is in the task already")
             named = f"{name}{number if len(found) > 1 else ''}" if name else f"{device}/{channel}"
-            task.channels.append(BoardChannel(named, channel, device, *limits, per_volt, per_volt != 1.0))
+            task.channels.append(BoardChannel(named, channel, device, *limits, per_volt))
         task.kind = kind
 
     def configure_clock(self, task: DaqmxTask, rate_hz: float, samples: int, *, finite: bool) -> None:
@@ -315,7 +318,6 @@ class Board:
         """
         self._must_be_idle(task)
         self._must_have_channels(task)
-        key = "daq.rate_hz" if task.kind == "ai" else "drive.stream_rate_hz"
         if not (math.isfinite(rate_hz) and rate_hz >= 1.0):
             raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"SampClk.Rate: must be from 1 Hz on, got {rate_hz:g}")
         if finite and not 1 < samples <= MOST_SAMPLES:
@@ -324,7 +326,7 @@ class Board:
                 f"SampQuant.SampPerChan: must be from 2 to {MOST_SAMPLES}, got {samples}",
             )
         rate = round(rate_hz)
-        self._config_for({key: rate})
+        self._config_for({RATE_KEYS[task.kind]: rate})
         task.rate_hz, task.samples, task.clock_samples = rate, samples if finite else None, samples
 
     def configure_buffer(self, task: DaqmxTask, samples: int) -> None:
@@ -376,9 +378,8 @@ class Board:
         else:
             task.output = AnalogOutput(rig, buffer_s=BUFFER_S, raise_underrun=not task.regenerates)
         if not task.trigger:
-            self._trigger(
-                [task, *(one for one in self.tasks.values() if one.state is State.ARMED and one.trigger == task.kind)]
-            )
+            armed = [one for one in self.tasks.values() if one.state is State.ARMED and one.trigger == task.kind]
+            self._trigger(rig, [task, *armed])
 
     def stop(self, task: DaqmxTask) -> None:
         """Stop a task; what was acquired can no longer be read."""
@@ -398,12 +399,15 @@ class Board:
 
     # Data
 
-    def read(self, task: DaqmxTask, count: int, timeout_s: float, goes_on: Callable[[], bool]) -> NDArray[np.float64]:
+    def read(
+        self, task: DaqmxTask, count: int, most: int, timeout_s: float, goes_on: Callable[[], bool]
+    ) -> NDArray[np.float64]:
         """Return the next samples of an input task.
 
         Args:
             task: the task; it is started if it is not running.
             count: samples per channel; negative: all of a finite task, or all available ones.
+            most: largest number of samples per channel.
             timeout_s: how long to wait for them; negative: forever.
             goes_on: whether someone still waits.
 
@@ -415,6 +419,8 @@ class Board:
         """
         if task.kind != "ai":
             raise DaqmxError(Code.READ_NO_INPUT_CHANS_IN_TASK, "the task has no input channels")
+        if count > most:
+            raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"at most {most} samples per channel at once, got {count}")
         if task.acquisition is None:
             if not task.auto_starts:
                 raise DaqmxError(
@@ -422,18 +428,18 @@ class Board:
                     "the task is not running and does not start automatically: start it before reading",
                 )
             self.start(task)
-        deadline = FOREVER if timeout_s < 0.0 else time.monotonic() + timeout_s
-        wanted = count if count >= 0 else (task.samples or 0) - task.passed if task.samples else task.available
-        while task.available < wanted:
+        rest = task.available if task.samples is None else task.samples - task.passed
+        wanted = count if count >= 0 else min(rest, most)
+
+        def has_arrived() -> bool:
+            enough = task.available >= wanted
             self._check_read(task, wanted)
-            left = deadline - time.monotonic()
-            if left <= 0.0 or not goes_on():
-                raise DaqmxError(
-                    Code.SAMPLES_NOT_YET_AVAILABLE,
-                    f"{task.available} of {wanted} samples are there after {timeout_s:g} s ({task.state.value})",
-                )
-            self.changed.wait(min(left, 0.1))
-        self._check_read(task, wanted)
+            return enough
+
+        self._wait(
+            has_arrived, timeout_s, goes_on, Code.SAMPLES_NOT_YET_AVAILABLE,
+            lambda: f"{task.available} of {wanted} samples have arrived after {timeout_s:g} s ({task.state.value})",
+        )  # fmt: skip
         assert task.acquisition is not None
         values = self._values(task, task.acquisition.read(wanted))
         task.passed += wanted
@@ -471,17 +477,16 @@ class Board:
         if len(values) > MOST_SAMPLES:
             raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"more than {MOST_SAMPLES} samples at once")
         on_demand = task.rate_hz == 0
-        if on_demand and not (auto_start or task.is_active):
-            raise DaqmxError(
-                Code.CANNOT_WRITE_WHEN_AUTO_START_FALSE_AND_TASK_NOT_RUNNING,
-                "the task is not running and does not start automatically: start it or write with auto_start",
-            )
         if on_demand:
+            if not (auto_start or task.is_active):
+                raise DaqmxError(
+                    Code.CANNOT_WRITE_WHEN_AUTO_START_FALSE_AND_TASK_NOT_RUNNING,
+                    "the task is not running and does not start automatically: start it or write with auto_start",
+                )
             task.data, task.regenerates = values[-1:].copy(), True
         elif not task.is_active:
-            task.data = np.concatenate([task.data, values]) if task.state is State.IDLE else values.copy()
-            if len(task.data) > (task.buffer_samples or MOST_SAMPLES):
-                task.data = task.data[-(task.buffer_samples or MOST_SAMPLES) :]
+            kept = task.data if task.state is State.IDLE else task.data[:0]
+            task.data = np.concatenate([kept, values])[-(task.buffer_samples or MOST_SAMPLES) :]
             task.state = State.IDLE
         elif task.regenerates:
             at = (task.written + np.arange(len(values))) % len(task.data)
@@ -496,17 +501,16 @@ class Board:
     def _append(
         self, task: DaqmxTask, values: NDArray[np.float64], timeout_s: float, goes_on: Callable[[], bool]
     ) -> None:
-        deadline = FOREVER if timeout_s < 0.0 else time.monotonic() + timeout_s
         size = max(task.buffer_samples or 0, task.clock_samples, len(values))
-        while len(task.data) + len(values) > size:
+
+        def has_room() -> bool:
             self._raise_error(task)
-            left = deadline - time.monotonic()
-            if left <= 0.0 or not goes_on():
-                raise DaqmxError(
-                    Code.SAMPLES_CAN_NOT_YET_BE_WRITTEN,
-                    f"no room for {len(values)} samples after {timeout_s:g} s: {len(task.data)} are still to be played",
-                )
-            self.changed.wait(min(left, 0.1))
+            return len(task.data) + len(values) <= size
+
+        self._wait(
+            has_room, timeout_s, goes_on, Code.SAMPLES_CAN_NOT_YET_BE_WRITTEN,
+            lambda: f"no room for {len(values)} samples after {timeout_s:g} s: {len(task.data)} are still to be played",
+        )  # fmt: skip
         task.data = np.concatenate([task.data, values])
 
     def wait_until_done(self, task: DaqmxTask, timeout_s: float, goes_on: Callable[[], bool]) -> None:
@@ -515,18 +519,26 @@ class Board:
         Raises:
             DaqmxError: they are not in time, it was not started, or it was ended by an error.
         """
-        if task.run == 0 or task.state is State.IDLE:
+        if task.state is State.IDLE:
             raise DaqmxError(Code.CANNOT_PERFORM_OP_WHEN_TASK_NOT_RUNNING, "the task is not running: start it first")
-        deadline = FOREVER if timeout_s < 0.0 else time.monotonic() + timeout_s
-        while not self.is_done(task):
+        self._wait(
+            lambda: self.is_done(task), timeout_s, goes_on, Code.WAIT_UNTIL_DONE_DOES_NOT_INDICATE_DONE,
+            lambda: f"the task is not done after {timeout_s:g} s",
+        )  # fmt: skip
+
+    def _wait(
+        self, is_over: Callable[[], bool], timeout_s: float, goes_on: Callable[[], bool], code: Code,
+        message: Callable[[], str],
+    ) -> None:  # fmt: skip
+        """Wait until `is_over()`, with this error at the time-out (negative: never) or when `goes_on()` is false."""
+        deadline = math.inf if timeout_s < 0.0 else time.monotonic() + timeout_s
+        while not is_over():
             left = deadline - time.monotonic()
             if left <= 0.0 or not goes_on():
-                raise DaqmxError(
-                    Code.WAIT_UNTIL_DONE_DOES_NOT_INDICATE_DONE, f"the task is not done after {timeout_s:g} s"
-                )
+                raise DaqmxError(code, message())
             self.changed.wait(min(left, 0.1))
 
-    # What the thread does
+    # Work of the thread
 
     def _pump(self) -> None:
         """Let rig time pass as wall time does, and keep the outputs supplied."""
@@ -595,20 +607,17 @@ class Board:
             task.output = None
         task.state = state
 
-    def _trigger(self, tasks: list[DaqmxTask]) -> None:
+    def _trigger(self, rig: RigDriver, tasks: list[DaqmxTask]) -> None:
         """Start tasks at the same instant: an output's first sample, or the next block of scans."""
         scan = None
         for task in tasks:
             if task.output is not None:
-                first = task.output.start()
-                assert self._rig is not None
-                scan = -(-first * self._rig.rate_hz // self._rig.stream_rate_hz)
+                scan = -(-task.output.start() * rig.rate_hz // rig.stream_rate_hz)
         for task in tasks:
             if task.acquisition is not None:
                 task.acquisition.start(scan)
             task.state = State.RUNNING
-            assert self._rig is not None
-            self._continue(task, self._rig)
+            self._continue(task, rig)
 
     def _prepare(self, task: DaqmxTask) -> RigDriver:
         """Return the rig, which has the rates that the tasks need.
@@ -617,16 +626,15 @@ class Board:
             DaqmxError: it cannot have them now.
         """
         rates = {}
-        for key, kind in (("daq.rate_hz", "ai"), ("drive.stream_rate_hz", "ao")):
+        for kind, key in RATE_KEYS.items():
             clocked = [one for one in self.tasks.values() if one.kind == kind and one.rate_hz]
-            clocked.sort(key=lambda one: (one is not task, not one.is_active))
             if clocked:
-                rates[key] = clocked[0].rate_hz
+                rates[key] = min(clocked, key=lambda one: (one is not task, not one.is_active)).rate_hz
         config = self._config_for(rates)
         wanted = (config.daq.rate_hz, config.drive.stream_rate_hz)
         if self._rig is not None and wanted == (self._rig.rate_hz, self._rig.stream_rate_hz):
             return self._rig
-        if self._is_fixed or any(one.is_active for one in self.tasks.values()):
+        if any(one.is_active for one in self.tasks.values()):
             raise DaqmxError(
                 Code.INVALID_ATTRIBUTE_VALUE,
                 f"SampClk.Rate: input and output cannot run at {wanted[0]} and {wanted[1]} Hz while another task runs",
@@ -641,15 +649,14 @@ class Board:
         Raises:
             DaqmxError: it cannot have them.
         """
-        if self._is_fixed:
-            assert self._rig is not None
-            known = {"daq.rate_hz": self._rig.rate_hz, "drive.stream_rate_hz": self._rig.stream_rate_hz}
+        if self._fixed is not None:
+            known = {"daq.rate_hz": self._fixed.rate_hz, "drive.stream_rate_hz": self._fixed.stream_rate_hz}
             for key, rate in rates.items():
                 if rate != known[key]:
                     raise DaqmxError(
                         Code.INVALID_ATTRIBUTE_VALUE, f"SampClk.Rate: the running rig has {known[key]} Hz, not {rate}"
                     )
-            return self._rig.config
+            return self._fixed.config
         rate_hz = rates.get("daq.rate_hz", self._config.daq.rate_hz)
         try:
             return from_flat(self._config, {**rates, "daq.block_scans": max(1, round(rate_hz / BLOCKS_PER_S))})
@@ -659,7 +666,7 @@ class Board:
     def _values(self, task: DaqmxTask, rows: NDArray[np.void]) -> NDArray[np.float64]:
         """Return the readings of a task's channels: the sensors' volts, scaled as the task requests."""
         assert self._rig is not None
-        info = {bytes(row["name"]).rstrip(b"\0").decode(): row for row in self._rig.tables(INFO.name)[-1].rows}
+        info = {row["name"].decode(): row for row in self._rig.tables(INFO.name)[-1].rows}
         found = []
         for channel in task.channels:
             name = INPUTS[int(channel.physical[2:])]

@@ -27,11 +27,10 @@ from typing import Any  # messages of protobuf, whose classes have no static typ
 
 import numpy as np
 
-from impact_rig.driver.daqmx_board import Board, Code, DaqmxError, DaqmxTask, State
+from impact_rig.driver.daqmx_board import INPUTS, Board, Code, DaqmxError, DaqmxTask, State
 from impact_rig.errors import ImpactRigError
 from impact_rig.system import extras
 
-PURPOSE, EXTRA = "impact-rig daqmx", "nidaqmx"
 MOST_MESSAGE_BYTES = 16_000_000
 MOST_EVENTS, MOST_CALLS = 16, 48
 VERSION = {"MAJOR": 23, "MINOR": 8, "UPDATE": 0}  # of the driver whose interface this is
@@ -51,18 +50,26 @@ ABORT, START, STOP = 6, 0, 1
 VOLTS_PER_SENSITIVITY = {12509: 1e-3, 12510: 1.0}  # mV/g, V/g
 ACCELERATIONS = {10186: 1.0, 12470: 9.80665, 12471: 9.80665 / 0.0254}  # g, m/s², in/s²
 
+_load = functools.partial(extras.load, purpose="impact-rig daqmx", extra="nidaqmx")
 
-def _served(method: Callable[..., Any]) -> Callable[..., Any]:
-    """Serve a call: one at a time, and errors as the `nidaqmx` package expects them."""
+
+def _served(method: Callable[..., dict[str, Any] | None], name: str = "") -> Callable[..., Any]:
+    """Serve a call by a method that returns the fields of its response, and errors as the `nidaqmx` package expects.
+
+    Args:
+        method: the method; the calls run one at a time.
+        name: name of the call (default: that of the method).
+    """
+    name = name or method.__name__
 
     @functools.wraps(method)
     def serve(self: Service, request: Any, context: Any) -> Any:
         try:
             with self.board.changed:
-                return method(self, request, context)
+                return getattr(self._pb, f"{name}Response")(**(method(self, request, context) or {}))
         except ImpactRigError as error:
             code = error.code if isinstance(error, DaqmxError) else Code.DEV_CANNOT_BE_ACCESSED
-            transferred = [(key, "0") for verb, key in TRANSFERRED_KEYS.items() if method.__name__.startswith(verb)]
+            transferred = [(key, "0") for verb, key in TRANSFERRED_KEYS.items() if name.startswith(verb)]
             _abort(context, code, str(error), transferred)
 
     return serve
@@ -71,7 +78,7 @@ def _served(method: Callable[..., Any]) -> Callable[..., Any]:
 def _abort(context: Any, code: Code, message: str, transferred: Sequence[tuple[str, str]] = ()) -> None:
     """End a call with an error of NI-DAQmx."""
     context.set_trailing_metadata((("ni-error", str(int(code))), *transferred))
-    context.abort(extras.load("grpc", PURPOSE, EXTRA).StatusCode.UNKNOWN, message)
+    context.abort(_load("grpc").StatusCode.UNKNOWN, message)
 
 
 class Service:
@@ -83,158 +90,135 @@ class Service:
 
     def __init__(self, board: Board) -> None:
         self.board = board
-        self._pb = extras.load("nidaqmx._stubs.nidaqmx_pb2", PURPOSE, EXTRA)
-        self._session = extras.load("session_pb2", PURPOSE, EXTRA).Session
+        self._pb = _load("nidaqmx._stubs.nidaqmx_pb2")
+        self._session = _load("session_pb2").Session
         self._events = 0
 
     # Tasks
 
     @_served
-    def CreateTask(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002  # names of NI's interface
+    def CreateTask(self, request: Any, context: Any) -> dict[str, Any]:
         """Create a task, or attach to that of this name."""
-        attach, new = request.initialization_behavior == 2, request.initialization_behavior == 1
-        is_new = new or request.session_name not in self.board.tasks
-        task = (
-            self.board.find(request.session_name) if attach or not is_new else self.board.create(request.session_name)
-        )
-        session = self._session(name=task.name)
-        return self._pb.CreateTaskResponse(task=session, new_session_initialized=is_new and not attach)
+        name, behavior = request.session_name, request.initialization_behavior
+        is_new = behavior == NEW_SESSION or (behavior != ATTACH and name not in self.board.tasks)
+        task = self.board.create(name) if is_new else self.board.find(name)
+        return {"task": self._session(name=task.name), "new_session_initialized": is_new}
 
     @_served
-    def ClearTask(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002
+    def ClearTask(self, request: Any, context: Any) -> None:
         """Stop and forget a task."""
         self.board.clear(self._task(request))
-        return self._pb.ClearTaskResponse()
 
     @_served
-    def StartTask(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002
+    def StartTask(self, request: Any, context: Any) -> None:
         """Start a task."""
         self.board.start(self._task(request))
-        return self._pb.StartTaskResponse()
 
     @_served
-    def StopTask(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002
+    def StopTask(self, request: Any, context: Any) -> None:
         """Stop a task; an error that ended it is reported here."""
         task = self._task(request)
         error = task.error
         self.board.stop(task)
         if error is not None:
             raise error
-        return self._pb.StopTaskResponse()
 
     @_served
-    def TaskControl(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002
+    def TaskControl(self, request: Any, context: Any) -> None:
         """Move a task to another state: only start, stop and abort have something to do."""
         task, action = self._task(request), _value(request, "action")
         if action == START:
             self.board.start(task)
         elif action in {STOP, ABORT}:
             self.board.stop(task)
-        return self._pb.TaskControlResponse()
 
     @_served
-    def IsTaskDone(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002
+    def IsTaskDone(self, request: Any, context: Any) -> dict[str, Any]:
         """Return whether a task is done."""
-        return self._pb.IsTaskDoneResponse(is_task_done=self.board.is_done(self._task(request)))
+        return {"is_task_done": self.board.is_done(self._task(request))}
 
     @_served
-    def WaitUntilTaskDone(self, request: Any, context: Any) -> Any:  # noqa: N802
+    def WaitUntilTaskDone(self, request: Any, context: Any) -> None:
         """Wait until a task is done."""
         self.board.wait_until_done(self._task(request), request.time_to_wait, context.is_active)
-        return self._pb.WaitUntilTaskDoneResponse()
 
     @_served
-    def ResetDevice(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002
+    def ResetDevice(self, request: Any, context: Any) -> None:
         """Stop all tasks."""
         self.board.physical_channels(f"{request.device_name}/ai0", "ai")
         for task in self.board.tasks.values():
             self.board.stop(task)
-        return self._pb.ResetDeviceResponse()
 
     # Channels, clock, trigger, buffers
 
     @_served
-    def CreateAIVoltageChan(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002
+    def CreateAIVoltageChan(self, request: Any, context: Any) -> None:
         """Add inputs that are read in volts."""
         self._must_be(request, "units", {VOLTS})
         self._add(request, "ai")
-        return self._pb.CreateAIVoltageChanResponse()
 
     @_served
-    def CreateAIAccelChan(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002
+    def CreateAIAccelChan(self, request: Any, context: Any) -> None:
         """Add inputs that are read as acceleration, by the sensitivity that the caller states."""
         units = self._must_be(request, "units", set(ACCELERATIONS))
         kind = self._must_be(request, "sensitivity_units", set(VOLTS_PER_SENSITIVITY))
         if not request.sensitivity > 0.0:
             raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"sensitivity must be > 0, got {request.sensitivity:g}")
         self._add(request, "ai", ACCELERATIONS[units] / (request.sensitivity * VOLTS_PER_SENSITIVITY[kind]))
-        return self._pb.CreateAIAccelChanResponse()
 
     @_served
-    def CreateAOVoltageChan(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002
+    def CreateAOVoltageChan(self, request: Any, context: Any) -> None:
         """Add the output."""
         self._must_be(request, "units", {VOLTS})
         self._add(request, "ao")
-        return self._pb.CreateAOVoltageChanResponse()
 
     @_served
-    def CfgSampClkTiming(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002
+    def CfgSampClkTiming(self, request: Any, context: Any) -> None:
         """Set the sample clock."""
         finite = self._must_be(request, "sample_mode", {FINITE, CONTINUOUS}) == FINITE
         if request.source.rpartition("/")[2] not in {"", "OnboardClock"}:
             raise DaqmxError(Code.TRIGGER_TERMINAL, f"no clock {request.source!r}: use the onboard clock")
         self.board.configure_clock(self._task(request), request.rate, request.samps_per_chan, finite=finite)
-        return self._pb.CfgSampClkTimingResponse()
 
     @_served
-    def CfgDigEdgeStartTrig(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002
+    def CfgDigEdgeStartTrig(self, request: Any, context: Any) -> None:
         """Start with another task."""
         self.board.configure_trigger(self._task(request), request.trigger_source)
-        return self._pb.CfgDigEdgeStartTrigResponse()
 
     @_served
-    def DisableStartTrig(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002
+    def DisableStartTrig(self, request: Any, context: Any) -> None:
         """Start by itself."""
         self.board.configure_trigger(self._task(request), "")
-        return self._pb.DisableStartTrigResponse()
 
     @_served
-    def CfgInputBuffer(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002
+    def CfgInputBuffer(self, request: Any, context: Any) -> None:
         """Set the size of the input buffer."""
         self.board.configure_buffer(self._task(request), request.num_samps_per_chan)
-        return self._pb.CfgInputBufferResponse()
 
     @_served
-    def CfgOutputBuffer(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002
+    def CfgOutputBuffer(self, request: Any, context: Any) -> None:
         """Set the size of the output buffer."""
         self.board.configure_buffer(self._task(request), request.num_samps_per_chan)
-        return self._pb.CfgOutputBufferResponse()
 
     # Data
 
     @_served
-    def ReadAnalogF64(self, request: Any, context: Any) -> Any:  # noqa: N802
+    def ReadAnalogF64(self, request: Any, context: Any) -> dict[str, Any]:
         """Read samples."""
         task, count = self._task(request), request.num_samps_per_chan
         most = min(request.array_size_in_samps, MOST_MESSAGE_BYTES // 9) // max(1, len(task.channels))
-        if count > most:
-            raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"at most {most} samples per channel at once, got {count}")
-        if count < 0:
-            self.board.start(task) if task.acquisition is None else None
-            count = min(most, task.samples - task.passed if task.samples else task.available)
-        values = self.board.read(task, count, request.timeout, context.is_active)
+        values = self.board.read(task, count, most, request.timeout, context.is_active)
         by_channel = _value(request, "fill_mode") == BY_CHANNEL
         flat = (values if by_channel else values.T).ravel()
-        return self._pb.ReadAnalogF64Response(read_array=flat, samps_per_chan_read=count)
+        return {"read_array": flat, "samps_per_chan_read": values.shape[1]}
 
     @_served
-    def ReadAnalogScalarF64(self, request: Any, context: Any) -> Any:  # noqa: N802
+    def ReadAnalogScalarF64(self, request: Any, context: Any) -> dict[str, Any]:
         """Read one sample of one channel."""
-        values = self.board.read(self._task(request), 1, request.timeout, context.is_active)
-        return self._pb.ReadAnalogScalarF64Response(value=values[0, 0])
+        return {"value": self.board.read(self._task(request), 1, 1, request.timeout, context.is_active)[0, 0]}
 
     @_served
-    def WriteAnalogF64(self, request: Any, context: Any) -> Any:  # noqa: N802
+    def WriteAnalogF64(self, request: Any, context: Any) -> dict[str, Any]:
         """Write samples."""
         values = np.array(request.write_array, np.float64)
         if len(values) == 0 or len(values) != request.num_samps_per_chan:
@@ -242,23 +226,21 @@ class Service:
         written = self.board.write(
             self._task(request), values, request.timeout, context.is_active, auto_start=request.auto_start
         )
-        return self._pb.WriteAnalogF64Response(samps_per_chan_written=written)
+        return {"samps_per_chan_written": written}
 
     @_served
-    def WriteAnalogScalarF64(self, request: Any, context: Any) -> Any:  # noqa: N802
+    def WriteAnalogScalarF64(self, request: Any, context: Any) -> None:
         """Write one sample."""
         value = np.array([request.value])
         self.board.write(self._task(request), value, request.timeout, context.is_active, auto_start=request.auto_start)
-        return self._pb.WriteAnalogScalarF64Response()
 
     # Events
 
-    def RegisterEveryNSamplesEvent(self, request: Any, context: Any) -> Iterator[Any]:  # noqa: N802
+    def RegisterEveryNSamplesEvent(self, request: Any, context: Any) -> Iterator[Any]:
         """Report each time that so many samples were acquired or played."""
-        wanted = ACQUIRED if request.task and self._kind(request) == "ai" else TRANSFERRED
 
-        def check(_task: DaqmxTask) -> None:
-            self._must_be(request, "every_n_samples_event_type", {wanted})
+        def check(task: DaqmxTask) -> None:
+            self._must_be(request, "every_n_samples_event_type", {ACQUIRED if task.kind == "ai" else TRANSFERRED})
             if request.n_samples < 1:
                 raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, "n_samples must be at least 1")
 
@@ -266,11 +248,11 @@ class Service:
             return max(0, task.progress // int(request.n_samples) - reported)
 
         response = self._pb.RegisterEveryNSamplesEventResponse(
-            every_n_samples_event_type_raw=wanted, n_samples=request.n_samples
+            every_n_samples_event_type_raw=_value(request, "every_n_samples_event_type"), n_samples=request.n_samples
         )
         return self._follow(request, context, check, pending, lambda _: response)
 
-    def RegisterDoneEvent(self, request: Any, context: Any) -> Iterator[Any]:  # noqa: N802
+    def RegisterDoneEvent(self, request: Any, context: Any) -> Iterator[Any]:
         """Report that a task is done."""
 
         def pending(task: DaqmxTask, reported: int) -> int:
@@ -298,7 +280,7 @@ class Service:
         try:
             context.send_initial_metadata(())
             run, reported = task.run, 0
-            while context.is_active() and not task.cleared:
+            while context.is_active() and board.tasks.get(task.name) is task:
                 with board.changed:
                     if task.run != run:
                         run, reported = task.run, 0
@@ -355,15 +337,14 @@ class Service:
             pb.DEVICE_ATTRIBUTE_PRODUCT_TYPE: "impact_rig",
             pb.DEVICE_ATTRIBUTE_IS_SIMULATED: True,
             pb.DEVICE_ATTRIBUTE_SERIAL_NUM: 0,
-            pb.DEVICE_ATTRIBUTE_AI_PHYSICAL_CHANS: ", ".join(f"{device}/ai{number}" for number in range(4)),
+            pb.DEVICE_ATTRIBUTE_AI_PHYSICAL_CHANS: ", ".join(f"{device}/ai{number}" for number in range(len(INPUTS))),
             pb.DEVICE_ATTRIBUTE_AO_PHYSICAL_CHANS: f"{device}/ao0",
         }
 
     def _channel_properties(self, task: DaqmxTask, name: str) -> dict[int, Any]:
         pb = self._pb
-        channel = next((one for one in task.channels if one.name == name.partition(",")[0].strip()), None)
-        if channel is None and task.channels and not name:
-            channel = task.channels[0]
+        wanted = name.partition(",")[0].strip()
+        channel = next((one for one in task.channels if not name or one.name == wanted), None)
         if channel is None:
             raise DaqmxError(Code.PHYSICAL_CHAN_DOES_NOT_EXIST, f"the task has no channel {name!r}")
         measured = ACCELERATION if channel.is_accelerometer else VOLTAGE
@@ -411,7 +392,8 @@ class Service:
         pb, task, attribute = self._pb, self._task(request), request.attribute_raw or request.attribute
         value = _value(request, "value")
         if attribute == pb.WRITE_ATTRIBUTE_REGEN_MODE and not task.is_active:
-            task.regenerates = self._must_be(request, "value", {ALLOW_REGENERATION, DONT_ALLOW_REGENERATION}) == 10097
+            mode = self._must_be(request, "value", {ALLOW_REGENERATION, DONT_ALLOW_REGENERATION})
+            task.regenerates = mode == ALLOW_REGENERATION
         elif attribute == pb.READ_ATTRIBUTE_AUTO_START:
             task.auto_starts = bool(value)
         elif attribute in {pb.BUFFER_ATTRIBUTE_INPUT_BUF_SIZE, pb.BUFFER_ATTRIBUTE_OUTPUT_BUF_SIZE}:
@@ -422,21 +404,15 @@ class Service:
             raise DaqmxError(Code.ATTR_NOT_SUPPORTED, f"property {attribute} of this board cannot be set now")
 
     @_served
-    def GetErrorString(self, request: Any, context: Any) -> Any:  # noqa: N802, ARG002
+    def GetErrorString(self, request: Any, context: Any) -> dict[str, Any]:
         """Return the name of an error."""
-        with contextlib.suppress(ValueError):
-            text = Code(request.error_code).name.replace("_", " ").capitalize()
-            return self._pb.GetErrorStringResponse(error_string=text)
-        return self._pb.GetErrorStringResponse()
+        name = Code(request.error_code).name if request.error_code in set(Code) else ""
+        return {"error_string": name.replace("_", " ").capitalize()}
 
     # Helpers
 
     def _task(self, request: Any) -> DaqmxTask:
         return self.board.find(request.task.name)
-
-    def _kind(self, request: Any) -> str:
-        task = self.board.tasks.get(request.task.name)
-        return task.kind if task else ""
 
     def _add(self, request: Any, kind: str, per_volt: float = 1.0) -> None:
         if request.custom_scale_name:
@@ -465,30 +441,28 @@ def _value(request: Any, field: str) -> Any:
 
 def _properties(servicer: type) -> dict[str, Callable[..., Any]]:
     """Return the methods that get and set properties, of each type that NI's interface has."""
-    methods: dict[str, Callable[..., Any]] = {}
-    for name in dir(servicer):
-        for verb in ("Get", "Set"):
-            if name.startswith(verb) and "Attribute" in name:
-                methods[name] = _property_method(name, verb)
-    return methods
+    return {
+        name: _property_method(name)
+        for name in dir(servicer)
+        if name.startswith(("Get", "Set")) and "Attribute" in name
+    }
 
 
-def _property_method(name: str, verb: str) -> Callable[..., Any]:
-    @_served
-    def method(self: Service, request: Any, context: Any) -> Any:  # noqa: ARG001
-        response = getattr(self._pb, f"{name}Response")
-        if verb == "Set":
+def _property_method(name: str) -> Callable[..., Any]:
+    def method(self: Service, request: Any, _context: Any) -> dict[str, Any] | None:
+        if name.startswith("Set"):
             self.set_property(request)
-            return response()
-        field = "value_raw" if "value_raw" in response.DESCRIPTOR.fields_by_name else "value"
-        return response(**{field: self.get_property(name.removeprefix("Get"), request)})
+            return None
+        fields = getattr(self._pb, f"{name}Response").DESCRIPTOR.fields_by_name
+        field = "value_raw" if "value_raw" in fields else "value"
+        return {field: self.get_property(name.removeprefix("Get"), request)}
 
-    return method
+    return _served(method, name)
 
 
 def servicer(board: Board) -> Any:
     """Return an object with a method for each call of NI's service."""
-    stubs = extras.load("nidaqmx._stubs.nidaqmx_pb2_grpc", PURPOSE, EXTRA)
+    stubs = _load("nidaqmx._stubs.nidaqmx_pb2_grpc")
     return type("Servicer", (Service, stubs.NiDAQmxServicer), _properties(stubs.NiDAQmxServicer))(board)
 
 
@@ -503,8 +477,8 @@ def serving(board: Board, address: str) -> Iterator[tuple[Any, int]]:
     Raises:
         ImpactRigError: the extra is not installed, or the address cannot be used.
     """
-    grpc = extras.load("grpc", PURPOSE, EXTRA)
-    stubs = extras.load("nidaqmx._stubs.nidaqmx_pb2_grpc", PURPOSE, EXTRA)
+    grpc = _load("grpc")
+    stubs = _load("nidaqmx._stubs.nidaqmx_pb2_grpc")
     with futures.ThreadPoolExecutor(MOST_CALLS) as pool:
         server = grpc.server(
             pool, maximum_concurrent_rpcs=MOST_CALLS,

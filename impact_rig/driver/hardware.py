@@ -14,8 +14,9 @@
 """Buffered analog output and input of a rig, for controllers.
 
 `AnalogOutput` plays blocks of samples and `Acquisition` reads scans. Each works without the other, so they may be in
-processes of their own, each with its own `RosRig`, or in two threads that share one rig. `Hardware` is the pair in one
-program. All calls that wait have a time-out, and blocks may have any size.
+two processes, each with its own `RosRig`, or in two threads that share one rig. Threads cannot share a `RosRig` in
+lockstep: its step waits for samples while the other thread waits for its turn. `Hardware` is the pair in one program.
+All calls that wait have a time-out, and blocks may have any size.
 """
 
 from __future__ import annotations
@@ -252,7 +253,7 @@ class Acquisition:
         """Keep scans from number `scan` on (default: from the next one that arrives)."""
         with self._rig.turns:
             if not self._started:
-                self._rig.connect(self._take)
+                self._rig.connect(self._on_block)
             self._started = True
             self._kept = deque(part for part in self._kept if scan is not None and part[0] + len(part[1]) > scan)
             self.next_scan, self.lost = scan, 0
@@ -262,7 +263,7 @@ class Acquisition:
         """Keep no more scans; those that have arrived can still be read."""
         with self._rig.turns:
             if self._started:
-                self._rig.disconnect(self._take)
+                self._rig.disconnect(self._on_block)
             self._started = False
 
     def delay_s(self, sample: int, scan: int) -> float:
@@ -297,7 +298,7 @@ class Acquisition:
         """Return the scans that have arrived and were not read."""
         return self._cut(self.available)
 
-    def _take(self, table: Table) -> None:
+    def _on_block(self, table: Table) -> None:
         first, rows = self._rig.first_scan(table), table.rows
         if self.next_scan is None:
             self.next_scan = self._end = first
