@@ -56,7 +56,7 @@ class ImpactRigEnv(gymnasium.Env):
             self.rig.close()
 
     def _observe(self):
-        self.rig.clear()  # keeps what is remembered bounded
+        self.rig.clear()  # bounds the memory
         self.rig.run(STEP_S)
         rows = self.rig.rows()
         return np.array([rows[name].std() for name in CHANNELS] / SCALES, np.float32)

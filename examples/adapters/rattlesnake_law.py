@@ -13,7 +13,7 @@
 # limitations under the License.
 """A law for Rattlesnake's random vibration environment, which loads it from this file.
 
-Each line of the last drive is corrected by what its response lacks; the first drive is that of a linear rig.
+The law multiplies each line of the last drive by wanted / reached density. The first drive is that of a linear rig.
 """
 
 import numpy as np

@@ -33,7 +33,7 @@ def test_the_checker_finds_nothing(recwarn):
 
 
 @pytest.mark.parametrize("kind", [SyncVectorEnv, AsyncVectorEnv])
-def test_environments_in_parallel_see_what_one_alone_sees(kind):
+def test_parallel_environments_return_the_same_as_a_single_one(kind):
     make = functools.partial(gymnasium.make, "gymnasium_env:ImpactRig-v0")
     envs, alone = kind([make, make]), make()
     (first, _), (second, _) = envs.reset(seed=[3, 4]), alone.reset(seed=4)

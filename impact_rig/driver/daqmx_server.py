@@ -47,6 +47,8 @@ ACQUIRED, TRANSFERRED = 1, 2
 TRANSFERRED_KEYS = {"Read": "ni-samps-per-chan-read", "Write": "ni-samps-per-chan-written"}
 """By the first word of a call, the key of how many samples it has transferred, none where it fails."""
 ABORT, START, STOP = 6, 0, 1
+PROPERTY_TYPES = {"Bool": bool, "Double": float, "Int32": int, "String": str, "UInt32": int, "UInt64": int}
+"""By the last word of a call, the type of the properties that it gets."""
 VOLTS_PER_SENSITIVITY = {12509: 1e-3, 12510: 1.0}  # mV/g, V/g
 ACCELERATIONS = {10186: 1.0, 12470: 9.80665, 12471: 9.80665 / 0.0254}  # g, m/s², in/s²
 
@@ -317,7 +319,8 @@ class Service:
             found = self._channel_properties(self._task(request), request.channel)
         else:
             found = self._task_properties(self._task(request))
-        if attribute not in found:
+        kind = PROPERTY_TYPES.get(name.partition("Attribute")[2])
+        if kind is None or not isinstance(found.get(attribute), kind):
             raise DaqmxError(Code.ATTR_NOT_SUPPORTED, f"property {attribute} is not supported by this board")
         return found[attribute]
 

@@ -30,7 +30,8 @@ pytest.importorskip("nidaqmx", reason="the extra nidaqmx is not installed")
 
 import grpc
 import nidaqmx
-from nidaqmx.constants import AcquisitionType, RegenerationMode
+from nidaqmx._stubs.nidaqmx_pb2 import TASK_ATTRIBUTE_NAME
+from nidaqmx.constants import AccelUnits, AcquisitionType, RegenerationMode
 from nidaqmx.error_codes import DAQmxErrors
 from nidaqmx.stream_readers import AnalogMultiChannelReader
 
@@ -163,12 +164,14 @@ def test_values_on_demand(task: MakeTask) -> None:
 
 
 def test_acceleration_is_scaled_by_the_sensitivity_that_the_script_states(task: MakeTask) -> None:
-    one, other = task(), task()
-    one.ai_channels.add_ai_accel_chan("Dev1/ai0", sensitivity=100.0)
-    other.ai_channels.add_ai_accel_chan("Dev1/ai0", sensitivity=200.0)
-    for ai in (one, other):
-        ai.timing.cfg_samp_clk_timing(RATE_HZ, samps_per_chan=10)
-    assert np.array(one.read(10)) == pytest.approx(2.0 * np.array(other.read(10)), abs=1e-3)
+    ao, volts, accel = task(), task(), task()
+    ao.ao_channels.add_ao_voltage_chan("Dev1/ao0")
+    ao.write(0.25)
+    volts.ai_channels.add_ai_voltage_chan("Dev1/ai3")
+    while abs(volts.read() - 0.25) > 1e-9:  # the amplifier is on its way there
+        pass
+    accel.ai_channels.add_ai_accel_chan("Dev1/ai3", units=AccelUnits.METERS_PER_SECOND_SQUARED, sensitivity=100.0)
+    assert accel.read() == pytest.approx(9.80665 * 0.25 / 0.1, rel=1e-6)  # 100 mV/g
 
 
 def test_time_out(task: MakeTask) -> None:
@@ -234,6 +237,8 @@ def test_not_started(task: MakeTask) -> None:
     with pytest.raises(nidaqmx.errors.DaqReadError) as raised:
         ai.read(10)
     assert code(raised) is DAQmxErrors.CANNOT_READ_WHEN_AUTO_START_FALSE_AND_TASK_NOT_RUNNING_OR_COMMITTED
+    with pytest.raises(nidaqmx.errors.DaqReadError):
+        ai.read(-1)
     with pytest.raises(nidaqmx.errors.DaqError) as raised:
         ai.wait_until_done()
     assert code(raised) is DAQmxErrors.CANNOT_PERFORM_OP_WHEN_TASK_NOT_RUNNING
@@ -249,6 +254,32 @@ def test_what_is_not_served_is_not_supported(task: MakeTask) -> None:
     with pytest.raises(nidaqmx.errors.DaqError) as raised:
         ai.timing.samp_clk_dig_fltr_enable  # noqa: B018  # asks the server
     assert code(raised) is DAQmxErrors.ATTR_NOT_SUPPORTED
+    with pytest.raises(nidaqmx.errors.DaqError) as raised:
+        ai._interpreter.get_task_attribute_uint32(ai._handle, TASK_ATTRIBUTE_NAME)  # which is a text
+    assert code(raised) is DAQmxErrors.ATTR_NOT_SUPPORTED
+
+
+@pytest.mark.ros
+def test_a_running_rig_keeps_its_rates() -> None:
+    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    from impact_rig.driver import RosRig
+
+    rates = {"daq.rate_hz": RATE_HZ, "daq.block_scans": 20, "drive.stream_rate_hz": RATE_HZ}
+    rig = RosRig({**IDEAL, **rates, "drive.waveform": "stream"}, mode="realtime", hosted=True)
+    with (
+        serving(Board(RigConfig(), rig), "127.0.0.1:0") as (_, port),
+        grpc.insecure_channel(f"127.0.0.1:{port}") as channel,
+        nidaqmx.Task(grpc_options=nidaqmx.GrpcSessionOptions(channel, "")) as ai,
+        nidaqmx.Task(grpc_options=nidaqmx.GrpcSessionOptions(channel, "")) as ao,
+    ):
+        inputs(ai).triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ao/StartTrigger")
+        with pytest.raises(nidaqmx.errors.DaqError, match="the running rig has 2000 Hz, not 1000"):
+            ai.timing.cfg_samp_clk_timing(1000)
+        output(ao).write(WAVE)
+        ai.start()
+        ao.start()
+        assert np.abs(np.array(ai.read(3000)) - np.resize(WAVE, 3000)).max() < 1e-9
+    assert rig.closed
 
 
 def test_a_message_beyond_the_limit_is_refused(task: MakeTask) -> None:
