@@ -174,14 +174,14 @@ class Activation:
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
         self._instance = self._first = ""
-        self._heard_at = self._changed_at = -math.inf
+        self._reported_at = self._changed_at = -math.inf
         self._previous = ""
         self._is_there = self._is_gone = False
 
     @property
     def is_overdue(self) -> bool:
         """Return whether a known rig has not reported for a while."""
-        return self._is_there and self._clock() - self._heard_at > DIAGNOSTICS_PERIOD_S
+        return self._is_there and self._clock() - self._reported_at > DIAGNOSTICS_PERIOD_S
 
     @property
     def _is_changing(self) -> bool:
@@ -194,7 +194,7 @@ class Activation:
         Diagnostics of the previous rig may still be under way just after `changed`; these are ignored.
         """
         self._identify()
-        self._heard_at = self._clock()
+        self._reported_at = self._clock()
         self._is_there, self._is_gone = True, False
         if instance != self._previous or not self._is_changing:
             self._instance = instance
@@ -208,7 +208,7 @@ class Activation:
 
     def _identify(self) -> None:
         """Keep the previous rig if no other one has reported since `changed`: it is the same rig."""
-        if not self._first and not self._is_changing and self._heard_at >= self._changed_at:
+        if not self._first and not self._is_changing and self._reported_at >= self._changed_at:
             self._instance = self._first = self._previous
 
     def given(self, what: str, silence_s: float = GONE_S) -> Check:
@@ -222,7 +222,7 @@ class Activation:
             instance = instance or self._first
             if instance != self._instance:
                 raise RigGoneError(f"{what}: the rig that received it is gone; another rig has started")
-            silent = self._is_there and self._clock() - max(self._heard_at, since) > silence_s
+            silent = self._is_there and self._clock() - max(self._reported_at, since) > silence_s
             self._is_gone |= silent
             if self._is_gone:
                 raise RigGoneError(f"{what}: the rig that received it is gone; no report from it for {GONE_S:g} s")
@@ -309,7 +309,7 @@ class Client:
         self._rigs: dict[str, Activation] = {}
         self._publishers: dict[str, Any] = {}
         self._acknowledgements: dict[str, Template] = {}
-        self._heard: set[Any] = set()
+        self._matched: set[Any] = set()
         self._knows_past = False  # whether all commands applied before this client started have arrived
         self._clients: dict[tuple[str, Any], Any] = {}
         self.subscribe(topics.DIAGNOSTICS, self._on_diagnostics)
@@ -409,7 +409,7 @@ class Client:
             received = self.executor.create_task(lambda: None)  # runs after everything received so far
             self.wait_until(received.done, "the executor")
             self._rigs[node].changed()
-            self._heard.clear()
+            self._matched.clear()
 
     def host(self, make_node: Callable[..., Any], **kwargs: Any) -> Any:
         """Run a node in this process, in this client's executor, with this client's context and namespace.
@@ -461,7 +461,7 @@ class Client:
                 continue
             check = self.given(f"{column} = {value:g}")
             self._reach(self.publisher(topic), topic, timeout_s, "rig", check)
-            self._hear_applied()
+            self._receive_applied()
             before = len(self.applied)
             self.publish(topic, Float64(data=value), timeout_s, "rig", check)
             accepted = functools.partial(self._accepted, before, column, value, self.refusal(topic.name))
@@ -480,20 +480,20 @@ class Client:
             reasons: the keys that the rig counts these rejections by: the name of a topic, or `inactive`.
         """
 
-        def told() -> dict[str, tuple[str, str]] | None:
+        def rejections() -> dict[str, tuple[str, str]] | None:
             figures = self.figures("rig")
             names = [f"refused.{reason}" for reason in reasons]
             return {name: (figures.get(name, ""), figures.get(f"last_{name}", "")) for name in names if figures} or None
 
-        before = told()
+        before = rejections()
 
-        def words() -> str:
+        def message() -> str:
             nonlocal before
-            now = told()
+            now = rejections()
             before = before or now  # a rig without an earlier report may have rejected something before
             return next((now[name][1] for name in now if now[name] != before[name]), "") if now and before else ""
 
-        return words
+        return message
 
     def publish(
         self,
@@ -685,21 +685,21 @@ class Client:
 
     def _reach(self, publisher: Any, topic: topics.Topic, timeout_s: float, listener: str | None, check: Check) -> None:
         """Wait until the subscribers are matched; see `publish`."""
-        if publisher not in self._heard:
-            heard = functools.partial(is_heard, self.node, publisher, listener)
-            self.wait_until(heard, f"{listener or 'a subscriber'} on {topic.name}", timeout_s, check)
-            self._heard.add(publisher)
+        if publisher not in self._matched:
+            matched = functools.partial(has_subscribers, self.node, publisher, listener)
+            self.wait_until(matched, f"{listener or 'a subscriber'} on {topic.name}", timeout_s, check)
+            self._matched.add(publisher)
 
-    def _hear_applied(self) -> None:
+    def _receive_applied(self) -> None:
         """Receive all commands applied before this client started: none must pass for the answer to a new one.
 
         A rig that has not started has applied none.
         """
         deadline = time.monotonic() + HISTORY_S
         while not self._knows_past and time.monotonic() < deadline:
-            came_ns = [message.received_system_ns for message in self.applied.received[:1]]
+            received_ns = [message.received_system_ns for message in self.applied.received[:1]]
             # the rig sent its history with the first message
-            self._knows_past = bool(came_ns) and time.time_ns() - came_ns[0] > DELIVERY_S * NS_PER_S
+            self._knows_past = bool(received_ns) and time.time_ns() - received_ns[0] > DELIVERY_S * NS_PER_S
             if not self._knows_past:
                 self.spin_for(DELIVERY_S)
         self._knows_past = True
@@ -757,7 +757,7 @@ def subscribers(node: Node, topic: str) -> set[str]:
     return {info.node_name for info in node.get_subscriptions_info_by_topic(full_name)}
 
 
-def is_heard(node: Node, publisher: Any, listener: str | None) -> bool:
+def has_subscribers(node: Node, publisher: Any, listener: str | None) -> bool:
     """Return whether a publisher has matched all subscribers known to the graph, including the node `listener`."""
     found = node.get_subscriptions_info_by_topic(publisher.topic_name)
     there = listener is None or listener in {info.node_name for info in found}
