@@ -31,7 +31,7 @@ pytest.importorskip("nidaqmx", reason="the extra nidaqmx is not installed")
 import grpc
 import nidaqmx
 from nidaqmx._stubs.nidaqmx_pb2 import TASK_ATTRIBUTE_NAME
-from nidaqmx.constants import AccelUnits, AcquisitionType, RegenerationMode
+from nidaqmx.constants import AccelUnits, AcquisitionType, FillMode, RegenerationMode
 from nidaqmx.error_codes import DAQmxErrors
 from nidaqmx.stream_readers import AnalogMultiChannelReader
 
@@ -94,16 +94,44 @@ def test_finite_input_of_all_channels(task: MakeTask) -> None:
     assert np.isfinite(found).all()
 
 
+def read_all(ai: Any, most: int) -> int:
+    """Read without a number of samples, which the package does for no task, and return how many were read."""
+    values = np.zeros((1, most))
+    return int(ai._interpreter.read_analog_f64(ai._handle, -1, 10.0, FillMode.GROUP_BY_CHANNEL.value, values)[1])
+
+
+def test_finite_input_in_parts(task: MakeTask) -> None:
+    ai = inputs(task(), samples=500, finite=True)
+    assert len(ai.read(200)) == 200
+    assert [read_all(ai, 100), read_all(ai, 1000)] == [100, 200]
+    with pytest.raises(nidaqmx.errors.DaqReadError) as raised:
+        ai.read(1)
+    assert code(raised) is DAQmxErrors.SAMPLES_WILL_NEVER_BE_AVAILABLE
+
+
 def test_an_output_is_repeated_and_an_input_starts_with_it(task: MakeTask) -> None:
     ai, ao = inputs(task()), output(task())
     ai.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ao/StartTrigger")
     assert ao.write(WAVE) == RATE_HZ
     ai.start()
     assert not ai.is_task_done()
+    assert not any(ai.in_stream.avail_samp_per_chan for _ in range(100))  # rig time passes meanwhile
     ao.start()
     found = np.array([ai.read(500) for _ in range(6)])
     assert np.abs(found.ravel() - np.resize(WAVE, 3000)).max() < 1e-9
     assert ao.timing.samp_clk_rate == RATE_HZ
+
+
+def test_a_repeated_output_is_overwritten_from_its_begin(task: MakeTask) -> None:
+    ai, ao = inputs(task()), output(task(), 400)
+    ai.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ao/StartTrigger")
+    ao.write(WAVE[:400])
+    ai.start()
+    ao.start()
+    ao.write(np.full(100, 0.1))
+    ao.write(np.full(100, 0.2))
+    expected = np.concatenate([np.full(100, 0.1), np.full(100, 0.2), WAVE[200:400]])
+    assert any(np.abs(np.array(ai.read(400)) - expected).max() < 1e-9 for _ in range(20))
 
 
 def test_an_output_is_written_while_an_input_is_read(task: MakeTask) -> None:
@@ -238,13 +266,46 @@ def test_not_started(task: MakeTask) -> None:
         ai.read(10)
     assert code(raised) is DAQmxErrors.CANNOT_READ_WHEN_AUTO_START_FALSE_AND_TASK_NOT_RUNNING_OR_COMMITTED
     with pytest.raises(nidaqmx.errors.DaqReadError):
-        ai.read(-1)
+        read_all(ai, 10)
     with pytest.raises(nidaqmx.errors.DaqError) as raised:
         ai.wait_until_done()
     assert code(raised) is DAQmxErrors.CANNOT_PERFORM_OP_WHEN_TASK_NOT_RUNNING
     with pytest.raises(nidaqmx.errors.DaqError) as raised:
         output(task()).start()
     assert code(raised) is DAQmxErrors.OUTPUT_BUFFER_EMPTY
+
+
+def too_many(ai: Any) -> None:
+    ai._interpreter.read_analog_f64(ai._handle, 20, 1.0, FillMode.GROUP_BY_CHANNEL.value, np.zeros((1, 10)))
+
+
+def play_at(ao: Any, rate_hz: int) -> None:
+    output(ao).timing.samp_clk_rate = rate_hz
+    ao.write(WAVE, auto_start=True)
+
+
+@pytest.mark.parametrize(
+    ("misuse", "expected"),
+    [
+        (lambda ai, _: output(ai), DAQmxErrors.CAN_NOT_PERFORM_OP_WHILE_TASK_RUNNING),
+        (lambda _, make: output(inputs(make())), DAQmxErrors.INVALID_TASK),
+        (lambda _, make: inputs(make(), "Dev1/ai0, Dev1/ai0"), DAQmxErrors.CHAN_ALREADY_IN_TASK),
+        (lambda _, make: output(make()).write([0.0, 10.1]), DAQmxErrors.INVALID_AO_DATA_WRITE),
+        (lambda _, make: make().start(), DAQmxErrors.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK),
+        (lambda ai, _: too_many(ai), DAQmxErrors.INVALID_ATTRIBUTE_VALUE),
+        (lambda _, make: inputs(make()).start(), -50103),  # the resource is reserved
+        (lambda _, make: play_at(make(), 1000), DAQmxErrors.INVALID_ATTRIBUTE_VALUE),
+    ],
+)  # fmt: skip
+def test_misuse_while_an_input_runs(
+    task: MakeTask, misuse: Callable[[Any, MakeTask], object], expected: DAQmxErrors | int
+) -> None:
+    ai = inputs(task())
+    ai.start()
+    with pytest.raises(nidaqmx.errors.DaqError) as raised:
+        misuse(ai, task)
+    assert raised.value.error_code == int(expected)
+    assert len(ai.read(10)) == 10
 
 
 def test_what_is_not_served_is_not_supported(task: MakeTask) -> None:
