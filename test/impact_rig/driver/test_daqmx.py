@@ -182,12 +182,15 @@ def test_events_report_samples_that_a_reader_then_reads(task: MakeTask) -> None:
 
 
 def test_values_on_demand(task: MakeTask) -> None:
-    ao, ai = task(), task()
+    ao, ai, both, values = task(), task(), inputs(task(), "Dev1/ai3, Dev1/ai1"), np.zeros(20)
     ao.ao_channels.add_ao_voltage_chan("Dev1/ao0")
     ao.write(0.25)
     ai.ai_channels.add_ai_voltage_chan("Dev1/ai3")
     while abs(ai.read() - 0.25) > 1e-9:  # the amplifier is on its way there
         pass
+    both._interpreter.read_analog_f64(both._handle, 10, 10.0, FillMode.GROUP_BY_SCAN_NUMBER.value, values)
+    assert values[::2] == pytest.approx(0.25, abs=1e-9)
+    assert abs(values[1::2] - 0.25).min() > 0.01
     ao.stop()
 
 
@@ -308,6 +311,19 @@ def test_misuse_while_an_input_runs(
     assert len(ai.read(10)) == 10
 
 
+def test_a_reset_stops_the_tasks_of_a_device(task: MakeTask, address: str) -> None:
+    ai = inputs(task())
+    ai.start()
+    with grpc.insecure_channel(address) as channel:
+        options = nidaqmx.GrpcSessionOptions(channel, "")
+        with pytest.raises(nidaqmx.errors.DaqError) as raised:
+            nidaqmx.system.Device("Dev2", grpc_options=options).reset_device()
+        assert code(raised) is DAQmxErrors.INVALID_DEVICE_ID
+        assert not ai.is_task_done()
+        nidaqmx.system.Device("Dev1", grpc_options=options).reset_device()
+    assert ai.is_task_done()
+
+
 def test_what_is_not_served_is_not_supported(task: MakeTask) -> None:
     with pytest.raises(nidaqmx.errors.RpcError, match="not supported by the NI gRPC Device Server"):
         task().di_channels.add_di_chan("Dev1/port0/line0")
@@ -339,7 +355,7 @@ def test_a_running_rig_keeps_its_rates() -> None:
         output(ao).write(WAVE)
         ai.start()
         ao.start()
-        assert np.abs(np.array(ai.read(3000)) - np.resize(WAVE, 3000)).max() < 1e-9
+        assert any(np.ptp(ai.read(500)) > 0.5 for _ in range(10))
     assert rig.closed
 
 
