@@ -31,12 +31,12 @@ pytest.importorskip("nidaqmx", reason="the extra nidaqmx is not installed")
 import grpc
 import nidaqmx
 from nidaqmx._stubs.nidaqmx_pb2 import TASK_ATTRIBUTE_NAME
-from nidaqmx.constants import AccelUnits, AcquisitionType, FillMode, RegenerationMode
+from nidaqmx.constants import AccelUnits, AcquisitionType, FillMode, RegenerationMode, TaskMode
 from nidaqmx.error_codes import DAQmxErrors
 from nidaqmx.stream_readers import AnalogMultiChannelReader
 
 from impact_rig.driver.daqmx_board import MOST_TASKS, Board, DaqmxError
-from impact_rig.driver.daqmx_server import MOST_MESSAGE_BYTES, serving
+from impact_rig.driver.daqmx_server import MOST_EVENTS, MOST_MESSAGE_BYTES, serving
 from impact_rig.rig.config import RigConfig, from_flat
 
 IDEAL = {"instruments.ideal": True, "sphere.present": False}
@@ -311,7 +311,7 @@ def test_misuse_while_an_input_runs(
     assert len(ai.read(10)) == 10
 
 
-def test_a_reset_stops_the_tasks_of_a_device(task: MakeTask, address: str) -> None:
+def test_a_task_is_controlled_and_a_reset_stops_it(task: MakeTask, address: str) -> None:
     ai = inputs(task())
     ai.start()
     with grpc.insecure_channel(address) as channel:
@@ -319,6 +319,10 @@ def test_a_reset_stops_the_tasks_of_a_device(task: MakeTask, address: str) -> No
         with pytest.raises(nidaqmx.errors.DaqError) as raised:
             nidaqmx.system.Device("Dev2", grpc_options=options).reset_device()
         assert code(raised) is DAQmxErrors.INVALID_DEVICE_ID
+        assert not ai.is_task_done()
+        ai.control(TaskMode.TASK_STOP)
+        assert ai.is_task_done()
+        ai.control(TaskMode.TASK_START)
         assert not ai.is_task_done()
         nidaqmx.system.Device("Dev1", grpc_options=options).reset_device()
     assert ai.is_task_done()
@@ -363,6 +367,13 @@ def test_a_message_beyond_the_limit_is_refused(task: MakeTask) -> None:
     ao = output(task())
     with pytest.raises(nidaqmx.errors.RpcError, match="larger than max"):
         ao.write(np.zeros(MOST_MESSAGE_BYTES // 8 + 1000))
+
+
+def test_the_number_of_events_is_bounded(task: MakeTask) -> None:
+    for _ in range(MOST_EVENTS):
+        inputs(task()).register_done_event(lambda *_: 0)
+    with pytest.raises(nidaqmx.errors.DaqError, match="more than 16 events are registered"):
+        inputs(task()).register_done_event(lambda *_: 0)
 
 
 def test_the_number_of_tasks_is_bounded() -> None:

@@ -209,6 +209,14 @@ def test_samples_that_do_not_fit_before_the_start_are_refused() -> None:
         output.write(WAVE[:200])
 
 
+def test_a_second_start_plays_after_the_samples_of_the_first() -> None:
+    output = AnalogOutput(LocalRig(STREAM))
+    for first in (0, 300):
+        assert output.start() == first
+        output.write(WAVE[:300])
+        output.stop()
+
+
 def test_an_output_alone_keeps_nothing_of_what_the_rig_publishes() -> None:
     rig = LocalRig(STREAM)
     output = AnalogOutput(rig, buffer_s=0.2)
