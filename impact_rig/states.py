@@ -73,7 +73,7 @@ class AnalysisWord(Word):
     LOST_SCANS = "lost_scans", "scans were lost since the last row"
     UNABLE = (
         "unable",
-        ("scans arrive but DT cannot be measured now: the reason is a status of `transmissibility/table`"),
+        "scans arrive but DT cannot be measured now: the reason is a status of `transmissibility/table`",
     )
     AT_REST = "at_rest", "no drive"
     SETTLING = "settling", "waiting for the response to the present drive"
@@ -87,7 +87,7 @@ class RecorderWord(Word):
     FAILED = "failed", "disk full, directory gone, ...: nothing is recorded"
     RIVAL = (
         "rival",
-        ("another node has written a topic of this run that only one node may write: the run cannot be verified"),
+        "another node has written a topic of this run that only one node may write: the run cannot be verified",
     )
     LOSING = "losing", "messages of this run were lost before they reached the recorder, or were invalid"
     WAITING = "waiting", "a recording is requested, but something it needs is missing"
