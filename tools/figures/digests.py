@@ -140,7 +140,7 @@ def _subjects() -> dict[str, Callable[[], object]]:
 
 
 def _backbone() -> prediction.Branch:
-    return prediction.backbone(RigConfig(), closed_loop.LADDER_GAP_M)
+    return prediction.backbone(RigConfig(), closed_loop.SWEEP_GAP_M)
 
 
 def _branches() -> list[object]:
