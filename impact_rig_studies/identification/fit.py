@@ -210,7 +210,7 @@ class Identified:
     u_restitution: float = math.nan
     irregular: Mapping[float, float] = attrs.field(factory=dict)
     """Gaps [m] at which the fitted motion is irregular, with the standard uncertainty of its mean ratio."""
-    contradicted: tuple[float, ...] = ()  # those of them at which a periodic motion was measured
+    contradicted: tuple[float, ...] = ()  # those of them that look irregular where a periodic motion was measured
     alternatives: tuple[Alternative, ...] = ()
     """All explanations of the data if there are several, the most probable first.
 
@@ -374,11 +374,12 @@ def _with_reductions(
     determined = sum(combination.determined for combination in found.combinations)
     irregular = {gap: motion.u for gap, motion in best.motions.items() if motion.regime != Regime.PERIODIC.value}
     assert measured.reduced is not None
-    regimes = measured.reduced.regimes
+    regimes, periodic = measured.reduced.regimes, Regime.PERIODIC.value
+    contradicted = [gap for gap in irregular if regimes[gap] == periodic != best.motions[gap].seen]
     return Identified(
         constants, found, best.chi_square, len(best.residual) - len(NUISANCES) - 1 - determined,
         from_flat(rig(known, constants), {"contact.restitution": e}), e, u_e, irregular,
-        tuple(gap for gap in irregular if regimes[gap] == Regime.PERIODIC.value), alternatives, best.converged,
+        tuple(contradicted), alternatives, best.converged,
     )  # fmt: skip
 
 

@@ -47,6 +47,7 @@ class SettledMotion(NamedTuple):
     log_ratio: float  # ln(DT with sphere / DT without)
     u: float  # standard uncertainty of the mean of an irregular motion; 0 for a repeating one
     regime: str  # periodic, modulated, chaotic or intermittent
+    seen: str  # regime that a measurement reports: a chaotic motion whose changes are small looks periodic
     period: float  # cycles after which it repeats; NaN if it does not
     impacts: float  # number in a period
 
@@ -88,7 +89,7 @@ class SettledRig:
         if found.regime == FAILED or not found.dt > 0.0:
             gap_mm = place.config.barriers.gap_m * 1e3
             raise SimulationError(f"gap {gap_mm:g} mm, {place.frequency_hz:g} Hz: the motion cannot be resolved")
-        u, dt = 0.0, found.dt
+        u, dt, seen = 0.0, found.dt, found.regime
         if not (math.isfinite(found.period) and found.drift <= REPEATS):
             means = []
             for _ in range(BATCHES):
@@ -97,8 +98,9 @@ class SettledRig:
             superior, base = np.array(means).T
             dt = float(abs(superior.mean() / base.mean()))
             u = float(np.std(np.log(np.abs(superior / base)), ddof=1)) / math.sqrt(BATCHES)
+            seen = rig.behaviour(place.frequency_hz, place.amplitude, BATCH_CYCLES).regime.value
         impacts = found.impacts_per_cycle * found.period
-        self.motion = SettledMotion(math.log(dt) - _log_dt(place), u, found.regime, found.period, impacts)
+        self.motion = SettledMotion(math.log(dt) - _log_dt(place), u, found.regime, seen, found.period, impacts)
 
     def slopes(self, neighbour: Callable[[int, float], Place], count: int, amplitude: int, mass: int) -> Real:
         """Return the derivatives of `motion.log_ratio` by parameters, shape (count,). This advances the rig.

@@ -248,6 +248,13 @@ class MapRig:
         reach = self._config.barriers.gap_m / 2.0 - float(np.abs(record.cycles["x_1"][-CHUNK:]).max())
         return bool(abs(place + velocity * NEAR_S) > reach > 0.0) and abs(velocity) > 0.0
 
+    def behaviour(self, frequency_hz: float, amplitude: float, cycles: int) -> Behaviour:
+        """Return the behaviour of the next cycles as a measurement judges it, by structure and impacts alone.
+
+        A motion whose neighbours separate can look periodic, if its changes from cycle to cycle are small.
+        """
+        return _behaviour(self._run(frequency_hz, amplitude, cycles), self._settings)
+
     def run_cycles(self, frequency_hz: float, amplitude: float, cycles: int) -> Motion:
         """Return the motion of the next whole cycles, one drive segment each; the first ramps to a new amplitude."""
         period = 1.0 / frequency_hz
