@@ -128,7 +128,7 @@ test: $(TEST) kernels ## run all tests on real ROS 2; ARGS=--changed or '-k code
 	    $(COVERAGE) report --include="$(KERNELS)" --fail-under=90 && [ $$status = 0 ] && $(call note,suite_s) &&) exit $$status
 
 LINT = $(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check . && $(VENV)/bin/mypy && $(VENV)/bin/lint-imports && \
-    $(VENV)/bin/python tools/prose_lint.py && \
+    $(VENV)/bin/python -m tools.prose_lint && \
     if command -v node >/dev/null; then for file in impact_rig_lab/static/*.js; do \
     node --check --input-type=module < $$file || exit 1; done; fi
 
@@ -152,7 +152,7 @@ docs: $(DOCS) kernels ## build the documentation as a website in build/site
 	@$(VENV)/bin/python -m tools.website $(ARGS)
 
 site: $(TEST) kernels ## build the rig as one web page in build/rig
-	@$(VENV)/bin/python tools/browser_page.py $(ARGS)
+	@$(VENV)/bin/python -m tools.browser_page $(ARGS)
 
 format: $(TEST) $(PACKAGE) ## format the code
 	@$(VENV)/bin/ruff check --fix-only .
@@ -168,7 +168,7 @@ portability: kernels ## compare bits under masked and emulated CPUs; ARGS=--writ
 	@$(VENV)/bin/python -m qualification.portability $(ARGS)
 
 soak: kernels ## run two hours of rig time free-running and ten minutes live; ARGS='--part live' selects
-	@$(VENV)/bin/python qualification/soak.py $(ARGS)
+	@$(VENV)/bin/python -m qualification.soak $(ARGS)
 
 COLCON := build/colcon-venv
 $(COLCON)/ready: requirements/run.txt requirements/$(ROS).txt requirements/test.txt requirements/colcon.txt
@@ -191,7 +191,7 @@ adapters: $(ADAPTERS)/ready kernels ## test examples/adapters with the real Gymn
 	    RATTLESNAKE='$(RATTLESNAKE)' $(ADAPTERS)/bin/python -m pytest -c /dev/null -p no:cacheprovider -ra examples/adapters $(ARGS)
 
 release: $(RUN) ## build and check wheel and source distribution in build/release; ARGS=--try also installs them
-	@$(VENV)/bin/python tools/release.py $(ARGS)
+	@$(VENV)/bin/python -m tools.release $(ARGS)
 
 venv: $(TEST) $(DOCS) $(PACKAGE) ## set up the environment .venv with all its parts
 

@@ -13,7 +13,7 @@
 # limitations under the License.
 """Look at a report as a browser shows it: no label over another, nothing too small, too wide, fetched or complained of.
 
-    python qualification/check_report.py runs/campaign_paper/report.html [SCREENSHOTS]
+    python -m qualification.check_report runs/campaign_paper/report.html [SCREENSHOTS]
 
 Needs a Chromium (`apt-get install chromium`), and axe looks for faults of access. Takes screenshots on 1280 and 400
 pixels, light and dark, and a PDF of the printed page, writes them to the second argument (default: beside the report),

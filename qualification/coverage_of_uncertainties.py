@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Do the stated uncertainties cover the truth? `python qualification/coverage_of_uncertainties.py [TABLE]`.
+"""Do the stated uncertainties cover the truth? `python -m qualification.coverage_of_uncertainties [TABLE]`.
 
 A motion is simulated once. Every seed then draws the calibration errors and the noise of all instruments anew, and its
 chain of instruments reads that motion, as a rig of that seed would: instruments never act back on the mechanics. The

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""How long a new process needs to see who publishes already: `python qualification/discovery.py`, a minute or two.
+"""How long a new process needs to see who publishes already: `python -m qualification.discovery`, a minute or two.
 
 A publisher of `daq/scan` is there. New processes, one after another, each make a node as the rig does, and look at the
 graph until they see it; time counts from when the node begins to be made, as `nodes.process.DISCOVERY_S` does. That is

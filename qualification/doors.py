@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Time from a clone to the first result behind each door of the README: `python qualification/doors.py` (ten minutes).
+"""Time from a clone to the first result behind each door of the README: `python -m qualification.doors` (ten minutes).
 
 This repository's last commit is cloned into a temporary directory, with nothing installed and nothing
 compiled, and the README is followed there; what is printed are seconds. Downloads come through pip, so the network

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""End every program at random instants: `python qualification/endings.py`, half an hour; `--times 2 verify`: a moment.
+"""End every program at random instants: `python -m qualification.endings`, half an hour; `--times 2 verify`: a moment.
 
 Each program gets SIGINT, as Ctrl-C sends it to its whole group, and SIGTERM, alone, at random instants from when it
 takes signals (its first import) to its end, early ones more often; one that has ended by itself before is run again. It

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Hurt a running measurement and graph in every way: `python qualification/fault_matrix.py [sensors] [processes]`.
+"""Hurt a running measurement and graph in every way: `python -m qualification.fault_matrix [sensors] [processes]`.
 
 Sensors: every fault, on each channel, in two sizes, read by three sets of instruments, begins in mid-measurement and
 lasts. Rows that look good are compared with the motion itself. None may be off by more than 3u, save by a gain error

@@ -13,8 +13,8 @@
 # limitations under the License.
 """Coverage of the constants that import, identify and compare find of rigs that are known only as CSV files.
 
-    python qualification/foreign_rig.py --rigs 400 --seed 2026 build/foreign
-    python qualification/foreign_rig.py --draw build/foreign      # the picture of docs/tutorials/own_measurement.md
+    python -m qualification.foreign_rig --rigs 400 --seed 2026 build/foreign
+    python -m qualification.foreign_rig --draw build/foreign      # the picture of docs/tutorials/own_measurement.md
 
 Everything that varies between rigs is drawn: masses (± 25 %), damping, stiffness, gaps, the coefficient of restitution
 (standard deviation 0.02 about the value that is taken as known), and the errors of all sensors within their

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Hostile recordings and campaigns: made, measured under every command: `python qualification/hostile.py`, a minute.
+"""Hostile recordings and campaigns: made, measured under every command: `python -m qualification.hostile`, a minute.
 
 Each command must end within 5 s of CPU time (wall time, which other work on the machine stretches, is shown beside it),
 with a peak memory of at most 300 MB, the right exit code and one line of error at most; it must touch no file of

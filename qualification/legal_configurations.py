@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Random legal configurations, none may hang, abort or lose energy: `python qualification/legal_configurations.py`.
+"""Random legal configurations, none may hang, abort or lose energy: `python -m qualification.legal_configurations`.
 
 Every value of the configuration is drawn over its whole legal range, half of the time all of them, else a few beside
 their defaults; numbers evenly over their logarithm, now and then an end of their range. The rig runs with its

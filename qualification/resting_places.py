@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Does a resting sphere strike again? `python qualification/resting_places.py`: 544 places of a map, 16 to 40 mm.
+"""Does a resting sphere strike again? `python -m qualification.resting_places`: 544 places of a map, 16 to 40 mm.
 
 Between walls that the structure does not reach the sphere may stand still, or drift to one of them for minutes. At each
 place a map and the tracker, which sees instruments only, measure; the motion itself then goes on for a minute. Wrong is

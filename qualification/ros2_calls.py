@@ -13,7 +13,7 @@
 # limitations under the License.
 """Call what the `ros2` command line calls, through rclpy, and say what did not answer as documented.
 
-`python qualification/ros2_calls.py` (a minute): two rigs in two namespaces as processes, one free-running, one at half
+`python -m qualification.ros2_calls` (a minute): two rigs in two namespaces as processes, one free-running, one at half
 of real time, each with a clock of its own; then a rig all of whose topics are renamed. Each line names the command it
 stands for. The wheels have no ros2cli, but list, info, echo, hz, param, lifecycle and service are few lines above
 rclpy.

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Run for hours, watch memory, files and losses: `make soak`, `python qualification/soak.py --part live --minutes 3`.
+"""Run for hours, watch memory, files and losses: `make soak`, `python -m qualification.soak --part live --minutes 3`.
 
 Two parts, each with the rig, the analysis and the recorder as processes, as a user has them:
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Sound but unusual recordings, and edits of them: `python qualification/sound_recordings.py`.
+"""Sound but unusual recordings, and edits of them: `python -m qualification.sound_recordings`.
 
 Rigs with rates from 100 Hz to 50 kHz and blocks of 1 to 5,000 scans are recorded while someone drives, resets, stops
 and reconfigures them. Recorders join late, record in pairs, split their files, lag, or are killed. Of each recording

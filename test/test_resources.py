@@ -90,7 +90,7 @@ def test_a_release_holds_what_the_repository_holds_and_nothing_else(built, tmp_p
 def test_an_installed_wheel_works_where_no_checkout_is(built, tmp_path):
     """It finds its files, serves the lab's page and is pytest's plugin, from an empty directory.
 
-    `python tools/release.py --try` does the same with all that the wheel asks for in an empty environment. Here it is
+    `python -m tools.release --try` does the same with all that the wheel asks for in an empty environment. Here it is
     put before the checkout.
     """
     pytest.importorskip("aiohttp", reason="the extra [lab] is not installed")

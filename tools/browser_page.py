@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Build the rig in a browser: `python tools/browser_page.py [DIRECTORY]` (build/rig).
+"""Build the rig in a browser: `python -m tools.browser_page [DIRECTORY]` (build/rig).
 
 `DIRECTORY/index.html` holds everything and opens from disk. `DIRECTORY/served` holds the module, the snapshots and the
 scripts as files of their own, for pages that put the rig into something else.

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Hold README and docs against the repository: `python tools/check_docs.py` names every line that is wrong.
+"""Hold README and docs against the repository: `python -m tools.check_docs` names every line that is wrong.
 
 Every code block has an owner, known by its page and the words behind its fence:
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Draw the figures of docs/how-to/drive.md from rigs driven through their stream: `python tools/drive_pictures.py`.
+"""Draw the figures of docs/how-to/drive.md from rigs driven through their stream: `python -m tools.drive_pictures`.
 
 Some ten minutes of rig time, a minute of one core.
 """

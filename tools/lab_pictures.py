@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Take the pictures of docs/how-to/lab.md with Chromium: `python tools/lab_pictures.py` (two minutes).
+"""Take the pictures of docs/how-to/lab.md with Chromium: `python -m tools.lab_pictures` (two minutes).
 
 The animation is drawn by the page itself; Pillow, which comes with matplotlib, puts its frames together.
 """

@@ -13,7 +13,7 @@
 # limitations under the License.
 """Measure the maps and the dynamics that the docs show, on the mechanics, and keep their pictures: some minutes.
 
-`python tools/map_picture.py dynamics` does so for those whose page is named only.
+`python -m tools.map_picture dynamics` does so for those whose page is named only.
 """
 
 from __future__ import annotations

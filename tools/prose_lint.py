@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Lint for the prose of code and documentation: `python tools/prose_lint.py` names what cannot be plain English.
+"""Lint for the prose of code and documentation: `python -m tools.prose_lint` names what cannot be plain English.
 
 It checks what can be counted:
 

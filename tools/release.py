@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Build what is released, look into it, and try it: `python tools/release.py [DIRECTORY] [--try]` (build/release).
+"""Build what is released, look into it, and try it: `python -m tools.release [DIRECTORY] [--try]` (build/release).
 
 The source distribution is made from the files that git knows, and the wheel from the unpacked source distribution, as
 a package index does it. Both must hold what the repository holds, and nothing else. `--try` installs the wheel, with

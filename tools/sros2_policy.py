@@ -15,7 +15,7 @@
 
 `config/sros2/policy.xml` is the policy for the default arguments of `rig.launch.py`. For another namespace or clock:
 
-    python tools/sros2_policy.py --namespace /left/rig --clock clock > policy.xml
+    python -m tools.sros2_policy --namespace /left/rig --clock clock > policy.xml
 
 The rest of what SROS2 needs (keystore, certificates) is described in docs/explanation/security.md.
 """

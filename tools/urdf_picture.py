@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Draw docs/images/urdf.png from urdf/impact_rig.urdf: `python tools/urdf_picture.py`.
+"""Draw docs/images/urdf.png from urdf/impact_rig.urdf: `python -m tools.urdf_picture`.
 
 pytransform3d reads the file and says where things are, so what is seen is what another program makes of it; the bases
 and the sphere are displaced by what a run at 6 mm shows, twelve times enlarged.

@@ -13,7 +13,7 @@
 # limitations under the License.
 """Check that the JavaScript reader @mcap/core reads a run as this package wrote it: same bytes, same values.
 
-    python qualification/check_mcap_js/check.py [RUN]
+    python -m qualification.check_mcap_js.check [RUN]
 
 Needs node >= 18 and npm; installs the pinned npm packages into build/check_mcap_js on first use. Without RUN it records
 a small one with every message type the rig publishes. Values are compared with those of rosbags.
