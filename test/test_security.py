@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -137,6 +138,9 @@ def test_policy_and_launch_file_agree() -> None:
         kind = "publish" if name == "rig" else "subscribe"
         assert clock in [topic.text for topic in profile.iterfind(f"topics[@{kind}='ALLOW']/topic")]
     assert not any("--enclave" in node["ros_arguments"] for node in nodes(ROOT / "launch" / "rig.launch.py").values())
+    page = (ROOT / "docs" / "explanation" / "security.md").read_text(encoding="utf-8")
+    made = re.search("for node in (.+); do", page)[1].split()
+    assert {f"/rig/{name}" for name in made} == set(enclaves), "a node without an enclave does not start under Enforce"
 
 
 @pytest.mark.ros

@@ -24,7 +24,6 @@ from __future__ import annotations
 import argparse
 import os
 import re
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -197,7 +196,7 @@ class Places:
         else:
             call([sys.executable, "-m", "venv", str(programs.parent)], self.folder)
             call([str(programs / "python"), "-m", "pip", "install", "--quiet", f"{self._built}{extras}"], self.folder)
-        shutil.copytree(ROOT / "config", place / "work" / "config")
+        (place / "work").mkdir()
         return place / "work", programs
 
 

@@ -65,7 +65,7 @@ class Tree(Generic[Root]):
         try:
             content = files.read_bytes(path, MAX_FILE_BYTES)
         except OSError as error:
-            raise ConfigError(f"cannot read configuration: {error.strerror} ({path})") from error
+            raise ConfigError(f"cannot read configuration: {files.reason_unreadable(error, path)}") from error
         try:
             return self.parse(content, overrides)
         except ConfigError as error:

@@ -399,3 +399,13 @@ def share_dir(package: Path = _PACKAGE) -> Path:
 def config_dir() -> Path:
     """Return the directory of the working configurations."""
     return share_dir() / "config"
+
+
+def reason_unreadable(error: OSError, path: Path) -> str:
+    """Return why a file cannot be read, its path, and where the package has a file of that name."""
+    text = f"{error.strerror} ({path})"
+    if isinstance(error, FileNotFoundError) and not path.is_absolute():
+        installed = share_dir() / path
+        if installed.is_file():
+            text += f"; the package has {installed}"
+    return text

@@ -211,7 +211,7 @@ def load_plan(path: Path, what: str, read: Callable[[object, str], P]) -> P:
         text = str(files.read_bytes(path, MAX_FILE_BYTES), "utf-8")
         document = budget.load_yaml(text, MAX_FILE_BYTES)
     except OSError as error:
-        raise ConfigError(f"cannot read {what}: {error.strerror} ({path})") from error
+        raise ConfigError(f"cannot read {what}: {files.reason_unreadable(error, path)}") from error
     except ValueError as error:  # PlainYamlError, or not UTF-8
         raise ConfigError(f"not a YAML file: {' '.join(str(error).split())} ({path})") from error
     try:

@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -138,7 +139,7 @@ def _import(arguments: argparse.Namespace) -> int:
 def _mapping(guessed: Mapping, source: ImportedSignals, arguments: argparse.Namespace) -> Mapping:
     """Return the mapping guessed, with what the YAML and then the options say."""
     from impact_rig_studies.importing.assignment import with_channel  # noqa: PLC0415  # as above
-    from impact_rig_studies.importing.mapping import MAPPING_CHARACTERS, refined  # noqa: PLC0415  # as above
+    from impact_rig_studies.importing.mapping import MAPPING_CHARACTERS, UNITS, refined  # noqa: PLC0415  # as above
 
     mapping = guessed
     if arguments.mapping:
@@ -149,7 +150,8 @@ def _mapping(guessed: Mapping, source: ImportedSignals, arguments: argparse.Name
         mapping = refined(mapping, text)
     channels = dict(mapping.channels)
     for words in arguments.channel:
-        channels = with_channel(channels, " ".join(words), source.signals)
+        for text in re.split(rf" (?=(?:{'|'.join(UNITS)})=)", " ".join(words)):
+            channels = with_channel(channels, text, source.signals)
     changes: dict[str, object] = {"channels": channels, "notes": (*mapping.notes, *arguments.note)}
     given = {
         "rate_hz": arguments.scan_rate, "resample_hz": arguments.resample, "frequency": arguments.frequency,

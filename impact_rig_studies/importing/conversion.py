@@ -30,7 +30,7 @@ from impact_rig.blocks import DAQ_INFO, Column, row_type
 from impact_rig.errors import ConfigError, RecordingError, did_you_mean
 from impact_rig.simtime import NS_PER_S, stamp_ns
 from impact_rig_studies.importing import units
-from impact_rig_studies.importing.mapping import CALIBRATION, Channel, Mapping
+from impact_rig_studies.importing.mapping import CALIBRATION, OTHER_UNIT, Channel, Mapping
 from impact_rig_studies.importing.signals import Abscissa, ImportedSignals, Real, Signal
 from impact_rig_studies.importing.steps import step_of
 from impact_rig_studies.importing.uniform import Rate, aligned, uniform
@@ -164,7 +164,7 @@ def _unassigned(source: ImportedSignals) -> str:
 
 def _unit_doubts(name: str, one: Channel, si_unit: str) -> list[str]:
     """Return the uncertain assumptions about the unit of a channel."""
-    said = f'--channel {name}="{one.column} mm" gives another'
+    said = f'--channel {name}="{one.column} {OTHER_UNIT[si_unit]}" gives another'
     if not one.unit and not one.sensitivity:
         return [f"no unit is given for {one.column}: {si_unit} was taken; {said}"]
     doubt = units.doubt(one.unit) if not one.sensitivity else units.doubt(one.sensitivity.rpartition("/")[2])

@@ -37,6 +37,8 @@ _MOTION = ("m", "m/s", "m/s^2")
 USUAL = {"accelerometer": "g", "laser": "mm", "base": "g", "current": "A"}  # units in examples of a sensitivity
 UNITS = {"accelerometer": ("m/s^2",), "laser": _MOTION, "base": _MOTION, "current": ("A",)}
 """SI units that a channel may have: structure and base move in displacement, velocity or acceleration."""
+OTHER_UNIT = {"m": "mm", "m/s": "mm/s", "m/s^2": "g", "A": "mA"}
+"""Second unit of each quantity, as an example of how to give one."""
 
 
 @attrs.frozen(kw_only=True)
@@ -80,7 +82,7 @@ class Channel:
                 + (
                     f'; a voltage needs a sensitivity: --channel {name}="{self.column} V, 100 mV/{USUAL[name]}"'
                     if is_voltage
-                    else f'; --channel {name}="{self.column} mm" gives another'
+                    else f'; --channel {name}="{self.column} {OTHER_UNIT[allowed[0]]}" gives another'
                 )
             )
         return factor, target

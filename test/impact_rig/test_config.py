@@ -212,6 +212,14 @@ def test_a_file_that_is_not_there_is_refused_with_its_name(tmp_path):
         config.load_config(tmp_path)
 
 
+def test_a_file_of_the_package_is_named_where_it_is_installed(tmp_path, monkeypatch):
+    """The pages call it `config/nominal.yaml`, which an installed package does not have in the working directory."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigError, match=r"\(config/nominal\.yaml\); the package has (.+)") as refused:
+        config.load_config("config/nominal.yaml")
+    assert config.load_config(str(refused.value).partition("the package has ")[2]) == config.RigConfig()
+
+
 @pytest.mark.parametrize(
     ("name", "given", "taken"),
     [

@@ -433,6 +433,10 @@ def test_the_command_shows_before_it_writes_and_makes_a_campaign(
     said = " ".join(capsys.readouterr().out.split())
     assert "nothing was written" in said
     assert "no unit is given for laser: m was taken" in said
+    advised = re.findall(r'--channel (\w+)="([^"]+)" gives another', said)
+    assert {name for name, _ in advised} == {"accelerometer", "laser", "base", "current"}
+    assert main([*words, "--dry-run", "--channel", *(f"{name}={signal}" for name, signal in advised)]) == 0
+    assert "no unit is given" not in capsys.readouterr().out
     assert main([*words, "--campaign"]) == 0
     points = (tmp_path / "out" / "points.csv").read_text(encoding="utf-8").splitlines()
     assert len(points) == 2
