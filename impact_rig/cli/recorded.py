@@ -173,7 +173,7 @@ def _recover_verdict(report: RecoverReport) -> str:
             f"{report.damage_count} places are missing"
         )
     if report.expected_messages is None:
-        return f"all {report.messages} messages that were found are given back; the run was never finished"
+        return f"all {report.messages} messages that were found are given back; no index says how many there were"
     return f"all {report.messages} messages are given back"
 
 

@@ -808,7 +808,7 @@ def parse_summary(section: memoryview) -> Summary:
     """Parse a summary section.
 
     Raises:
-        DamageError: it is not a sequence of records, or there are no statistics.
+        DamageError: it is not a sequence of records, has no statistics, or lists less than these count.
     """
     found = Summary()
     offset = 0
@@ -833,6 +833,12 @@ def parse_summary(section: memoryview) -> Summary:
         raise DamageError("it has no statistics")
     if statistics.chunk_count != len(chunks):
         raise DamageError(f"its index lists {len(chunks)} of {statistics.chunk_count} chunks")
+    for what, listed, count in (
+        ("topics", len(found.channels), statistics.channel_count),
+        ("message definitions", len(found.schemas), statistics.schema_count),
+    ):
+        if listed < count:
+            raise DamageError(f"its index lists {listed} of {count} {what}")
     _refuse_shared_bytes(chunks)
     return found
 

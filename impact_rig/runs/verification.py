@@ -280,7 +280,7 @@ def _verify(
     """Compare the blocks of one journal; also return the block that would come next."""
     compared = 0
     try:
-        again = others.begin(journal)
+        again = others.begin(journal, following)
         for table in scans:
             block = next(again.blocks)
             while block.scan.stamp_ns < table.stamp_ns:  # the recorder started after the rig's first block
@@ -380,16 +380,27 @@ class _Recorded:
         self.difference = ""
         self._last_ns = -(2**63)
         self._absent_ns: int | None = None
+        self._is_restarted = False
         self.coming: tuple[int, Any] | None = None
         self._step()
 
-    def begin(self, start_ns: int, ended_ns: int) -> None:
-        """Start a journal at a time; if that is before the end of the previous one, a rig was restarted."""
+    def begin(self, start_ns: int, ended_ns: int, *, is_restarted: bool) -> None:
+        """Start a journal at a time; if that is before the end of the previous one, a rig was restarted.
+
+        Args:
+            start_ns: the time.
+            ended_ns: end of the previous journal.
+            is_restarted: whether the journal ends with a restart, after which stamps go back.
+        """
         if start_ns < ended_ns:
             while self.coming is not None and self.coming[0] >= ended_ns:
                 self._outside += 1
                 self._step()
-        self._last_ns = start_ns
+        self._last_ns, self._is_restarted = start_ns, is_restarted
+
+    def _has_ended(self) -> bool:
+        """Return whether no message of this journal is left: there is none, or the next is of the restarted rig."""
+        return self.coming is None or (self._is_restarted and self.coming[0] < self._last_ns)
 
     def expect(self, stamp_ns: int, content: Any, *, optional: bool = False) -> None:
         """Compare the next message with the re-simulated one of this time; with `optional`, only if the times match."""
@@ -398,8 +409,8 @@ class _Recorded:
             self.coming is None or self.coming[0] != stamp_ns or self._differ(self.coming[1], content) != ""
         ):
             return
-        if self.coming is None or self.coming[0] > stamp_ns:
-            if self.coming is None and self.count:
+        if self.coming is None or self._has_ended() or self.coming[0] > stamp_ns:
+            if self._has_ended() and self.count:
                 self._absent_ns = stamp_ns if self._absent_ns is None else self._absent_ns
             elif self.count:
                 self._differs(f" at {_s(stamp_ns)} s: the message is missing")
@@ -409,7 +420,7 @@ class _Recorded:
     def before(self, end_ns: int, first_ns: int) -> Iterator[int]:
         """Yield the stamps of the next messages in a time range; each must then be compared."""
         self._leave_out_before(first_ns)
-        while self.coming is not None and self.coming[0] < end_ns and not self.difference:
+        while self.coming is not None and not self._has_ended() and self.coming[0] < end_ns and not self.difference:
             yield self.coming[0]
 
     def compare(self, content: Any) -> None:
@@ -455,7 +466,7 @@ class _Recorded:
         return Compared(self.topic.name, self.count, self.difference, rest, "messages")
 
     def _leave_out_before(self, stamp_ns: int) -> None:
-        while self.coming is not None and self.coming[0] < stamp_ns:
+        while self.coming is not None and not self._has_ended() and self.coming[0] < stamp_ns:
             if self.count:
                 self.compare(None)
                 return
@@ -514,8 +525,8 @@ class _OtherTopics:
         self._descriptions: set[str] = set()
         self._end_ns = 0
 
-    def begin(self, journal: list[JournalEntry]) -> Resimulation:
-        """Start the re-simulation of a journal."""
+    def begin(self, journal: list[JournalEntry], following: JournalEntry | None) -> Resimulation:
+        """Start the re-simulation of a journal, which ends with the first entry of the following one."""
         every_scan = self._truth.coming is not None or self._joints.coming is not None
         entries, sent = last_journal(journal), next(sent for one, sent in self._waveforms if one is journal)
         try:
@@ -527,8 +538,9 @@ class _OtherTopics:
         self._calibrations = 0
         self._filters: list[AntiAlias] = []
         self._smoothed: dict[int, list[tuple[int, Smoothed]]] = {}
+        is_restarted = following is not None and _reset_ns(following) is None
         for one in self._ordered():
-            one.begin(entries[0].stamp_ns, self._end_ns)
+            one.begin(entries[0].stamp_ns, self._end_ns, is_restarted=is_restarted)
         return self._again
 
     def compare(self, block: Block) -> None:

@@ -170,7 +170,7 @@ def _instruments(info: NDArray[np.void]) -> list[list[str | Cell]]:
             number(100.0 * float(row["sensitivity_uncertainty"]), ".2g"),
             _with_unit(float(row["noise"]) * small[1], small[0]),
             _with_unit(float(row["resolution"]) * small[1], small[0]),
-            _with_unit(float(row["bandwidth"]), "Hz"),
+            _with_unit(float(row["bandwidth"]), "Hz") if row["bandwidth"] else Cell("unknown", None),
             _with_unit(1e3 * float(row["lag"]), "ms"),
             _with_unit(1e6 * float(row["skew"]), "µs"),
         ])  # fmt: skip

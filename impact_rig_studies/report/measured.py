@@ -191,7 +191,7 @@ def _largest(rows: NDArray[np.void]) -> NDArray[np.void]:
 
 
 def _tiles(data: MeasuredData, best: NDArray[np.void], content: Content) -> Iterator[tuple[str, str]]:
-    yield content.fact("measured", len(data.rows)), "settled measurements"
+    yield content.fact("measured", len(data.rows)), "settled measurement" + "s" * (len(data.rows) != 1)
     yield content.fact("failed", len(data.failed)), "without a settled measurement"
     for row in best:
         dt, u = float(row["transmissibility"]), COVERAGE * float(row["transmissibility_uncertainty"])

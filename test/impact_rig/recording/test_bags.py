@@ -121,6 +121,26 @@ def test_an_attachment_without_a_checksum_is_read_and_named(native, tmp_path):
     assert "1 of 1 attachments carry none" in info(path).verdict
 
 
+NO_SUMMARY = {"repeat_channels": False, "repeat_schemas": False, "use_statistics": False, "use_summary_offsets": False}
+WITHOUT = {  # options of rosbag2's storage configuration that leave out parts of the index
+    "noRepeatedChannels": ({"repeat_channels": False}, "its index lists 0 of 5 topics"),
+    "noRepeatedSchemas": ({"repeat_schemas": False}, "its index lists 0 of 5 message definitions"),
+    "noStatistics": ({"use_statistics": False}, "it has no statistics"),
+    "noChunkIndex": ({"index_types": IndexType.ALL ^ IndexType.CHUNK}, "its index lists 0 of 1 chunks"),
+    "noSummary": ({**NO_SUMMARY, "index_types": IndexType.NONE}, "it has no index"),
+}
+
+
+@pytest.mark.parametrize("option", WITHOUT)
+def test_a_bag_without_a_part_of_its_index_is_refused_with_advice_that_works(native, tmp_path, option):
+    options, reason = WITHOUT[option]
+    path = rewrite(native, tmp_path / "bag.mcap", **options)
+    with pytest.raises(RecordingError, match=rf"bag\.mcap: {reason}; impact-rig recover saves the intact messages"):
+        open_run(path)
+    assert recover(path, tmp_path / "out").complete
+    assert content(tmp_path / "out") == content(native)
+
+
 @pytest.mark.parametrize("chunked", [True, False])
 def test_the_advice_for_an_unfinished_bag_works(native, tmp_path, chunked):
     path = rewrite(native, tmp_path / "cut.mcap", finish=False, use_chunking=chunked, enable_crcs=False)

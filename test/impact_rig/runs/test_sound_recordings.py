@@ -115,6 +115,20 @@ def test_a_recording_of_everything_is_verified(tmp_path: Path, capsys: pytest.Ca
     assert info(two).scans.whole
 
 
+@pytest.mark.parametrize("blocks", [60, 61, 64])
+def test_a_recording_over_a_restart_at_zero_is_verified(tmp_path: Path, blocks: int) -> None:
+    """The last blocks of the first rig hold no joint states; those of the second begin at 0 again."""
+    rigs = [Rig(from_flat(RigConfig(), {"daq.seed": seed})) for seed in (3, 4)]
+    source = record(tmp_path / "run", [one for rig in rigs for one in everything(rig, blocks)])
+    with open_run(source) as run:
+        found = verify(run)
+        joints = len(list(run.messages(["truth/joint_states"])))
+    assert found.identical, found.reason
+    assert found.scans == 2 * blocks * 100
+    (compared,) = [one for one in found.topics if one.topic == "truth/joint_states"]
+    assert compared.count == joints
+
+
 def test_a_recording_begun_in_mid_session_spans_what_it_holds(tmp_path: Path) -> None:
     values = {"daq.rate_hz": 200, "daq.block_scans": 20, "sphere.present": False, "daq.seed": 5}
     rig = Rig(from_flat(RigConfig(), values))

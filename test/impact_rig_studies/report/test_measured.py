@@ -35,12 +35,15 @@ def test_an_imported_campaign_is_reported_without_paper_and_nominal_rig(tmp_path
     directory = hostile_campaign(tmp_path / "campaign", "My rig, May 2026")
     info = run.open_finished(directory).info.copy()
     info["rate"] = 2048.0
+    info["bandwidth"][info["name"] == b"base"] = 0.0  # of daq/info: not known
     (directory / run.CALIBRATION_FILE).write_text(json.dumps([_plain(row) for row in info]))
     assert main(["report", str(directory)]) == 0
     text = text_of(directory / "report.html")
     assert text.startswith("My rig, May 2026")
     for words in ("2048 scans/s", "Amplitude of the base 200 µm", "Amplitude of the structure 1 mm", "k = 2"):
         assert words in text
+    assert "unknown" in text, "the bandwidth of a channel that states none"
+    assert " 0 Hz" not in text
     for foreign in (
         paper.TITLE,
         "DOI",
