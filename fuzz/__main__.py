@@ -62,13 +62,14 @@ def main() -> int:
             parser.error(f"unrecognized arguments: {' '.join(rest)}")
         chosen = [known[name] for name in arguments.targets] or list(known.values())
         console, table, total = Console(), TextTable(), 0
-        for heading in ("target", "inputs", "refused", "accepted", "slowest [ms]", "wall [s]"):
+        for heading in ("target", "inputs", "refused", "accepted", "slowest [ms]", "memory [MiB]", "wall [s]"):
             table.add_column(heading, justify="left" if heading == "target" else "right")
         for one in chosen:
             tally = target.run(one, arguments.inputs, arguments.seed)
             total += tally.inputs
             figures = (tally.inputs, tally.refused, tally.inputs - tally.refused)
-            table.add_row(one.name, *map(str, figures), f"{tally.slowest_s * 1e3:.0f}", f"{tally.wall_s:.0f}")
+            costs = (tally.slowest_s * 1e3, tally.peak_mib, tally.wall_s)
+            table.add_row(one.name, *map(str, figures), *(f"{cost:.0f}" for cost in costs))
             console.print(f"{one.name}: {tally.inputs} inputs, nothing found", style="dim")
     console.print(table)
     console.print(f"{total} inputs, no crash, hang, NaN or silent acceptance")

@@ -27,8 +27,10 @@ from hypothesis import strategies as st
 
 from impact_rig.errors import ImpactRigError
 
-HANG_S = 20.0
+HANG_S = 10.0
 """An input that computes longer is a finding; where it has waited as long, the stack is shown."""
+MEMORY_MIB = 256.0
+"""A process that reads an input and occupies more is a finding."""
 BATCH = 1000
 """Examples drawn with one seed."""
 
@@ -57,6 +59,7 @@ class Tally:
     inputs: int = 0
     refused: int = 0
     slowest_s: float = 0.0
+    peak_mib: float = 0.0  # of the largest process so far
     wall_s: float = 0.0
 
 
@@ -89,15 +92,25 @@ def prepared(target: Target, examples: int, number: int, tally: Tally) -> Callab
         tally.inputs += inputs
         tally.refused += refused
         tally.slowest_s = max(tally.slowest_s, took)
+        tally.peak_mib = max(tally.peak_mib, _peak_mib())
         assert took < HANG_S, f"{target.name}: one input took {took:.1f} s"
+        assert tally.peak_mib <= MEMORY_MIB, f"{target.name}: a process took {tally.peak_mib:.0f} MiB of memory"
 
     return each
 
 
 def _cpu_s() -> float:
     """Return the time that this process and those it has waited for have computed [s]; a busy machine adds none."""
-    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(one.ru_utime + one.ru_stime for one in used)
+    return sum(one.ru_utime + one.ru_stime for one in _used())
+
+
+def _peak_mib() -> float:
+    """Return the largest memory that this process, or one that it has waited for, has occupied."""
+    return max(one.ru_maxrss for one in _used()) / 1024.0
+
+
+def _used() -> list[resource.struct_rusage]:
+    return [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
 
 
 def run(target: Target, inputs: int, number: int = 0) -> Tally:
