@@ -31,18 +31,18 @@ HINTS = {
     "accelerometer": ("accelerometer", "acceleration", "beschleunigung", "accel", "acc", "a_1", "a1"),
     "laser": (
         "laser", "structure", "struktur", "superior", "response", "antwort", "top", "oben", "mass", "masse", "x_1",
-        "x1",
-        "out", "output",
+        "x1", "upper", "out", "output",
     ),
     "base": (
-        "base", "inferior", "table", "tisch", "shaker", "input", "ground", "bottom", "unten", "fusspunkt", "reference",
-        "x_b", "xb", "x_0", "in",
+        "base", "basis", "inferior", "lower", "table", "tisch", "shaker", "input", "ground", "bottom", "unten",
+        "fusspunkt", "reference", "x_b", "xb", "x_0", "in",
     ),
     "current": ("current", "coil", "strom", "i", "drive", "amp"),
 }  # fmt: skip
 """Words in the headings of other programs, lower case, by channel."""
 _ORDER = ("accelerometer", "laser", "base", "current")
 _SEPARATORS = re.compile(r"[\s_.:/()\[\]-]+")
+DT_CHANNELS = frozenset({"laser", "base"})  # whose ratio the transmissibility is
 LONGEST_GUESSED = 200  # characters of a heading
 
 
@@ -73,6 +73,17 @@ def guess(source: ImportedSignals) -> Mapping:
             matching = [name for name, one in free.items() if one.unit and quantity(one.unit) == UNITS[channel][0]]
             if len(matching) == 1:
                 take(channel, matching[0])
+    if len(DT_CHANNELS & chosen.keys()) == 1:  # the other may have times of its own, which the conversion then names
+        (missing,) = DT_CHANNELS - chosen.keys()
+        free = {
+            name: one for name, one in source.signals.items()
+            if one.kind is SignalKind.TIME_RESPONSE and name not in {used.column for used in chosen.values()}
+        }  # fmt: skip
+        for hint in (missing, *HINTS[missing]):
+            matching = [name for name, one in free.items() if hint in _words(name) and _fits(one, missing)]
+            if len(matching) == 1:
+                take(missing, matching[0])
+                break
     if "laser" not in chosen and "accelerometer" in chosen and "base" in chosen:
         chosen["laser"] = chosen["accelerometer"]
     stem = source.path.stem[:LONGEST_GUESSED]

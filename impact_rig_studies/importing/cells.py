@@ -24,20 +24,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.simtime import NS_PER_S
+from impact_rig_studies.importing.signals import Real
 
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d{1,4})?", re.ASCII)
 _NOT_A_NUMBER = frozenset({
-    "", "nan", "+nan", "-nan", "nan(ind)", "-nan(ind)", "1.#qnan", "-1.#qnan", "1.#ind", "-1.#ind", "1.#snan",
-    "-1.#snan",
-    "1.#nan", "n/a", "na", "#n/a", "#nv", "#value!", "#div/0!", "#num!", "#wert!", "null", "nil", "none", "-", "--",
-    "---",
-    "missing", "?",
+    "", "nan", "+nan", "-nan", "qnan", "snan", "n/a", "na", "<na>", "nat", "null", "nil", "none", "missing",
+    "#n/a", "#nv", "#value!", "#div/0!", "#num!", "#wert!", "#ref!", "#bezug!", "#name?",
+    "-", "--", "---", ".", "?",
+    "ol", "ovl", "ovld", "ovfl", "over", "overload", "overflow", "overrange", "underflow", "under",
 })  # fmt: skip
 """Cells that stand for a missing number, lower case: empty ones, and what C libraries and spreadsheets print."""
 _INFINITE = {
     "inf": math.inf, "+inf": math.inf, "-inf": -math.inf, "infinity": math.inf, "-infinity": -math.inf,
-    "1.#inf": math.inf, "-1.#inf": -math.inf, "∞": math.inf, "-∞": -math.inf,
+    "∞": math.inf, "-∞": -math.inf,
 }  # fmt: skip
+_MICROSOFT = re.compile(r"([+-]?)1\.(?:#(inf|[a-z]+)\d*|\$)", re.ASCII)
+"""What is no number as the C library of Microsoft prints it; few digits cut the word: `1.#QO`, `1.#J`, `1.$`."""
+_OTHER_NAN = re.compile(r"[+-]?nan\(\w*\)|\*+", re.ASCII)  # with a payload; a number too wide for its column
+SCPI_NAN, SCPI_INFINITY = 9.91e37, 9.9e37  # of instruments (SCPI 1999.0, section 7.2.1.4 and 7.2.1.5)
 _GROUPED = re.compile(r"[+-]?\d{1,3}(?:[ '.,\u00a0\u202f\u2019]\d{3})+(?:[.,]\d*)?", re.ASCII)
 _SPACES = str.maketrans("", "", " '\u00a0\u202f\u2019")
 LONGEST_CELL = 64
@@ -55,12 +59,21 @@ def number(cell: str, decimal: str = ".") -> float | None:
     elif "," in text and _GROUPED.fullmatch(text):
         text = text.replace(",", "")
     if _NUMBER.fullmatch(text):
-        return float(text.replace("d", "e").replace("D", "e"))
+        value = float(text.replace("d", "e").replace("D", "e"))
+        return value if abs(value) not in (SCPI_NAN, SCPI_INFINITY) else float(without_markers(np.array(value)))
     if _GROUPED.fullmatch(text):
         text = text.translate(_SPACES)
         return float(text) if _NUMBER.fullmatch(text) else None
     lower = text.lower()
-    return math.nan if lower in _NOT_A_NUMBER else _INFINITE.get(lower)
+    if match := _MICROSOFT.fullmatch(lower):
+        return float(f"{match[1]}inf") if match[2] == "inf" else math.nan
+    return math.nan if lower in _NOT_A_NUMBER or _OTHER_NAN.fullmatch(lower) else _INFINITE.get(lower)
+
+
+def without_markers(values: Real) -> Real:
+    """Return numbers with those that instruments print instead of none, or of one out of range, as what they mean."""
+    size = np.abs(values)
+    return np.where(size == SCPI_NAN, np.nan, np.where(size == SCPI_INFINITY, np.copysign(np.inf, values), values))
 
 
 def half_digit(cell: str) -> float:
@@ -88,6 +101,16 @@ _MINUTES = re.compile(r"(\d{1,3}):(\d{2})[.,](\d{1,9})", re.ASCII)
 _ONLY_CLOCK = re.compile(_CLOCK, re.ASCII)
 _YEAR_FIRST = re.compile(rf"(\d{{4}})[-/.](\d{{1,2}})[-/.](\d{{1,2}})(?:[T ,;]\s*{_CLOCK})?", re.ASCII)
 _YEAR_LAST = re.compile(rf"(\d{{1,2}})([-/.])(\d{{1,2}})[-/.](\d{{4}}|\d{{2}})(?:[T ,;]\s*{_CLOCK})?", re.ASCII)
+_DAYS_OFF = re.compile(r"(\d{1,6}) days?,? \+?(.*)", re.ASCII)  # as pandas prints a duration
+_COMPACT = re.compile(r"(\d{4})(\d\d)(\d\d)[T_ -](\d\d)(\d\d)(\d\d)(.*)", re.ASCII)
+_DAY_NAMED_MONTH = re.compile(r"(\d{1,2})[-./ ]{1,2}([A-Za-zä]{3,9})[-./, ]{1,2}(\d{4}|\d\d)\b(.*)")
+_NAMED_MONTH_DAY = re.compile(r"([A-Za-zä]{3,9})[. ]{1,2}(\d{1,2}),? (\d{4})\b(.*)")
+_MONTHS = {
+    "jan": 1, "feb": 2, "mar": 3, "mär": 3, "mrz": 3, "apr": 4, "may": 5, "mai": 5, "jun": 6, "jul": 7, "aug": 8,
+    "sep": 9, "oct": 10, "okt": 10, "nov": 11, "dec": 12, "dez": 12,
+}  # fmt: skip
+"""Months by their first three letters, English and German."""
+_UTC = re.compile(r"\s*(?:UTC|GMT)$")
 _DAY_NS = 86_400 * NS_PER_S
 _EPOCH_DAY = dt.date(1970, 1, 1).toordinal()
 
@@ -95,9 +118,28 @@ _EPOCH_DAY = dt.date(1970, 1, 1).toordinal()
 def is_time(cell: str) -> bool:
     """Return whether a cell is a date, a time of day or both."""
     text = cell.strip()
-    return len(text) <= LONGEST_CELL and any(
-        pattern.fullmatch(text) for pattern in (_YEAR_FIRST, _YEAR_LAST, _ONLY_CLOCK, _MINUTES)
-    )
+    if len(text) > LONGEST_CELL:
+        return False
+    _, text = _plain_time(text)
+    return any(pattern.fullmatch(text) for pattern in (_YEAR_FIRST, _YEAR_LAST, _ONLY_CLOCK, _MINUTES))
+
+
+def _plain_time(text: str) -> tuple[int, str]:
+    """Return whole days that a cell counts, and the rest with months as numbers."""
+    text = _UTC.sub("Z", text)
+    if match := _DAYS_OFF.fullmatch(text):
+        return int(match[1]), match[2]
+    if match := _COMPACT.fullmatch(text):
+        return 0, f"{match[1]}-{match[2]}-{match[3]} {match[4]}:{match[5]}:{match[6]}{match[7]}"
+    if match := _DAY_NAMED_MONTH.fullmatch(text):
+        day, month, year, clock = match.groups()
+    elif match := _NAMED_MONTH_DAY.fullmatch(text):
+        month, day, year, clock = match.groups()
+    else:
+        return 0, text
+    number = _MONTHS.get(month[:3].lower())
+    year = year if len(year) == 4 else f"20{year}"
+    return 0, text if number is None else f"{year}-{number}-{day}{clock}"
 
 
 class Times:
@@ -115,7 +157,8 @@ class Times:
         for place, cell in enumerate(cells):
             days[place], clocks[place] = self._parse(cell.strip())
         if not self.has_date:  # a clock without a date goes on over midnight
-            days += np.cumsum(np.diff(clocks, prepend=clocks[:1]) < -_DAY_NS // 2)
+            ns = days * _DAY_NS + clocks
+            days += np.cumsum(np.diff(ns, prepend=ns[:1]) < -_DAY_NS // 2)
         self.ns: NDArray[np.int64] = days * _DAY_NS + clocks
         """Since 1970 in the time zone of the file, or since the midnight before the first; shape (n,)."""
 
@@ -143,6 +186,11 @@ class Times:
         """Return days since 1970 and nanoseconds since midnight."""
         if len(text) > LONGEST_CELL:
             raise ValueError(text[:LONGEST_CELL])
+        offset, text = _plain_time(text)
+        days, ns = self._parse_plain(text)
+        return days + offset, ns
+
+    def _parse_plain(self, text: str) -> tuple[int, int]:
         if match := _YEAR_FIRST.fullmatch(text):
             year, month, day, clock = int(match[1]), int(match[2]), int(match[3]), match.groups()[3:]
         elif match := _YEAR_LAST.fullmatch(text):

@@ -16,7 +16,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -41,13 +40,11 @@ from impact_rig_studies.importing.signals import (
 
 Column = NDArray[np.generic]
 
-RATES = re.compile(
-    r"(time_)?(fs|f_s|rate|sample_?rate|sampling_?rate|rate_hz|samplerate|frequency_s|sr)", re.IGNORECASE
-)
-PERIODS = re.compile(r"(dt|d_t|delta_?t|period|step|ts|tsample)(_s)?", re.IGNORECASE)
 DAY_S = 86_400.0
 EXCEL_DAYS = (36_526.0, 73_050.0)  # serial dates of the years 2000 to 2100
 EXCEL_EPOCH_DAYS = 25_569.0  # 1970-01-01
+EPOCH_S = (946_684_800.0, 4_102_444_800.0)  # since 1970, of the years 2000 to 2100
+FRACTIONS = (("ms", 1e3), ("us", 1e6), ("ns", 1e9))  # in which programs count since 1970, in one second
 LONGEST_NAME = 200
 MOST_SCALARS = 100
 
@@ -119,17 +116,19 @@ def signals_of(
             omitted[name] = "complex numbers: a spectrum or frequency response"
         elif values.dtype.kind not in "fiub":
             omitted[name] = "no numbers"
-        elif values.size == 1 and (RATES.fullmatch(name) or PERIODS.fullmatch(name)):
-            one = float(values.reshape(-1)[0])
-            if math.isfinite(one) and one > 0.0:
-                rate_hz = one if RATES.fullmatch(name) else 1.0 / one
-            else:
-                omitted[name] = f"no rate or period: {one:g}"
+        elif values.size == 1 and (stated := headings.rate_hz(name, float(values.reshape(-1)[0]))) is not None:
+            rate_hz = stated
         elif name == headings.STAMP and values.ndim == 1:
             stamps = values.astype(np.int64)
         else:
             numeric[name] = values
     axis = _axis(numeric, column_units, clocks, stamps, dates)
+    if axis.kind is AbscissaKind.NONE:
+        strange = next((name for name in texts if headings.is_time_name(headings.split_unit(name)[0])), None)
+        if strange is not None:
+            axis.note = (
+                f"the times of column {strange!r} are not understood: {texts[strange][0][: cells.LONGEST_CELL]!r}"
+            )
     abscissa, kind = _abscissa(axis, rate_hz)
     names = UniqueNames()
     signals: dict[str, Signal] = {}
@@ -167,6 +166,12 @@ def _axis(
 ) -> _Axis:
     """Take the columns of times, or of frequencies, out of the others and return what they say."""
     timed = next((name for name in numeric if headings.is_time_name(_name(name)) and _is_column(numeric[name])), None)
+    if clocks:
+        fraction = next((name for name in numeric if headings.bare(_name(name)) in headings.MILLISECONDS), None)
+        if fraction is not None and _is_column(numeric[fraction]) and _is_fraction(clocks, _float(numeric[fraction])):
+            clock = next(times for _, times in clocks if times.has_clock)
+            clock.ns = clock.ns + np.round(_float(numeric.pop(fraction)) * 1e6).astype(np.int64)
+            timed = None if timed == fraction else timed
     if timed is not None and (clocks or dates):
         del numeric[timed]  # it repeats the dates in seconds
     if clocks:
@@ -186,8 +191,8 @@ def _axis(
         start_ns = int(stamps[0]) + (round(begin * NS_PER_S) if math.isfinite(begin) else 0)
         return _Axis(AbscissaKind.TIME, headings.STAMP, "s", since + (stamps - stamps[0]) / NS_PER_S, start_ns)
     if timed is not None:
-        values = _float(numeric.pop(timed))
-        return _time_axis(timed, headings.time_unit(_name(timed), _unit(timed, column_units)), values)
+        column, unit = numeric.pop(timed), headings.time_unit(_name(timed), _unit(timed, column_units))
+        return _epoch_axis(timed, unit, column) or _time_axis(timed, unit, _float(column))
     first = next(iter(numeric), None)
     if first is not None and _is_column(numeric[first]) and len(numeric) > 1:
         is_frequency = headings.bare(_name(first)) in headings.FREQUENCY_NAMES
@@ -216,6 +221,23 @@ def _clock_axis(clocks: list[tuple[str, cells.Times]]) -> _Axis:
 def _date_axis(name: str, ns: NDArray[np.int64]) -> _Axis:
     """Return times from dates in binary form."""
     return _Axis(AbscissaKind.TIME, name, "s", (ns - ns[0]) / NS_PER_S, int(ns[0])) if len(ns) else _Axis()
+
+
+def _is_fraction(clocks: list[tuple[str, cells.Times]], values: Real) -> bool:
+    """Return whether a column holds the milliseconds of clocks that show whole seconds."""
+    whole = all(bool(np.all(times.ns % NS_PER_S == 0)) for _, times in clocks)
+    return whole and any(times.has_clock for _, times in clocks) and bool(np.all((values >= 0.0) & (values < 1e3)))
+
+
+def _epoch_axis(name: str, unit: str, column: Column) -> _Axis | None:
+    """Return times that count fractions of a second since 1970, exact where they are integers; None: they do not."""
+    first = float(column.reshape(-1)[0])
+    for fraction, per_s in FRACTIONS:
+        if unit in ("", fraction) and EPOCH_S[0] * per_s <= first <= EPOCH_S[1] * per_s:
+            since = (column - column.reshape(-1)[0]).astype(np.float64).reshape(-1) / per_s
+            note = "" if unit else f"column {_name(name)!r} was read as {fraction} since 1970"
+            return _Axis(AbscissaKind.TIME, name, fraction, since, round(int(first) * (NS_PER_S / per_s)), note)
+    return None
 
 
 def _time_axis(name: str, unit: str, values: Real) -> _Axis:
@@ -262,7 +284,7 @@ def _abscissa(axis: _Axis, rate_hz: float | None) -> tuple[Abscissa, SignalKind]
     step = None if rate_hz is None else 1.0 / rate_hz
     if values is None or not len(values):
         if step is None:
-            return NO_ABSCISSA, SignalKind.TIME_RESPONSE
+            return attrs.evolve(NO_ABSCISSA, note=axis.note), SignalKind.TIME_RESPONSE
         return Abscissa(AbscissaKind.TIME, "s", 0.0, step), SignalKind.TIME_RESPONSE
     begin = _first(values)
     since = values - values[0]

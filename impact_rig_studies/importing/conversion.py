@@ -31,7 +31,7 @@ from impact_rig.errors import ConfigError, RecordingError, did_you_mean
 from impact_rig.simtime import NS_PER_S, stamp_ns
 from impact_rig_studies.importing import units
 from impact_rig_studies.importing.mapping import CALIBRATION, OTHER_UNIT, Channel, Mapping
-from impact_rig_studies.importing.signals import Abscissa, ImportedSignals, Real, Signal
+from impact_rig_studies.importing.signals import Abscissa, ImportedSignals, Real, Signal, SignalKind
 from impact_rig_studies.importing.steps import step_of
 from impact_rig_studies.importing.uniform import Rate, aligned, uniform
 
@@ -154,6 +154,10 @@ def convert(
 def _unassigned(source: ImportedSignals) -> str:
     known = ", ".join(f"{name} [{one.unit}]" if one.unit else name for name, one in source.signals.items())
     example = next(iter(source.signals), "NAME")
+    strange = {name: one for name, one in source.signals.items() if one.kind is not SignalKind.TIME_RESPONSE}
+    if strange and len(strange) == len(source.signals):
+        found = "; ".join(f"{name}: {one.kind}, {one.abscissa}" for name, one in strange.items())
+        return f"{source.path} holds no time response: {found[:500]}"
     left_out = "; ".join(f"{name}: {why}" for name, why in source.left_out.items())
     rest = f"; left out: {left_out[:300]}" if left_out else ""
     return (

@@ -17,9 +17,12 @@ from __future__ import annotations
 
 import re
 
-_NUMBER = r"(?<![\d.,])(\d{1,9}(?:[.,p]\d{1,9})?)"
-_FREQUENCY = re.compile(rf"{_NUMBER}[\s_-]?(k?)hz(?![a-z])", re.IGNORECASE)
-_GAP = re.compile(rf"{_NUMBER}[\s_-]?mm(?![a-z])", re.IGNORECASE)
+_NUMBER = r"(?<![\d.,])(\d{1,9}(?:[.,pP]\d{1,9})?)"
+_FREQUENCY = re.compile(rf"(?<!fs)(?<!rate)(?<!\d-){_NUMBER}[\s_-]?([kK]?)[hH][zZ](?![a-z])")
+_LENGTH = re.compile(rf"{_NUMBER}[\s_-]?([mM][mM]|[µu]m)(?![a-z])")
+_GAP_WORD = r"(?:gap|spalt|clearance|spiel)"
+_OF_GAP = re.compile(rf"{_GAP_WORD}[\s_=:-]{{0,3}}$", re.IGNORECASE)
+_IS_GAP = re.compile(rf"[\s_-]{{0,3}}{_GAP_WORD}", re.IGNORECASE)
 _NO_SPHERE = re.compile(
     r"(?<![a-z])(?:no|without|ohne)[_ -]?(?:sphere|ball|damper|kugel|d[äa]mpfer)(?![a-z])|(?<![a-z])bare(?![a-z])",
     re.IGNORECASE,
@@ -28,17 +31,22 @@ _NO_SPHERE = re.compile(
 
 def frequency_hz(stem: str) -> float | None:
     """Return the frequency in a name such as `messung_9,1Hz`, `sweep_8p5Hz` or `9.1 hz`; None: there is none."""
-    match = _FREQUENCY.search(stem)
-    value = _number(match[1]) * (1e3 if match[2] else 1.0) if match else 0.0
-    return value if value > 0.0 else None
+    return _only({_number(number) * (1e3 if kilo else 1.0) for number, kilo in _FREQUENCY.findall(stem)} - {0.0})
 
 
 def gap_m(stem: str) -> float | None:
     """Return the gap in a name such as `gap_0,5mm` or `no_sphere` (0) [m]; None: there is none."""
     if _NO_SPHERE.search(stem):
         return 0.0
-    match = _GAP.search(stem)
-    return _number(match[1]) * 1e-3 if match else None
+    lengths = list(_LENGTH.finditer(stem))
+    named = [one for one in lengths if _OF_GAP.search(stem[: one.start()])]
+    named = named or [one for one in lengths if _IS_GAP.match(stem[one.end() :])]
+    return _only({_number(one[1]) / (1e3 if one[2].lower() == "mm" else 1e6) for one in named or lengths})
+
+
+def _only(values: set[float]) -> float | None:
+    """Return the only value; None: there is none, or several contradict each other."""
+    return next(iter(values)) if len(values) == 1 else None
 
 
 def _number(text: str) -> float:

@@ -15,10 +15,11 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 
-from impact_rig_studies.importing.units import is_unit
+from impact_rig_studies.importing.units import is_unit, quantity, unit_factor
 
 STAMP = "stamp_ns"  # column of integers; `time` counts from it
 TIME_NAMES = frozenset({
@@ -27,7 +28,7 @@ TIME_NAMES = frozenset({
     "datum",
     "uhrzeit", "zeitstempel", "seconds", "second", "sekunden", "secs", "sec", "milliseconds", "msec", "microseconds",
     "usec",
-    "dateandtime", "timeofday", "timeaxis", "timevector", "tim", "datumuhrzeit", "datetimestamp",
+    "dateandtime", "timeofday", "timeaxis", "timevector", "tim", "datumuhrzeit", "datetimestamp", "tout", "время",
 })  # fmt: skip
 """Names of columns of times: lower case, letters only."""
 DATE_NAMES = frozenset(
@@ -43,10 +44,24 @@ _SUFFIXES = {
     "mmps": "mm/s", "mps": "m/s", "m": "m", "sec": "s",
 }  # fmt: skip
 """Ends of names after an underscore that are units: of times all, of other columns those without another meaning."""
-_TIME_SUFFIXES = ("s", "ms", "us", "ns", "sec")
+_TIME_SUFFIX = re.compile(r"(.+?)(?:_(?i:(s|ms|us|ns|sec))|(?<=[a-z])(S|Ms|Us|Ns|Sec))")
 _SIGNAL_SUFFIXES = ("mm", "um", "cm", "ms2", "mps2", "mmps", "mps")
 _UNIT_LABELS = frozenset({"unit", "units", "einheit", "einheiten", "unité", "unidad"})
 _NOT_LETTERS = re.compile(r"[\W\d_]+")
+_RATE_NAMES = frozenset({
+    "fs", "sr", "rate", "samplerate", "samplingrate", "samplefrequency", "samplingfrequency", "samplefreq",
+    "samplingfreq", "samplespersecond", "scanrate", "timefs", "timerate", "daqrate", "acquisitionrate", "abtastrate",
+    "abtastfrequenz",
+})  # fmt: skip
+_PERIOD_NAMES = frozenset({
+    "dt", "deltat", "deltax", "period", "step", "ts", "tsample", "sampleperiod", "samplingperiod", "sampleinterval",
+    "samplinginterval", "sampletime", "timestep", "timeincrement", "timeinterval", "increment", "xincrement",
+    "abtastintervall",
+})  # fmt: skip
+"""Names of single numbers that state a rate or a period: lower case, letters only."""
+_UNIT_SUFFIX = re.compile(r"(.+?)_?(k?[Hh]z|(?<=_)(?:s|ms|us))")
+MILLISECONDS = frozenset({"millisecond", "milliseconds", "millis", "msec", "ms", "millisekunden"})
+"""Names of columns that count the milliseconds of a clock of whole seconds."""
 
 
 def bare(name: str) -> str:
@@ -55,14 +70,31 @@ def bare(name: str) -> str:
 
 
 def is_time_name(name: str) -> bool:
-    """Return whether a column of this name, without its unit, holds times."""
-    word = bare(name)
+    """Return whether a column of this name, without its unit, holds times; `Time  1 - default sample rate` does."""
+    word = bare(name[:80].partition(" - ")[0])
     return word in TIME_NAMES or _time_suffix(name) is not None
 
 
 def _time_suffix(name: str) -> str | None:
-    head, underscore, tail = name[:80].strip().lower().rpartition("_")
-    return tail if underscore and tail in _TIME_SUFFIXES and bare(head) in TIME_NAMES else None
+    """Return the unit of times at the end of a name such as `time_ms` or `timeMs`."""
+    match = _TIME_SUFFIX.fullmatch(name[:80].strip())
+    return (match[2] or match[3]).lower() if match and bare(match[1]) in TIME_NAMES else None
+
+
+def rate_hz(name: str, value: float) -> float | None:
+    """Return the rate [Hz] that a number of this name states, as a rate or as a period; None: it states none."""
+    plain, unit = split_unit(name)
+    match = _UNIT_SUFFIX.fullmatch(plain[:80])
+    if match and not unit:
+        plain, unit = match[1], match[2]
+    word = bare(plain)
+    wanted = "Hz" if word in _RATE_NAMES else "s" if word in _PERIOD_NAMES else None
+    if wanted is None or (unit and quantity(unit) != wanted):
+        return None
+    value *= unit_factor(unit, wanted) or 1.0 if unit else 1.0
+    if not (math.isfinite(value) and value > 0.0):
+        return None
+    return value if wanted == "Hz" else 1.0 / value
 
 
 def time_unit(name: str, unit: str) -> str:
@@ -107,11 +139,17 @@ def _bracketed(text: str) -> tuple[str, str]:
     return text, ""
 
 
-def is_units_row(cells: Sequence[str]) -> bool:
-    """Return whether every filled cell of a row is a unit, or the row is labelled as one of units."""
+def is_units_row(cells: Sequence[str], above: Sequence[str] = ()) -> bool:
+    """Return whether a row holds units.
+
+    Every filled cell is one, or the row is labelled so, or the name above its first cell is one of times and that cell
+    a unit of time: the other cells may then be units that are not known here.
+    """
     filled = [cell for cell in cells if cell.strip()]
     if filled and cells[0].strip().strip(":").lower() in _UNIT_LABELS:
         return True
+    if above and all(cell.strip() for cell in above) and quantity(cells[0].strip().strip("()[]")) in ("s", "Hz"):
+        return is_time_name(above[0]) or bare(above[0]) in FREQUENCY_NAMES
     return bool(filled) and all(is_unit(cell) for cell in filled)
 
 
@@ -123,8 +161,8 @@ def unit_cells(cells: Sequence[str]) -> list[str]:
 
 
 _RATE = re.compile(
-    r"(?:sampl\w{0,8}[\s_-]?(?:rate|freq\w{0,8})|scan[\s_-]?rate|\brate|\bfs|abtast(?:rate|frequenz))\b[^\d\n]{0,20}?"
-    r"(\d[\d.,]{0,20}(?:[eE][+-]?\d{1,3})?)\s*(k?Hz|MHz|k?S/s|1/s)?",
+    r"(?:sampl\w{0,8}[\s_-]?(?:rate|freq\w{0,8})|scan[\s_-]?rate|\brate|\bfs|samples\s?(?:per|/)\s?s\w{0,5}|abtast(?:rate|frequenz))\b[^\d\n]{0,20}?"
+    r"(\d[\d.,]{0,20}(?:[eE][+-]?\d{1,3})?)\s*(k?Hz|MHz|k?S/s|1/s|SPS)?",
     re.IGNORECASE,
 )
 _STEP = re.compile(

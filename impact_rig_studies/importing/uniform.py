@@ -144,7 +144,10 @@ def _basis(path: Path, abscissa: Abscissa, mapping: Mapping, count: int) -> tupl
         whole = round(mapping.rate_hz)
         return None, whole if whole == mapping.rate_hz else mapping.rate_hz
     if abscissa.kind is AbscissaKind.NONE:
-        raise ConfigError(f"{path} has neither times nor a rate: give the rate (--scan-rate HZ), in scans per second")
+        raise ConfigError(
+            f"{path} has neither times nor a rate{_explained(abscissa)}: give the rate (--scan-rate HZ), in scans per "
+            "second"
+        )
     if abscissa.kind is not AbscissaKind.TIME:
         raise ConfigError(
             f"{path}: its abscissa [{abscissa.unit or 'no unit'}] is no time{_explained(abscissa)}; "

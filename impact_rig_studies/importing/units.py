@@ -66,6 +66,9 @@ _WORDS = {
     "hertz": _BASE["Hz"], "hz": _BASE["Hz"], "khz": _Size(1e3, (0, -1, 0, 0)), "mhz": _Size(1e6, (0, -1, 0, 0)),
     "ampere": _BASE["A"], "amp": _BASE["A"], "milliampere": _Size(1e-3, _AMPERE),
     "volt": _BASE["V"], "millivolt": _Size(1e-3, _VOLT),
+    "м": _BASE["m"], "мм": _Size(1e-3, _METRE), "см": _Size(1e-2, _METRE), "мкм": _Size(1e-6, _METRE),
+    "с": _BASE["s"], "сек": _BASE["s"], "мс": _Size(1e-3, _SECOND), "мкс": _Size(1e-6, _SECOND),
+    "в": _BASE["V"], "мв": _Size(1e-3, _VOLT), "а": _BASE["A"], "гц": _BASE["Hz"],
     "g": _GRAVITY, "gn": _GRAVITY, "g0": _GRAVITY, "g_0": _GRAVITY, "g_n": _GRAVITY, "grav": _GRAVITY,
     "gravity": _GRAVITY,
     "standard_gravity": _GRAVITY, "gal": _Size(1e-2, (1, -2, 0, 0)), "mg": _Size(1e-3 * STANDARD_GRAVITY, (1, -2, 0,
@@ -75,7 +78,7 @@ _WORDS = {
 """Words and abbreviations, lower case: of an acceleration, g is never a gram."""
 _CAPITALS = {
     "MM": _Size(1e-3, _METRE), "CM": _Size(1e-2, _METRE), "UM": _Size(1e-6, _METRE), "MS": _Size(1e-3, _SECOND),
-    "S": _BASE["s"], "MV": _Size(1e-3, _VOLT), "MA": _Size(1e-3, _AMPERE),
+    "M": _BASE["m"], "S": _BASE["s"], "MV": _Size(1e-3, _VOLT), "MA": _Size(1e-3, _AMPERE),
 }  # fmt: skip
 """Units that some loggers print in capitals."""
 _OTHER_MEANING = ("H", "Mg", "MG", "In")  # henry, megagram; words of headings
@@ -101,7 +104,7 @@ _SUPERSCRIPT = re.compile("[⁻⁰¹²³⁴]+")
 _SUPERSCRIPTS = str.maketrans("⁻⁰¹²³⁴", "-01234")
 _STRANGE = re.compile(r"[^\w\s %/*^.()'\"-]|\d{3}|\d\s*(\*\*|\^)|__")
 """Characters that no unit has; a power of a power would keep the parser of pint busy without end."""
-_FACTOR = re.compile(r"([*/]?)([A-Za-z_]+0?)(?:\^?(-?[1-9])|\^\((-?[1-9])\))?")
+_FACTOR = re.compile(r"([*/]?)([^\W\d]+0?)(?:\^?(-?[1-9])|\^\((-?[1-9])\))?")
 
 
 def unit_factor(unit: str, wanted: str) -> float | None:
@@ -161,6 +164,7 @@ def _parse(unit: str) -> _Size | None:
         return None
     if text == '"':
         return _WORDS["inch"]
+    text = text.removesuffix(".") if len(text) > 2 else text  # in., sec.
     text = _plain(text).replace("**", "^").replace("'", "")
     text = re.sub(r"\s*(?:\bper\b|/|\bpro\b)\s*", "/", text)
     text = re.sub(r"(?i)\b(sec|second|s)/(?:sec|second|s)\b", r"\1^2", text)  # m/s/s

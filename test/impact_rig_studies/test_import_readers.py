@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import decimal
 import gc
 import io
 import itertools
@@ -34,8 +35,10 @@ import pytest
 
 from impact_rig.errors import ImpactRigError
 from impact_rig.runs.exports import write_columns
-from impact_rig_studies.importing import headings, readers
+from impact_rig_studies.importing import file_names, headings, readers
+from impact_rig_studies.importing.assignment import guess
 from impact_rig_studies.importing.cells import half_digit
+from impact_rig_studies.importing.conversion import convert
 from impact_rig_studies.importing.readers import delimited, labview, universal, wav
 from impact_rig_studies.importing.signals import AbscissaKind, ImportedSignals, SignalKind
 from impact_rig_studies.importing.uniform import likely_rate
@@ -59,6 +62,7 @@ def since_start(found: ImportedSignals) -> Any:
 # --- text tables: decimal sign × separator × code page × times
 
 BEGIN = dt.datetime(2024, 5, 13, 23, 59, 59, 900_000)
+EPOCH_S = 1_715_594_400  # of the times that count since 1970
 
 
 def stamps(form: str) -> Callable[[float], str]:
@@ -73,6 +77,15 @@ TIMES: dict[str, tuple[str, Callable[[float], str]]] = {
     "s": ("time [s]", lambda t: f"{t:.3f}"),
     "ms": ("Time (msec)", lambda t: f"{1e3 * t:.0f}"),
     "us": ("t_us", lambda t: f"{1e6 * t:.0f}"),
+    "camel": ("timeMs", lambda t: f"{1e3 * t:.0f}"),
+    "month by name": ("Time", stamps("%d-%b-%Y %H:%M:%S.%L")),
+    "month first by name": ("Time", stamps("%b %d %Y %H:%M:%S.%f")),
+    "compact": ("Time", stamps("%Y%m%dT%H%M%S.%f")),
+    "UTC": ("Timestamp", stamps("%Y-%m-%d %H:%M:%S.%f UTC")),
+    "days": ("Elapsed", lambda t: f"0 days 00:00:{t:09.6f}"),
+    "ms since 1970": ("timestamp", lambda t: f"{EPOCH_S * 1000 + round(1e3 * t)}"),
+    "us since 1970": ("timestamp", lambda t: f"{EPOCH_S * 10**6 + round(1e6 * t)}"),
+    "ns since 1970": ("time_ns", lambda t: f"{EPOCH_S * 10**9 + round(1e9 * t)}"),
     "german": ("Zeit in ms", lambda t: f"{1e3 * t:.1f}"),
     "ISO": ("Timestamp", stamps("%Y-%m-%dT%H:%M:%S.%f")),
     "ISO with zone": ("Timestamp", lambda t: stamps("%Y-%m-%d %H:%M:%S.%f")(t) + "+02:00"),
@@ -81,7 +94,7 @@ TIMES: dict[str, tuple[str, Callable[[float], str]]] = {
     "clock": ("Uhrzeit", stamps("%H:%M:%S.%L")),
     "Excel": ("Date", lambda t: f"{45425 + (86399.9 + t) / 86400:.11f}"),
 }
-ENCODINGS = ("utf-8", "utf-8-sig", "cp1252", "utf-16")
+ENCODINGS = ("utf-8", "utf-8-sig", "cp1252", "utf-16", "utf-32")
 
 
 @pytest.mark.parametrize("times", TIMES)
@@ -90,7 +103,7 @@ ENCODINGS = ("utf-8", "utf-8-sig", "cp1252", "utf-16")
     ("separator", "decimal"), [(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ","), ("|", ".")]
 )
 def test_text_tables_of_any_locale(separator: str, decimal: str, encoding: str, times: str) -> None:
-    """240 variants: six pairs of signs, four code pages, ten notations of time."""
+    """570 variants: six pairs of signs, five code pages, nineteen notations of time."""
     heading, show = TIMES[times]
     rows = [separator.join((heading, "base [µm]", "laser [mm]"))]
     for t, x_b, x_1 in zip(TIME_S, BASE, LASER, strict=True):
@@ -103,9 +116,19 @@ def test_text_tables_of_any_locale(separator: str, decimal: str, encoding: str, 
     assert found.signals["base"].values == pytest.approx(1e3 * BASE, abs=6e-4)
     assert found.signals["laser"].values == pytest.approx(LASER, abs=6e-5)
     assert since_start(found) == pytest.approx(TIME_S, abs=6e-4 if times == "Excel" else 1e-9)
-    dated = times in ("ISO", "ISO with zone", "day first", "month first", "Excel")
+    dated = times in (
+        "ISO",
+        "ISO with zone",
+        "day first",
+        "month first",
+        "Excel",
+        "month by name",
+        "compact",
+        "UTC",
+    ) or (times in ("month first by name", "ms since 1970", "us since 1970", "ns since 1970"))
     offset_h = 2 if times == "ISO with zone" else 0
     expected = (BEGIN - dt.timedelta(hours=offset_h)).replace(tzinfo=dt.UTC).timestamp()
+    expected = EPOCH_S if times.endswith("since 1970") else expected
     assert (found.start_ns is not None) == dated
     if found.start_ns is not None:
         assert found.start_ns / 1e9 == pytest.approx(expected, abs=1e-3)
@@ -131,6 +154,11 @@ def rows_of(head: str, separator: str = ",") -> str:
         ('"time [s]","base, raw","laser [mm]"', ["base", "laser"], ["raw", "mm"]),
         ("time,base (raw),laser", ["base", "laser"], ["raw", ""]),
         ("time [s],x/s,a_1", ["x/s", "a_1"], ["", ""]),
+        ("time,base,laser\ns,EU,mm p-p", ["base", "laser"], ["EU", "mm p-p"]),
+        ("время,x,y\nс,мм,м/с²", ["x", "y"], ["мм", "м/с²"]),
+        ("time,x,y\nsec.,in.,M/S2", ["x", "y"], ["in.", "M/S2"]),
+        ("time,base,laser\n---,---,---", ["base", "laser"], ["", ""]),
+        ("Time  1 - default sample rate [s],x,acc [g]", ["x", "acc"], ["", "g"]),
     ],
 )
 def test_headings_and_units(head: str, names: list[str], units: list[str]) -> None:
@@ -139,7 +167,58 @@ def test_headings_and_units(head: str, names: list[str], units: list[str]) -> No
     assert since_start(found) == pytest.approx(TIME_S)
 
 
-@pytest.mark.parametrize("cell", ["1.#QNAN", "-1.#IND", "NaN", "", "#N/A", "#DIV/0!", "n/a", "--", "1.#SNAN", "NULL"])
+@pytest.mark.parametrize(
+    "heading", ["time [s] base [mm] laser [mm]", "# time [s] base (mm) laser [mm]", "time  base  laser mm"]
+)
+def test_headings_of_columns_that_blanks_separate(heading: str) -> None:
+    found = text_table(rows_of("# measured by me\n" + heading, " "))
+    assert list(found.signals) == ["base", "laser"]
+    assert [one.unit for one in found.signals.values()][1] == "mm"
+
+
+def test_a_remark_in_the_first_row_is_no_heading() -> None:
+    rows = rows_of("time [s],base [mm],laser [mm],Remark").replace("\n", ",\n").replace("Remark,", "Remark")
+    rows = rows.replace("0.000,0.0000,-0.6442,", "0.000,0.0000,-0.6442,begin")
+    found = text_table(rows)
+    assert len(found.signals["base"].values) == COUNT
+    assert found.texts["Remark"][:2] == ["begin", ""]
+
+
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_a_separator_at_the_end_of_each_row_but_of_the_heading(separator: str) -> None:
+    head = separator.join(("time [s]", "base [mm]", "laser [mm]"))
+    found = text_table(head + "\n" + rows_of("", separator).replace("\n", separator + "\n"))
+    assert list(found.signals) == ["base", "laser"]
+
+
+def test_milliseconds_beside_a_clock_of_whole_seconds_belong_to_it() -> None:
+    at = [BEGIN + dt.timedelta(seconds=float(t)) for t in TIME_S]
+    lines = [f"{one:%Y-%m-%d %H:%M:%S},{one.microsecond // 1000},{k}" for k, one in enumerate(at)]
+    found = text_table("\n".join(["Time,Millisecond,base [mm]", *lines]))
+    assert list(found.signals) == ["base"]
+    assert since_start(found) == pytest.approx(TIME_S)
+
+
+def test_times_that_are_not_understood_are_the_reason(tmp_path: Path) -> None:
+    lines = [f"2024:134:{t:.3f},{a:.4f},{b:.4f}" for t, a, b in zip(TIME_S, BASE, LASER, strict=True)]
+    found = text_table("\n".join(["Time,base [mm],laser [mm]", *lines]))
+    with pytest.raises(ImpactRigError, match=r"the times of column 'Time' are not understood: '2024:134:0.000'"):
+        convert(found, guess(found))
+
+
+def test_a_table_of_spectra_is_refused_as_such() -> None:
+    found = text_table("\n".join(["Frequency [Hz],base [mm],laser [mm]", *(f"{0.5 * k},{k},1" for k in range(40))]))
+    with pytest.raises(ImpactRigError, match=r"holds no time response: base: spectrum, frequency from 0 Hz"):
+        convert(found, guess(found))
+
+
+@pytest.mark.parametrize(
+    "cell",
+    [
+        "1.#QNAN", "-1.#IND", "NaN", "", "#N/A", "#DIV/0!", "n/a", "--", "1.#SNAN", "NULL", "1.#QO", "-1.#IO", "1.#J",
+        "-1.$", "1.#QNAN0", "nan(0x7ff8)", "9.91E+37", "-9.91e37", "#REF!", "OVLD", "<NA>", "NaT", "*****", ".",
+    ],
+)  # fmt: skip
 def test_what_stands_for_no_number_is_none(cell: str) -> None:
     """A `#` inside a cell once began a comment: 1.#QNAN was read as 1.0."""
     lines = rows_of("time [s],base [mm],laser [mm]").splitlines()
@@ -149,7 +228,7 @@ def test_what_stands_for_no_number_is_none(cell: str) -> None:
     assert found.signals["laser"].values[19] == 0.5
 
 
-@pytest.mark.parametrize("cell", ["1.#INF", "inf", "-Infinity", "-1.#INF"])
+@pytest.mark.parametrize("cell", ["1.#INF", "inf", "-Infinity", "-1.#INF", "-1.#INF00", "9.9E+37", "-9.9E37", "1e400"])
 def test_infinity_is_no_finite_number(cell: str) -> None:
     lines = rows_of("time [s],base [mm],laser [mm]").splitlines()
     lines[20] = f"0.152,{cell},0.5"
@@ -204,7 +283,7 @@ def test_a_table_without_headings_keeps_its_first_row() -> None:
     [
         ("Sample rate: 51200 Hz\nbase,laser,x", 51200.0), ("Sampling frequency;12,8 kHz\nbase,laser,x", 12800.0),
         ("fs=1000\nbase,laser,x", 1000.0), ("Delta_X 0.008 s\nbase,laser,x", 125.0), ("dt: 2 ms\nbase,laser,x", 500.0),
-        ("Abtastrate 200\nbase,laser,x", 200.0),
+        ("Abtastrate 200\nbase,laser,x", 200.0), ("Samples per second: 125\nbase,laser,x", 125.0),
     ],
 )  # fmt: skip
 def test_a_rate_in_the_lines_above_a_table(head: str, rate_hz: float) -> None:
@@ -350,6 +429,15 @@ def test_only_functions_of_time_are_time_responses(
             read_uff(tmp_path, content)
 
 
+def test_a_universal_file_that_states_nothing_is_no_time_response(tmp_path: Path) -> None:
+    content = uff(tmp_path, abscissa_spec_data_type=0, abscissa_axis_units_lab="NONE", abscissa_axis_lab="NONE")
+    assert list(read_uff(tmp_path, content).signals) == ["base"]  # its function type is that of a time response
+    lines = content.split(b"\n")
+    lines[7] = b"    0" + lines[7][5:]
+    with pytest.raises(ImpactRigError, match="neither its function type nor its abscissa states"):
+        read_uff(tmp_path, b"\n".join(lines))
+
+
 def test_a_universal_file_that_is_cut_off_says_so(tmp_path: Path) -> None:
     with pytest.raises(ImpactRigError, match="the file may be cut off"):
         read_uff(tmp_path, uff(tmp_path)[:700])
@@ -450,6 +538,45 @@ def test_a_tdms_channel_of_times(tmp_path: Path) -> None:
     found = readers.read(tmp_path / "own.tdms")
     assert list(found.signals) == ["base"]
     assert since_start(found) == pytest.approx(TIME_S)
+
+
+@pytest.mark.parametrize(
+    ("place", "about"),
+    [("root", {"Sampling Rate [Hz]": 125.0}), ("group", {"SampleRate": "125"}), ("channel", {"sample_interval_ms": 8})],
+)
+def test_a_rate_among_the_properties_of_a_tdms_file(tmp_path: Path, place: str, about: dict[str, Any]) -> None:
+    nptdms = pytest.importorskip("nptdms")
+    own = {name: about if name == place else {} for name in ("root", "group", "channel")}
+    with nptdms.TdmsWriter(str(tmp_path / "own.tdms")) as writer:
+        channel = nptdms.ChannelObject("measured", "base", BASE, properties=own["channel"])
+        group = nptdms.GroupObject("measured", own["group"])
+        writer.write_segment([nptdms.RootObject(own["root"]), group, channel])
+    assert readers.read(tmp_path / "own.tdms").signals["base"].rate_hz == pytest.approx(RATE_HZ)
+
+
+def test_times_in_a_tdms_group_of_their_own(tmp_path: Path) -> None:
+    nptdms = pytest.importorskip("nptdms")
+    with nptdms.TdmsWriter(str(tmp_path / "own.tdms")) as writer:
+        times = nptdms.ChannelObject("times", "Time", TIME_S, properties={"unit_string": "s"})
+        writer.write_segment([times, nptdms.ChannelObject("measured", "base", BASE)])
+    found = readers.read(tmp_path / "own.tdms")
+    assert list(found.signals) == ["base"]
+    assert since_start(found) == pytest.approx(TIME_S)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "rate_hz"),
+    [
+        ("fs", 125, 125.0), ("SampleFrequency", 125, 125.0), ("sampling_rate_hz", 125, 125.0), ("rate_kHz", 2, 2000.0),
+        ("dt", 0.008, 125.0), ("sample_period", 0.008, 125.0), ("dt_ms", 8, 125.0),
+        ("Time Increment [us]", 8000, 125.0),
+        ("step", -1.0, None), ("fs", float("nan"), None), ("rate [m]", 1, None), ("steps", 8, None),
+        ("offset", 1, None),
+    ],
+)  # fmt: skip
+def test_names_of_a_rate_or_a_period(name: str, value: float, rate_hz: float | None) -> None:
+    found = headings.rate_hz(name, value)
+    assert found == (None if rate_hz is None else pytest.approx(rate_hz))
 
 
 # --- MATLAB
@@ -631,3 +758,64 @@ def test_sensitivities(text: str, volts: float, unit: str) -> None:
 )
 def test_what_is_no_sensitivity(text: str) -> None:
     assert Sensitivity.parse(text) is None
+
+
+# --- other containers
+
+
+def test_a_table_of_records_in_an_archive(tmp_path: Path) -> None:
+    np.savez(tmp_path / "own.npz", table=np.rec.fromarrays([TIME_S, BASE, LASER], names="time,base,laser"))
+    found = readers.read(tmp_path / "own.npz")
+    assert list(found.signals) == ["base", "laser"]
+    assert since_start(found) == pytest.approx(TIME_S)
+
+
+def test_types_of_parquet_that_numpy_lacks(tmp_path: Path) -> None:
+    """A dictionary once loaded pandas in the process of the reader, which took it into its limit of time."""
+    arrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    decimals = arrow.array([decimal.Decimal(f"{one:.6f}") for one in BASE], arrow.decimal128(12, 6))
+    words = arrow.array(["on"] * COUNT).dictionary_encode()
+    parquet.write_table(arrow.table({"time": TIME_S, "base": decimals, "state": words}), tmp_path / "own.parquet")
+    found = readers.read(tmp_path / "own.parquet")
+    assert found.signals["base"].values == pytest.approx(BASE, abs=6e-7)
+    assert found.texts["state"][0] == "on"
+
+
+def test_netcdf_of_the_classic_format_is_named(tmp_path: Path) -> None:
+    (tmp_path / "own.nc").write_bytes(b"CDF\1" + bytes(200))
+    with pytest.raises(ImpactRigError, match="classic format"):
+        readers.read(tmp_path / "own.nc")
+
+
+def test_an_extensible_wav_file_of_the_other_byte_order() -> None:
+    """The first group of its GUID has the order of the file: the encoding was once read as 0."""
+    form = struct.pack(">HHIIHH", 0xFFFE, 1, 125, 500, 4, 32) + struct.pack(">HHII", 22, 32, 0, 3) + bytes(12)
+    data = LASER.astype(">f4").tobytes()
+    body = b"WAVEfmt " + struct.pack(">I", len(form)) + form + b"data" + struct.pack(">I", len(data)) + data
+    found = wav.read(PATH, b"RIFX" + struct.pack(">I", len(body)) + body)
+    assert found.signals["channel_0"].values == pytest.approx(LASER, abs=1e-7)
+
+
+def test_a_channel_of_another_time_base_is_guessed_and_refused_with_a_remedy(tmp_path: Path) -> None:
+    files = {"base": (BASE, {"wf_increment": 0.008, "unit_string": "mm"})}
+    files["laser"] = (LASER, {"wf_increment": 0.004, "unit_string": "mm"})
+    (tmp_path / "own.tdms").write_bytes(tdms_file(files))
+    found = readers.read(tmp_path / "own.tdms")
+    with pytest.raises(ImpactRigError, match=r"has other times than .*--resample HZ"):
+        convert(found, guess(found))
+
+
+@pytest.mark.parametrize(
+    ("stem", "hz", "gap_m"),
+    [
+        ("messung_9,1Hz_gap_0,5mm", 9.1, 0.5e-3), ("run-9p1hz-gap-0p5mm", 9.1, 0.5e-3), ("gap=6mm_f=9.1Hz", 9.1, 6e-3),
+        ("Kugel20mm_gap6mm", None, 6e-3), ("20mm_sphere_6mm_gap", None, 6e-3), ("x1_0.1mm_Spalt 8 mm", None, 8e-3),
+        ("0.5mm-2mm_sweep", None, None), ("gap500um_9.1Hz", 9.1, 0.5e-3), ("9.1HzGap6mm", 9.1, 6e-3),
+        ("fs1000Hz_9.1Hz", 9.1, None), ("8-10Hz_sweep", None, None), ("9.1Hz_9.1Hz", 9.1, None),
+        ("8Hz_10Hz", None, None), ("ohne_Kugel_2kHz", 2000.0, 0.0), ("amp3mm", None, 3e-3), ("91 hz", 91.0, None),
+    ],
+)  # fmt: skip
+def test_frequency_and_gap_of_a_file_name(stem: str, hz: float | None, gap_m: float | None) -> None:
+    """Where several numbers contradict each other none is guessed; a gap that is named so is."""
+    assert file_names.frequency_hz(stem) == hz
+    assert file_names.gap_m(stem) == (None if gap_m is None else pytest.approx(gap_m))

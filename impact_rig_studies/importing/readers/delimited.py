@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -42,6 +43,8 @@ COMMENTS = ("#", "%", "//", "!")
 WHOLE = 2**53  # up to which whole numbers are exact in a double
 LONGEST_QUOTED = 100_000  # characters of a line in which quotes have a meaning
 SHOWN = 40  # characters of a cell in a message
+_BEFORE_UNIT = re.compile(r"\s+(?=[\[(])")
+_WIDE = re.compile(r"\t|\s{2,}")
 _QUOTED = re.compile(r'"[^"]*"|\S+')
 
 
@@ -54,6 +57,7 @@ class Layout:
     width: int  # cells of a row
     first: int  # line of the first row of numbers
     words: frozenset[int] = frozenset()  # columns of words
+    empty: frozenset[int] = frozenset()  # columns without content in the sample: of remarks, or after a last separator
 
 
 def read(path: Path, content: bytes) -> ImportedSignals:
@@ -90,7 +94,7 @@ def find_layout(lines: Sequence[str]) -> Layout | None:
     """Return separator, decimal sign, width and first row of a table; None: there are no rows of numbers."""
     sample = _sample(lines)
     best: tuple[int, int, int] = (0, 0, 0)
-    found: tuple[str | None, int, frozenset[int]] | None = None
+    found: tuple[str | None, int, frozenset[int], frozenset[int]] | None = None
     for preference, delimiter in enumerate(DELIMITERS):
         if delimiter is None and found is not None and found[1] > 1:
             break  # blanks separate only where nothing else does: times contain them, too
@@ -106,13 +110,14 @@ def find_layout(lines: Sequence[str]) -> Layout | None:
             continue
         rank = (len(fitting) * (width - len(words)) if width > 1 else 1, -len(words), -preference)
         if rank > best:
-            best, found = rank, (delimiter, width, words)
+            empty = frozenset(j for j in range(width) if not filled[j])
+            best, found = rank, (delimiter, width, words, empty)
     if found is None:
         return None
-    delimiter, width, words = found
+    delimiter, width, words, empty = found
     rows = [row for row in (split(line, delimiter) for line in sample) if len(row) == width]
     decimal = cells.decimal_sign([cell for row in rows for cell in row], delimiter)
-    layout = Layout(delimiter, decimal, width, 0, words)
+    layout = Layout(delimiter, decimal, width, 0, words, empty)
     for number, line in enumerate(lines[: HEADER_LINES + 1]):
         if is_row(line, layout):
             return attrs.evolve(layout, first=number)
@@ -142,15 +147,17 @@ def _is_value(cell: str) -> bool:
 
 
 def is_row(line: str, layout: Layout) -> bool:
-    """Return whether a line is a row of the table: its width, and a value in every column of numbers."""
+    """Return whether a line is a row of the table: its width, values in all columns of numbers, not all of them NaN."""
     if not line.strip() or line.startswith(COMMENTS):
         return False
     row = split(line, layout.delimiter)
     if len(row) != layout.width:
         return False
-    numbers = [row[j] for j in range(layout.width) if j not in layout.words]
-    return all(cells.number(cell, layout.decimal) is not None or cells.is_time(cell) for cell in numbers) and any(
-        cell for cell in numbers
+    shown = [row[j] for j in range(layout.width) if j not in layout.words | layout.empty]
+    numbers = [cells.number(cell, layout.decimal) for cell in shown]
+    times = [one is None and cells.is_time(cell) for one, cell in zip(numbers, shown, strict=True)]
+    return all(one is not None or time for one, time in zip(numbers, times, strict=True)) and any(
+        time or not math.isnan(math.nan if one is None else one) for one, time in zip(numbers, times, strict=True)
     )
 
 
@@ -173,17 +180,18 @@ def _headings(lines: Sequence[str], layout: Layout) -> tuple[list[str], dict[str
     for number, line in enumerate(lines):
         if not line.strip():
             continue
-        row = split(line.lstrip("#%!/").strip("\r"), layout.delimiter)
-        if len(row) > width and not any(row[width:]):
-            row = row[:width]
-        if len(row) == width:
+        row = _heading_cells(line.lstrip("#%!/").strip("\r"), layout)
+        if len(row) == width and "".join(row).strip("-:=|+ "):  # a line of dashes separates
             usable.append((number, row))
     rows = usable[-3:]
     used: set[int] = set()
     names, units = [""] * width, [""] * width
     if rows:
         at = len(rows) - 1
-        if headings.is_units_row(rows[at][1]) and (at > 0 or width > 1):
+        above = rows[at - 1][1] if at > 0 else ()
+        if headings.is_units_row(rows[at][1], [name for j, name in enumerate(above) if j not in layout.empty]) and (
+            at > 0 or width > 1
+        ):
             units = headings.unit_cells(rows[at][1])
             used.add(rows[at][0])
             at -= 1
@@ -208,6 +216,21 @@ def _headings(lines: Sequence[str], layout: Layout) -> tuple[list[str], dict[str
     return unique, {name: unit for name, unit in zip(unique, units, strict=True) if unit}, others
 
 
+def _heading_cells(line: str, layout: Layout) -> list[str]:
+    """Return the cells of a line of headings: blanks may be part of them, and an empty last column has none."""
+    width = layout.width
+    row = split(line, layout.delimiter)
+    if layout.delimiter is None and len(row) != width:
+        for separator in (_BEFORE_UNIT.sub("", line).split(), _WIDE.split(line.strip())):
+            if len(separator) == width:
+                row = separator
+    if len(row) > width and not any(row[width:]):
+        row = row[:width]
+    if len(row) < width and all(j in layout.empty for j in range(len(row), width)):
+        row += [""] * (width - len(row))
+    return row
+
+
 def read_rows(
     path: Path, lines: Sequence[str], layout: Layout, first: int, end: int
 ) -> tuple[list[NDArray[np.generic]], list[int]]:
@@ -225,16 +248,26 @@ def read_rows(
             part.append(column)
     columns = []
     for j, part in enumerate(parts):
+        if j in layout.empty:
+            columns.append(_remarks(part, layout))
+            continue
         if {one.dtype.kind for one in part if one.size} > {"U"}:
             raise RecordingError(f"{path}: column {j + 1} mixes numbers and words")
         columns.append(np.concatenate(part) if part else np.zeros(0))
     return columns, skipped
 
 
+def _remarks(part: list[NDArray[np.generic]], layout: Layout) -> NDArray[np.generic]:
+    """Return a column that is mostly empty: as words, or as numbers where it has no words."""
+    column = np.concatenate(part).astype(str).tolist() if part else []
+    values = [cells.number(cell, layout.decimal) for cell in column]
+    return np.array(column if None in values else values, dtype=str if None in values else np.float64)
+
+
 def _chunk(path: Path, chunk: list[tuple[int, str]], layout: Layout, skipped: list[int]) -> list[NDArray[np.generic]]:
     """Return the columns of some rows: by NumPy's reader where all cells are plain numbers, else cell by cell."""
     plain = [(number, line) for number, line in chunk if line.strip()]
-    if not layout.words and not any('"' in line or "_" in line for _, line in plain):
+    if not (layout.words or layout.empty) and not any('"' in line or "_" in line for _, line in plain):
         rows = [line for _, line in plain]
         if layout.decimal == ",":
             rows = [line.replace(",", ".") for line in rows] if not any("." in line for line in rows) else []
@@ -244,7 +277,7 @@ def _chunk(path: Path, chunk: list[tuple[int, str]], layout: Layout, skipped: li
             table = None
         fits = table is not None and table.shape == (len(plain), layout.width)
         if table is not None and fits and np.abs(table[:, 0]).max(initial=0.0) < WHOLE:
-            return list(np.ascontiguousarray(table.T))
+            return [cells.without_markers(column) for column in np.ascontiguousarray(table.T)]
     kept: list[list[str]] = []
     numbers: list[int] = []
     for number, line in plain:
@@ -267,7 +300,9 @@ def _chunk(path: Path, chunk: list[tuple[int, str]], layout: Layout, skipped: li
 
 def _column(path: Path, column: list[str], numbers: list[int], j: int, layout: Layout) -> NDArray[np.generic]:
     """Return a column of cells as whole numbers, numbers, or words (times are among these)."""
-    if j in layout.words or (column and cells.is_time(column[0]) and cells.number(column[0], layout.decimal) is None):
+    if j in layout.words | layout.empty or (
+        column and cells.is_time(column[0]) and cells.number(column[0], layout.decimal) is None
+    ):
         return np.array(column, dtype=str) if column else np.zeros(0)
     if j == 0 and column and all(cell.isascii() and cell.isdigit() and len(cell) < 20 for cell in column):
         whole = [int(cell) for cell in column]

@@ -60,12 +60,14 @@ class _Segment:
 
     def number(self, key: str, channel: int, decimal: str) -> float | None:
         """Return a number of the header for a channel."""
-        values = self.header.get(key, [])
-        return cells.number(values[channel], decimal) if channel < len(values) else None
+        text = self.text(key, channel)
+        return cells.number(text, decimal) if text else None
 
     def text(self, key: str, channel: int) -> str:
-        """Return a text of the header for a channel."""
+        """Return a text of the header for a channel; where each channel has an X column, cells between are empty."""
         values = self.header.get(key, [])
+        if any(name.startswith(X_VALUE) for name in self.names[1:]) and not any(one.strip() for one in values[1::2]):
+            values = values[::2]
         return values[channel].strip() if channel < len(values) else ""
 
 

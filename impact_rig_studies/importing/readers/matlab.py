@@ -23,8 +23,8 @@ from typing import Any  # nested arrays of SciPy and objects of h5py
 import numpy as np
 
 from impact_rig.errors import RecordingError
-from impact_rig_studies.importing.columns import PERIODS, RATES, signals_of
-from impact_rig_studies.importing.headings import is_time_name
+from impact_rig_studies.importing.columns import signals_of
+from impact_rig_studies.importing.headings import is_time_name, rate_hz
 from impact_rig_studies.importing.limits import COLUMNS, allow_columns
 from impact_rig_studies.importing.readers import hdf5
 from impact_rig_studies.importing.signals import ImportedSignals, Signal, UniqueNames
@@ -76,7 +76,7 @@ def _collect(tables: Tables, left_out: dict[str, str], where: str, name: str, va
     array = np.asarray(value)
     names = array.dtype.names
     if type(value).__name__ in ("MatlabOpaque", "MatlabObject", "MatlabFunction"):
-        kind = ""
+        kind = str(getattr(value, "classname", ""))
         if names and "s2" in names and array.size:
             kind = str(array.reshape(-1)[0]["s2"]).strip("b'\"")
             variable = str(array.reshape(-1)[0]["s0"]).strip("b'\"")
@@ -169,5 +169,4 @@ def _outer(where: str) -> list[str]:
 
 
 def _is_axis(name: str, value: Any) -> bool:
-    size = np.size(value)
-    return is_time_name(name) if size > 1 else bool(RATES.fullmatch(name) or PERIODS.fullmatch(name))
+    return is_time_name(name) if np.size(value) > 1 else rate_hz(name, 1.0) is not None

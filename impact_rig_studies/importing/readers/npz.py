@@ -56,5 +56,9 @@ def read(path: Path, content: bytes) -> ImportedSignals:
                     f"{path}: {member.filename} has {member.file_size} bytes and claims {shape} of {dtype}"
                 )
             with archive.open(member) as stream:
-                columns[name] = np.lib.format.read_array(stream, allow_pickle=False)
+                array = np.lib.format.read_array(stream, allow_pickle=False)
+            for field in dtype.names or ("",):
+                columns[(field if len(members) == 1 else f"{name}.{field}") if field else name] = (
+                    array[field] if field else array
+                )
     return signals_of(path, "npz", columns, left_out=left_out)

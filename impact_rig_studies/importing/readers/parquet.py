@@ -18,6 +18,7 @@ from __future__ import annotations
 import io
 from pathlib import Path
 from types import ModuleType
+from typing import Any  # columns of pyarrow
 
 from impact_rig_studies.importing.columns import signals_of
 from impact_rig_studies.importing.limits import allow_bytes, allow_columns, allow_values
@@ -44,7 +45,15 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
     columns, left_out = {}, {}
     for name in table.column_names:
         try:
-            columns[name] = table.column(name).to_numpy()
+            columns[name] = _plain(table.column(name)).to_numpy()
         except (TypeError, ValueError, NotImplementedError) as error:  # those of pyarrow derive from these
             left_out[name] = f"no numbers: {error}"[:100]
     return signals_of(path, "Parquet", columns, {name: unit for name, unit in units.items() if unit}, left_out=left_out)
+
+
+def _plain(column: Any) -> Any:
+    """Return a column of a type that NumPy has; one of a dictionary would load pandas, which takes seconds."""
+    kind = str(column.type)
+    if kind.startswith("dictionary"):
+        return column.cast(column.type.value_type)
+    return column.cast("float64") if kind.startswith("decimal") else column

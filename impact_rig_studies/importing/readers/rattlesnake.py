@@ -38,6 +38,10 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
     Raises:
         RecordingError: it is no such file.
     """
+    if content[:3] == b"CDF":
+        raise RecordingError(
+            f"{path} is netCDF of the classic format (netCDF 3): the files of Rattlesnake, netCDF4, are read"
+        )
     tree = Hdf5Tree(library, len(content))
     with tree.open(content) as file:
         members = dict(tree.members(file))

@@ -34,6 +34,7 @@ from impact_rig_studies.importing.signals import (
     Signal,
     SignalKind,
     UniqueNames,
+    even_times,
 )
 
 UNIT_KEYS = ("unit_string", "NI_UnitDescription", "NI_ChannelUnit", "Unit", "unit", "Units", "units", "UnitSymbol")
@@ -59,13 +60,16 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
         for channel in group.channels():
             counts[channel.name] = counts.get(channel.name, 0) + 1
     start_ns: int | None = None
+    times = {group.name: _listed_times(group) for group in file.groups()}
+    alone = [one for one in times.values() if one is not None]
     for group in file.groups():
-        listed = _listed_times(group)
+        listed = times[group.name] or (alone[0] if len(alone) == 1 else None)
         for channel in group.channels():
             origin = f"{group.name}/{channel.name}"
             values = np.asarray(channel[:])
-            if values.dtype.kind == "M" or (listed is not None and channel.name == listed[0]):
-                if listed is None or channel.name != listed[0]:
+            own_times = times[group.name]
+            if values.dtype.kind == "M" or (own_times is not None and channel.name == own_times[0]):
+                if own_times is None or channel.name != own_times[0]:
                     left_out[origin] = "time stamps"
                 continue
             if values.dtype.kind not in "fiub":
@@ -76,7 +80,8 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
                 continue
             unit = next((str(channel.properties[key]).strip() for key in UNIT_KEYS if channel.properties.get(key)), "")
             plain, own = headings.split_unit(channel.name)
-            abscissa, kind = _abscissa(channel, None if listed is None else listed[1], len(values))
+            rate_hz = next(filter(None, map(_rate_hz, (channel, group, file))), None)
+            abscissa, kind = _abscissa(channel, None if listed is None else listed[1], rate_hz, len(values))
             name = plain if counts[channel.name] == 1 or not several else f"{group.name} {plain}"
             signals[names.unique(name)] = Signal(values.astype(np.float64), unit or own, abscissa, kind, origin)
             if start_ns is None:
@@ -87,8 +92,14 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
     return ImportedSignals(path, "TDMS", signals, start_ns, left_out=left_out)
 
 
-def _abscissa(channel: object, listed: Real | None, count: int) -> tuple[Abscissa, SignalKind]:
-    """Return the abscissa of a channel: of its waveform, or listed in another channel of its group."""
+def _rate_hz(holder: object) -> float | None:
+    """Return the rate that a property of a channel, group or file states."""
+    stated = ((str(name), _number(one)) for name, one in holder.properties.items())  # type: ignore[attr-defined]  # untyped
+    return next(filter(None, (headings.rate_hz(name, one) for name, one in stated if one is not None)), None)
+
+
+def _abscissa(channel: object, listed: Real | None, rate_hz: float | None, count: int) -> tuple[Abscissa, SignalKind]:
+    """Return the abscissa of a channel: of its waveform, listed in another channel, or of a stated rate."""
     properties: dict[str, object] = channel.properties  # type: ignore[attr-defined]  # of an untyped library
     step = _number(properties.get("wf_increment"))
     offset = _number(properties.get("wf_start_offset")) or 0.0
@@ -103,7 +114,7 @@ def _abscissa(channel: object, listed: Real | None, count: int) -> tuple[Absciss
         return Abscissa(AbscissaKind.TIME, unit, offset * factor, step * factor), SignalKind.TIME_RESPONSE
     if listed is not None and len(listed) == count:
         return Abscissa(AbscissaKind.TIME, "s", float(listed[0]), None, listed - listed[0]), SignalKind.TIME_RESPONSE
-    return NO_ABSCISSA, SignalKind.TIME_RESPONSE
+    return even_times(rate_hz) if rate_hz else NO_ABSCISSA, SignalKind.TIME_RESPONSE
 
 
 def _listed_times(group: object) -> tuple[str, Real] | None:

@@ -123,6 +123,10 @@ def _add(
     if abscissa.kind is not AbscissaKind.TIME:
         left_out[label] = f"no time response: its abscissa is of type {quantity} [{abscissa.unit or 'no unit'}]"
         return
+    stated = [_label(one.get(key)) for key in ("abscissa_axis_units_lab", "abscissa_axis_lab")]
+    if function == 0 and quantity == UNKNOWN and not any(stated):
+        left_out[label] = "neither its function type nor its abscissa states that it is over time"
+        return
     if not np.isfinite(abscissa.start):
         left_out[label] = "its abscissa begins with no number"
         return

@@ -40,8 +40,8 @@ def read(path: Path, content: bytes) -> ImportedSignals:
     order = ">" if content[:4] == b"RIFX" else "<"
     form, data, claimed = _chunks(path, content, order)
     code, channels, rate, _, block, bits = struct.unpack(f"{order}HHIIHH", form[:16])
-    if code == EXTENSIBLE and len(form) >= 26:
-        code = struct.unpack(f"{order}H", form[24:26])[0]
+    if code == EXTENSIBLE and len(form) >= 28:
+        code = struct.unpack(f"{order}I", form[24:28])[0]  # the first group of a GUID, in the order of the file
     if code not in (PCM, FLOAT):
         raise RecordingError(f"{path}: a WAV file of encoding {code:#x}; PCM (1) and floating point (3) are read")
     width = block // channels if channels else 0
