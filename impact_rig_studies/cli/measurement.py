@@ -130,7 +130,10 @@ def _import(arguments: argparse.Namespace) -> int:
     elif arguments.dry_run:
         console.print("nothing was written (--dry-run)", style="yellow")
     else:
-        if not arguments.campaign:
+        missing = sorted({"laser", "base"} - found.mapping.channels.keys())
+        if missing:
+            console.print(f"no DT: {missing[0]} is not assigned (--channel {missing[0]}=SIGNAL)", style="yellow")
+        elif not arguments.campaign:
             console.print(f"DT with its uncertainty: impact-rig analyze {directories[-1]}")
         tell_program(arguments.output.resolve())
     return 0

@@ -38,6 +38,8 @@ from impact_rig_studies.importing.uniform import Rate, aligned, uniform
 POWERS = {"m": 0, "m/s": 1, "m/s^2": 2, "A": 0}  # of frequency, by which a spectrum is that of a displacement
 REFERENCES = ("base", "current", "laser", "accelerometer")  # whose frequency is that of the drive: the first measured
 NAMED_WITHIN = 0.005  # relative departure of a frequency in a file name from that of the data
+NEIGHBOURS, OUTSTANDING = 101, 6.0
+"""Lines whose median is the noise around one, and how much larger a line must be: of 10,000 of noise not one is."""
 FREQUENCY_S, FREQUENCY_SCANS = 20, 20_000  # length of the end of a record whose frequency is measured: the longer
 
 
@@ -357,8 +359,11 @@ def _with_amplitude(
 def _frequency_of(found: AnyMapping[str, Real], si_units: AnyMapping[str, str], rate: float) -> tuple[float, bool]:
     """Return the frequency of the largest line of the first measured reference, 0 if there is none, and if it is clear.
 
-    Lines are compared as displacements; a clear one has more power than the rest of the signal.
+    Lines are compared as displacements, which lifts the noise of an accelerometer at the lowest frequencies: only lines
+    that stand out of the noise around them count. A clear one has more power than the rest of the signal.
     """
+    from scipy.ndimage import median_filter  # noqa: PLC0415  # heavy
+
     from impact_rig.analysis.sine import fit_sine_frequency  # noqa: PLC0415  # heavy
     from impact_rig.states import Status  # noqa: PLC0415  # as above
 
@@ -371,9 +376,11 @@ def _frequency_of(found: AnyMapping[str, Real], si_units: AnyMapping[str, str], 
     if len(part) < 4 or not np.all(np.isfinite(part)):
         return 0.0, False
     lines = np.abs(np.fft.rfft(part * np.hanning(len(part))))
+    is_outstanding = lines > OUTSTANDING * median_filter(lines, NEIGHBOURS)
     lines[2:] /= np.arange(2, len(lines)) ** float(POWERS[si_units[name]])
     lines[:2] = 0.0  # the mean, as the window spreads it
-    coarse = float(np.argmax(lines)) * rate / len(part)
+    outstanding = np.where(is_outstanding, lines, 0.0)
+    coarse = float(np.argmax(outstanding if outstanding.any() else lines)) * rate / len(part)
     try:
         fit = fit_sine_frequency(part, rate, coarse)
     except (np.linalg.LinAlgError, ValueError, OverflowError):  # at half the rate, or in a few values, there is no sine

@@ -142,8 +142,8 @@ def _bracketed(text: str) -> tuple[str, str]:
 def is_units_row(cells: Sequence[str], above: Sequence[str] = ()) -> bool:
     """Return whether a row holds units.
 
-    Every filled cell is one, or the row is labelled so, or the name above its first cell is one of times and that cell
-    a unit of time: the other cells may then be units that are not known here.
+    It does if every filled cell is a unit, or if it is labelled so. It also does if its first cell is a unit of time
+    below the name of a column of times. The other cells may then be units that are not known here.
     """
     filled = [cell for cell in cells if cell.strip()]
     if filled and cells[0].strip().strip(":").lower() in _UNIT_LABELS:

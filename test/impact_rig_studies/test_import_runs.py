@@ -90,6 +90,20 @@ def test_sensors_with_sensitivities_by_option(tmp_path: Path) -> None:
     assert last_row(run)["transmissibility"] == pytest.approx(DT, rel=1e-3)
 
 
+@pytest.mark.parametrize("noise", [1e-3, 1e-2, 0.1])
+@pytest.mark.parametrize(("rate_hz", "seconds"), [(206.4516, 30.0), (2000.0, 20.0), (25_600.0, 8.0)])
+@pytest.mark.parametrize("unit", ["g", "m/s^2", "mm/s", "mm"])
+def test_noise_at_low_frequencies_is_not_the_drive(unit: str, rate_hz: float, seconds: float, noise: float) -> None:
+    """As a displacement the white noise of an accelerometer is largest at the lowest line, where it was once found."""
+    found = source({"base": unit, "laser": unit}, rate_hz, seconds)
+    signals = {}
+    for name, one in found.signals.items():
+        white = np.random.default_rng(3).standard_normal(len(one.values))
+        signals[name] = Signal(one.values + noise * np.ptp(one.values) * white, one.unit, one.abscissa)
+    ((_, frequency_hz, _),) = imported(ImportedSignals(Path("own.csv"), "text table", signals)).drive
+    assert frequency_hz == pytest.approx(HZ, rel=1e-3)
+
+
 @pytest.mark.parametrize("rate_hz", [51200 / 31 / 8, 51200 / 7 / 32, 99.7, 1000 / 3, 125.0])
 def test_rates_that_are_not_whole_need_no_resampling(tmp_path: Path, rate_hz: float) -> None:
     times = np.round(np.arange(round(12 * rate_hz)) / rate_hz, 6)
@@ -232,6 +246,18 @@ def test_two_accelerometers_in_two_commands(tmp_path: Path, capsys: pytest.Captu
     assert "DT 10.00" in capsys.readouterr().out or last_row(tmp_path / "run")["transmissibility"] == pytest.approx(
         DT, rel=1e-3
     )
+
+
+def test_a_missing_channel_is_said_instead_of_the_next_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    times = np.arange(1500) / 125.0
+    rows = [f"{t:.3f},{one:.6f}" for t, one in zip(times, motion("mm", "laser", times), strict=True)]
+    (tmp_path / "own.csv").write_text("\n".join(["time [s],laser [mm]", *rows]))
+    assert main(["import", str(tmp_path / "own.csv"), "--output", str(tmp_path / "run")]) == 0
+    said = capsys.readouterr().out
+    assert "no DT: base is not assigned (--channel base=SIGNAL)" in said
+    assert "impact-rig analyze" not in said
 
 
 def test_a_run_keeps_what_was_assumed_and_left_out(tmp_path: Path) -> None:
