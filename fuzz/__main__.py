@@ -70,6 +70,11 @@ def main() -> int:
             figures = (tally.inputs, tally.refused, tally.inputs - tally.refused)
             costs = (tally.slowest_s * 1e3, tally.peak_mib, tally.wall_s)
             table.add_row(one.name, *map(str, figures), *(f"{cost:.0f}" for cost in costs))
+            if tally.peak_mib > target.MEMORY_MIB:
+                console.print(
+                    f"{one.name}: a process occupied {tally.peak_mib:.0f} MiB, more than {target.MEMORY_MIB:g}"
+                )
+                return 1
             console.print(f"{one.name}: {tally.inputs} inputs, nothing found", style="dim")
     console.print(table)
     console.print(f"{total} inputs, no crash, hang, NaN or silent acceptance")

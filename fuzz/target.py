@@ -30,7 +30,7 @@ from impact_rig.errors import ImpactRigError
 HANG_S = 10.0
 """An input that computes longer is a finding; where it has waited as long, the stack is shown."""
 MEMORY_MIB = 256.0
-"""A process that reads an input and occupies more is a finding."""
+"""A run of a target whose largest process occupies more is a finding."""
 BATCH = 1000
 """Examples drawn with one seed."""
 
@@ -94,7 +94,6 @@ def prepared(target: Target, examples: int, number: int, tally: Tally) -> Callab
         tally.slowest_s = max(tally.slowest_s, took)
         tally.peak_mib = max(tally.peak_mib, _peak_mib())
         assert took < HANG_S, f"{target.name}: one input took {took:.1f} s"
-        assert tally.peak_mib <= MEMORY_MIB, f"{target.name}: a process took {tally.peak_mib:.0f} MiB of memory"
 
     return each
 

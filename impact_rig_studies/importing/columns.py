@@ -116,8 +116,12 @@ def signals_of(
             omitted[name] = "complex numbers: a spectrum or frequency response"
         elif values.dtype.kind not in "fiub":
             omitted[name] = "no numbers"
-        elif values.size == 1 and (stated := headings.rate_hz(name, float(values.reshape(-1)[0]))) is not None:
-            rate_hz = stated
+        elif values.size == 1 and headings.rate_hz(name, 1.0) is not None:
+            one = float(values.reshape(-1)[0])
+            stated = headings.rate_hz(name, one)
+            rate_hz = stated or rate_hz
+            if stated is None:
+                omitted[name] = f"no rate or period: {one:g}"
         elif name == headings.STAMP and values.ndim == 1:
             stamps = values.astype(np.int64)
         else:
