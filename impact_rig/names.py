@@ -48,7 +48,8 @@ DIGEST = 8  # hexadecimal digits that distinguish names with the same file name
 
 _SYMBOLS = re.compile(r"(?:[A-Za-z](?:_[A-Za-z0-9])?|[0-9|/+, ]|\\ )+")
 _DOLLAR = re.compile(r"(?<!\\)\$")
-_FORMULA = re.compile(r"(?:^|(?<=[;\t\r\n]))(?=\s*[=+\-@\uff1d\uff0b\uff0d\uff20])")
+_DROPPED = r"[\s\x00-\x1f\xad\u200b-\u200f\u2060\ufeff]*"  # at the begin of a cell: it has no width
+_FORMULA = re.compile(rf"(?:^|(?<=[;\t\r\n]))(?={_DROPPED}[=+\-@\uff1d\uff0b\uff0d\uff20])")
 
 
 def visible(text: str, *, lines: bool = False) -> str:
