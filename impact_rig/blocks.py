@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The tables that travel: the columns of each table topic, their numpy type, and `Table`, a stamped structured array.
+"""Columns and row types of the table topics, and `Table`, the stamped structured array that such a topic carries.
 
-Of each table there are its columns (`FAULTS_COLUMNS`) and the type of its rows made from them (`FAULTS`). `time` is
-always seconds since the table's stamp. `docs/reference/interface.md` is written from these columns.
+Each table has a tuple of columns (`FAULTS_COLUMNS`) and a row type made from it (`FAULTS`). `time` is always in seconds
+since the table's stamp. `docs/reference/interface.md` is generated from these columns.
 """
 
 from __future__ import annotations
@@ -28,39 +28,39 @@ from numpy.typing import NDArray
 
 TEXT = "S32"
 TEXT_BYTES = 32  # text in a table: UTF-8 in 32 bytes
-NUMBER = "f8"  # also of indices: exact to 2**53, and `sensor_msgs/PointField` has no 64-bit integers
+NUMBER = "f8"  # also for indices: exact to 2**53, and `sensor_msgs/PointField` has no 64-bit integers
 
 
-LONGEST_S = 2.0**32  # no two stamps are further apart [s]
-LARGEST_INDEX = 2.0**53  # to which whole numbers are exact in a table
+LONGEST_S = 2.0**32  # largest difference of two stamps [s]
+LARGEST_INDEX = 2.0**53  # up to which integers are exact in a table
 
 
 @attrs.frozen
 class Column:
-    """One column of a table, and what may stand in it: `codec.checked` refuses everything else."""
+    """One column of a table, with its allowed values: `codec.checked` rejects all others."""
 
-    name: str  # how it is addressed
-    unit: str  # SI unit, `-` for none, or words where it depends on the row
-    doc: str  # what it says, including the values that are not measurements
+    name: str  # name of the column
+    unit: str  # SI unit, `-` for none, or text if it depends on the row
+    doc: str  # description, including the values that are not measurements
     kind: str = NUMBER  # numpy type code
     default: float | str | None = attrs.field(default=None, kw_only=True)
-    """What a table of an earlier version, which lacks the column, is read as; None: it must be there."""
-    least: float = attrs.field(default=-math.inf, kw_only=True)  # least value; a column with a bound holds no NaN
+    """Value for tables of an earlier version that lack the column; None if the column is required."""
+    least: float = attrs.field(default=-math.inf, kw_only=True)  # least value; a column with a bound contains no NaN
     most: float = attrs.field(default=math.inf, kw_only=True)  # largest value
-    whole: bool = attrs.field(default=False, kw_only=True)  # whether values are whole numbers
+    whole: bool = attrs.field(default=False, kw_only=True)  # whether values are integers
     is_part: bool = attrs.field(default=False, kw_only=True)
-    """Whether a text may be part of a longer one, so that it need not be UTF-8 by itself."""
+    """Whether a text may be part of a longer one, and so need not be UTF-8 by itself."""
 
     def __attrs_post_init__(self) -> None:
         assert self.kind == NUMBER or not self.is_bounded, f"{self.name}: a column with a bound must be {NUMBER}"
 
     @property
     def is_bounded(self) -> bool:
-        """Whether some numbers are refused."""
+        """Whether a bound restricts the column's numbers."""
         return self.whole or self.least > -math.inf or self.most < math.inf
 
     def allowed(self) -> str:
-        """Return in words which numbers may stand here."""
+        """Return a description of the numbers allowed in this column."""
         number = "a whole number" if self.whole else "a number"
         if self.least > -math.inf and self.most < math.inf:
             return f"{number} from {self.least:.10g} to {self.most:.17g}"
@@ -83,13 +83,13 @@ def row_type(columns: Iterable[Column]) -> np.dtype[np.void]:
 
 
 FRAME_DAQ = "daq"
-MOST_HZ = 1e6  # the board's aggregate rate; bounds the memory that a hostile table can ask for
+MOST_HZ = 1e6  # the board's aggregate rate, which limits the memory that a hostile table can request
 
 SCAN_COMMON_COLUMNS = (
     time("Scan clock, since the stamp; a channel is converted its `skew` later (daq/info)."),
     Column("status", "-", "Bit j: channel j (in the order of these columns, from 0) is over range or clipped.", "u1"),
 )
-"""What a scan has besides its channels, which follow from the instruments: `impact_rig.instruments.section`."""
+"""Columns that every scan has; those of the channels follow from the instruments, `impact_rig.instruments.section`."""
 
 TRUTH_SCAN_COLUMNS = (
     time("Scan clock, since the stamp."),
@@ -109,18 +109,18 @@ TRUTH_SCAN_COLUMNS = (
 TRUTH_SCAN = row_type(TRUTH_SCAN_COLUMNS)
 
 IMPACTS_COLUMNS = (
-    time("Begin of the contact, since the stamp; negative if it began before the block."),
+    time("Start of the contact, since the stamp; negative if it began before the block."),
     Column("wall", "-", "-1 left, +1 right.", "i1"),
     Column("approach_speed", "m/s", "Relative to the wall when the contact begins, positive."),
     Column("separation_speed", "m/s", "Relative to the wall when it ends, positive."),
     Column(
         "peak_force",
         "N",
-        "Largest contact force; 0 for the instantaneous law `restitution`, as are the next and the duration.",
+        "Largest contact force; 0 for the instantaneous law `restitution`, as are peak_indentation and duration.",
     ),
     Column("peak_indentation", "m", "Largest indentation."),
     Column("impulse", "N s", "Integral of the contact force."),
-    Column("duration", "s", "From the begin to the end of the contact."),
+    Column("duration", "s", "From the start to the end of the contact."),
     Column("energy_lost", "J", "Work that the contact force did not give back."),
 )
 IMPACTS = row_type(IMPACTS_COLUMNS)
@@ -134,18 +134,18 @@ APPLIED_COLUMNS = (
 )
 APPLIED = row_type(APPLIED_COLUMNS)
 
-WAVEFORM_COLUMNS = (Column("value", "A, m or V", "A sample of the drive, by `drive.kind`; the next row is the next."),)
+WAVEFORM_COLUMNS = (Column("value", "A, m or V", "Consecutive samples of the drive, unit by `drive.kind`."),)
 WAVEFORM = row_type(WAVEFORM_COLUMNS)
 
 STREAM_COLUMNS = (
-    time("Since the stamp, which is that of the sample wanted next: 0."),
-    index("wanted", "Number of that sample since the start or reset; all earlier ones have acted."),
-    Column("buffered", "-", "Samples that are there from that one on, without a gap."),
-    Column("capacity", "-", "Samples that may be there."),
-    Column("playing", "-", "1 while samples act, 0 before the first one and where they are missing or over."),
-    Column("late", "-", "Samples that came too late."),
-    Column("refused", "-", "Blocks that were refused."),
-    Column("missing", "-", "Samples that did not come in time."),
+    time("Since the stamp, which is that of the sample needed next: 0."),
+    index("wanted", "Number of that sample since the start or reset; all earlier ones have taken effect."),
+    Column("buffered", "-", "Samples present from that one on, without a gap."),
+    Column("capacity", "-", "Largest number of buffered samples."),
+    Column("playing", "-", "1 while samples drive the rig, 0 before the first one and after an end or gap."),
+    Column("late", "-", "Samples that arrived too late."),
+    Column("refused", "-", "Rejected blocks."),
+    Column("missing", "-", "Samples that did not arrive in time."),
     Column("rate", "Hz", "Samples per second."),
 )
 STREAM = row_type(STREAM_COLUMNS)
@@ -165,8 +165,8 @@ FAULTS = row_type(FAULTS_COLUMNS)
 DAQ_INFO_COLUMNS = (
     Column("name", "-", "Channel: the column of daq/scan.", TEXT),
     Column("unit", "-", "Unit of the channel.", TEXT),
-    Column("rate", "Hz", "Scans per second; of the rig a whole number.", least=1.0, most=MOST_HZ),
-    Column("range_low", "unit", "Least value that is measured."),
+    Column("rate", "Hz", "Scans per second; an integer for the rig.", least=1.0, most=MOST_HZ),
+    Column("range_low", "unit", "Smallest value that is measured."),
     Column("range_high", "unit", "Largest value that is measured."),
     Column("sensitivity", "V/unit", "SI value = (volt - offset) / sensitivity."),
     Column("offset", "V", "Output at zero."),
@@ -175,11 +175,11 @@ DAQ_INFO_COLUMNS = (
     Column("sensitivity_uncertainty", "-", "Relative standard uncertainty of the sensitivity."),
     Column("offset_uncertainty", "unit", "Standard uncertainty of the zero."),
     Column("lag", "s", "Group delay of the sensor at low frequency."),
-    Column("skew", "s", "Conversion after the scan clock."),
+    Column("skew", "s", "Delay of the conversion after the scan clock."),
     Column(
         "lag_order",
         "-",
-        "Of the sensor in the rig's band: 1 first-order lag 1 / (1 + jω lag), 2 two-pole Butterworth, 0 pure delay.",
+        "Model of the lag in the rig's band: 1 first-order lag 1 / (1 + jω lag), 2 two-pole Butterworth, 0 pure delay.",
         default=0.0,
     ),
     Column("bandwidth", "Hz", "-3 dB corner of the sensor and of its noise; 0 where unknown.", default=0.0),
@@ -193,12 +193,10 @@ DAQ_INFO_COLUMNS = (
     Column(
         "since_start", "s", "From scan 0 to this stamp; 0 after a reset.", default=0.0, least=-LONGEST_S, most=LONGEST_S
     ),
-    Column("output_step", "unit", "One step of the sensor's own output, ahead of the converter; 0: none.", default=0.0),
-    Column("output_noise", "unit", "Noise ahead of that step, rms: it blurs the step.", default=0.0),
-    Column("converter_step", "unit", "One step of the converter.", default=0.0),
-    Column(
-        "converter_noise", "unit", "Noise of the converter itself, rms: it blurs the converter's step.", default=0.0
-    ),
+    Column("output_step", "unit", "Step of the sensor's own output, before the converter; 0: none.", default=0.0),
+    Column("output_noise", "unit", "Noise before that step, rms, which averages the step out.", default=0.0),
+    Column("converter_step", "unit", "Step of the converter.", default=0.0),
+    Column("converter_noise", "unit", "Noise of the converter itself, rms, which averages its step out.", default=0.0),
     Column(
         "high_pass",
         "Hz",
@@ -220,12 +218,12 @@ TRANSMISSIBILITY_COLUMNS = (
     Column("current_amplitude", "A", "Amplitude of the coil current."),
     Column("thd", "-", "Total harmonic distortion of x_1: rms of the harmonics over that of the fundamental."),
     Column("impacts_per_cycle", "-", "Detected impacts per drive cycle."),
-    Column("settled", "-", "1 if the transient has died, 0 if not."),
+    Column("settled", "-", "1 if the transient has decayed, 0 if not."),
     Column("cycles", "-", "Drive cycles measured."),
     Column("gap", "m", "The operator's label: 0 = no sphere, NaN = unknown."),
-    Column("frequency_deviation", "Hz", "Frequency measured less frequency commanded.", default=math.nan),
+    Column("frequency_deviation", "Hz", "Measured minus commanded frequency.", default=math.nan),
     Column("spread", "-", "Standard deviation of the transmissibility from cycle to cycle.", default=math.nan),
-    Column("period", "drive cycles", "After which the response repeats; NaN if it is not periodic.", default=math.nan),
+    Column("period", "drive cycles", "Period of the response; NaN if it is not periodic.", default=math.nan),
     Column("waited", "s", "From the last change to the end of the measurement.", least=0.0, most=LONGEST_S),
     Column("regime", "-", "Behaviour from cycle to cycle (docs/explanation/analysis.md).", TEXT, default=""),
     Column("method", "-", "Method of the uncertainty (docs/explanation/analysis.md).", TEXT, default=""),
@@ -242,7 +240,7 @@ TRANSMISSIBILITY_COLUMNS = (
     Column(
         "steps_uncertainty",
         "-",
-        "The part of the transmissibility's standard uncertainty that steps of converters and sensors have.",
+        "Part of the transmissibility's standard uncertainty due to the steps of converters and sensors.",
         default=math.nan,
     ),
     Column(
@@ -254,13 +252,13 @@ TRANSMISSIBILITY = row_type(TRANSMISSIBILITY_COLUMNS)
 SWEEP_COLUMNS = (
     *TRANSMISSIBILITY_COLUMNS,
     Column("target", "m or A", "Controlled amplitude, of base, superior base or current; NaN: none is controlled."),
-    Column("error", "-", "Relative error of the measured amplitude; NaN likewise."),
-    Column("corrections", "-", "Corrections of the current before the measurement; NaN likewise."),
-    Column("held", "-", "1 if the error is within the tolerance, 0 if not; NaN likewise."),
+    Column("error", "-", "Relative error of the measured amplitude; NaN without one."),
+    Column("corrections", "-", "Corrections of the current before the measurement; NaN without a target."),
+    Column("held", "-", "1 if the error is within the tolerance, 0 if not; NaN without a target."),
     Column(
         "locked",
         "-",
-        "Of a phase lock, whose `phase` is that against its reference: 1 if the mean of the last second is within the "
+        "Phase lock, with `phase` relative to its reference: 1 if the mean of the last second is within the "
         "bound, 0 if not; NaN: no phase lock.",
     ),
 )
@@ -280,7 +278,7 @@ SETTINGS = row_type(SETTINGS_COLUMNS)
 
 DETECTED_IMPACTS_COLUMNS = (
     time("When it was detected, since the stamp."),
-    Column("peak", "m/s^2", "Largest acceleration of the pulse, the vibration filtered out (high-pass)."),
+    Column("peak", "m/s^2", "Largest acceleration of the pulse, without the vibration (high-pass)."),
     Column("sign", "-", "+1 when the structure is pushed to the right (the right wall is struck), else -1.", "i1"),
 )
 DETECTED_IMPACTS = row_type(DETECTED_IMPACTS_COLUMNS)
@@ -288,7 +286,7 @@ DETECTED_IMPACTS = row_type(DETECTED_IMPACTS_COLUMNS)
 
 @attrs.frozen(eq=False)
 class Table:
-    """A stamped structured array, rows of shape (n,): what one PointCloud2 message carries."""
+    """A stamped structured array, rows of shape (n,): the content of one PointCloud2 message."""
 
     stamp_ns: int
     rows: NDArray[np.void]
@@ -296,7 +294,7 @@ class Table:
 
 
 def joined(parts: Sequence[NDArray[np.void]]) -> NDArray[np.void]:
-    """Return the rows of several arrays of one type, at least one, one after another, as a copy.
+    """Return a copy of the rows of several arrays of one type, at least one, joined in order.
 
     `numpy.concatenate` compares such types field by field in Python, which takes a hundred times longer.
     """

@@ -17,12 +17,12 @@
     | fields[]: name, offset u4, datatype u1, count u4
     | is_bigendian u1 | point_step u4 | row_step u4 | data u1[] | is_dense u1
 
-Numbers are aligned to their size, counted from the byte after the encapsulation; a string is its length with the
-closing NUL (u4), its bytes and the NUL; a sequence is its length (u4) and its elements. Source: OMG DDSI-RTPS 2.2,
-section 10 (CDR_LE), which is what ROS 2 puts on the wire.
+Numbers are aligned to their size, counted from the byte after the encapsulation. A string is its length with the
+closing NUL (u4), its bytes and the NUL. A sequence is its length (u4) and its elements. Source: OMG DDSI-RTPS 2.2,
+section 10 (CDR_LE), the encoding that ROS 2 transmits.
 
-A text column is UINT8 x 32. `is_dense` is always false, which `PointCloud2` defines as "may hold invalid values":
-tables use NaN for "unknown".
+A text column is UINT8 x 32. `is_dense` is always false, which `PointCloud2` defines as "may hold invalid values",
+because tables use NaN for "unknown".
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ from impact_rig.topics import Topic
 Buffer = bytes | bytearray | memoryview
 
 MAX_MESSAGE_BYTES = 480_000
-"""Messages above ~500 kB miss the default shared-memory segment of Fast DDS: whoever fills tables keeps below this."""
-MAX_COLUMNS = 256  # more columns than any table of this package; bounds what a hostile message can make `decode` build
+"""Largest size of a message: above ~500 kB it exceeds the default shared-memory segment of Fast DDS."""
+MAX_COLUMNS = 256  # more columns than any table of this package has; limits what a hostile message makes `decode` build
 
 _ENCAPSULATION = b"\x00\x01\x00\x00"
-_ORIGIN = len(_ENCAPSULATION)  # CDR alignment counts from here
+_ORIGIN = len(_ENCAPSULATION)  # start of the CDR alignment
 _STAMP = struct.Struct("<iI")
 _HEADER = struct.Struct("<4siI")
 _BEGINNING = struct.Struct("<2s2xiI")  # the same, without the options
@@ -63,7 +63,7 @@ _PRIMITIVES = {
 }  # fmt: skip
 _MAX_TRAILING = 3  # some writers pad the payload to a multiple of four
 
-_MOST_HEADS = 64  # kinds of messages that `decode` remembers; more than any graph of this package has
+_MOST_HEADS = 64  # number of message heads that `decode` remembers; no graph of this package has as many kinds
 
 # sensor_msgs/PointField
 _FORMAT_OF_DATATYPE = {1: "i1", 2: "u1", 3: "<i2", 4: "<u2", 5: "<i4", 6: "<u4", 7: "<f4", 8: "<f8"}
@@ -78,10 +78,10 @@ def encode(table: Table, frame_prefix: str = "") -> bytes:
 
     Args:
         table: columns must be 8 to 32 bit integers, f4, f8 or `blocks.TEXT`, in little-endian byte order.
-        frame_prefix: text in front of the table's frame.
+        frame_prefix: text before the table's frame.
 
     Raises:
-        CodecError: a column's type, the stamp or the frame id has no place in a PointCloud2.
+        CodecError: a column's type, the stamp or the frame id cannot be represented in a PointCloud2.
     """
     rows = table.rows
     if rows.ndim != 1:
@@ -115,41 +115,41 @@ def encode_polygon(stamp_ns: int, frame_id: str, points: NDArray[np.floating[Any
 def decode(data: Buffer, topic: Topic | None = None, needs: tuple[str, ...] = ()) -> Table:
     """Return the table in a serialised `sensor_msgs/PointCloud2`; its rows are a read-only view of `data`, not a copy.
 
-    Safe on hostile bytes: every length is compared with what is there before it is used.
+    Safe for hostile bytes: every length is compared with the available bytes before it is used.
 
     Args:
         data: the message.
-        topic: the table's topic, of which it is then `checked`; None: any columns, any values.
+        topic: the table's topic, for which the table is then `checked`; None allows any columns and values.
         needs: as for `checked`.
 
     Raises:
-        CodecError: `data` is not a little-endian PointCloud2 of one row of points with columns as `encode` writes them,
-            or no table of `topic`; the message says where and why.
+        CodecError: `data` is not a little-endian PointCloud2 with one row of points and columns as `encode` writes
+            them, or not a table of `topic`; the message names the place and the reason.
     """
     table = _decode(data)
     return table if topic is None else checked(table, topic, needs)
 
 
 def checked(table: Table, topic: Topic, needs: tuple[str, ...] = ()) -> Table:
-    """Return a table of `topic` from anywhere, this version's or another's, with the columns and values of the topic.
+    """Check a table of `topic` of any origin and version, and return it with the columns and values of the topic.
 
-    Every table that was not made in this process goes through here, live or from a file. A column that an earlier
-    version did not have is filled with its default, a number of a narrower type is widened, and further columns
-    (of a later version, or the channels of a scan) stay behind those of the topic. A table that has the topic's own
-    type is returned as it is.
+    Every table that was not made in this process passes this check, live or from a file. A column that an earlier
+    version did not have is filled with its default, and a number of a narrower type is widened. Further columns (of a
+    later version, or the channels of a scan) follow after those of the topic. A table that already has the topic's type
+    is returned unchanged.
 
     Args:
-        table: as decoded.
-        topic: one that carries tables.
-        needs: further columns that must be there: the channels of a scan that somebody reads.
+        table: the decoded table.
+        topic: a topic that carries tables.
+        needs: further required columns: the channels of a scan that a caller reads.
 
     Raises:
-        CodecError: a column is missing, has another type, or holds what the topic does not allow; the message names
-            topic, column, value and what is allowed.
+        CodecError: a column is missing, has another type, or contains a value that the topic does not allow; the
+            message names topic, column, value and the allowed values.
     """
     plan = _plan(topic, table.rows.dtype, needs)
     rows = table.rows if plan.fits else _fitted(table.rows, plan)
-    # made as the rows are: where caches are cold, `view` takes twice as long
+    # made with the type of the rows: with cold caches `view` takes twice as long
     data: NDArray[np.uint8] = np.ndarray((rows.nbytes,), _BYTE, rows if rows.flags.c_contiguous else rows.copy())
     for column, offset in plan.numbers:
         row = _first_wrong(data, offset, rows.itemsize, column.least, column.most, column.whole)
@@ -163,18 +163,18 @@ def checked(table: Table, topic: Topic, needs: tuple[str, ...] = ()) -> Table:
 
 @attrs.frozen(eq=False)
 class _Plan:
-    """What has to be done with tables of one type that claim to be of one topic."""
+    """Plan for turning tables of one type into tables of one topic."""
 
-    fits: bool  # whether the rows can stay as they are
-    dtype: np.dtype[np.void]  # what they become otherwise
+    fits: bool  # whether the rows can stay unchanged
+    dtype: np.dtype[np.void]  # row type of the result otherwise
     absent: tuple[Column, ...]  # columns that get their default
-    numbers: tuple[tuple[Column, int], ...]  # columns whose values are bounded, and where in a row they stand
+    numbers: tuple[tuple[Column, int], ...]  # columns with bounded values, and their offsets in a row
     texts: tuple[Column, ...]  # columns whose values must be text
 
 
 @functools.lru_cache(maxsize=256)  # few types of rows exist
 def _plan(topic: Topic, found: np.dtype[np.void], needs: tuple[str, ...]) -> _Plan:
-    """Return the plan for tables of the type `found`, or refuse them all."""
+    """Return the plan for tables of the type `found`; raise an error if such tables are not allowed."""
     there = {name: found[name] for name in found.names or ()}
     kinds = [(column.name, np.dtype(column.kind)) for column in topic.fields]
     own = {name for name, _ in kinds}
@@ -210,7 +210,7 @@ def _fitted(rows: NDArray[np.void], plan: _Plan) -> NDArray[np.void]:
 
 @entry(BYTES, int, int, float, float, bool, returns=int)
 def _first_wrong(data: NDArray[np.uint8], offset: int, step: int, least: float, most: float, whole: bool) -> int:
-    """Return the first row whose number is not allowed, or the number of rows: a number every `step` bytes."""
+    """Return the first row whose number is not allowed, or the number of rows; one number per `step` bytes."""
     count = len(data) // step
     for row in range(count):
         begin = row * step + offset
@@ -244,9 +244,9 @@ def _decode(data: Buffer) -> Table:
 
 @attrs.frozen
 class _Head:
-    """What stands between the stamp and the data of a message, and what it says.
+    """Head of a message: the bytes between the stamp and the data, and their content.
 
-    The blocks of a stream have all the same: that of a known message of the same length is compared, not parsed.
+    All blocks of a stream have the same head: that of a known message of the same length is compared instead of parsed.
     """
 
     content: bytes
@@ -260,7 +260,7 @@ _heads: dict[int, _Head] = {}  # the newest head, by the length of its message
 
 
 def _head(view: memoryview) -> _Head:
-    """Return what is before the data, when the rest of the message has been checked against it."""
+    """Parse the head of a message, and check the rest of the message against it."""
     cursor = _Cursor(view, _HEADER.size)
     frame_id = cursor.text("frame_id")
     height, width = cursor.u4("height"), cursor.u4("width")
@@ -284,7 +284,7 @@ def header(data: Buffer) -> tuple[int, str]:
     """Return stamp [ns] and frame_id of any serialised message that starts with `std_msgs/Header`.
 
     Raises:
-        CodecError: as `header_stamp_ns`; or the frame_id is no text.
+        CodecError: as for `header_stamp_ns`, or the frame_id is not text.
     """
     stamp = header_stamp_ns(data)
     return stamp, _Cursor(memoryview(data).cast("B"), _ORIGIN + _STAMP.size).text("frame_id")
@@ -294,7 +294,7 @@ def header_stamp_ns(data: Buffer) -> int:
     """Return the header stamp [ns] of any serialised message that starts with `std_msgs/Header`.
 
     Raises:
-        CodecError: `data` is too short, is not little-endian CDR, or its stamp has a second's worth of nanoseconds.
+        CodecError: `data` is too short or not little-endian CDR, or the nanoseconds of its stamp exceed a second.
     """
     if len(data) < _HEADER.size:
         raise CodecError(f"a message with a header has at least {_HEADER.size} bytes, got {len(data)}")
@@ -313,7 +313,7 @@ def joint_state(data: Buffer) -> tuple[int, tuple[NDArray[np.float64], ...]]:
     """Return stamp [ns] and the positions, velocities and efforts of a serialised `sensor_msgs/JointState`.
 
     Raises:
-        CodecError: it is none.
+        CodecError: the data is no such message.
     """
     stamp = header_stamp_ns(data)
     cursor = _Cursor(memoryview(data).cast("B"), _ORIGIN + _STAMP.size)
@@ -324,7 +324,7 @@ def joint_state(data: Buffer) -> tuple[int, tuple[NDArray[np.float64], ...]]:
 
 
 def encode_joint_state(stamp_ns: int, *values: Sequence[float]) -> bytes:
-    """Return a serialised `sensor_msgs/JointState` without names: positions, velocities, efforts, as far as given."""
+    """Return a serialised `sensor_msgs/JointState` without names: positions, velocities and efforts, if given."""
     stream = bytearray(_HEADER.pack(_ENCAPSULATION, *divmod(stamp_ns, NS_PER_S)))
     _append_text(stream, "", "frame_id")
     for numbers in ((), *values, *[()] * (3 - len(values))):
@@ -339,19 +339,19 @@ def plain(data: Buffer, members: Sequence[tuple[str, str, int]]) -> dict[str, An
 
     Args:
         data: the message.
-        members: path, primitive type and count of each: numbers in any fixed count, texts alone.
+        members: path, primitive type and count of each member: numbers in any fixed count, a text only singly.
 
     Raises:
-        CodecError: a member is of another kind, or not in the message.
+        CodecError: a member is of another kind, or missing in the message.
     """
-    header_stamp_ns(data)  # refuses another byte order
+    header_stamp_ns(data)  # rejects another byte order
     cursor, found = _Cursor(memoryview(data).cast("B"), _ORIGIN), dict[str, Any]()
     for path, kind, count in members:
         if kind == "string" and count == 1:
             found[path] = cursor.text(path)
             continue
-        if kind not in _PRIMITIVES or not 0 < count <= len(data):  # a definition may claim any number
-            raise CodecError(f"{path} is of type {kind}, in no number that a message of {len(data)} bytes can have")
+        if kind not in _PRIMITIVES or not 0 < count <= len(data):  # a definition may contain any count
+            raise CodecError(f"{path} is of type {kind}, and its count does not fit a message of {len(data)} bytes")
         form = struct.Struct(f"<{count}{_PRIMITIVES[kind]}")
         cursor.position += (_ORIGIN - cursor.position) % struct.calcsize(_PRIMITIVES[kind])
         values = form.unpack_from(cursor.view, cursor.take(form.size, path))
@@ -367,23 +367,23 @@ def encode_text(content: str) -> bytes:
 
 
 def text(data: Buffer) -> str:
-    """Return what a serialised `std_msgs/String` says.
+    """Return the content of a serialised `std_msgs/String`.
 
     Raises:
-        CodecError: it is none.
+        CodecError: the data is no such message.
     """
     return _Cursor(memoryview(data).cast("B"), _ORIGIN).text("data")
 
 
 @attrs.define
 class _Cursor:
-    """Reads a CDR stream; nothing is read that is not there."""
+    """Reader of a CDR stream that never reads beyond its end."""
 
     view: memoryview
     position: int
 
     def take(self, count: int, what: str) -> int:
-        """Step over `count` bytes and return where they start."""
+        """Skip `count` bytes and return their offset."""
         start = self.position
         if count > len(self.view) - start:
             left = max(len(self.view) - start, 0)
@@ -406,7 +406,7 @@ class _Cursor:
 
     def text(self, what: str) -> str:
         length = self.u4(f"length of {what}")
-        if length == 0:  # not legal CDR, but written by some for the empty string
+        if length == 0:  # not legal CDR, but some writers encode the empty string like this
             return ""
         start = self.take(length, what)
         raw = bytes(self.view[start : start + length])
@@ -449,13 +449,13 @@ def _columns(cursor: _Cursor) -> dict[str, tuple[str, int]]:
 
 
 def _dtype(columns: dict[str, tuple[str, int]], point_step: int) -> np.dtype[np.void]:
-    """Return the row type; columns may come in any order and leave holes, but neither overlap nor leave the point."""
+    """Return the row type; columns may be in any order and leave gaps, but not overlap or exceed the point."""
     end = 0
     for name, (fmt, offset) in sorted(columns.items(), key=lambda item: item[1][1]):
         if offset < end:
             raise CodecError(f"field {name!r} at offset {offset} overlaps its neighbour, which ends at {end}")
         end = offset + np.dtype(fmt).itemsize
-    # numpy's own limit; a point above it can only come with width 0, since all of its bytes must be in the message
+    # limit of NumPy; a larger point can only occur with width 0, since all of its bytes must be in the message
     if not end <= point_step < 2**31:
         raise CodecError(f"point_step must be >= {end} (end of the last field) and < 2**31, got {point_step}")
     formats, offsets = zip(*columns.values(), strict=True)
@@ -464,16 +464,16 @@ def _dtype(columns: dict[str, tuple[str, int]], point_step: int) -> np.dtype[np.
 
 @functools.lru_cache(maxsize=64)  # few dtypes and frames exist
 def _constant_parts(dtype: np.dtype[np.void], frame_id: str) -> tuple[bytes, bytes]:
-    """Return what is the same in every message of this dtype and frame: (frame_id and height, fields to point_step).
+    """Return the parts that all messages of this dtype and frame share: (frame_id and height, fields to point_step).
 
-    Kept, because building it costs ten times the rest of a message.
+    They are cached, because building them costs ten times as much as the rest of a message.
     """
     if dtype.fields is None or not dtype.names:
         raise CodecError(f"rows must be a structured array with at least one column, got {dtype}")
     frame = bytearray(_ENCAPSULATION + bytes(_STAMP.size))
     _append_text(frame, frame_id, "frame_id")
     _append_u4(frame, 1)
-    start = len(frame) + _U4.size  # the width comes between
+    start = len(frame) + _U4.size  # the width is in between
     layout = bytearray(start)
     _append_u4(layout, len(dtype.names))
     for name in dtype.names:

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The exceptions of impact_rig: one type per kind of mistake; messages say what was wrong and what would be right."""
+"""The exceptions of impact_rig, one type per kind of mistake; a message names the mistake and what is allowed."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ import difflib
 import traceback
 from collections.abc import Iterable
 
-LONGEST_WORD = 100  # characters of a word that is compared: the time grows with their number
+LONGEST_WORD = 100  # longest word that is compared: the time grows with its length
 
 
 def did_you_mean(word: str, known: Iterable[str], question: str = ": did you mean {}?", otherwise: str = "") -> str:
-    """Return `question` with the known word that is nearest in its braces; `otherwise` where none is near."""
+    """Return `question` with the most similar known word in its braces, or `otherwise` if none is similar."""
     close = difflib.get_close_matches(word[:LONGEST_WORD], list(known), n=1)
     return question.format(close[0]) if close else otherwise
 
@@ -37,7 +37,7 @@ class ConfigError(ImpactRigError, ValueError):
 
 
 class CommandError(ImpactRigError, ValueError):
-    """A command was refused; the shaker keeps its last good state."""
+    """A command was rejected; the shaker keeps its last valid state."""
 
 
 class CodecError(ImpactRigError, ValueError):
@@ -49,20 +49,20 @@ class RecordingError(ImpactRigError, OSError):
 
 
 class GoneError(ImpactRigError, RuntimeError):
-    """A process that one works with has ended by itself: it says nothing about what was asked of it."""
+    """A process in use has ended by itself, so that a request to it has no answer."""
 
 
 class SimulationError(ImpactRigError, RuntimeError):
-    """The simulation cannot go on (a fault of the model or its tolerances, never of a user's command)."""
+    """The simulation cannot continue (a defect of the model or its tolerances, never of a user's command)."""
 
 
 def describe(error: BaseException) -> str:
-    """Return one line for people: type, message and where it was raised."""
+    """Return one line for users: type, message and source line."""
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({frames[-1].filename.rsplit('/', 1)[-1]}:{frames[-1].lineno})" if frames else ""
     return f"{type(error).__name__}: {error}{where}"
 
 
 def in_words(error: BaseException) -> str:
-    """Return why something was refused: our own errors say it in their words, what is unexpected is described."""
+    """Return the reason of a rejection: the message of our own errors, a description of unexpected ones."""
     return str(error) if isinstance(error, ImpactRigError) else describe(error)

@@ -13,15 +13,15 @@
 # limitations under the License.
 """Rig time: integer nanoseconds, sample stamps computed from the index, and the command grid.
 
-Rig time *is* DAQ time. Nothing below the pacing layer reads a wall clock, and no period is ever added up:
-at 25 600 S/s a period is 39 062.5 ns, so the stamp of scan i is `start_ns + i * 10**9 // rate_hz`.
+Rig time *is* DAQ time. Nothing below the pacing layer reads a wall clock, and no period is ever accumulated: at 25 600
+S/s a period is 39 062.5 ns, so the stamp of scan i is `start_ns + i * 10**9 // rate_hz`.
 """
 
 from __future__ import annotations
 
 NS_PER_S = 1_000_000_000
 COMMAND_GRID_NS = 10_000_000
-"""Length of a tick: commands take effect where the last simulated one ends, whatever the block length."""
+"""Length of a tick: commands take effect at the end of the last simulated tick, regardless of the block length."""
 COMMAND_GRID_S = COMMAND_GRID_NS / NS_PER_S
 TICKS_PER_S = NS_PER_S // COMMAND_GRID_NS
 

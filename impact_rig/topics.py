@@ -11,12 +11,13 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The one table of topics: name, type, quality of service, who publishes, what is in it.
+"""The table of topics: name, type, quality of service, publisher and content of each.
 
-Publishers, subscribers, recordings, the analysis of runs and `docs/reference/interface.md` read this table; nothing
-about a topic is written twice. Only how many messages of a topic of `BULKY` a rig keeps follows from its configuration:
-`nodes.publishers.Publishers`. It needs no ROS: `impact_rig.nodes.messages` turns its rows into what rclpy takes.
-Names are relative: a launch file puts them under one namespace, except the two that are global by convention.
+Publishers, subscribers, recordings, the analysis of runs and `docs/reference/interface.md` use this table; nothing
+about a topic is written twice. Only the number of messages of a topic of `BULKY` that a rig keeps depends on its
+configuration, see `nodes.publishers.Publishers`. The table needs no ROS: `impact_rig.nodes.messages` converts its rows
+for rclpy. Names are relative: a launch file puts them under one namespace, except the two that are global by
+convention.
 """
 
 from __future__ import annotations
@@ -29,28 +30,28 @@ import numpy as np
 from impact_rig import blocks
 from impact_rig.blocks import NUMBER, Column, row_type
 
-DATA_DEPTH = 1000  # messages a data topic keeps: 10 s of 10 ms blocks, 1 s of 1 ms blocks
+DATA_DEPTH = 1000  # messages that a data topic keeps: 10 s of 10 ms blocks, 1 s of 1 ms blocks
 HISTORY_DEPTH = 5000
-"""Entries that a late subscriber of the journal still receives; a gap in `sequence` shows that entries are missing."""
+"""Number of entries that a late subscriber of the journal receives; a gap in `sequence` shows missing entries."""
 
 
 class Qos(enum.Enum):
-    """The qualities of service in use; all are reliable, KEEP_LAST."""
+    """The qualities of service in use; all are reliable with KEEP_LAST."""
 
     DATA = (DATA_DEPTH, False)
-    STATE = (DATA_DEPTH, True)  # every change arrives, and whoever joins late still gets the last ones
+    STATE = (DATA_DEPTH, True)  # every change is delivered, and a late subscriber receives the last ones
     HISTORY = (HISTORY_DEPTH, True)
-    LATCHED = (1, True)  # the newest counts
+    LATCHED = (1, True)  # only the newest message matters
     EVENT = (10, False)  # commands, remarks, diagnostics
 
     @property
     def depth(self) -> int:
-        """Messages kept for a slow (or late) subscriber."""
+        """Number of messages kept for a slow (or late) subscriber."""
         return self.value[0]
 
     @property
     def transient_local(self) -> bool:
-        """Whether a late subscriber gets what was published before."""
+        """Durability: a late subscriber receives messages published before."""
         return self.value[1]
 
 
@@ -58,20 +59,20 @@ class Qos(enum.Enum):
 class Topic:
     """One row of the table."""
 
-    name: str  # relative topic name, or absolute where convention says so
+    name: str  # relative topic name, or an absolute one by convention
     type_name: str  # ROS interface, `package/msg/Type`
     qos: Qos
     publisher: str  # node that publishes it, or `client`
     doc: str
-    fields: tuple[Column, ...]  # the columns of a table, or the fields of another message that are filled
+    fields: tuple[Column, ...]  # columns of a table, or the fields that are filled in another message
     columns: np.dtype[np.void] | None = None
     frame_id: str = ""
-    recorded: bool = True  # whether it belongs into every run; what is made for plotters follows from what is recorded
+    recorded: bool = True  # whether it belongs to every run; data for plotters can be derived from the recorded topics
     further: str = ""
-    """Type of the columns that may follow `fields` in a table; empty: any, for those of a later version."""
+    """Type of the columns that may follow `fields` in a table; empty: any type, for columns of a later version."""
 
 
-TABLE = "sensor_msgs/msg/PointCloud2"  # the type of every table
+TABLE = "sensor_msgs/msg/PointCloud2"  # type of every table
 
 
 def _table(
@@ -81,7 +82,7 @@ def _table(
 
 
 def former_table(name: str, fields: tuple[Column, ...]) -> Topic:
-    """Return the topic of a table that only recordings of an earlier version hold."""
+    """Return the topic of a table that only recordings of an earlier version contain."""
     return _table(name, Qos.HISTORY, "rig", fields, "")
 
 
@@ -91,11 +92,11 @@ SCAN = attrs.evolve(
 )
 INFO = _table(
     "daq/info", Qos.STATE, "rig", blocks.DAQ_INFO_COLUMNS,
-    "Calibration, one row per channel; stamp = from when it holds.",
+    "Calibration, one row per channel; stamp = start of its validity.",
 )  # fmt: skip
 APPLIED = _table(
     "shaker/applied", Qos.STATE, "rig", blocks.APPLIED_COLUMNS,
-    "What the shaker does and since which sample; one row per accepted change, published on acceptance.",
+    "Drive of the shaker from a sample on; one row per accepted change, published on acceptance.",
 )  # fmt: skip
 JOURNAL = Topic(
     "rig/journal", "std_msgs/msg/String", Qos.HISTORY, "rig",
@@ -105,11 +106,11 @@ JOURNAL = Topic(
 CONFIGURATION = Topic(
     "rig/configuration", "std_msgs/msg/String", Qos.STATE, "rig",
     "The complete current configuration, as a ROS 2 parameter file.",
-    (Column("data", "-", "YAML that `--params-file` and `impact-rig check` take."),),
+    (Column("data", "-", "YAML for `--params-file` and `impact-rig check`."),),
 )  # fmt: skip
 ROBOT_DESCRIPTION = Topic(
     "robot_description", "std_msgs/msg/String", Qos.LATCHED, "rig",
-    "The rig as URDF, for RViz and robot_state_publisher; again when the configuration changes it.",
+    "The rig as URDF, for RViz and robot_state_publisher; published again when it changes.",
     (Column("data", "-", "URDF; its joints are those of truth/joint_states, its frames those of the headers."),),
 )  # fmt: skip
 JOINT_STATES = Topic(
@@ -119,7 +120,7 @@ JOINT_STATES = Topic(
     "rig",
     "True positions and velocities of base, structure and sphere at monitor rate; effort = contact force on it.",
     (
-        Column("name", "-", "base, structure, sphere: the order of the next three."),
+        Column("name", "-", "base, structure, sphere: the order of the other members."),
         Column("position", "m", "x_b, x_1, x_2."),
         Column("velocity", "m/s", "v_b, v_1, v_2."),
         Column("effort", "N", "Contact force on each body, positive to the right."),
@@ -128,7 +129,7 @@ JOINT_STATES = Topic(
 )
 IMPACTS_TRUTH = _table(
     "truth/impacts", Qos.DATA, "rig", blocks.IMPACTS_COLUMNS,
-    "The contacts that ended in a block; time = when they began.",
+    "The contacts that ended in a block; time = their start.",
 )  # fmt: skip
 TRUTH_SCAN = _table(
     "truth/scan", Qos.DATA, "rig", blocks.TRUTH_SCAN_COLUMNS,
@@ -137,24 +138,24 @@ TRUTH_SCAN = _table(
 FAULTS = _table("truth/faults", Qos.STATE, "rig", blocks.FAULTS_COLUMNS, "Instrument faults as they start and end.")
 TRANSMISSIBILITY = Topic(
     "transmissibility", "std_msgs/msg/Float64", Qos.DATA, "analysis", "Last settled transmissibility, for plotters.",
-    (Column("data", "-", "As in transmissibility/table."),),
+    (Column("data", "-", "Value as in transmissibility/table."),),
 )  # fmt: skip
 TRANSMISSIBILITY_TABLE = _table(
     "transmissibility/table", Qos.STATE, "analysis", blocks.TRANSMISSIBILITY_COLUMNS, "One row per measurement."
 )
 ANALYSIS_SETTINGS = _table(
     "analysis/settings", Qos.STATE, "analysis", blocks.SETTINGS_COLUMNS,
-    "Settings of the measurement and the operator's gap label, when they change; stamp = from when they hold.",
+    "Settings of the measurement and the operator's gap label, when they change; stamp = start of their validity.",
 )  # fmt: skip
 SWEEP = _table(
     "sweep/table", Qos.STATE, "stepped_sine", blocks.SWEEP_COLUMNS,
-    "Measurements of a sweep, or samples of a phase lock, as they are made; stamp = begin of the sweep.",
+    "Measurements of a sweep, or samples of a phase lock, as they are made; stamp = start of the sweep.",
 )  # fmt: skip
 IMPACTS = _table(
     "impacts", Qos.DATA, "analysis", blocks.DETECTED_IMPACTS_COLUMNS, "Impacts detected from the accelerometer alone."
 )
 FREQUENCY = Topic(
-    "shaker/frequency", "std_msgs/msg/Float64", Qos.EVENT, "client", "Command: drive frequency, of a sine.",
+    "shaker/frequency", "std_msgs/msg/Float64", Qos.EVENT, "client", "Command: drive frequency of a sine.",
     (Column("data", "Hz", "Within shaker.frequency_min_hz and shaker.frequency_max_hz."),),
 )  # fmt: skip
 CURRENT = Topic(
@@ -167,7 +168,7 @@ WAVEFORM = _table(
 )  # fmt: skip
 STREAM = _table(
     "shaker/stream", Qos.LATCHED, "rig", blocks.STREAM_COLUMNS,
-    "Which sample of shaker/waveform is wanted next, and what came of those that came, after each block.",
+    "State of the stream of samples after each block: the sample needed next, and counters.",
 )  # fmt: skip
 NOTES = Topic(
     "notes", "std_msgs/msg/String", Qos.EVENT, "client", "Operator's remarks, recorded with the run.",
@@ -179,7 +180,7 @@ ACK = Topic(
     Qos.DATA,
     "peers",
     "A peer (frame_id) has processed daq/scan up to the block with this stamp: one block, or several.",
-    (Column("stamp", "-", "That of the block."), Column("frame_id", "-", "Node name of the peer.")),
+    (Column("stamp", "-", "Stamp of the block."), Column("frame_id", "-", "Node name of the peer.")),
     recorded=False,
 )
 
@@ -202,7 +203,7 @@ PLOT_TRANSMISSIBILITY = _plotted(
     Column("vector.z", "rad", "Phase of x_1 relative to x_b."),
 )  # fmt: skip
 PLOT_DRIVE = _plotted(
-    "drive", Qos.LATCHED, "what shaker/applied said last, at each change and once a second.",
+    "drive", Qos.LATCHED, "the newest shaker/applied, at each change and once a second.",
     Column("vector.x", "Hz", "Drive frequency."),
     Column("vector.y", "A", "Amplitude commanded (m or V by `drive.kind`)."),
 )  # fmt: skip
@@ -237,13 +238,13 @@ DIAGNOSTICS = Topic(
         Column("status[0].name", "-", "`NODE: COMPONENT`, the node's name with its namespace."),
         Column("status[0].hardware_id", "-", "`impact_rig` and the namespace: one per rig."),
         Column("status[0].level", "-", "0 OK, 1 WARN, 2 ERROR."),
-        Column("status[0].message", "-", "What is the matter, in one sentence."),
-        Column("status[0].values", "-", "The figures below."),
+        Column("status[0].message", "-", "Description of the state, in one sentence."),
+        Column("status[0].values", "-", "The keys below."),
     ),
 )
 CLOCK = Topic(
     "/clock", "rosgraph_msgs/msg/Clock", Qos.DATA, "rig",
-    "Rig time, by default whenever not in real time x 1 (time.publish_clock).",
+    "Rig time, by default unless in real time x 1 (time.publish_clock).",
     (Column("clock", "-", "End of the newest block."),),
 )  # fmt: skip
 
@@ -252,6 +253,6 @@ COMMON = (
     TRANSMISSIBILITY, TRANSMISSIBILITY_TABLE, ANALYSIS_SETTINGS, SWEEP, IMPACTS, PLOT_TRANSMISSIBILITY,
     PLOT_DRIVE, PLOT_PULSES, FREQUENCY, CURRENT, WAVEFORM, STREAM, NOTES, ACK, DIAGNOSTICS, CLOCK,
 )  # fmt: skip
-"""Every topic that is the same whatever the instruments; with those of their monitors: `nodes.messages.TOPICS`."""
+"""All topics that do not depend on the instruments; `nodes.messages.TOPICS` adds those of the instruments' monitors."""
 BULKY = (SCAN, TRUTH_SCAN)
-"""Topics of which a rig keeps as many messages as its blocks allow."""
+"""Topics for which the number of messages that a rig keeps depends on its blocks."""

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Analysis of scans: arrays in, values out. It uses only scans, `daq/info`, `shaker/applied` and the operator's labels.
+"""Analysis of scans; it uses only scans, `daq/info`, `shaker/applied` and the operator's labels.
 
 Nothing here imports ROS, the physics or the instruments, so live, replayed and real data take one path. Each module has
 one subject: `sine` (IEEE 1057 fits), `transmissibility`, `tracker` (the same, streaming), `impacts`, `frf`, `decay`,

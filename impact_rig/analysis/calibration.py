@@ -11,41 +11,41 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What `daq/info` says about the channels, and how a phasor is corrected with it.
+"""Calibration of the channels according to `daq/info`, and the correction of phasors with it.
 
-A channel converts its value `skew` after the scan clock, from a sensor that lags: the measured phasor is
+A channel converts its value at a time `skew` after the scan clock, from a sensor with a lag. The measured phasor is
 
     Y(ω) = X(ω) · (iω)ⁿ · L(ω) · P(ω) · e^{iω·skew},    P = iω / (ω_h + iω)
 
-X is the phasor of a displacement, also of a channel that measures velocity (n = 1) or acceleration (n = 2). P is the
-high-pass of a sensor that does not measure down to 0 Hz, with its corner ω_h; 1 of all others.
+X is the phasor of a displacement, also for a channel that measures velocity (n = 1) or acceleration (n = 2). P is the
+high-pass of a sensor that does not measure down to 0 Hz, with its corner ω_h; P is 1 for all others.
 
 `lag` is the sensor's group delay at low frequency; `lag_order` names its model:
 
-    0    pure delay, where the poles are not known               L = e^{−iω·lag}
+        0    pure delay, for unknown poles                           L = e^{−iω·lag}
     1    first order with the time constant lag                  L = 1 / (1 + iω·lag)
     2    two-pole Butterworth of that group delay                L = 1 / (1 + i√2 Ω − Ω²),  Ω = ω·lag/√2
 
-`linearity` L bounds a smooth curve: L (c_2 P_2(u) + c_3 P_3(u)), Legendre polynomials of the place u = −1 … 1 in the
-range of half width R, |c_2| + |c_3| <= 1 evenly, so that u(c_3) = 1/√6. A sine of amplitude a·R about mid-range finds
-the gain changed by c_3 (L/R) (1.875 a² − 1.5): first harmonic of P_3.
+`linearity` L bounds a smooth curve L (c_2 P_2(u) + c_3 P_3(u)) with Legendre polynomials of the position u = −1 … 1 in
+the range of half width R. The pair (c_2, c_3) is uniform in |c_2| + |c_3| <= 1, so that u(c_3) = 1/√6. For a sine of
+amplitude a·R about mid-range, the gain changes by c_3 (L/R) (1.875 a² − 1.5), the first harmonic of P_3.
 
-A reading has been rounded twice: to steps r of the sensor's output, its noise σ_r ahead of them, and to steps q of the
-converter, its own noise σ_q ahead of those. The error of rounding is a sum of sines of the value; a sine of amplitude A
-about d comes out of each with the first harmonic 2 J_1 (W. R. Bennett 1948, Bell Syst. Tech. J. 27, 446–472;
-N. M. Blachman 1985, IEEE Trans. ASSP 33, 1417–1426), and noise blurs it (B. Widrow & I. Kollár 2008, Quantization
-Noise, ch. 4). With a = 2π (k/q + l/r) and what the first rounding leaves of it,
+A reading has been rounded twice: to steps r of the sensor's output, after its noise σ_r, and to steps q of the
+converter, after its own noise σ_q. The error of rounding is a sum of sines of the value. For a sine of amplitude A
+about d, each of them has the first harmonic 2 J_1 (W. R. Bennett 1948, Bell Syst. Tech. J. 27, 446–472; N. M. Blachman
+1985, IEEE Trans. ASSP 33, 1417–1426), which noise reduces (B. Widrow & I. Kollár 2008, Quantization Noise, ch. 4). With
+a = 2π (k/q + l/r) and the remainder of the first rounding,
 
     ∆A = Σ 2 c_kl J_1(aA) cos(ad + φ_kl),   c_kl = q/(πk) |sinc(kr/q + l)| e^{−a²σ_r²/2 − 2π²k²σ_q²/q²},   k = 1, 2, …
                                             c_0l = r/(πl) e^{−2π²l²σ_r²/r²},                                l = 1, 2, …
 
-Where the sine lies between the steps is not known, so u²(A) = Σ 2 c² J_1², with J_1² the largest within A ± 2u. Such an
-error is bounded by 2u and the same in all cycles: no averaging lessens it. It is
-in phase with the sine, so the phase has none of it, unless overtones carry the sine across steps of their own.
+The position of the sine between the steps is unknown, so u²(A) = Σ 2 c² J_1², with the largest J_1² within A ± 2u. Such
+an error is bounded by 2u and the same in all cycles, so averaging does not reduce it. It is in phase with the sine and
+does not change the phase, unless overtones move the sine across other steps.
 
-Readings of other programs come in steps, too, but nothing says that these round to the nearest one. A program that
-drops the rest, towards zero, subtracts half a step times sign(sine), whose first harmonic is 2q/π. So where a
-certificate gives one `resolution` for all steps of a channel, u²(A) has (2q/π)²/3 in addition: evenly between ± 2q/π.
+Readings of other programs also have steps, but are not necessarily rounded to the nearest one. A program that truncates
+towards zero subtracts half a step times sign(sine), whose first harmonic is 2q/π. Therefore, if a certificate gives one
+`resolution` for all steps of a channel, u²(A) also contains (2q/π)²/3: uniform between ± 2q/π.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ LAG_MODELS: dict[int, Callable[[Real], NDArray[np.complexfloating]]] = {
     1: lambda omega_lag: 1.0 / (1.0 + 1j * omega_lag),
     2: lambda omega_lag: 1.0 / (1.0 + 1j * omega_lag - omega_lag**2 / 2.0),
 }
-"""`lag_order` to L of ω·lag; the two poles are a pure delay to second order."""
+"""L as a function of ω·lag, by `lag_order`; the two poles are a pure delay to second order."""
 
 DERIVATIVES = {b"m": 0, b"m/s": 1, b"m/s^2": 2}  # n of a channel by its unit in `daq/info`
 
@@ -81,63 +81,64 @@ ACROSS = np.linspace(-1.0, 1.0, 9)
 
 
 def bessel_j_1(x: Real) -> Real:
-    """Return the Bessel function J_1 to 1e-12 for |x| <= J_1_NODES / 2, any shape: the mean of cos(θ − x sin θ).
+    """Return the Bessel function J_1 to 1e-12 for |x| <= J_1_NODES / 2, any shape, as the mean of cos(θ − x sin θ).
 
-    `scipy.special.j1` gives the same, for 60 MB of memory in a node that runs for days.
+    `scipy.special.j1` is equal, but takes 60 MB of memory in a node that runs for days.
     """
     angle = 2.0 * np.pi * np.arange(J_1_NODES) / J_1_NODES
     return np.asarray(np.cos(angle - x[..., None] * np.sin(angle)).mean(axis=-1))
 
 
-U_CUBIC = 1.0 / math.sqrt(6.0)  # standard uncertainty of the share c that the cubic has in a sensor's curve
+U_CUBIC = 1.0 / math.sqrt(6.0)  # standard uncertainty of the share c of the cubic in a sensor's curve
 
-TWO_POLE_NOISE = 1.11  # noise bandwidth of a Butterworth two-pole filter over its corner
+TWO_POLE_NOISE = 1.11  # noise bandwidth of a Butterworth two-pole filter relative to its corner
 
 STEPS = ("output_step", "output_noise", "converter_step", "converter_noise")
-U_TRUNCATED = 2.0 / math.pi / math.sqrt(3.0)  # standard uncertainty in steps where the rule of rounding is unknown
-TERMS = 12  # of the sum over the harmonics of a step: they fall with their cube where no noise blurs it
+U_TRUNCATED = 2.0 / math.pi / math.sqrt(3.0)  # standard uncertainty in steps if the rounding rule is unknown
+TERMS = 12  # of the sum over the harmonics of a step, which fall with their cube where no noise reduces them
 
 COLUMNS = (
     "range_low", "range_high", "resolution", "noise", "sensitivity_uncertainty", "lag", "skew", "lag_order",
     "bandwidth", "linearity", *STEPS, "high_pass",
 )  # fmt: skip
-LARGEST = 1e100  # of any figure: its square is a number
+LARGEST = 1e100  # limit of every figure, so that its square does not overflow
 
 
 @attrs.frozen(eq=False)
 class Calibration:
     """The columns of `daq/info` as arrays over `scans.CHANNELS`."""
 
-    rate_hz: float  # scans per second; an int where it is whole
+    rate_hz: float  # scans per second; an int if it is an integer
     low: Real  # lower end of the range [SI unit of the channel]; high: upper end
     high: Real
     resolution: Real  # 1 LSB [unit]; 0 where unknown
     noise: Real  # rms [unit]
     gain_uncertainty: Real  # relative standard uncertainty of the sensitivity
     lag: Real  # group delay at low frequency [s]
-    skew: Real  # conversion after the scan clock [s]
+    skew: Real  # conversion time after the scan clock [s]
     lag_order: Real  # key into `LAG_MODELS`
     bandwidth: Real  # corner of the sensor and its noise [Hz]; 0 where unknown
     linearity: Real  # limit of the departure from a straight line [unit]
-    output_step: Real  # of the sensor's output [unit], 0 for none; output_noise: rms ahead of it
+    output_step: Real  # step of the sensor's output [unit], 0 for none; output_noise: rms before it
     output_noise: Real
-    converter_step: Real  # of the converter [unit]; converter_noise: rms ahead of it
+    converter_step: Real  # step of the converter [unit]; converter_noise: rms before it
     converter_noise: Real
     high_pass: Real  # corner of a first-order high-pass [Hz]; 0 for none
     truncates: NDArray[np.bool_] = attrs.field(factory=lambda: np.zeros(len(CHANNELS), np.bool_), kw_only=True)
-    """Whether what makes the steps of a channel may truncate instead of round."""
+    """Whether the source of a channel's steps may truncate instead of round."""
     present: NDArray[np.bool_] = attrs.field(factory=lambda: np.ones(len(CHANNELS), np.bool_), kw_only=True)  # measured
     derivative: NDArray[np.int64] = attrs.field(factory=lambda: np.zeros(len(CHANNELS), np.int64), kw_only=True)
-    """Of the motion that a channel measures: 0 displacement, 1 velocity, 2 acceleration; 0 of accelerometer and
-    current, which are not converted."""
+    """Derivative of the motion that a channel measures: 0 displacement, 1 velocity, 2 acceleration; 0 for accelerometer
+    and current, which are not converted.
+    """
 
     @classmethod
     def from_info(cls, rows: NDArray[np.void]) -> Calibration:
         """Return the calibration in the rows of a `daq/info` table, in any order.
 
         Raises:
-            ConfigError: no channel is there or one of them twice, the rates differ or are not positive, a
-                range is empty, a lag order is unknown, or a figure is beyond all measure.
+            ConfigError: a channel is missing or given twice, the rates differ or are not positive, a range is empty, a
+                lag order is unknown, or a figure is too large.
         """
         names = [bytes(name).decode(errors="replace") for name in rows["name"]]
         counts = np.array([names.count(channel) for channel in CHANNELS])
@@ -160,12 +161,10 @@ class Calibration:
         if not set(ordered["lag_order"].tolist()) <= set(LAG_MODELS):
             raise ConfigError(f"daq/info: lag_order must be one of 0, 1, 2, got {ordered['lag_order'].tolist()}")
         known = {name: ordered[name] for name in COLUMNS if name in (ordered.dtype.names or ())}
-        is_own = bool(set(STEPS) - set(known))  # of this package before it had these columns: its steps round
+        is_own = bool(set(STEPS) - set(known))  # written by this package before it had these columns: its steps round
         none = np.zeros(len(CHANNELS))
         steps = np.array([known.get(name, none) for name in STEPS])
-        untold = ~steps.any(
-            axis=0
-        )  # a certificate that does not tell the steps apart: one, ahead of which all noise is
+        untold = ~steps.any(axis=0)  # if the certificate does not separate the steps: one step, after all the noise
         known |= dict(
             zip(STEPS, np.where(untold, [none, known["noise"], known["resolution"], none], steps), strict=True)
         )
@@ -191,7 +190,7 @@ class Calibration:
         return tuple(name for name, there in zip(CHANNELS, self.present.tolist(), strict=True) if not there)
 
     def response(self, channel: int, frequency_hz: Real | float) -> Complex:
-        """Return (iω)ⁿ·L(ω)·P(ω)·e^{iω·skew} of a channel: measured over true phasor, shape of `frequency_hz`."""
+        """Return (iω)ⁿ·L(ω)·P(ω)·e^{iω·skew} of a channel, measured over true phasor, shape of `frequency_hz`."""
         omega = 2.0 * np.pi * np.asarray(frequency_hz, dtype=np.float64)
         lag = LAG_MODELS[int(self.lag_order[channel])](omega * self.lag[channel])
         response = np.asarray(lag * np.exp(1j * omega * self.skew[channel]), dtype=np.complex128)
@@ -202,7 +201,7 @@ class Calibration:
         return response * (1j * omega) ** order if order else response
 
     def scale(self, channel: int, frequency_hz: float) -> float:
-        """Return ωⁿ: the size of a sine in the channel's unit over that of its displacement."""
+        """Return ωⁿ: the amplitude of a sine in the channel's unit over that of its displacement."""
         return float((2.0 * math.pi * frequency_hz) ** int(self.derivative[channel]))
 
     def scales(self, frequency_hz: float) -> Real:
@@ -212,8 +211,8 @@ class Calibration:
     def gain_uncertainty_at(self, channel: int, amplitude: float) -> float:
         """Return the relative standard uncertainty of the amplitude of a vibration about mid-range.
 
-        `gain_uncertainty` holds for a small one, the slope 1.5 c L/R of the sensor's curve at mid-range included; a
-        vibration of amplitude a·R sees (1.5 − 1.875 a²) c L/R of it (module docstring).
+        `gain_uncertainty` holds for a small vibration and includes the slope 1.5 c L/R of the sensor's curve at
+        mid-range. A vibration of amplitude a·R sees the part (1.5 − 1.875 a²) c L/R of it (module docstring).
         """
         half_range = float(self.high[channel] - self.low[channel]) / 2.0
         curve = float(self.linearity[channel]) / half_range * U_CUBIC
@@ -227,7 +226,7 @@ class Calibration:
         return float(self.linearity[channel]) / half_range * U_CUBIC * 1.875 * (amplitude / half_range) ** 2
 
     def steps_uncertainty(self, channel: int, amplitude: float) -> float:
-        """Return the standard uncertainty of a measured amplitude by the steps of sensor and converter [unit]."""
+        """Return the standard uncertainty of a measured amplitude due to the steps of sensor and converter [unit]."""
         place, weight = self._roundings[channel]
         power = np.minimum(
             (place * amplitude) ** 2 / 4.0, np.minimum(J_1_MOST**2, J_1_TAIL / (place * amplitude + 1e-300))
@@ -241,7 +240,7 @@ class Calibration:
         return math.hypot(math.sqrt(2.0 * float(weight**2 @ power)), truncated)
 
     def steps_variance(self, channel: int) -> float:
-        """Return the variance that rounding adds to a value, noise averaged out [unit²]: at most r²/12 + q²/12."""
+        """Return the variance that rounding adds to a value with averaged noise [unit²]: at most r²/12 + q²/12."""
         return 0.5 * float(np.sum(self._roundings[channel][1] ** 2))
 
     @functools.cached_property
@@ -249,7 +248,7 @@ class Calibration:
         return [self._rounding(channel) for channel in range(len(CHANNELS))]
 
     def _rounding(self, channel: int) -> tuple[Real, Real]:
-        """Return the sines of which the error of rounding consists: (a [1/unit], c [unit]), shape (n,)."""
+        """Return the sines that make up the error of rounding: (a [1/unit], c [unit]), shape (n,)."""
         r, q = float(self.output_step[channel]), float(self.converter_step[channel])
         blur_r, blur_q = float(self.output_noise[channel]), float(self.converter_noise[channel])
         order = np.arange(1.0, TERMS + 1.0)
@@ -270,15 +269,15 @@ class Calibration:
         return np.concatenate(places), np.concatenate(weights)
 
     def noise_crowding(self) -> Real:
-        """Return how much denser the noise is at the drive than if it filled the band up to rate / 2, shape (4,)."""
+        """Return the noise density at the drive relative to noise that fills the band up to rate / 2, shape (4,)."""
         noise_band = TWO_POLE_NOISE * np.where(self.bandwidth > 0.0, self.bandwidth, np.inf)
         return np.asarray(np.maximum(1.0, self.rate_hz / (2.0 * noise_band)), dtype=np.float64)
 
     def lag_uncertainties(self, channel: int, frequency_hz: float, lag_uncertainty: float) -> tuple[float, float]:
-        """Return the standard uncertainties of amplitude (relative) and phase that a sensor's dynamics leave.
+        """Return the standard uncertainties of amplitude (relative) and phase caused by a sensor's dynamics.
 
-        `lag_uncertainty` is that of the lag, relative. A pure delay leaves out what a low-pass of two or more poles
-        with the corner `bandwidth` takes from the amplitude: 1 − 1/√(1 + (f/bandwidth)⁴) at most, evenly distributed.
+        `lag_uncertainty` is that of the lag, relative. A pure delay omits the attenuation by a low-pass of two or more
+        poles with the corner `bandwidth`: at most 1 − 1/√(1 + (f/bandwidth)⁴), uniformly distributed.
         """
         slope = self.lag_sensitivity(channel, frequency_hz) * lag_uncertainty
         left_out = 0.0

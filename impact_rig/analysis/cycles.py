@@ -11,23 +11,24 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Drive cycles: a constant-memory reduction of the scans, from which every measurement is made.
+"""Drive cycles: a constant-memory reduction of the scans, on which every measurement is based.
 
-Each whole cycle of the drive is reduced to sums; the least-squares fit of IEEE Std 1057 (offset and harmonics of the
-known frequency) needs nothing else. With Ω the phase from one sample to the next, the fit is
+Each complete cycle of the drive is reduced to sums, which contain all that the least-squares fit of IEEE Std 1057
+(offset and harmonics of the known frequency) needs. With Ω the phase from one sample to the next, the fit is
 
     value_k = offset + Re Σ_n Y_n e^{jnφ_k},    φ_k = Ω k,    Ω = 2π frequency / rate
 
-and its normal matrix follows from the sample instants in closed form:
+and its normal matrix follows in closed form from the sample instants:
 
     Σ_k e^{jnφ_k} = e^{jn(φ_first + φ_last)/2} sin(samples n Ω/2) / sin(n Ω/2)
 
-The sums are about the middle of a cycle: then the matrix depends on the number of its samples alone, and is inverted
-once for each. They are made of stretches, each about its own middle: a cosine is the same as far before it as after it,
-a sine the opposite, so of two values sum and difference are multiplied, not each of them by both.
+The sums are taken about the middle of a cycle. The matrix then depends only on the number of its samples, and is
+inverted once for each number. The sums consist of stretches, each about its own middle. A cosine is the same and a sine
+the opposite at equal distances before and after the middle, so sums and differences of two values are multiplied, not
+each value by both.
 
-Cycle m holds the samples k with m·rate/f <= k < (m+1)·rate/f, k counted from the last change of the drive, so neither
-the cycles nor their bits depend on how the stream was cut into blocks.
+Cycle m holds the samples k with m·rate/f <= k < (m+1)·rate/f, with k counted from the last change of the drive. Neither
+the cycles nor their bits depend on how the stream was divided into blocks.
 """
 
 from __future__ import annotations
@@ -48,14 +49,14 @@ RANGE_BIT = 256
 """Bit in a cycle's flags for channel 0 outside its range or not finite; channel j uses RANGE_BIT << j."""
 MIN_SAMPLES_PER_CYCLE = 8
 HALF = 32
-"""Pairs of scans that are added up together: what they need stays in the fastest cache."""
+"""Number of pairs of scans that are added together: their data stay in the fastest cache."""
 PHASE_BINS = 64
-"""Parts of a drive cycle by which the phases of impacts are kept: 0.1 rad each."""
+"""Number of parts of a drive cycle in which the phases of impacts are counted: 0.1 rad each."""
 
 
 @attrs.frozen(eq=False)
 class Cycles:
-    """n consecutive whole cycles of the drive, 4 channels in the order of `scans.CHANNELS`, so many harmonics."""
+    """n consecutive complete cycles of the drive: 4 channels in the order of `scans.CHANNELS`, some harmonics."""
 
     first: NDArray[np.int64]  # index of each cycle's first scan, counted like `Accumulator.origin`, shape (n,)
     samples: NDArray[np.int64]  # scans per cycle, shape (n,)
@@ -63,10 +64,10 @@ class Cycles:
     mean: Real  # mean per cycle, shape (n, 4)
     variance: Real  # variance about the mean per cycle, shape (n, 4)
     residual: Real  # residual sum of squares of the fit, shape (n, 4)
-    flags: NDArray[np.int64]  # status bits seen, and RANGE_BIT bits, shape (n,)
+    flags: NDArray[np.int64]  # status bits and RANGE_BIT bits, shape (n,)
     jump: Real  # largest change from one scan to the next, shape (n, 4)
-    impacts: Real  # impacts detected per cycle, NaN where not counted, shape (n,)
-    strikes: NDArray[np.uint8]  # 1 where an impact fell into that part of the cycle, shape (n, PHASE_BINS)
+    impacts: Real  # impacts detected per cycle, NaN if not counted, shape (n,)
+    strikes: NDArray[np.uint8]  # 1 if an impact fell into that part of the cycle, shape (n, PHASE_BINS)
 
     def __len__(self) -> int:
         return len(self.first)
@@ -80,7 +81,7 @@ class Cycles:
     def residual_variance(self) -> Real:
         """Variance per scan that all fits together leave, shape (4,).
 
-        Zero where the fits have as many unknowns as scans: they leave nothing, and tell nothing of the noise.
+        Zero if the fits have as many unknowns as scans: they leave no residual and tell nothing about the noise.
         """
         return np.asarray(self.residual.sum(axis=0) / max(1, self.degrees_of_freedom), dtype=np.float64)
 
@@ -89,19 +90,19 @@ class Cycles:
 
 
 def concatenate(parts: list[Cycles]) -> Cycles:
-    """Return several runs of cycles as one."""
+    """Join several runs of cycles."""
     return Cycles(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in attrs.fields(Cycles)))
 
 
 LOWEST_HZ = 1e-6
-"""A cycle of twelve days: what is below is damaged, and its period fits no integer."""
+"""Limit of a cycle: twelve days. A lower frequency is damaged data, and its period fits no integer."""
 
 
 def distinct_phases(samples: int, period: float) -> int:
-    """Return at how many phases of the drive a run of samples is taken: all its samples, or fewer where they recur.
+    """Return the number of distinct drive phases in a run of samples: all its samples, or fewer if phases recur.
 
-    Where a few cycles hold a whole number of samples, the same phases come again and again, and what rounding adds to
-    each of them is the same each time. They recur if within the run they drift by less than half a sample. `period`:
+    If a few cycles hold an integer number of samples, the same phases recur, and rounding adds the same error to each
+    of them every time. Phases recur if they drift by less than half a sample within the run. `period` is the number of
     samples per cycle, fractions included.
     """
     for cycles in range(1, int(samples / period / 2.0) + 1):
@@ -112,7 +113,7 @@ def distinct_phases(samples: int, period: float) -> int:
 
 
 def usable_harmonics(rate_hz: float, frequency_hz: float, wanted: int) -> int:
-    """Return how many of the wanted harmonics lie safely below half the rate (0: the frequency cannot be measured)."""
+    """Return how many of the wanted harmonics are safely below half the rate; 0 if the frequency cannot be measured."""
     if (
         not (math.isfinite(frequency_hz) and frequency_hz >= LOWEST_HZ)
         or rate_hz / frequency_hz < MIN_SAMPLES_PER_CYCLE
@@ -122,9 +123,9 @@ def usable_harmonics(rate_hz: float, frequency_hz: float, wanted: int) -> int:
 
 
 class Accumulator:
-    """Reduces scans to cycles of `period` scans, fractions included; the state is a few dozen numbers.
+    """Reduction of scans to cycles of `period` scans, fractions included; its state is a few dozen numbers.
 
-    `harmonics` (see `usable_harmonics`) are fitted; cycle 0 starts at scan `origin`; values at or below `low` and at or
+    It fits `harmonics` (see `usable_harmonics`). Cycle 0 starts at scan `origin`. Values at or below `low` and at or
     above `high`, shape (4,), are flagged.
     """
 
@@ -155,11 +156,11 @@ class Accumulator:
         self._out_flags = np.zeros(capacity, dtype=np.int64)
         self._done: list[tuple[NDArray[Any], ...]] = []  # sums, flags and jumps
         self._cycle = 0
-        self._inverse: dict[int, Real] = {}  # of the normal matrix, by the samples of a cycle
+        self._inverse: dict[int, Real] = {}  # of the normal matrix, by the number of samples in a cycle
 
     @property
     def pending_cycles(self) -> int:
-        """Whole cycles accumulated and not yet taken."""
+        """Number of complete cycles that are accumulated and not yet taken."""
         return int(self._place[1]) - self._cycle
 
     def end(self, count: int) -> int:
@@ -178,7 +179,7 @@ class Accumulator:
                 self._done.append(tuple(out[:done].copy() for out in (self._out, self._out_flags, self._out_jump)))
 
     def take(self, count: int) -> Cycles:
-        """Return and forget the oldest `count` whole cycles, fitted.
+        """Fit and remove the oldest `count` complete cycles, and return them.
 
         Raises:
             ValueError: fewer cycles are complete.
@@ -195,7 +196,7 @@ class Accumulator:
     def _fitted(
         self, sums: Real, flags: NDArray[np.int64], jump: Real, edges: NDArray[np.int64], numbers: NDArray[np.int64]
     ) -> Cycles:
-        """Fit every cycle from its sums, about its middle; then count the phase from where the drive's is zero."""
+        """Fit every cycle from its sums about its middle; then refer the phase to the drive's zero."""
         samples, size = edges[1:] - edges[:-1], sums.shape[2] - 1
         right = sums[:, :, :size]
         with np.errstate(invalid="ignore", over="ignore"):
@@ -212,7 +213,7 @@ class Accumulator:
         return Cycles(self.origin + edges[:-1], samples, phasors, mean, variance, residual, flags, jump, *uncounted)
 
     def _inverse_for(self, samples: int) -> Real:
-        """Return the inverse of the normal matrix of so many samples about their middle; there are two such numbers."""
+        """Return the inverse of the normal matrix of `samples` samples about their middle; two such numbers occur."""
         found = self._inverse.get(samples)
         if found is None:
             step = 2.0 * np.pi / self.period
@@ -225,8 +226,8 @@ class Accumulator:
 def normal_matrix(phase: Real, samples: NDArray[np.int64], step: float, harmonics: int) -> Real:
     """Return the normal matrices of [1, cos φ, sin φ, cos 2φ, sin 2φ, …] in closed form.
 
-    `phase` is φ of each run's first sample and `step` φ per sample [rad], 2 H step < 2π; `samples` are those of each
-    run. Shapes (n,), (n,) and, returned, (n, 2H+1, 2H+1).
+    `phase` is φ of each run's first sample, `step` φ per sample [rad] with 2 H step < 2π, and `samples` the number of
+    samples of each run. Shapes (n,) and (n,); the result has shape (n, 2H+1, 2H+1).
     """
     order, difference, total, sign, at_cos, at_sin = _places(harmonics)
     count = samples[:, None]
@@ -247,7 +248,7 @@ def normal_matrix(phase: Real, samples: NDArray[np.int64], step: float, harmonic
 
 @functools.lru_cache(maxsize=16)
 def _places(harmonics: int) -> tuple[NDArray[np.int64], ...]:
-    """Return the orders of the moments; of two harmonics the difference, sum and sign; the rows of both kinds."""
+    """Return for each pair of harmonics the orders of difference and sum and a sign, and the rows of both kinds."""
     a, b = np.meshgrid(np.arange(harmonics + 1), np.arange(harmonics + 1), indexing="ij")
     at_cos = np.concatenate([[0], np.arange(1, 2 * harmonics, 2)])
     at_sin = np.arange(2, 2 * harmonics + 1, 2)
@@ -256,7 +257,7 @@ def _places(harmonics: int) -> tuple[NDArray[np.int64], ...]:
 
 @kernel
 def _outside(values, count, low, high):  # type: ignore[no-untyped-def]
-    """Return how many of the first values are not between two limits; NaN is not."""
+    """Return how many of the first `count` values are not strictly between two limits; NaN counts as outside."""
     inside = 0
     for q in range(count):
         inside += (low < values[q]) & (values[q] < high)
@@ -265,7 +266,7 @@ def _outside(values, count, low, high):  # type: ignore[no-untyped-def]
 
 @kernel
 def _largest_change(values, count, before, largest):  # type: ignore[no-untyped-def]
-    """Return the largest change from one of the first values to the next, or a larger one that is known already."""
+    """Return the largest change between successive values of the first `count`, or `largest` if that is larger."""
     largest = _larger(abs(values[0] - before), largest)
     for q in range(1, count):
         largest = _larger(abs(values[q] - values[q - 1]), largest)
@@ -274,16 +275,16 @@ def _largest_change(values, count, before, largest):  # type: ignore[no-untyped-
 
 @kernel
 def _larger(change, largest):  # type: ignore[no-untyped-def]
-    """Return the larger of two, `largest` beside NaN: the change to the first scan of all, whatever `max` says."""
+    """Return the larger of two numbers, or `largest` if `change` is NaN, as for the first scan of all."""
     return change if change > largest else largest
 
 
 @kernel
 def _fold(folded, stretch, half, plain, square):  # type: ignore[no-untyped-def]
-    """Add values, shape (4, 2 half), and their squares to two sums, shape (4,); fold them about their middle.
+    """Add values, shape (4, 2 half), and their squares to two sums, shape (4,), and fold the values about their middle.
 
-    folded[0, q, j] is the value of channel j that is q + ½ after the middle plus that as far before it, folded[1, q, j]
-    minus that.
+    folded[0, q, j] is the sum of the values of channel j at q + ½ after and before the middle, folded[1, q, j] their
+    difference.
     """
     for j in range(4):
         total, squares_after, squares_before = 0.0, 0.0, 0.0
@@ -301,7 +302,8 @@ def _fold(folded, stretch, half, plain, square):  # type: ignore[no-untyped-def]
 def _add_wave(at_cosine, at_sine, folded, wave, half, cosine, sine):  # type: ignore[no-untyped-def]
     """Add folded values times a wave to two sums, shape (4,).
 
-    `wave` holds its cosines and sines after the middle, were its phase 0 there; it has `cosine` and `sine`.
+    `wave` holds its cosines and sines after the middle for phase 0 there; `cosine` and `sine` are those of its real
+    phase.
     """
     even_0, even_1, even_2, even_3 = 0.0, 0.0, 0.0, 0.0
     odd_0, odd_1, odd_2, odd_3 = 0.0, 0.0, 0.0, 0.0
@@ -330,7 +332,7 @@ def _add_stretch(sums, stretch, filled, angle, waves, folded):  # type: ignore[n
     half = (filled + 1) // 2
     if 2 * half > filled:
         for j in range(4):
-            stretch[j, filled] = 0.0  # a scan that adds nothing
+            stretch[j, filled] = 0.0  # a scan that contributes nothing
     _fold(folded, stretch, half, sums[0], sums[sums.shape[0] - 1])
     first_sine, first_cosine = sincos(angle)
     cosine, sine = first_cosine, first_sine
@@ -351,9 +353,10 @@ def _accumulate(
 ) -> tuple[int, int]:  # fmt: skip
     """Add scans to the running sums; stop early when `out` is full. Return (cycles completed, next scan).
 
-    place = [sample since the origin, cycle, first sample of the next cycle, flags, scans in the stretch under way],
-    waves[n, :, q] = cos, sin of harmonic n + 1 at q + ½ samples, sums[q, j] = Σ basis_q value_j, at last Σ value_j².
-    A stretch is added when it is full or its cycle ends, wherever the scans are cut; its phase comes from its number.
+    `place` = [sample since the origin, cycle, first sample of the next cycle, flags, scans in the stretch under way].
+    `waves[n, :, q]` = cos, sin of harmonic n + 1 at q + ½ samples. `sums[q, j]` = Σ basis_q value_j, finally Σ
+    value_j². A stretch is added when it is full or its cycle ends, regardless of the division into blocks; its phase
+    follows from its number.
     """
     k, cycle, stop, flags, filled = place
     done = 0
@@ -380,7 +383,7 @@ def _accumulate(
             _add_stretch(sums, stretch, filled, TWO_PI * middle / period, waves, folded)
             filled = 0
         if k == stop:
-            for j in range(4):  # as an array, Numba would compile the words of an error for seconds
+            for j in range(4):  # with an array expression, Numba would compile error messages for seconds
                 for q in range(sums.shape[0]):
                     out[done, j, q] = sums[q, j]
                     sums[q, j] = 0.0

@@ -13,9 +13,9 @@
 # limitations under the License.
 """Plausibility of channels, judged by their own samples, by the other channels, and by earlier values.
 
-By itself a channel is unsound if it is not finite, at the end of its range, or constant; if it jumps between two scans
-by more than vibration and noise allow (spikes, a step of the zero); or if its noise is far above that of the
-calibration.
+By itself a channel is unsound if it is not finite, at the end of its range, or constant. The same holds if it jumps
+between two scans by more than vibration and noise allow (spikes, a step of the zero), or if its noise is far above that
+of the calibration.
 
 Compared with the others: the accelerometer is mounted where the laser measures, so its amplitude is ω² times the
 laser's for any motion. A passive structure cannot lead its base.

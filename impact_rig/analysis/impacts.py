@@ -11,15 +11,16 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Impacts from the accelerometer alone: causal, streaming, in constant memory.
+"""Detection of impacts from the accelerometer alone: causal, streaming, in constant memory.
 
-The vibration (up to 20 m/s² near 9 Hz) is removed by a second-order Butterworth high-pass; what is left of a contact of
-40 to 80 µs is a pulse, then the sensor's ringing (25 kHz behind a 10 kHz low-pass). An impact is a crossing of
+A second-order Butterworth high-pass removes the vibration (up to 20 m/s² near 9 Hz). A contact of 40 to 80 µs leaves a
+pulse, then the sensor's ringing (25 kHz behind a 10 kHz low-pass). An impact is a crossing of
 
     threshold = max(threshold_m_s2, noise_factor · rms,  ring_factor · peak · e^{−since/ring_time})
 
-with the rms of the quiet signal tracked, the peak that of the impact before, and the time since then. Its time is
-where the pulse passes ONSET of its peak, less the sensor's lag: within 10 µs of the first touch at 50 kS/s.
+Here rms is the tracked rms of the quiet signal, peak that of the previous impact, and since the time since then. The
+impact's time is the instant at which the pulse passes ONSET of its peak, minus the sensor's lag. It is within 10 µs of
+the first touch at 50 kS/s.
 """
 
 from __future__ import annotations
@@ -42,37 +43,39 @@ from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S
 
 ONSET = 0.45
 LOOK_AHEAD_S = 150e-6
-"""The pulse's peak follows the crossing within this time."""
+"""The peak of a pulse follows the crossing within this time."""
 LOOK_AHEAD_SCANS = 6
-"""The same at low rates, where most of a pulse may fall between the scans and its aliased ringing stands higher."""
+"""The same at low rates, where most of a pulse may fall between the scans and its aliased ringing is higher."""
 BLANK_S = 0.01
-"""After a start or a gap the high-pass settles for this long."""
+"""Settling time of the high-pass after a start or a gap."""
 RMS_TIME_S = 0.1
 RMS_CLIP, RMS_CLIP_RINGING = 9.0, 2.0
-"""One sample counts at most this many times the tracked variance, in quiet and soon after an impact: a rig that
-chatters must not deafen the detector, a vibration that has become stronger must."""
+"""Limit of one sample's weight as a multiple of the tracked variance, in quiet and soon after an impact. A rig that
+chatters must not make the detector insensitive, but a vibration that has become stronger must.
+"""
 QUIET_RING_TIMES = 8.0
-"""It is quiet when this many ring times have passed since the last impact."""
-MOST_CALIBRATIONS = 64  # that are kept: impacts are told within a second of their scan
+"""Number of ring times since the last impact after which it is quiet."""
+MOST_CALIBRATIONS = 64  # number of calibrations kept: impacts are reported within a second of their scan
 RING_SCANS = 8
-"""Below 20 kS/s the pulse itself falls between the scans and the high-pass rings longer than the sensor."""
+"""Below 20 kS/s the pulse falls between the scans, and the high-pass rings longer than the sensor."""
 FORERUNNER = 4.0
-"""A swing to the other side, this much larger, is the pulse; what crossed before was its forerunner or the flank."""
-HISTORY_MASK = 511  # an onset is looked for as far back as twice the look-ahead: 300 scans at the highest rate
+"""A swing to the other side that is larger by this factor is the pulse; the crossing was its precursor or its flank."""
+HISTORY_MASK = 511  # an onset is searched as far back as twice the look-ahead: 300 scans at the highest rate
 MIN_RATE_HZ = 2_000
-"""Below this rate contacts fall between the scans: nothing is detected."""
+"""Least scan rate for detection: below it contacts fall between the scans."""
 
 
 IMPACT = np.dtype([("scan", "f8"), ("peak", "f8"), ("sign", "f8")])
 """A detected impact: instant of first touch in scans since scan 0, fractions included; peak of the high-passed
-acceleration [m/s²], positive; sign, +1 where the structure is pushed to the right, i.e. the right wall is struck."""
+acceleration [m/s²], positive; and sign, +1 if the structure is pushed to the right, so that the right wall is struck.
+"""
 NO_IMPACTS = np.zeros(0, IMPACT)
 
 
 def counted(cycles: Cycles, impacts: NDArray[np.void], origin: int, period: float) -> Cycles:
     """Return the cycles with `impacts` and `strikes` filled in.
 
-    Impacts (`IMPACT`) outside the cycles do not matter; `origin` is the first scan of cycle 0, `period` in scans.
+    Impacts (`IMPACT`) outside the cycles are ignored; `origin` is the first scan of cycle 0, `period` is in scans.
     """
     edges = np.append(cycles.first, cycles.first[-1] + cycles.samples[-1])
     place = np.searchsorted(edges, impacts["scan"], side="right") - 1
@@ -87,9 +90,9 @@ def counted(cycles: Cycles, impacts: NDArray[np.void], origin: int, period: floa
 def _high_pass(corner_hz: float, rate_hz: float) -> NDArray[np.float64]:
     """Return (b_0, b_1, b_2, a_1, a_2) of a Butterworth high-pass of second order.
 
-    s^2 / (s^2 + sqrt(2) s + 1) through the bilinear transform, pre-warped so that the corner is where it is said to be
-    (Oppenheim and Schafer, Discrete-Time Signal Processing, section 7.1.2). `scipy.signal.butter` gives the same, for
-    60 MB of memory in a node that runs for days.
+    s^2 / (s^2 + sqrt(2) s + 1) through the bilinear transform, pre-warped so that the corner is exact (Oppenheim and
+    Schafer, Discrete-Time Signal Processing, section 7.1.2). `scipy.signal.butter` gives the same, for 60 MB of memory
+    in a node that runs for days.
     """
     sine, cosine = sincos(PI * corner_hz / rate_hz)
     k = sine / cosine
@@ -98,7 +101,7 @@ def _high_pass(corner_hz: float, rate_hz: float) -> NDArray[np.float64]:
 
 
 class ImpactDetector:
-    """Finds impacts in a stream of acceleration; the result does not depend on how the stream is cut."""
+    """Detector of impacts in a stream of acceleration; its result does not depend on the division into blocks."""
 
     def __init__(self, calibration: Calibration, settings: ImpactSettings | None = None) -> None:
         settings = settings or ImpactSettings()
@@ -114,8 +117,8 @@ class ImpactDetector:
         look_ahead = max(LOOK_AHEAD_SCANS, math.ceil(LOOK_AHEAD_S * rate))
         self._times = np.array([look_ahead, round(BLANK_S * rate), round(QUIET_RING_TIMES * ring_time * rate)])
         self.behind = 0
-        """Scans after which an impact is known: its onset may lie before the crossing, and the sensor lags."""
-        self._sensors: list[tuple[float, float, float]] = []  # scan from which it holds, lag [scans], noise [m/s²]
+        """Number of scans after which an impact is known: its onset may be before the crossing, and the sensor lags."""
+        self._sensors: list[tuple[float, float, float]] = []  # first scan of its validity, lag [scans], noise [m/s²]
         self.recalibrate(-math.inf, calibration)
         self._history = np.zeros(HISTORY_MASK + 1)
         self._state = np.zeros(7)
@@ -124,14 +127,14 @@ class ImpactDetector:
         self.restart(0)
 
     def restart(self, scan: int) -> None:
-        """Forget the past; the next sample is that of scan `scan`: at the start and after a gap in the stream."""
+        """Reset the detector at the start and after a gap in the stream; the next sample is that of scan `scan`."""
         noise = self._sensors[self._sensor_at(scan)][2]
         self._state[:] = (0.0, 0.0, noise * noise, 0.0, 0.0, 0.0, 0.0)
         self._place[:] = (scan, 0, 0, 1, 0, 0)
         self._history[:] = 0.0
 
     def recalibrate(self, scan: float, calibration: Calibration) -> None:
-        """Take lag and noise of the accelerometer from a calibration of the same rate that acts from a scan on."""
+        """Use lag and noise of the accelerometer from another calibration with the same rate from a scan on."""
         noise = max(float(calibration.noise[ACCELEROMETER]), 1e-9)
         lag = (float(calibration.lag[ACCELEROMETER]) - float(calibration.skew[ACCELEROMETER])) * self._rate
         self._sensors.append((scan, lag, noise))
@@ -142,18 +145,18 @@ class ImpactDetector:
         return max(0, bisect.bisect_right(self._sensors, scan, key=lambda sensor: sensor[0]) - 1)
 
     def feed(self, acceleration: Real) -> NDArray[np.void]:
-        """Return the impacts (`IMPACT`) in the next samples [m/s²], shape (n,): each LOOK_AHEAD_S after it happened."""
+        """Return the impacts (`IMPACT`) in the next samples [m/s²], shape (n,), each LOOK_AHEAD_S after it happened."""
         return self.timed(self.find(acceleration))
 
     def timed(self, onsets: NDArray[np.void]) -> NDArray[np.void]:
-        """Return what `find` returned with the instants of touch, before the sensor's lag, for those of the onsets."""
+        """Convert some results of `find` to instants of touch, by subtracting the sensor's lag."""
         impacts = onsets.copy()
         for impact in impacts:
             impact["scan"] -= self._sensors[self._sensor_at(impact["scan"])][1]
         return impacts
 
     def find(self, acceleration: Real) -> NDArray[np.void]:
-        """Return what `feed` does, with the scan at which the sensor shows the impact instead of that of the touch."""
+        """Find impacts as `feed` does, but with the scan at which the sensor shows the impact instead of the touch."""
         if self._rate < MIN_RATE_HZ:
             return NO_IMPACTS
         found: list[Real] = []
@@ -176,12 +179,12 @@ def _detect(
     acceleration: Real, begin: int, coefficients: Real, limits: Real, times: NDArray[np.int64], state: Real,
     place: NDArray[np.int64], history: Real, out: Real,
 ) -> tuple[int, int]:  # fmt: skip
-    """Filter and watch samples from `begin`; stop early when `out` is full. Return (impacts found, next sample).
+    """Filter and inspect samples from `begin`; stop early when `out` is full. Return (impacts found, next sample).
 
-    state = [memory_1, memory_2, variance, ring envelope, peak, sign, swing],
-    place = [scan, blank, hunting, fresh, scan of the peak, scans since the last impact].
-    While `hunting` counts down, the largest value of the crossing's sign is the peak, the largest of either sign the
-    swing that the ringing is measured by.
+    `state` = [memory_1, memory_2, variance, ring envelope, peak, sign, swing].
+    `place` = [scan, blank, hunting, fresh, scan of the peak, scans since the last impact].
+    While `hunting` counts down, the peak is the largest value with the crossing's sign. The swing, the largest value of
+    either sign, determines the size of the ringing.
     """
     in_0, in_1, in_2, out_1, out_2 = coefficients
     floor, noise_factor, ring_factor, decay, forget = limits
@@ -206,7 +209,7 @@ def _detect(
         memory_1 = (in_1 * value + memory_2) - out_1 * passed
         memory_2 = in_2 * value - out_2 * passed
         history[scan & HISTORY_MASK] = passed
-        ring = ring * decay if ring > floor else 0.0  # never into the slow denormal numbers
+        ring = ring * decay if ring > floor else 0.0  # avoid denormal numbers, which are slow
         since += 1
         if hunting > 0:
             if sign * passed > peak:
@@ -228,7 +231,7 @@ def _detect(
                 since = scan - peak_at
         elif blank > 0:
             blank -= 1
-            if 2 * blank < blank_time:  # the filter has settled: learn what is there
+            if 2 * blank < blank_time:  # the filter has settled: learn the noise
                 variance += 4.0 / blank_time * (passed * passed - variance)
         elif abs(passed) > floor and abs(passed) > ring and passed * passed > noise_factor * noise_factor * variance:
             hunting = look_ahead
@@ -248,9 +251,9 @@ def _detect(
 
 
 def impact_tables(found: NDArray[np.void], rate_hz: float, start_ns: int) -> list[Table]:
-    """Return detected impacts as tables stamped on the command grid, so that no bit depends on the cut into blocks."""
+    """Return detected impacts as tables stamped on the command grid, so that they do not depend on the block length."""
     rows: dict[int, list[tuple[float, float, float]]] = {}
-    for scan, peak, sign in found.tolist():  # mostly one, for which numpy's ways take long
+    for scan, peak, sign in found.tolist():  # usually a single one, for which NumPy is slow
         seconds = scan / rate_hz
         cell = math.floor(seconds / COMMAND_GRID_S)
         rows.setdefault(cell, []).append((seconds - cell * COMMAND_GRID_S, peak, sign))

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Scans as the analysis takes them: the channels it needs, blocks of any length made one stream, and the last seconds.
+"""Scans in the form that the analysis needs: its channels, blocks joined into one stream, and the last seconds.
 
-A run may have more channels than these, in any order. A measurement of somebody's own rig may lack some: neither
-`daq/info` nor `daq/scan` has them then. Transmissibility needs `laser` and `base`; without `accelerometer` no impacts
-are counted, without `current` it has no amplitude.
+A run may have more channels than these, in any order. An imported measurement may lack some of them; neither `daq/info`
+nor `daq/scan` then contains them. Transmissibility needs `laser` and `base`. Without `accelerometer` no impacts are
+counted, and without `current` there is no current amplitude.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ ACCELEROMETER, LASER, BASE, CURRENT = range(len(CHANNELS))
 _TIME, _STATUS = topics.SCAN.fields
 SCAN_COLUMNS = (_TIME, *(Column(name, "SI", "Its reading.") for name in CHANNELS), _STATUS)
 SCAN = row_type(SCAN_COLUMNS)
-"""A row of `daq/scan` with every one of them."""
+"""A row of `daq/scan` with all of these channels."""
 _FRAME = (_TIME.name, _STATUS.name)
 _IN_ORDER = tuple((bit, bit) for bit in range(len(CHANNELS)))
 
 
 def status_of(rows: NDArray[np.void]) -> NDArray[np.uint8]:
-    """Return the status of scans with bit j for channel j of `CHANNELS`, shape (n,), whatever their place in a scan."""
+    """Return the status of scans with bit j for channel j of `CHANNELS`, shape (n,), wherever these are in a scan."""
     status: NDArray[np.uint8] = rows["status"]
     places = _places(rows.dtype)
     if places == _IN_ORDER:
@@ -58,13 +58,13 @@ def status_of(rows: NDArray[np.void]) -> NDArray[np.uint8]:
 
 @functools.lru_cache(maxsize=64)  # few types of rows exist
 def _places(dtype: np.dtype[np.void]) -> tuple[tuple[int, int], ...]:
-    """Return the number of each channel that scans have, and which of their channels it is."""
+    """Return for each measured channel its number in the scans and its index in CHANNELS."""
     found = [name for name in dtype.names or () if name not in _FRAME]
     return tuple((bit, found.index(name)) for bit, name in enumerate(CHANNELS) if name in found)
 
 
 def _as_scans(rows: NDArray[np.void]) -> NDArray[np.void]:
-    """Return scans of any type as rows of `SCAN`, shape (n,): zeros where a channel was not measured."""
+    """Return scans of any type as rows of `SCAN`, shape (n,), with zeros for channels that were not measured."""
     scans = np.zeros(len(rows), SCAN)
     for name in set(CHANNELS).intersection(rows.dtype.names or ()):
         scans[name] = rows[name]
@@ -84,16 +84,16 @@ def _copy(rows: Any, samples: NDArray[np.float64], status: NDArray[np.uint8], at
 
 
 def samples_of(rows: NDArray[np.void], name: str) -> NDArray[np.float64]:
-    """Return a channel of scans, shape (n,): zeros where it was not measured."""
+    """Return a channel of scans, shape (n,), with zeros if it was not measured."""
     present = name in (rows.dtype.names or ())
     return np.array(rows[name], dtype=np.float64) if present else np.zeros(len(rows))
 
 
 def need_columns(table: Table, wanted: np.dtype[np.void], topic: str, later: Collection[str] = ()) -> None:
-    """Refuse a table that lacks a column, save those `later` versions have, or has a text for a number.
+    """Reject a table that lacks a column (except `later`, columns of later versions) or has text in place of a number.
 
     Raises:
-        ConfigError: names the topic and the columns.
+        ConfigError: a column is missing or has another type; the message names the topic and the columns.
     """
     found = table.rows.dtype
     if found == wanted:
@@ -109,7 +109,7 @@ def need_columns(table: Table, wanted: np.dtype[np.void], topic: str, later: Col
 
 
 def scan_index(stamp_ns: int, rate_hz: float, start_ns: int) -> int:
-    """Return the index of the scan with this stamp: the inverse of `simtime.stamp_ns`."""
+    """Return the index of the scan with this stamp, the inverse of `simtime.stamp_ns`."""
     over, under = rate_hz.as_integer_ratio()
     return ((stamp_ns - start_ns) * over + under * NS_PER_S // 2) // (under * NS_PER_S)
 
@@ -121,7 +121,7 @@ def first_scan_at(time_ns: int, rate_hz: float, start_ns: int) -> int:
 
 
 class ScanBuffer:
-    """Consecutive scans, contiguous in memory per channel; grows to what is held back and the longest block.
+    """Consecutive scans, contiguous in memory per channel; the buffer grows with the kept scans and the longest block.
 
     Attributes:
         samples: shape (4, capacity).
@@ -142,7 +142,7 @@ class ScanBuffer:
         self.first = self.end = index
 
     def renumber(self, index: int) -> None:
-        """Call scan `index` scan 0, and what is kept after it accordingly."""
+        """Renumber the scans so that scan `index` becomes scan 0."""
         self.first -= index
         self.end -= index
 
@@ -153,21 +153,21 @@ class ScanBuffer:
             self._make_room(keep, new)
             used = self.end - self.first
         if rows.dtype is not self._kind and rows.dtype == SCAN:
-            self._kind = rows.dtype  # to compare two such types takes longer than all the rest
+            self._kind = rows.dtype  # to compare two such types takes longer than everything else
         if rows.dtype is not self._kind or not rows.flags.c_contiguous:
             rows = _as_scans(rows)
         _copy(for_kernels(rows), self.samples, self.status, used)
         self.end += new
 
     def column(self, index: int) -> int:
-        """Return where scan `index` is kept."""
+        """Return the column of scan `index`."""
         return index - self.first
 
     def _make_room(self, keep: int, new: int) -> None:
         left, right = keep - self.first, self.end - self.first
         need = right - left + new
         samples, status = self.samples, self.status
-        if 4 * need > len(status):  # at least four times the need: then room is made every third block at most
+        if 4 * need > len(status):  # at least four times the need: then room is made at most at every third block
             self.samples = np.empty((len(CHANNELS), 8 * need))
             self.status = np.empty(8 * need, dtype=np.uint8)
         self.samples[:, : right - left] = samples[:, left:right].copy()
@@ -176,7 +176,7 @@ class ScanBuffer:
 
 
 class Recent:
-    """Keeps as many scans as asked for; forgets all when blocks do not follow on one another."""
+    """The last `length` scans, cleared whenever blocks are not contiguous."""
 
     def __init__(self, rate_hz: float, length: int) -> None:
         self._rate_hz = rate_hz
@@ -185,11 +185,11 @@ class Recent:
         self.count = 0  # scans that are kept
 
     def follows(self, scan: Table) -> bool:
-        """Whether a block goes on where the one before ended; false of the first."""
+        """Return whether a block continues the previous one; false for the first block."""
         return bool(self._blocks) and abs(scan.stamp_ns - self.next_ns()) <= 0.5 * NS_PER_S / self._rate_hz
 
     def add(self, scan: Table) -> None:
-        """Take a block; where it does not follow on the one before, those before are forgotten."""
+        """Add a block; if it does not continue the previous one, drop all earlier scans."""
         if not self.follows(scan):
             self.clear()
         self._blocks.append(scan)
@@ -198,18 +198,18 @@ class Recent:
             self.count -= len(self._blocks.popleft().rows)
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Drop all scans."""
         self._blocks.clear()
         self.count = 0
 
     def next_ns(self) -> int:
-        """Return the stamp of the scan that would come next [ns]."""
+        """Return the stamp of the next scan [ns]."""
         return self.stamp_ns(self.count)
 
     def stamp_ns(self, number: int) -> int:
-        """Return when scan `number` of those that are kept was, or will be [ns]."""
+        """Return the stamp of scan `number` of the kept scans, also of a future one [ns]."""
         return self._blocks[0].stamp_ns + int(number * NS_PER_S / self._rate_hz)
 
     def rows(self) -> NDArray[np.void]:
-        """Return the scans that are kept, oldest first."""
+        """Return the kept scans, oldest first."""
         return joined([block.rows for block in self._blocks])

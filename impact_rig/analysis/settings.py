@@ -11,10 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What the operator tells: settings of the measurement, and the gap as a remark on `notes`, `gap_m=0.006 at 12500000`.
+"""Operator's input: settings of the measurement, and the gap as a remark on `notes`, `gap_m=0.006 at 12500000`.
 
-The rig does not tell the analysis its gap: it must measure without seeing the truth. A label carries the instant it
-holds from, so that the live analysis and a later one of the recorded run apply it to the same scan.
+The rig does not reveal its gap to the analysis, which must measure without seeing the truth. A label contains the
+instant from which it holds, so that the live analysis and a later analysis of the recorded run apply it to the same
+scan.
 """
 
 from __future__ import annotations
@@ -33,31 +34,29 @@ from impact_rig.system.machine import fingerprint
 
 @attrs.frozen(kw_only=True)
 class TrackerSettings:
-    """How `Tracker` measures. The defaults suit the rig: 5 to 200 Hz, time constants of 0.3 to 4 s."""
+    """Settings of `Tracker`. The defaults suit the rig: 5 to 200 Hz, time constants of 0.3 to 4 s."""
 
     harmonics: int = integer(5, "-", "Harmonics in the fit, the drive included.", at_least=1, at_most=10)
-    window_s: float = quantity(0.25, "s", "Shortest window; whole cycles, a multiple of 6.", above=0, at_most=100)
+    window_s: float = quantity(0.25, "s", "Shortest window; its cycles are a multiple of 6.", above=0, at_most=100)
     windows: int = integer(8, "-", "Windows per measurement of a periodic response.", at_least=8, at_most=64)
     long_windows: int = integer(
         32, "-", "Windows per measurement of a response that is not periodic.", at_least=16, at_most=256
     )
     settle_tolerance: float = quantity(
-        5e-4, "-", "Relative bias by a dying transient that a measurement may have.", above=0, at_most=0.1
+        5e-4, "-", "Largest relative bias of a measurement by a dying transient.", above=0, at_most=0.1
     )
     periodic_tolerance: float = quantity(
-        1e-3, "-", "Relative cycle-to-cycle spread up to which a response counts as periodic.", above=0, at_most=0.5
+        1e-3, "-", "Largest relative cycle-to-cycle spread of a periodic response.", above=0, at_most=0.5
     )
-    wait_limit_s: float = quantity(60.0, "s", "Bound of waiting for a settled response.", above=0, at_most=3600)
+    wait_limit_s: float = quantity(60.0, "s", "Longest wait for a settled response.", above=0, at_most=3600)
     slowest_speed: float = quantity(
         1e-4,
         "m/s",
-        "Slowest sphere that is waited for, at most for `wait_limit_s`, before a row without impacts is given.",
+        "Slowest sphere for which a row without impacts waits, at most for `wait_limit_s`.",
         above=0,
         at_most=10,
     )
-    hold_s: float = quantity(
-        0.05, "s", "How long scans are held back for commands delivered after them.", at_least=0, at_most=1
-    )
+    hold_s: float = quantity(0.05, "s", "Delay of scans, for commands that arrive after them.", at_least=0, at_most=1)
     lag_uncertainty: float = quantity(
         0.0, "-", "Relative standard uncertainty of the lags; daq/info states none.", at_least=0, at_most=1
     )
@@ -72,7 +71,7 @@ class TrackerSettings:
 
 @attrs.frozen(kw_only=True)
 class ImpactSettings:
-    """How impacts are told from background, noise and the accelerometer's ringing."""
+    """Settings for the detection of impacts despite background, noise and the accelerometer's ringing."""
 
     corner_hz: float = quantity(1500.0, "Hz", "Corner of the high-pass that removes the vibration.", above=0)
     noise_factor: float = quantity(8.0, "-", "Threshold, times the rms of what the high-pass leaves.", above=1)
@@ -86,23 +85,23 @@ class ImpactSettings:
 
 
 _PATTERN = re.compile(r"\s*gap_m\s*=\s*(?P<gap>nan|[0-9.eE+-]+)\s+at\s+(?P<stamp>[0-9]{1,19})\s*")
-_END_NS = 2**31 * 1_000_000_000  # a ROS stamp carries no later instant
+_END_NS = 2**31 * 1_000_000_000  # the latest instant of a ROS stamp
 
 
 @attrs.frozen
 class GapLabel:
-    """A gap [m] (0 = no sphere, NaN = unknown) from an instant of rig time on."""
+    """A gap [m] (0 = no sphere, NaN = unknown) that holds from an instant of rig time on."""
 
     gap_m: float
     stamp_ns: int
 
     def text(self) -> str:
-        """Return the remark; `parse_label` reads it back exactly."""
+        """Return the remark, which `parse_label` parses exactly."""
         return f"gap_m={self.gap_m!r} at {self.stamp_ns}"
 
 
 def parse_label(remark: str) -> GapLabel | None:
-    """Return the label in a remark, or None if it is any other remark."""
+    """Return the label in a remark, or None if the remark is no label."""
     match = _PATTERN.fullmatch(remark)
     if match is None:
         return None
@@ -118,13 +117,13 @@ def parse_label(remark: str) -> GapLabel | None:
 MACHINE = "machine"
 STARTED = "started"
 GAP = "gap_m"
-RETIRED = ("bootstrap_resamples", "seed")  # settings that earlier versions had: of resampling, which is no longer done
+RETIRED = ("bootstrap_resamples", "seed")  # settings of resampling in recordings of earlier versions; they are ignored
 
 
 def settings_table(settings: TrackerSettings, gap_m: float, stamp_ns: int, started_s: float = 0.0) -> Table:
-    """Return `analysis/settings`: settings and the operator's label from an instant on, and which analysis says so.
+    """Return `analysis/settings`: settings and label from an instant on, and the analysis that uses them.
 
-    Its machine and when it was started [s, Unix] tell one analysis from another in the same run.
+    The machine and the start time of the analysis [s, Unix] distinguish several analyses in one run.
     """
     values = {attribute.name: getattr(settings, attribute.name) for attribute in attrs.fields(TrackerSettings)}
     rows = [*values.items(), (GAP, gap_m), (MACHINE, fingerprint()), (STARTED, started_s)]
@@ -132,7 +131,7 @@ def settings_table(settings: TrackerSettings, gap_m: float, stamp_ns: int, start
 
 
 def read_settings(table: Table) -> tuple[TrackerSettings, float]:
-    """Return settings and label of `analysis/settings`; what the table does not name has its default.
+    """Return settings and label of `analysis/settings`; a setting that the table does not contain has its default.
 
     Raises:
         ConfigError: a key is unknown, or a value out of range.
@@ -149,13 +148,13 @@ def read_settings(table: Table) -> tuple[TrackerSettings, float]:
 
 
 def machine_of(table: Table) -> int | None:
-    """Return the fingerprint in `analysis/settings` of the machine that analyses, see `machine`; None without."""
+    """Return the machine's fingerprint in `analysis/settings`, see `machine`; None if it is missing."""
     found = _value(table, MACHINE)
     return None if found is None else int(found)
 
 
 def started_of(table: Table) -> float | None:
-    """Return when the analysis that `analysis/settings` is of was started [s, Unix]; None: it does not say."""
+    """Return the start time of the analysis in `analysis/settings` [s, Unix]; None if it is missing."""
     return _value(table, STARTED)
 
 
@@ -165,5 +164,5 @@ def _value(table: Table, key: str) -> float | None:
 
 
 def _as_set(default: float, value: float) -> Any:  # int or float, as the setting is; the validator decides
-    """Return a setting as its type; what is no whole number where it should be is left for the validator to refuse."""
+    """Return a setting with its type; the validator rejects a fraction where an integer is needed."""
     return int(value) if isinstance(default, int) and np.isfinite(value) and value == int(value) else value

@@ -83,8 +83,8 @@ def more_windows(taken: int, reached: float, share: float) -> int:
     A transient that began as large as the response itself and took n windows to fall to a fraction ε takes n ln(s) /
     ln(ε) more to fall by another factor s. A transient below the noise cannot be followed, but its pace can.
 
-    `taken` is n, from the change of the drive to the first window that is measured; `reached` is ε; `share` is s, 0 < s
-    < 1.
+    `taken` is n, the number of windows from the change of the drive to the first measured one. `reached` is ε, and
+    `share` is s, 0 < s < 1.
     """
     return math.ceil(taken * math.log(share) / math.log(reached)) if 0.0 < reached < 1.0 else 0
 

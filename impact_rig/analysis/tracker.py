@@ -14,9 +14,9 @@
 """`Tracker`: the transmissibility of a running rig, computed from its blocks in constant memory.
 
 Feed it the messages of the rig. It measures when the response has settled, and names the reason if it cannot. The rows
-are the same bit for bit for any block length, and for any order in which topics are delivered within `hold_s`: scans
-are delayed, cycles and windows are counted from the last change of drive, gap label or calibration (`_apply`), and sums
-run scan by scan.
+are the same bit for bit for any block length, and for any order in which topics are delivered within `hold_s`. To
+achieve this, scans are delayed, and sums run scan by scan. Cycles and windows are counted from the last change of
+drive, gap label or calibration (`_apply`).
 """
 
 from __future__ import annotations

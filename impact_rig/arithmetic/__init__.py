@@ -11,18 +11,18 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Arithmetic that every machine does alike: elementary functions, refined constants, random numbers.
+"""Arithmetic with the same results on every machine: elementary functions, precise constants, random numbers.
 
-IEEE 754 fixes +, −, ×, ÷, sqrt, comparison and rounding to the last bit; it fixes neither sine nor exponential, and a
-matrix routine may add in any order it likes. Whatever decides a sample or an impact is therefore computed with what is
-in here and with those operations in a written order, and with nothing of libm, BLAS or LAPACK.
+IEEE 754 fixes +, −, ×, ÷, sqrt, comparison and rounding to the last bit. It does not fix sine or exponential, and a
+matrix routine may add in any order. Everything that determines a sample or an impact is therefore computed with this
+package and with those operations in a written order, without libm, BLAS or LAPACK.
 """
 
 ARITHMETIC = 6
-"""Version of the arithmetic: it rises when the same seed and commands give other bits than before.
+"""Version of the arithmetic: it rises when the same seed and commands give other bits than with the version below.
 
-A recording carries it; what another version recorded can be replayed and analysed, but not re-simulated bit for bit.
-1 was never written down: it used the libraries of the machine.
+A recording contains it. A recording of another version can be replayed and analysed, but not re-simulated bit for bit.
+Version 1 was never recorded: it used the libraries of the machine.
 """
 
 __all__ = ["ARITHMETIC"]

@@ -17,8 +17,8 @@
     exp x           x = k ln 2 + r, |r| <= ln 2 / 2: e^r = 1 + 2 r / (2 − c(r²))             error < 1 ulp
     log x           x = 2^k (1 + f): 2 s + s³ R(s²), s = f / (2 + f)                         error < 1 ulp
 
-Reductions and polynomials are those of fdlibm (Sun Microsystems 1993; Cody & Waite 1980, Software Manual for the
-Elementary Functions); test/impact_rig/arithmetic holds every one of them against 40 digits.
+Argument reductions and polynomials are those of fdlibm (Sun Microsystems 1993), after Cody & Waite (1980), Software
+Manual for the Elementary Functions. test/impact_rig/arithmetic compares each of them with 40 digits.
 """
 
 from __future__ import annotations
@@ -54,12 +54,12 @@ _HALF_SQRT_2 = 0.7071067811865476
 _LOWEST_EXPONENT, _HIGHEST_EXPONENT = -1022, 1023
 _POWERS_OF_TWO = np.array([math.ldexp(1.0, k) for k in range(_LOWEST_EXPONENT, _HIGHEST_EXPONENT + 1)])
 _LARGEST_EXPONENT, _SMALLEST_EXPONENT = 709.0, -708.0
-_ROUND = 6755399441055744.0  # 1.5 · 2^52: what is added to it and taken off again comes back as an integer
+_ROUND = 6755399441055744.0  # 1.5 · 2^52: adding and subtracting it rounds to an integer
 
 
 @kernel
 def nearest(x):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Return the whole number nearest to x, the even one of two, |x| < 2^51."""
+    """Return the integer nearest to x, the even one of two, |x| < 2^51."""
     return (x + _ROUND) - _ROUND
 
 
@@ -67,7 +67,7 @@ def nearest(x):  # type: ignore[no-untyped-def]  # compiled: types are inferred
 def sincos(x):  # type: ignore[no-untyped-def]
     """Return (sin x, cos x), x in radians.
 
-    Up to |x| = 1.6e6 within 1 ulp; beyond, the reduction adds about the spacing of numbers at x itself.
+    The error is within 1 ulp up to |x| = 1.6e6; beyond, the reduction adds about the spacing of numbers at x itself.
     """
     k = (x * _TWO_OVER_PI + _ROUND) - _ROUND
     first, second = x - k * _HALF_PI_1, k * _HALF_PI_2  # both exact
@@ -131,5 +131,5 @@ def power(x, y):  # type: ignore[no-untyped-def]
 
 @kernel
 def modulus(z):  # type: ignore[no-untyped-def]
-    """Return |z| of a complex number, without care for what overflows when squared."""
+    """Return |z| of a complex number; the squares may overflow."""
     return math.sqrt(z.real * z.real + z.imag * z.imag)

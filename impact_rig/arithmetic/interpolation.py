@@ -15,8 +15,8 @@
 
     S(x) = Σ_k S_k x^k,   S_k = Σ_q TO_MONOMIALS[k, q] S(node_q)
 
-Column q of TO_MONOMIALS holds Lagrange's Π_{i≠q} (x − node_i) / (node_q − node_i). A smooth S of angular frequency ω is
-met to 2 (ω half / 2)^8 / 8! on a piece: below 1e-5 at half a period, 1e-15 at a hundredth.
+Column q of TO_MONOMIALS holds Lagrange's Π_{i≠q} (x − node_i) / (node_q − node_i). For a smooth S of angular frequency
+ω the error is 2 (ω half / 2)^8 / 8!: below 1e-5 if a piece is half a period, 1e-15 if it is a hundredth.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from impact_rig.kernels import INTEGERS, REALS, REALS_2D, entry, kernel
 
 NODES = 8
 PIECE_TERMS = 14
-"""Terms of a power series that `shorten` takes."""
+"""Number of terms of a power series that `shorten` accepts."""
 
 
 @precise
 def _chebyshev() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the nodes, ascending, TO_MONOMIALS, and what it makes of node^k, k = NODES … PIECE_TERMS − 1."""
+    """Return the nodes, ascending, TO_MONOMIALS, and its product with node^k, k = NODES … PIECE_TERMS − 1."""
     x = [unit(pi() * (2 * j + 1) / (2 * NODES)).real for j in reversed(range(NODES))]
     columns = []
     for j, node in enumerate(x):
@@ -68,7 +68,7 @@ def through_nodes(values, coefficients):  # type: ignore[no-untyped-def]  # comp
 
 @kernel
 def shorten(series, coefficients):  # type: ignore[no-untyped-def]
-    """Fill in the polynomial that meets a power series of PIECE_TERMS terms at the nodes."""
+    """Fill in the polynomial that agrees with a power series of PIECE_TERMS terms at the nodes."""
     for j in range(NODES):
         total = series[j]
         for k in range(NODES + j % 2, PIECE_TERMS, 2):  # the others are even where this one is odd
@@ -85,10 +85,10 @@ def polynomials(
     """Return the polynomials of some quantities on pieces, constant first, shape (quantities, pieces, NODES).
 
     Args:
-        of: returns the quantities at instants (tick, offset into it), shape (quantities, instants).
-        tick: of each piece.
-        start: of each piece, offset into its tick.
-        end: likewise.
+        of: function that returns the quantities at instants (tick, offset into it), shape (quantities, instants).
+        tick: tick of each piece.
+        start: start of each piece, offset into its tick [s].
+        end: end of each piece, offset into its tick [s].
     """
     at, offset = np.empty(len(start) * NODES, np.int64), np.empty(len(start) * NODES)
     _nodes(start, end, tick, at, offset)

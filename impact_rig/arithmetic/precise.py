@@ -13,8 +13,8 @@
 # limitations under the License.
 """Numbers of 70 digits, for constants that are computed once and rounded once: the same bits on every machine.
 
-`decimal` rounds +, −, ×, ÷, sqrt, exp and ln correctly by its specification, so that its results depend on no library
-of the machine. Digits that cancellation takes are not missed: what is rounded to 16 at the end had 70 on the way.
+`decimal` rounds +, −, ×, ÷, sqrt, exp and ln correctly by its specification, so its results depend on no library of the
+machine. Cancellation does no harm: a constant that is rounded to 16 digits is computed with 70.
 
     polynomial p(s) = Σ c_j s^j                    roots by Aberth's method: Newton steps that repel each other
     resolvent (s I − M)⁻¹ = Σ_j B_j s^j / p(s)     B and p by the recurrence of Faddeev and LeVerrier
@@ -35,8 +35,8 @@ CONTEXT = Context(
     prec=DIGITS, rounding=ROUND_HALF_EVEN, Emin=MIN_EMIN, Emax=MAX_EMAX, traps=[InvalidOperation, DivisionByZero]
 )
 _SETTLED = Decimal("1e-30")
-"""A root is final when its last correction was smaller than this, relative to it: the next is of order its square."""
-_BLUR = Decimal("1e-40")  # an imaginary part below this part of the root is none
+"""A root is final when its last correction was smaller than this, relative to it; the next is of order its square."""
+_BLUR = Decimal("1e-40")  # an imaginary part below this part of the root counts as zero
 _MOST_CORRECTIONS = 120
 
 ZERO, ONE, TWO = Decimal(0), Decimal(1), Decimal(2)
@@ -46,7 +46,7 @@ R = TypeVar("R")
 
 
 def precise(function: Callable[P, R]) -> Callable[P, R]:
-    """Let a function compute with `DIGITS` digits, whatever the calling thread's context says."""
+    """Make a function compute with `DIGITS` digits, regardless of the calling thread's context."""
 
     @functools.wraps(function)
     def in_context(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -58,7 +58,7 @@ def precise(function: Callable[P, R]) -> Callable[P, R]:
 
 @attrs.frozen
 class Complex:
-    """A complex number of Decimals; its operators compute in the context of whoever calls them."""
+    """A complex number of Decimals; its operators use the decimal context of the caller."""
 
     real: Decimal
     imag: Decimal = ZERO
@@ -95,12 +95,12 @@ class Complex:
 
 
 def exactly(value: complex) -> Complex:
-    """Return a float or a complex as it is."""
+    """Convert a float or a complex without rounding."""
     return Complex(Decimal(value.real), Decimal(value.imag))
 
 
 def product(factors: Iterable[Complex]) -> Complex:
-    """Return the product, 1 of none."""
+    """Return the product of the factors, 1 if there are none."""
     total = Complex(ONE)
     for factor in factors:
         total = total * factor
@@ -125,7 +125,7 @@ def _arc_tangent_of_inverse(n: int) -> Decimal:
 
 @precise
 def unit(angle: Decimal) -> Complex:
-    """Return e^{i angle}, angle in radians: the Taylor series, to `DIGITS` digits for a few turns."""
+    """Return e^{i angle}, angle in radians, by the Taylor series, to `DIGITS` digits for a few turns."""
     term, total, k = Complex(ONE), Complex(ONE), 0
     while True:
         k += 1
@@ -157,15 +157,15 @@ def evaluate_with_slope(coefficients: Sequence[Decimal], s: Complex) -> tuple[Co
 
 @precise
 def roots(coefficients: Sequence[Decimal], start: Sequence[complex]) -> list[Complex] | None:
-    """Return the roots of a real polynomial, or None where two of them are too near to each other to be told apart.
+    """Return the roots of a real polynomial, or None if two of them are too close to separate.
 
-    The first real ones by size, then one of each conjugate pair (imaginary part > 0) by imaginary part.
+    Real roots come first, by size, then one of each conjugate pair (imaginary part > 0), by imaginary part.
 
     Args:
         coefficients: constant first.
-        start: rough values of all roots, in any order; the result does not depend on them.
+        start: approximate values of all roots, in any order; the result does not depend on them.
     """
-    found = [exactly(z * complex(1.0, 1e-14 * k)) for k, z in enumerate(start)]  # equal ones are moved apart
+    found = [exactly(z * complex(1.0, 1e-14 * k)) for k, z in enumerate(start)]  # equal values are moved apart
     for _ in range(_MOST_CORRECTIONS):
         settled = True
         for k, z in enumerate(found):
@@ -180,7 +180,7 @@ def roots(coefficients: Sequence[Decimal], start: Sequence[complex]) -> list[Com
 
 
 def _correction(coefficients: Sequence[Decimal], z: Complex, others: list[Complex]) -> Complex | None:
-    """Return Aberth's step p / (p' − p Σ 1 / (z − other)), or None where two roots have met."""
+    """Return Aberth's step p / (p' − p Σ 1 / (z − other)), or None if two roots have met."""
     value, slope = evaluate_with_slope(coefficients, z)
     if not value.square():
         return value
@@ -194,7 +194,7 @@ def _correction(coefficients: Sequence[Decimal], z: Complex, others: list[Comple
 
 
 def _paired(found: list[Complex]) -> list[Complex] | None:
-    """Return real roots and upper ones, in order; None where the others are not their conjugates."""
+    """Return the real roots and those above the real axis, in order; None if the others are not their conjugates."""
     real = [Complex(z.real) for z in found if abs(z.imag) <= _BLUR * abs(z.real)]
     upper = [z for z in found if z.imag > _BLUR * abs(z.real)]
     if len(real) + 2 * len(upper) != len(found):
@@ -223,7 +223,7 @@ def resolvent(matrix: Matrix) -> tuple[list[Decimal], list[list[list[Decimal]]]]
 
 
 def dot(first: Sequence[Decimal], second: Sequence[Decimal]) -> Decimal:
-    """Return Σ first second; terms with a zero are left out."""
+    """Return Σ first second; products with a zero are skipped."""
     return sum((a * b for a, b in zip(first, second, strict=True) if a and b), ZERO)
 
 

@@ -11,23 +11,23 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Random numbers, one generator for every stream of the rig: the same numbers on every machine and with every NumPy.
+"""Random numbers from one kind of generator: the same numbers on every machine and with every NumPy.
 
     bits        xoshiro256++ (Blackman & Vigna 2021, ACM Trans. Math. Softw. 47, 36)
     uniform     53 bits / 2^53
     normal      a ziggurat of 256 layers of equal area A under f(x) = exp(−x²/2) (Marsaglia & Tsang 2000, J. Stat.
                 Softw. 5, 8): right ends x_1 = 3.654…, x_{i+1} = f⁻¹(f(x_i) + A / x_i), the tail by its own rule
 
-Layers and tail take exponential and logarithm from `elementary`. Seeds come from `numpy.random.SeedSequence`, which
-is arithmetic of integers and fixed by NumPy's promise.
+Layers and tail use the exponential and logarithm of `elementary`. Seeds come from `numpy.random.SeedSequence`, which is
+integer arithmetic that NumPy promises not to change.
 
-**Band-passed noise** of unit rms: a digital Butterworth band-pass of 8th order behind the normal numbers, worked out
-with many digits and rounded once.
+**Band-passed noise** of unit rms: the normal numbers pass a digital Butterworth band-pass of 8th order, whose
+coefficients are computed with many digits and rounded once.
 
-prototype     s_k = e^{jπ(2k + 5)/8}, k = 0 … 3, of the low-pass with corner 1
-band-pass     s² − s_k B s + ω_0² = 0, B = ω_2 − ω_1, ω_0² = ω_1 ω_2, ω_i = tan(π f_i · tick)
-digital       p = (1 + s) / (1 − s): g B(z), B = Π (1 − z⁻²) / (1 + a_1 z⁻¹ + a_2 z⁻²), four sections
-unit rms      g⁻² = Σ b_n² of B(z) = Σ b_n z⁻ⁿ, which is a sum over its partial fractions
+- Prototype: s_k = e^{jπ(2k + 5)/8}, k = 0 … 3, of the low-pass with corner 1.
+- Band-pass: s² − s_k B s + ω_0² = 0, B = ω_2 − ω_1, ω_0² = ω_1 ω_2, ω_i = tan(π f_i · tick).
+- Digital: p = (1 + s) / (1 − s): g B(z), B = Π (1 − z⁻²) / (1 + a_1 z⁻¹ + a_2 z⁻²), four sections.
+- Unit rms: g⁻² = Σ b_n² of B(z) = Σ b_n z⁻ⁿ, which is a sum over its partial fractions.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from impact_rig.arithmetic.precise import ONE, TWO, ZERO, Complex, pi, precise, 
 from impact_rig.kernels import MODE, REALS, WORDS, entry, kernel, records
 
 _LAYERS = 256
-_TAIL = 3.6541528853610088  # where the lowest layer ends and the tail begins
+_TAIL = 3.6541528853610088  # right end of the lowest layer, where the tail begins
 _AREA = 0.00492867323399  # of each layer, under exp(-x²/2)
 
 
@@ -70,13 +70,13 @@ _UNIT_52, _UNIT_53 = 1.0 / 4503599627370496.0, 1.0 / 9007199254740992.0
 
 
 class Random:
-    """A stream of random numbers: it does not matter how many are taken at once.
+    """A stream of random numbers; the numbers do not depend on how many are drawn at once.
 
     Args:
-        seed: decides the stream.
+        seed: seed of the stream.
 
     Attributes:
-        state: of the generator, 64-bit words, shape (4,), for compiled code that fills arrays itself.
+        state: state of the generator, 64-bit words, shape (4,), for compiled code that fills arrays itself.
     """
 
     def __init__(self, seed: np.random.SeedSequence | int) -> None:
@@ -90,13 +90,13 @@ class Random:
         return numbers
 
     def uniform(self, count: int) -> NDArray[np.float64]:
-        """Return the next `count` numbers spread evenly over 0 <= x < 1."""
+        """Return the next `count` uniformly distributed numbers, 0 <= x < 1."""
         numbers = np.empty(count)
         fill_uniform(self.state, numbers)
         return numbers
 
     def copy(self) -> Random:
-        """Return a stream that goes on from here on its own."""
+        """Return an independent copy of the stream at its present position."""
         twin = Random(0)
         twin.state = self.state.copy()
         return twin
@@ -104,7 +104,7 @@ class Random:
 
 @kernel
 def _next(s0, s1, s2, s3):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Return 64 random bits and the state that follows."""
+    """Return 64 random bits and the next state."""
     mixed = s0 + s3
     bits = ((mixed << _23) | (mixed >> _41)) + s0
     shifted = s1 << _SEVENTEEN
@@ -119,7 +119,7 @@ def _next(s0, s1, s2, s3):  # type: ignore[no-untyped-def]  # compiled: types ar
 
 @kernel
 def _beyond(s0, s1, s2, s3):  # type: ignore[no-untyped-def]
-    """Return a number of the tail (Marsaglia 1964) and the state that follows."""
+    """Return a number of the tail (Marsaglia 1964) and the next state."""
     while True:
         bits, s0, s1, s2, s3 = _next(s0, s1, s2, s3)
         excess = -log(1.0 - np.float64(bits >> _TWELVE) * _UNIT_52) / _TAIL
@@ -130,7 +130,7 @@ def _beyond(s0, s1, s2, s3):  # type: ignore[no-untyped-def]
 
 @kernel
 def _rejected(bits, x, s0, s1, s2, s3):  # type: ignore[no-untyped-def]
-    """Go on with bits whose number x lies beyond the next layer; return both as accepted, and the state behind them."""
+    """Decide about a number x beyond the next layer and draw again if it is rejected; return bits, x and next state."""
     while True:
         layer = np.int64(bits & _BYTE)
         if layer == 0:
@@ -155,16 +155,16 @@ def fill_normal(state, out):  # type: ignore[no-untyped-def]
     for i in range(out.shape[0]):
         bits, s0, s1, s2, s3 = _next(s0, s1, s2, s3)
         layer = np.int64(bits & _BYTE)
-        x = np.float64(np.int64(bits >> _TWELVE)) * _UNIT_52 * _ENDS[layer]  # of signed integers the CPU knows how
+        x = np.float64(np.int64(bits >> _TWELVE)) * _UNIT_52 * _ENDS[layer]  # the CPU converts signed integers directly
         if not x < _ENDS[layer + 1]:  # 99 % end here
             bits, x, s0, s1, s2, s3 = _rejected(bits, x, s0, s1, s2, s3)
-        out[i] = x * _SIGNS[np.int64((bits >> _EIGHT) & _ONE)]  # a branch on a random bit costs as much as all the rest
+        out[i] = x * _SIGNS[np.int64((bits >> _EIGHT) & _ONE)]  # a branch on a random bit would cost as much as this
     state[0], state[1], state[2], state[3] = s0, s1, s2, s3
 
 
 @entry(WORDS, REALS)
 def fill_uniform(state, out):  # type: ignore[no-untyped-def]
-    """Fill an array with the next even numbers, 0 <= x < 1."""
+    """Fill an array with the next uniformly distributed numbers, 0 <= x < 1."""
     s0, s1, s2, s3 = state[0], state[1], state[2], state[3]
     for i in range(out.shape[0]):
         bits, s0, s1, s2, s3 = _next(s0, s1, s2, s3)
@@ -172,27 +172,27 @@ def fill_uniform(state, out):  # type: ignore[no-untyped-def]
     state[0], state[1], state[2], state[3] = s0, s1, s2, s3
 
 
-if MODE == "plain":  # the sums of the generator drop what is beyond 64 bits, which plain NumPy takes for a mishap
+if MODE == "plain":  # the generator's sums drop bits beyond 64, about which plain NumPy warns
     fill_normal, fill_uniform = (np.errstate(over="ignore")(fill) for fill in (fill_normal, fill_uniform))
 
 
 _SECTIONS = 4
 _SECTION = np.dtype(
     [
-        ("a_1", "f8"),  # coefficient of z⁻¹ below the line [-]
-        ("a_2", "f8"),  # coefficient of z⁻² there [-]
+        ("a_1", "f8"),  # coefficient of z⁻¹ in the denominator [-]
+        ("a_2", "f8"),  # coefficient of z⁻² in the denominator [-]
     ]
 )
 _FILTER_STATE = np.dtype(
     [
-        ("delayed_1", "f8"),  # what is added to the next number [-]
-        ("delayed_2", "f8"),  # what of the numbers so far is added to the one after it [-]
+        ("delayed_1", "f8"),  # part of the state that is added to the next number [-]
+        ("delayed_2", "f8"),  # part of the state that is added to the number after it [-]
     ]
 )
 
 
 class BandPass(NamedTuple):
-    """A filter: `gain` of its input, then its sections, records of a_1 and a_2, the least resonant first."""
+    """A filter: a gain of its input, then its sections as records of a_1 and a_2, the least resonant first."""
 
     gain: float
     sections: NDArray[np.void]
@@ -201,10 +201,10 @@ class BandPass(NamedTuple):
 @functools.cache
 @precise
 def band_pass(low_hz: float, high_hz: float, tick_s: float) -> BandPass:
-    """Return the filter that makes white noise of unit rms, a number per tick, band-passed noise of unit rms.
+    """Return the filter that turns white noise of unit rms, one number per tick, into band-passed noise of unit rms.
 
     Raises:
-        ValueError: the band is empty or does not lie below half of the rate of ticks.
+        ValueError: the band is empty or not below half the rate of ticks.
     """
     if not 0.0 < low_hz < high_hz < 0.5 / tick_s:
         raise ValueError(f"the band must lie within 0 to {0.5 / tick_s:g} Hz, got {low_hz!r} to {high_hz!r} Hz")
@@ -225,7 +225,7 @@ def band_pass(low_hz: float, high_hz: float, tick_s: float) -> BandPass:
 
 
 def _digital_poles(prototype: Complex, width: Decimal, omega_0_square: Decimal) -> list[Complex]:
-    """Return two poles in the z plane, one of each conjugate pair that a prototype pole and its conjugate make."""
+    """Return two poles in the z plane, one of each conjugate pair that a prototype pole and its conjugate give."""
     half_sum = prototype * Complex(width / 2)
     half_difference = square_root(half_sum * half_sum - Complex(omega_0_square))
     return [(Complex(ONE) + s) / (Complex(ONE) - s) for s in (half_sum + half_difference, half_sum - half_difference)]
@@ -250,14 +250,14 @@ def _residue(k: int, poles: list[Complex]) -> Complex:
 
 
 class BandNoise:
-    """A stream of band-passed noise: which numbers it gives does not depend on how they are asked for.
+    """A stream of band-passed noise; the numbers do not depend on how many are requested at once.
 
     Args:
-        band: how it is filtered.
-        random: where white noise comes from.
+        band: filter of the noise.
+        random: source of white noise.
     """
 
-    _CHUNK = 256  # numbers made at once: the filter's arrays stay small
+    _CHUNK = 256  # numbers computed at once, few enough to keep the filter's arrays small
 
     def __init__(self, band: BandPass, random: Random) -> None:
         self._filter, self._random = band, random
@@ -266,13 +266,13 @@ class BandNoise:
         self._first_ready = 0
 
     def copy(self) -> BandNoise:
-        """Return a stream that goes on from here on its own."""
+        """Return an independent copy of the stream at its present position."""
         twin = BandNoise(self._filter, self._random.copy())
         twin._states, twin._ready, twin._first_ready = self._states.copy(), self._ready, self._first_ready
         return twin
 
     def numbers(self, first: int, count: int) -> NDArray[np.float64]:
-        """Return the numbers first … first + count − 1; the next call must not begin earlier, nor behind their end."""
+        """Return the numbers first … first + count − 1; the next call must start within them or right after them."""
         parts = [self._ready[first - self._first_ready :]]
         there = len(parts[0])
         while there < count:
@@ -285,7 +285,7 @@ class BandNoise:
 
 @entry(_SECTION, _FILTER_STATE, REALS)
 def filter_in_place(sections, states, samples):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Filter samples in place by sections one after another, transposed direct form II, each with its filter state."""
+    """Filter samples in place by sections in series, transposed direct form II, each with its own state."""
     for i in range(samples.shape[0]):
         value = samples[i]
         for k in range(sections.shape[0]):

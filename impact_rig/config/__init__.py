@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The machinery of configurations: sections with units, ranges and origins, and one validator for all ways in.
+"""Tools for configurations: sections with units, ranges and origins, and one validator for all sources of values.
 
-`impact_rig.rig.config` makes the rig's configuration of it.
+`impact_rig.rig.config` combines them to the rig's configuration.
 """
 
 from impact_rig.config.fields import FieldInfo, Origin

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Configuration fields that know their unit, range and origin, and refuse bad values by name.
+"""Configuration fields with unit, range and origin, which reject bad values with a message that names the field.
 
-A section is a frozen attrs class whose fields are made by `quantity`, `quantities`, `choice`, `integer`, `switch` or
-`names`. Each field's metadata carries what parameter descriptors, `docs/reference/interface.md` and error messages
-need, so none of them is written twice.
+A section is a frozen attrs class whose fields are made by `quantity`, `quantities`, `choice`, `integer`, `switch`,
+`names` or `text`. The metadata of each field contains what parameter descriptors, `docs/reference/interface.md` and
+error messages need, so that nothing is written twice.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ from impact_rig.names import quoted
 METADATA_KEY = "impact_rig"
 LONGEST_BITS = 64  # of an integer
 LEAST, MOST = 1e-15, 1e15
-"""Magnitude of every quantity that is not 0: what is beyond is a slip, and products of it overflow."""
+"""Magnitudes allowed for every quantity that is not 0: a larger one is a mistake, and its products would overflow."""
 _EXPONENT_FORM = re.compile(r"[-+]?[0-9]{1,20}(\.[0-9]{0,20})?[eE][-+]?[0-9]{1,3}")
 _LIST_FORM = re.compile(r"\[[-+.0-9eE, ]{1,10000}\]")
 
 
 class Origin(enum.Enum):
-    """Where a default value comes from."""
+    """Origin of a default value."""
 
     PAPER = "paper"  # printed in the paper
     IDENTIFIED = "identified"  # chosen so that the paper's published statements hold
@@ -51,7 +51,7 @@ class Origin(enum.Enum):
 
 @attrs.frozen
 class FieldInfo:
-    """What one configuration value means: unit, legal range, origin of its default, one sentence."""
+    """Description of one configuration value: unit, allowed range, origin of its default, one sentence."""
 
     doc: str
     unit: str = "-"
@@ -66,7 +66,7 @@ class FieldInfo:
     means: str = ""
 
     def range_text(self) -> str:
-        """Return the legal range in words, e.g. `> 0 and <= 1`."""
+        """Return the allowed range as text, for example `> 0 and <= 1`."""
         if self.choices:
             return "one of " + ", ".join(self.choices)
         if self.means:
@@ -79,7 +79,7 @@ class FieldInfo:
         return " and ".join(parts) or "any finite number"
 
     def allows(self, value: float) -> bool:
-        """Whether a number is finite and in the legal range."""
+        """Return whether a number is finite and in the allowed range."""
         too_low = self.low is not None and (value < self.low or (self.low_open and value == self.low))
         too_high = self.high is not None and (value > self.high or (self.high_open and value == self.high))
         return math.isfinite(value) and not (too_low or too_high)
@@ -143,9 +143,9 @@ def _check_floats(_instance: object, attribute: attrs.Attribute[Any], value: obj
 
 
 def _to_float(value: object) -> object:
-    """Return a number where one is meant; anything else is left for the validator to refuse by name.
+    """Return a number for a value that means one; the validator rejects anything else.
 
-    People write 6 for 6.0. They and `ros2 param load` write 8e-06, which is a text to YAML 1.1: it wants a point.
+    Users write 6 for 6.0. They and `ros2 param load` write 8e-06, which YAML 1.1 reads as text because it has no point.
     """
     if isinstance(value, str) and _EXPONENT_FORM.fullmatch(value):
         return float(value)
@@ -160,14 +160,14 @@ def _to_word(meant: Mapping[tuple[type, object], str], value: object) -> object:
 
 
 def _list_to_names(value: object) -> object:
-    """ROS has no empty typed lists: `[""]` means none. An item is one line: the journal has one item on each."""
+    """Convert ROS's form of an empty list, `[""]`; each item must be one line, as in the journal."""
     if not isinstance(value, (list, tuple)):
         return value
     return tuple(item.replace("\n", " ") if isinstance(item, str) else item for item in value if item != "")
 
 
 def _list_to_floats(value: object) -> object:
-    if isinstance(value, str) and _LIST_FORM.fullmatch(value):  # numbers of both forms in one list are a text, too
+    if isinstance(value, str) and _LIST_FORM.fullmatch(value):  # a list that mixes both forms of numbers is also text
         value = [_to_float(yaml.safe_load(item)) for item in value.strip("[]").split(",")]
     return tuple(_to_float(item) for item in value) if isinstance(value, (list, tuple)) else value
 
@@ -190,7 +190,7 @@ def quantity(
     at_most: float | None = None,
     read_only: bool = False,
 ) -> Any:
-    """A finite float with a unit and a range; `above`/`below` are open bounds, `at_least`/`at_most` closed ones."""
+    """Return the attrs field of a finite float with unit and range; `above` and `below` are open bounds."""
     about = FieldInfo(
         doc,
         unit,
@@ -207,7 +207,7 @@ def quantity(
 def quantities(
     default: tuple[float, ...], unit: str, doc: str, origin: Origin = Origin.ASSUMED, *, above: float, at_most: float
 ) -> Any:
-    """A tuple of one or more finite floats with one unit and one range."""
+    """Return the attrs field of a tuple of one or more finite floats with one unit and one range."""
     about = FieldInfo(doc, unit, origin, low=above, high=at_most, low_open=True)
     return _field(default, about, _check_floats, _list_to_floats)
 
@@ -221,7 +221,7 @@ def integer(
     at_most: int | None = None,
     read_only: bool = False,
 ) -> Any:
-    """An integer with a unit and a closed range."""
+    """Return the attrs field of an integer with a unit and a closed range."""
     about = FieldInfo(doc, unit, low=at_least, high=at_most, read_only=read_only)
     return _field(default, about, _check_int)
 
@@ -236,10 +236,10 @@ def choice(
     switched: Mapping[bool, str] | None = None,
     formerly: Mapping[str, str] | None = None,
 ) -> Any:
-    """One word out of `choices`; none of them may be a word that YAML takes for something else.
+    """Return the attrs field of a word out of `choices`, none of which may mean something else in YAML.
 
-    `switched` has the words that true and false stand for, and `on` and `off` with them, which YAML takes for these.
-    `formerly` has words of an earlier version, which recordings hold, and what they are called now.
+    `switched` maps true and false to words; this covers `on` and `off`, which YAML reads as true and false.
+    `formerly` maps words of an earlier version, which recordings contain, to their present names.
     """
     meant: dict[tuple[type, object], str] = {(str, word): now for word, now in (formerly or {}).items()}
     for state, word in (switched or {}).items():
@@ -249,12 +249,12 @@ def choice(
 
 
 def switch(default: bool, doc: str, origin: Origin = Origin.ASSUMED, *, read_only: bool = False) -> Any:
-    """True or false."""
+    """Return the attrs field of a truth value."""
     return _field(default, FieldInfo(doc, "-", origin, read_only=read_only), _check_bool)
 
 
 def names(default: tuple[str, ...], doc: str) -> Any:
-    """A tuple of words."""
+    """Return the attrs field of a tuple of words."""
     return _field(default, FieldInfo(doc), _check_names, _list_to_names)
 
 
@@ -267,11 +267,11 @@ def _check_text(_instance: object, attribute: attrs.Attribute[Any], value: objec
 
 
 def _number_to_text(value: object) -> object:
-    """YAML takes a name like 2026 for a number; of other values the validator says that they are no text."""
+    """Convert a number to text, because YAML reads a name like 2026 as a number; the validator rejects other values."""
     return str(value) if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
 def text(default: str, doc: str, *, read_only: bool = False, pattern: str = "", means: str = "any text") -> Any:
-    """Any text, or only what matches a pattern, which `means` says in words."""
+    """Return the attrs field of a text, restricted to a pattern if given; `means` describes the pattern."""
     about = FieldInfo(doc, read_only=read_only, pattern=pattern, means=means)
     return _field(default, about, _check_text, _number_to_text)

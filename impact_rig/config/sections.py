@@ -11,12 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The sections of a configuration: mechanics, acquisition, time and output; contact and instruments bring their own.
+"""Sections of a configuration: mechanics, acquisition, time and output; contact and instruments define their own.
 
-Defaults are the paper's rig; the paper leaves m1, k1, c1, amplitudes and the shaker's constants open, so each field
-says where its value comes from. Ranges are some decades wide on both sides, enough for any rig of this kind, and narrow
-enough to refuse a slip of units: millimetres for metres, grams for kilograms, GPa for Pa. Within them any configuration
-keeps its energy account, which `qualification/legal_configurations.py` tries.
+The defaults are the paper's rig. The paper does not give m1, k1, c1, amplitudes and the shaker's constants, so each
+field states the origin of its value. Ranges are some decades wide on both sides: wide enough for any rig of this kind,
+and narrow enough to reject a wrong unit (millimetres for metres, grams for kilograms, GPa for Pa). The energy balance
+holds for any configuration within them, which `qualification/legal_configurations.py` tests.
 """
 
 from __future__ import annotations
@@ -26,12 +26,13 @@ import attrs
 from impact_rig.config.fields import Origin, choice, integer, names, quantity, switch, text
 from impact_rig.errors import ConfigError
 
-FASTEST_HZ = 1e4  # far beyond any motion of this rig; at a hundred megahertz a tick would take minutes to simulate
+FASTEST_HZ = 1e4  # far above any motion of this rig; at a hundred megahertz a tick would take minutes to simulate
 SLOWEST_HZ = 0.1
-"""Slower than anything a shaker does. Columns of the highest natural frequency, 10⁴ times as fast, stretch 10⁻⁸ of the
-base's motion then: of that, the difference of two positions, half of the digits are left."""
+"""Lowest drive frequency, lower than that of any shaker. Columns with the highest natural frequency, 10⁴ times as high,
+then stretch by 10⁻⁸ of the base's motion, and their difference of two positions loses half of its digits.
+"""
 SLOWEST_NOISE_HZ = 1.0
-"""Of a random band: its base moves in straight lines from tick to tick, and costs more of these digits."""
+"""Lowest frequency of a random band: its base moves in straight lines between ticks, and loses more of these digits."""
 
 
 @attrs.frozen(kw_only=True)
@@ -126,18 +127,16 @@ class Drive:
     stream_hold: str = choice(
         "first_order",
         ("first_order", "zero_order"),
-        "Between the samples of a stream: a straight line, or the sample before.",
+        "Drive between the samples of a stream: a straight line, or the sample before.",
     )
     stream_buffer_s: float = quantity(
-        2.0, "s", "How far ahead samples of a stream are taken.", at_least=0.02, at_most=60
+        2.0, "s", "Length of the buffer for samples of a stream.", at_least=0.02, at_most=60
     )
-    stream_wait: bool = switch(
-        True, "In free_running and lockstep the rig goes no further than it has samples of a stream."
-    )
+    stream_wait: bool = switch(True, "Whether the rig waits for samples of a stream in free_running and lockstep.")
     on_underrun: str = choice(
         "ramp",
         ("ramp", "hold", "trip"),
-        "Where samples of a stream are missing: to zero within shaker.ramp_s, the last one stays, or the shaker trips.",
+        "Action at missing samples of a stream: ramp to zero within shaker.ramp_s, keep the last one, or trip.",
     )
 
 
@@ -149,7 +148,7 @@ class Sphere:
     start: str = choice(
         "left",
         ("left", "centre", "right"),
-        "Where the sphere rests after a reset or a change of the mechanics: decides the attractor.",
+        "Place of the sphere after a reset or a change of the mechanics; it determines the attractor.",
     )
     diameter_m: float = quantity(6.35e-3, "m", "Diameter.", Origin.PAPER, at_least=1e-4, at_most=1)
     density_kg_m3: float = quantity(7850.0, "kg/m^3", "Density of steel: m = 1.052 g.", at_least=100, at_most=1e5)
@@ -167,7 +166,7 @@ class Barriers:
     gap_m: float = quantity(
         6e-3,
         "m",
-        "Total gap g: distance of the barriers less the sphere's diameter.",
+        "Total gap g: distance of the barriers minus the sphere's diameter.",
         Origin.PAPER,
         at_least=1e-6,
         at_most=1,
@@ -201,35 +200,35 @@ class Time:
     mode: str = choice(
         "realtime",
         ("realtime", "free_running", "lockstep"),
-        "Paced by the clock, as fast as the peers acknowledge, or by ~/step.",
+        "Pace of rig time: the clock, the acknowledgements of the peers, or ~/step.",
         read_only=True,
         formerly={"freewheel": "free_running", "stepped": "lockstep"},
     )
-    factor: float = quantity(1.0, "-", "Speed of realtime, times real time.", above=0, at_most=1000)
+    factor: float = quantity(1.0, "-", "Speed of realtime as a multiple of real time.", above=0, at_most=1000)
     peers: tuple[str, ...] = names(
         (), "Peers whose daq/ack free_running and lockstep wait for; in realtime scan 0 waits for them."
     )
     ack_window: int = integer(
-        16, "blocks", "How far a free-running rig runs ahead of the slowest peer.", at_least=1, at_most=1000
+        16, "blocks", "Blocks by which a free-running rig may be ahead of the slowest peer.", at_least=1, at_most=1000
     )
-    peer_timeout_s: float = quantity(3.0, "s", "A peer silent for this long pauses the rig.", above=0)
+    peer_timeout_s: float = quantity(3.0, "s", "Silence of a peer after which the rig pauses.", above=0)
     start_wait_s: float = quantity(
-        120.0, "s", "How long realtime waits before scan 0 for all peers to listen.", at_least=0, at_most=3600
+        120.0, "s", "Longest wait of realtime before scan 0 until all peers have subscribed.", at_least=0, at_most=3600
     )
     publish_clock: str = choice(
         "auto",
         ("auto", "always", "never"),
-        "Publish /clock; auto: whenever not in real time x 1.",
+        "Publish /clock; auto: unless in real time x 1.",
         switched={True: "always", False: "never"},
     )
 
     def __attrs_post_init__(self) -> None:
         if self.mode == "free_running" and not self.peers:
-            raise ConfigError("peers must name who follows in free_running: without, queues would overflow, got []")
+            raise ConfigError("peers must not be empty in free_running, because queues would overflow, got []")
 
     @property
     def is_simulated(self) -> bool:
-        """Return whether rig time differs from wall time, i.e. does not pass in real time × 1."""
+        """Return whether rig time differs from wall time, which it does except in real time × 1."""
         return self.mode != "realtime" or self.factor != 1.0
 
     @property
@@ -250,20 +249,20 @@ class Pluck:
     """Displacement by ~/pluck."""
 
     displacement_m: float = quantity(
-        2e-3, "m", "Displacement of the superior base from which it is released.", at_least=-0.1, at_most=0.1
+        2e-3, "m", "Displacement from which the superior base is released.", at_least=-0.1, at_most=0.1
     )
 
 
 @attrs.frozen(kw_only=True)
 class Output:
-    """Publications besides the scans."""
+    """Publications in addition to the scans."""
 
     monitor_rate_hz: float = quantity(
         50.0, "Hz", "Rate of the plotter-friendly monitor topics and truth/joint_states.", above=0, at_most=200
     )
     frame_prefix: str = text(
         "",
-        "Text in front of all frames, as in robot_state_publisher; empty: the namespace of the node, /: none.",
+        "Prefix of all frames, as in robot_state_publisher; empty: the namespace of the node, /: none.",
         read_only=True,
         pattern=r"[A-Za-z0-9_/]{0,100}",
         means="letters, digits, _ and /",
@@ -271,5 +270,5 @@ class Output:
     truth_scan: bool = switch(False, "Publish truth/scan: the scans' instants without instruments.")
     autostart: bool = switch(True, "Configure and activate by itself at start.", read_only=True)
     command_timeout_s: float = quantity(
-        0.0, "s", "Ramp to zero when no command came for this long in rig time; 0 = off.", at_least=0
+        0.0, "s", "Time without a command [rig time] after which the drive ramps to zero; 0 = off.", at_least=0
     )

@@ -11,14 +11,14 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Accelerometer on the superior base: a lightly damped resonance, a charge amplifier with its high-pass and low-pass.
+"""Accelerometer on the superior base: a lightly damped resonance, and a charge amplifier with high-pass and low-pass.
 
     charge · amplifier · ω_n² / (s² + s ω_n/quality + ω_n²) · s / (s + ω_h) · Butterworth_n(ω_l)  [V per m/s²]
 
 with the charge in C per m/s² and the amplifier in V/C.
 
-A contact of 40 µs shakes the 25 kHz resonance as much as it moves the structure: its pulse is longer, lower and rings.
-The amplifier clips behind its filters.
+A contact of 40 µs excites the 25 kHz resonance as much as it moves the structure: its pulse is longer and lower and
+rings. The amplifier clips after its filters.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from impact_rig.instruments.sensor import Sensor, butterworth, resonance
 from impact_rig.topics import Qos, Topic
 
 STANDARD_GRAVITY = 9.80665
-UNKNOWN_VARIANCE = 1e9  # variance of an axis that is not measured, (m/s²)²
+UNKNOWN_VARIANCE = 1e9  # variance of an axis without a sensor, (m/s²)²
 NOT_MEASURED = -1.0  # REP-145: first element of the covariance of a quantity the device does not measure at all
 
 
@@ -102,7 +102,7 @@ class Accelerometer(Instrument):
         )
 
     def message(self, reading: float, clipped: bool, noise: float) -> Mapping[str, object]:  # noqa: ARG002
-        """Return the fields of an Imu; none of them says that a reading is clipped."""
+        """Return the fields of an Imu message; it has no field for a clipped reading."""
         unknown = [0.0, 0.0, 0.0, UNKNOWN_VARIANCE]
         return {
             "linear_acceleration.x": reading,

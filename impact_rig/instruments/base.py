@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Displacement sensor on the inferior base: a two-pole filter, its output proportional to x_b."""
+"""Displacement sensor on the inferior base: a two-pole filter whose output is proportional to x_b."""
 
 from __future__ import annotations
 
@@ -78,5 +78,5 @@ class Base(Instrument):
         )
 
     def message(self, reading: float, clipped: bool, noise: float) -> Mapping[str, object]:  # noqa: ARG002
-        """Return the fields of a Vector3Stamped, which has no room for more."""
+        """Return the fields of a Vector3Stamped message, which has no field for clipping or noise."""
         return {"vector.x": reading}

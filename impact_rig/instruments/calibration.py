@@ -11,16 +11,16 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Calibration: the errors a rig's instruments really have, and what its certificate says about them.
+"""Calibration: the real errors of a rig's instruments, and their certificate.
 
-SI = (volt − offset) / sensitivity with the *nominal* sensitivity and offset: that is all the analysis knows. The true
-ones are drawn once per seed, evenly within the tolerances, and stay. Standard uncertainties follow the GUM: a limit a
-of a rectangular distribution counts a/√3 (GUM 4.3.7).
+SI = (volt − offset) / sensitivity, with the *nominal* sensitivity and offset: the analysis knows nothing else. The true
+values are drawn once per seed, uniformly within the tolerances, and do not change. Standard uncertainties follow the
+GUM: the limit a of a rectangular distribution counts as a/√3 (GUM 4.3.7).
 
-Linearity is L (c_2 P_2(x) + c_3 P_3(x)) with Legendre polynomials, x = −1 … 1 over the range and (c_2, c_3) drawn
-evenly from |c_2| + |c_3| <= 1: never more than L, and nothing of it is gain or offset over the full range. Over a
-*small* part of the range it is: about the middle the slope is −1.5 c_3 L over half of the range, the offset −0.5 c_2 L,
-with var c_2 = var c_3 = 1/6; both are in the certificate.
+The linearity error is L (c_2 P_2(x) + c_3 P_3(x)) with Legendre polynomials, x = −1 … 1 over the range. (c_2, c_3) are
+drawn uniformly from |c_2| + |c_3| <= 1. The error is then never more than L, and no part of it is gain or offset over
+the full range. Over a *small* part of the range it contains both: about the middle the slope is −1.5 c_3 L over half of
+the range and the offset −0.5 c_2 L, with var c_2 = var c_3 = 1/6. The certificate includes both.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _VARIANCE_C = 1.0 / 6.0
 
 @attrs.frozen
 class ChannelErrors:
-    """What is wrong with one channel, each within ± 1 of its tolerance; (c_2, c_3) within |c_2| + |c_3| <= 1."""
+    """Errors of one channel as parts of their tolerances, within ± 1; (c_2, c_3) within |c_2| + |c_3| <= 1."""
 
     gain: float = 0.0
     offset: float = 0.0
@@ -50,7 +50,7 @@ class ChannelErrors:
 
 @attrs.frozen
 class BoardErrors:
-    """What is wrong with the converter, each within ± 1 of its tolerance."""
+    """Errors of the converter as parts of their tolerances, within ± 1."""
 
     gain: float = 0.0
     offset: float = 0.0
@@ -76,7 +76,7 @@ def lsb_v(sensor: Sensor, adc: Adc) -> float:
 
 
 def converter_noise_v(sensor: Sensor, adc: Adc) -> float:
-    """Return the converter's noise on this channel, rms [V]: given at ± 10 V, proportional to the range."""
+    """Return the converter's noise on this channel, rms [V]; it is specified at ± 10 V and scales with the range."""
     return adc.noise_v_rms * sensor.adc_range_v / 10.0
 
 
@@ -88,7 +88,7 @@ def gain_uncertainty(sensor: Sensor, adc: Adc) -> float:
 
 
 def offset_uncertainty(sensor: Sensor, adc: Adc) -> float:
-    """Return the standard uncertainty of the zero [unit]."""
+    """Return the standard uncertainty of the zero [channel unit]."""
     board = adc.offset_tolerance * sensor.adc_range_v / sensor.volt_per_unit
     middle = 0.5 * sensor.linearity
     rectangular = _square(sensor.offset_tolerance) / 3.0 + _square(board) / 3.0
@@ -96,7 +96,7 @@ def offset_uncertainty(sensor: Sensor, adc: Adc) -> float:
 
 
 def total_noise(sensor: Sensor, adc: Adc) -> float:
-    """Return the rms of everything random on a reading [unit]: sensor, its resolution, converter, its resolution."""
+    """Return the rms of all random parts of a reading [channel unit]: noise and resolution of sensor and converter."""
     steps = _square(sensor.resolution) / 12.0 + _square(lsb_v(sensor, adc) / sensor.volt_per_unit) / 12.0
     return math.sqrt(_square(sensor.noise) + _square(converter_noise_v(sensor, adc) / sensor.volt_per_unit) + steps)
 
@@ -106,14 +106,15 @@ def _square(value: float) -> float:
 
 
 def certificate(sensors: list[Sensor], adc: Adc, rate_hz: int, skews_s: list[float], ideal: bool) -> NDArray[np.void]:
-    """Return the `blocks.DAQ_INFO` rows: what an analysis may know about the instruments.
+    """Return the `blocks.DAQ_INFO` rows: everything that an analysis may know about the instruments.
 
     Args:
-        sensors: in scan order.
+        sensors: sensors in scan order.
         adc: the converter.
         rate_hz: scans per second.
-        skews_s: of each channel [s].
-        ideal: ideal instruments read the true value: sensitivity 1, no lag, no uncertainty.
+        skews_s: conversion time of each channel after the scan clock [s].
+        ideal: whether the instruments are ideal: they read the true value with sensitivity 1, without lag or
+            uncertainty.
     """
     rows = np.zeros(len(sensors), dtype=DAQ_INFO)
     for channel, sensor in enumerate(sensors):

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The instruments of a rig as one chain: whole ticks of motion go in, whole scans come out.
+"""The instruments of a rig as one chain: its input is complete ticks of motion, its output complete scans.
 
-Like a board with a FIFO: `acquire` converts everything whose instant lies in the ticks it is given, `read` takes scans
-away. Every random number, every filter and every conversion time belongs to a scan or a tick, so neither the number of
-ticks per call nor the block length changes one bit.
+The chain works like a board with a FIFO: `acquire` converts all scans whose instants lie in the given ticks, and `read`
+removes scans. Every random number, filter state and conversion time belongs to a scan or a tick. So neither the number
+of ticks per call nor the block length changes a single bit.
 """
 
 from __future__ import annotations
@@ -53,28 +53,28 @@ SEED_STREAM = 1
 """First number of the spawn key of every generator of the instruments."""
 _LONGEST_PIECE_S = 2.5e-3
 _LONGEST_CONTACT_PIECE_S = 16e-6
-"""Integration steps inside a contact are joined up to this: three polynomials hold one of 40 µs to 0.1 %."""
+"""Integration steps inside a contact are joined up to this length: three polynomials fit a 40 µs contact to 0.1 %."""
 _TICKS_AT_ONCE = 25
 """Arrays of a quarter of a second fit into the caches; the bits are the same for any number."""
 _JUMPS = "a_1"
-"""The one quantity whose integral an instantaneous impact makes jump."""
+"""The only quantity whose integral jumps at an instantaneous impact."""
 _ERRORS, _NOISE, _CONVERTER_NOISE, _BOARD = range(4)
-_LEFT_OVER = 4  # readings that wait for the other channels: at most one, and one more after a change of the skews
+_LEFT_OVER = 4  # readings that wait for other channels: at most one, and one more after a change of the skews
 
 
 def sensors(config: InstrumentSetup) -> list[Sensor]:
-    """Return the sensors of a configuration in scan order, the anti-alias filter of the board behind them."""
+    """Return the sensors of a configuration in scan order, including the board's anti-alias filter."""
     return [instrument.sensor().behind(config.instruments.adc) for instrument in config.instruments.fitted()]
 
 
 class Chain:
-    """All channels of a rig.
+    """All channels of a rig, from the motion to scans.
 
     Args:
         config: the rig's configuration; `daq.seed` seeds noise and calibration errors.
 
     Raises:
-        ConfigError: the converter cannot do it.
+        ConfigError: the converter cannot convert so many channels at this scan rate.
     """
 
     def __init__(self, config: InstrumentSetup) -> None:
@@ -83,12 +83,12 @@ class Chain:
 
     @property
     def config(self) -> InstrumentSetup:
-        """The configuration in force."""
+        """The active configuration."""
         return self._config
 
     @property
     def ready(self) -> int:
-        """How many whole scans can be read."""
+        """Number of complete scans that can be read."""
         return self._ready
 
     @property
@@ -98,11 +98,11 @@ class Chain:
 
     @property
     def first_open_scan(self) -> int:
-        """Index of the first scan of which no channel has been converted: where a fault can still start."""
+        """Index of the first scan without any converted channel, the earliest at which a fault can start."""
         return int(self._channels["converted"].max())
 
     def reset(self) -> None:
-        """Start over at scan 0 with the seeds as new: the same motion gives the same bits again."""
+        """Restart at scan 0 with the original seeds: the same motion then gives the same bits."""
         config = self._config
         self._clock = scan_clock(config)
         self._sensors = sensors(config)
@@ -123,7 +123,7 @@ class Chain:
         self._dynamics: list[SensorModes] = []
         self._modes: NDArray[np.void] = records(0, SENSOR_MODE)
         self._longest_piece_s = _LONGEST_PIECE_S
-        if config.drive.waveform == "chirp":  # no command: it may end beyond the highest frequency of one
+        if config.drive.waveform == "chirp":  # a chirp is no command and may end above the highest commanded frequency
             self._shorten_pieces(config.drive.chirp_end_hz)
         self._equip()
         rate = config.daq.rate_hz
@@ -135,15 +135,15 @@ class Chain:
         self._layout = np.array(layout, np.int64)
         self._rows: deque[NDArray[np.void]] = deque()
         self._ready = 0
-        self._times = np.zeros(0)  # of the last read: blocks are all of one length
+        self._times = np.zeros(0)  # of the last read: all blocks have the same length
         self._next_scan = 0
         self._tick = 0
 
     def reconfigure(self, config: InstrumentSetup) -> None:
-        """Change the instruments from the next tick on; counters, noise and faults go on.
+        """Change the instruments from the next tick on; counters, noise and faults continue.
 
         Raises:
-            ConfigError: scan rate, channels, seed or planned faults differ: they need a reset.
+            ConfigError: scan rate, channels, seed or planned faults differ, which needs a reset.
         """
         fitted = tuple(instrument.name for instrument in config.instruments.fitted())
         for key, old, new in (
@@ -157,7 +157,7 @@ class Chain:
             ),
         ):
             if old != new:
-                raise ConfigError(f"{key} cannot change without a reset: is {old}, got {new}")
+                raise ConfigError(f"{key} cannot change without a reset: current value {old}, got {new}")
         if config.instruments == self._config.instruments:
             self._config = config
             self._shorten_pieces(config.shaker.frequency_max_hz)
@@ -170,12 +170,12 @@ class Chain:
         self._equip(keep=config.instruments.ideal == ideal)
 
     def acquire(self, motion: PiecewiseMotion, motion_tick: int, count: int, tick_s: float = COMMAND_GRID_S) -> None:
-        """Convert every scan that falls into the next ticks.
+        """Convert every scan in the next ticks.
 
         Args:
-            motion: covers the ticks; every tick must come once, in order.
-            motion_tick: the motion's number of the first tick.
-            count: of ticks.
+            motion: motion that covers the ticks; each tick must be given once, in order.
+            motion_tick: number of the first tick in the motion.
+            count: number of ticks.
             tick_s: duration of one tick in the motion's time [s]: 10 ms, scaled by the error of the scan clock.
         """
         clock = self._clock.lengths
@@ -201,7 +201,7 @@ class Chain:
         """Return the next `count` scans as `section.row_type_of` the instruments; `time` counts from the first of them.
 
         Raises:
-            ValueError: fewer are ready.
+            ValueError: fewer scans are ready.
         """
         if not 0 <= count <= self._ready:
             raise ValueError(f"count must be 0 to {self._ready}, the scans that are ready, got {count}")
@@ -222,11 +222,11 @@ class Chain:
         return rows
 
     def _make_rows(self, ticks: int) -> None:
-        """Make rows of all that every channel has finished after so many new ticks."""
+        """Make rows of all scans that every channel has finished after `ticks` new ticks."""
         rows = np.empty((ticks * self._most_per_tick + _LEFT_OVER) * self._row_type.itemsize, np.uint8)
         count = take_rows(self._channels, self._words, self._buffers.clipped, rows, self._layout)
         if count:
-            # a view as records is looked through by NumPy
+            # NumPy inspects a view as records field by field
             self._rows.append(np.frombuffer(rows, self._row_type, count))
             self._ready += count
 
@@ -237,16 +237,16 @@ class Chain:
         return calibration.certificate(self._sensors, instruments.adc, self._clock.rate_hz, skews_s, instruments.ideal)
 
     def calibrate(self, channel: str, frequency_hz: float, amplitude: float, ticks: int) -> None:
-        """Put a known sine in place of one channel's input for some ticks, from the next one on.
+        """Replace the input of one channel by a known sine for some ticks, from the next tick on.
 
         Args:
-            channel: which.
-            frequency_hz: of the sine; its phase is zero where it starts.
-            amplitude: peak, in the channel's unit.
-            ticks: how long, in ticks of 10 ms.
+            channel: name of the channel.
+            frequency_hz: frequency of the sine; its phase is zero at the start.
+            amplitude: peak value in the channel's unit.
+            ticks: duration in ticks of 10 ms.
 
         Raises:
-            CommandError: no such channel, or a number out of range.
+            CommandError: there is no such channel, or a number is out of range.
         """
         if channel not in self._names:
             raise CommandError(f"channel must be one of {', '.join(self._names)}, got {channel!r}")
@@ -258,10 +258,10 @@ class Chain:
         self._sines[self._names.index(channel)] = Sine(self._tick, ticks, frequency_hz, amplitude)
 
     def inject(self, fault: Fault) -> int:
-        """Put a fault on the rig and return its number.
+        """Start a fault and return its number.
 
         Raises:
-            CommandError: it would start at a scan that has already been converted, or its channel is not there.
+            CommandError: the first scan has already been converted, or the channel is not present.
         """
         if fault.start_sample < self.first_open_scan:
             raise CommandError(f"a fault must start at scan >= {self.first_open_scan}, got {fault.start_sample}")
@@ -273,7 +273,7 @@ class Chain:
         """End one fault, or all of them, at the first scan not yet converted.
 
         Raises:
-            CommandError: there has been no such fault.
+            CommandError: no such fault has been injected.
         """
         self._faults.clear(number, self.first_open_scan)
 
@@ -282,19 +282,19 @@ class Chain:
         return self._faults.numbers()
 
     def fault_rows(self, first_scan: int, count: int) -> NDArray[np.void]:
-        """Return starts and ends of faults in these scans, `blocks.FAULTS` rows; ask once per block, in order."""
+        """Return starts and ends of faults in these scans, `blocks.FAULTS` rows; call once per block, in order."""
         return self._faults.rows(first_scan, count)
 
     def block_lost(self, first_scan: int, count: int) -> bool:
-        """Whether a lost_block fault acts on any of these scans: their block is numbered, but withheld."""
+        """Return whether a lost_block fault acts on any of these scans; their block is numbered but not published."""
         return self._faults.block_lost(first_scan, count)
 
     def clock_ppm(self, tick: int) -> float:
-        """Return by how much clock_drift faults make the scan clock slow at a tick [ppm]: it lasts so much longer."""
+        """Return by how much clock_drift faults slow the scan clock at a tick [ppm]; the tick is longer by as much."""
         return self._faults.clock_ppm(-(-tick * COMMAND_GRID_NS * self._clock.rate_hz // NS_PER_S))
 
     def _equip(self, *, keep: bool = False) -> None:
-        """Give the channels what their sensors are; if `keep`, modes of unchanged dynamics go on as they are."""
+        """Set the channels up for their sensors; if `keep`, modes with unchanged dynamics keep their state."""
         config, channels, modes = self._config, self._channels, []
         dynamics = [sensor.transfer.modes() for sensor in self._sensors]
         for j, (sensor, own) in enumerate(zip(self._sensors, dynamics, strict=True)):
@@ -314,7 +314,7 @@ class Chain:
         self._shorten_pieces(config.shaker.frequency_max_hz)
 
     def _shorten_pieces(self, frequency_hz: float) -> None:
-        """Cut pieces as short as such a drive needs; no longer ones until a reset: a faster one may still be on."""
+        """Shorten the pieces for a drive of this frequency, until a reset: a faster drive may still be on."""
         self._longest_piece_s = min(self._longest_piece_s, 1.0 / (PIECES_PER_PERIOD * frequency_hz))
 
     def _acquire(
@@ -344,7 +344,7 @@ class Chain:
     def _acquire_directly(
         self, motion: PiecewiseMotion, motion_tick: int, ticks: int, tick_s: float, clock: Clock
     ) -> None:
-        """Read the motion itself: ideal instruments have no skew, all channels are converted at the same instants."""
+        """Read the motion directly: ideal instruments have no skew, and all their channels share their instants."""
         tick, offset = np.empty(ticks * self._most_per_tick, np.int64), np.empty(ticks * self._most_per_tick)
         count = instants(self._channels, clock, ticks, tick_s, tick, offset)
         tick, offset = tick[:count], offset[:count]
@@ -352,7 +352,7 @@ class Chain:
         for j, values_there in enumerate(motion.quantities(self._quantities, tick + motion_tick, offset)):
             one = j, *self._newest(j)
             _, values, clipped, first, _ = one
-            own = slice(count - len(values), count)  # one more where a skew had kept the channel a scan behind
+            own = slice(count - len(values), count)  # one more if a skew had kept the channel one scan behind
             values[:], clipped[:] = values_there[own], False
             if j in self._sines:
                 at = tick[own] + self._tick
@@ -363,7 +363,7 @@ class Chain:
         self._channels["finished"] = self._channels["filled"]
 
     def _newest(self, channel: int) -> tuple[NDArray[np.float64], NDArray[np.bool_], int, float | None]:
-        """Return what is on its way through a channel: values, flags, number of the first scan, reading before it."""
+        """Return a channel's newest readings: values, clipped flags, number of the first scan, and the one before."""
         row = self._channels[channel]
         part = slice(int(row["finished"]), int(row["filled"]))
         first = int(row["converted"]) - (part.stop - part.start)
@@ -373,7 +373,7 @@ class Chain:
     def _stick(
         self, channel: int, readings: NDArray[np.float64], clipped: NDArray[np.bool_], first: int, last: float | None
     ) -> None:
-        """Let a stuck converter repeat itself."""
+        """Apply a stuck converter, which repeats its last reading."""
         self._faults.behind_converter(self._names[channel], readings, clipped, first, last)
         if len(readings):
             self._channels["last_reading"][channel] = readings[-1]
@@ -383,13 +383,13 @@ class Chain:
 
 
 def _kicks(blows: NDArray[np.void], motion_tick: int, pieces: Pieces, mass_kg: float) -> NDArray[np.float64]:
-    """Return what instantaneous impacts add to the structure's velocity [m/s] at each piece's start, shape (n,)."""
+    """Compute the jumps of the structure's velocity [m/s] by instantaneous impacts at the starts of pieces, (n,)."""
     kicks = np.zeros(len(pieces.start))
     tick = blows["tick"] - motion_tick
     for tick_index, blow in zip(tick, blows, strict=True):
         if 0 <= tick_index < len(pieces.first_piece) - 1:
             first, end = pieces.first_piece[tick_index], pieces.first_piece[tick_index + 1]
-            # blows within 16 µs of each other share a piece: all come at its start
+            # impacts within 16 µs of each other share a piece, and all act at its start
             piece = first + np.searchsorted(pieces.start[first:end], blow["offset"] + 1e-9, side="right") - 1
             kicks[piece] += float(blow["wall"]) * float(blow["impulse"]) / mass_kg
     return kicks

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""All channels over some ticks: when each is converted, its dynamics and output stage up to the cable, the converter.
+"""All channels over some ticks: conversion times, sensor dynamics, output stage and converter.
 
-Conversions are counted in clock units, 1 ns divided by the number `rate_hz` · channels, in which a scan period, a skew
-and a 10 ms tick are all whole numbers: no scan ever drifts, and no result depends on where a block or a call begins.
+Conversions are counted in clock units: 1 ns divided by the number `rate_hz` · channels. A scan period, a skew and a 10
+ms tick are all integers in this unit, so no scan drifts and no result depends on where a block or a call begins.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class ScanClock:
     skews: tuple[int, ...]  # conversion of each channel after the scan clock, in clock units
 
     def skew_s(self, channel: int) -> float:
-        """Return how long after the scan clock `channel` is converted [s]."""
+        """Return the delay of the conversion of `channel` after the scan clock [s]."""
         return self.skews[channel] / self.lengths.tick * COMMAND_GRID_NS / NS_PER_S
 
     def scans_per_tick(self) -> int:
@@ -76,7 +76,7 @@ def scan_clock(config: InstrumentSetup) -> ScanClock:
     """Return the clock of a configuration.
 
     Raises:
-        ConfigError: more conversions per second than the converter can do.
+        ConfigError: the scan rate needs more conversions per second than the converter can do.
     """
     rate, adc, channels = config.daq.rate_hz, config.instruments.adc, len(config.instruments.fitted())
     if rate * channels > adc.aggregate_limit_hz:
@@ -95,11 +95,11 @@ def scan_clock(config: InstrumentSetup) -> ScanClock:
 
 
 class Buffers(NamedTuple):
-    """What the channels' readings pass through.
+    """Buffers for the channels' readings on their way from output to scan.
 
     Attributes:
         values: output [unit], then volts, then readings [unit], shape (channels, room).
-        clipped: whether each was at an end of a range, likewise.
+        clipped: whether each value was at an end of a range, same shape.
         white: scratch for random numbers, shape (STRETCH,).
         series: scratch of `response`, shape (3, SERIES_TERMS).
         first_and_spacing: scratch, shape (2,): see `response.through_piece`.
@@ -116,18 +116,18 @@ BUFFERS = Fields(Buffers, (REALS_2D, TWO_D_FLAGS, REALS, REALS_2D, REALS))
 
 
 def new_buffers(channels: int, room: int) -> Buffers:
-    """Return buffers for so many readings of each channel."""
+    """Return buffers for `room` readings of each channel."""
     values, clipped = np.zeros((channels, room)), np.zeros((channels, room), np.bool_)
     return Buffers(values, clipped, np.zeros(STRETCH), np.zeros((3, SERIES_TERMS)), np.zeros(2))
 
 
 @kernel
 def _conversions(clock, due, tick_s, end):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Return how many conversions there are from `due` on that come by the time `end` of this tick."""
+    """Return the number of conversions from `due` on until the time `end` of this tick."""
     if due >= clock.tick or tick_s * (due / clock.tick) > end:
         return 0
     period_s = tick_s * (clock.period / clock.tick)
-    count = max(1, int((end - tick_s * (due / clock.tick)) / period_s))  # one more or less, by rounding
+    count = max(1, int((end - tick_s * (due / clock.tick)) / period_s))  # off by one at most, because of rounding
     last = due + (count - 1) * clock.period
     while count > 1 and (last >= clock.tick or tick_s * (last / clock.tick) > end):
         count, last = count - 1, last - clock.period
@@ -138,7 +138,7 @@ def _conversions(clock, due, tick_s, end):  # type: ignore[no-untyped-def]  # co
 
 @kernel
 def _respond(channel, modes, clock, pieces, coefficients, kicks, values, buffers):  # type: ignore[no-untyped-def]
-    """Run one channel's dynamics over the pieces; its newest conversions go into `values`."""
+    """Compute one channel's dynamics over the pieces and store its newest conversions in `values`."""
     tick_s, first_and_spacing = pieces.tick_s, buffers.first_and_spacing
     first_and_spacing[1] = tick_s * (clock.period / clock.tick)
     set_period(modes, first_and_spacing[1])
@@ -146,7 +146,7 @@ def _respond(channel, modes, clock, pieces, coefficients, kicks, values, buffers
         channel.awake = 1
         if channel.starts_settled != 0:
             settle(modes, input_at_start(coefficients[0]))
-    if channel.due < 0:  # a skew that became smaller has put it before these ticks: it is made at their start
+    if channel.due < 0:  # a skew that became smaller puts it before these ticks: it is converted at their start
         values[channel.filled] = output_at_start(modes)
         channel.filled += 1
         channel.due += clock.period
@@ -168,16 +168,16 @@ def _respond(channel, modes, clock, pieces, coefficients, kicks, values, buffers
 
 @entry(SENSOR_MODE, CHANNEL, CLOCK, PIECES, REALS_3D, REALS_2D, BUFFERS)
 def respond(modes, channels, clock, pieces, coefficients, kicks, buffers):  # type: ignore[no-untyped-def]
-    """Run all channels up to the volts of their cables.
+    """Compute the output of all channels up to the volts on their cables.
 
     Args:
         modes: SENSOR_MODE records of all channels, one channel after another.
         channels: CHANNEL records.
         clock: the scan clock.
-        pieces: some ticks of the motion, cut.
+        pieces: the pieces of some ticks of the motion.
         coefficients: polynomial of each channel's input on each piece, shape (channels, pieces, NODES).
         kicks: jump of the input's integral [unit s] at the start of each piece, shape (channels, pieces or 0).
-        buffers: with room for the conversions.
+        buffers: buffers with room for the conversions.
     """
     for j in range(channels.shape[0]):
         channel = channels[j]
@@ -190,7 +190,7 @@ def respond(modes, channels, clock, pieces, coefficients, kicks, buffers):  # ty
 
 @entry(CHANNEL, BUFFERS)
 def digitise(channels, buffers):  # type: ignore[no-untyped-def]
-    """Turn the newest volts of all channels into readings."""
+    """Convert the newest volts of all channels into readings."""
     for j in range(channels.shape[0]):
         channel = channels[j]
         for begin in range(channel.finished, channel.filled, STRETCH):
@@ -203,10 +203,10 @@ def digitise(channels, buffers):  # type: ignore[no-untyped-def]
 
 @entry(CHANNEL, CLOCK, int, float, INTEGERS, REALS, returns=int)
 def instants(channels, clock, ticks, tick_s, tick_of, offset):  # type: ignore[no-untyped-def]
-    """Fill in when the next conversions of all channels come, which are without skew: tick, and offset into it [s].
+    """Fill in the instants of the next conversions of all channels without skew: tick, and offset into it [s].
 
-    Returns how many there are; they count as converted. A channel whose skew has just been taken away may lag a scan
-    behind others: it makes all of them, the others only the last ones.
+    Returns the number of instants; they count as converted. A channel whose skew has just been removed may be one scan
+    behind the others: it converts at all of the instants, the others only at the last ones.
     """
     earliest = channels[0].due
     for j in range(channels.shape[0]):
@@ -236,30 +236,30 @@ class Sine:
     ticks: int
     frequency_hz: float
     amplitude: float
-    anchor_s: float = 0.0  # how long it had been on when its ticks became as long as they are, and at which tick
+    anchor_s: float = 0.0  # how long it had been on at `anchor_tick`, when the duration of a tick last changed
     anchor_tick: int = attrs.field(default=attrs.Factory(lambda sine: sine.first_tick, takes_self=True))
     tick_s: float = COMMAND_GRID_S
 
     def paced(self, tick: int, tick_s: float) -> Sine:
-        """Return it with ticks of another duration from `tick` on; its phase does not jump."""
+        """Return the sine with another duration of ticks from `tick` on; its phase does not jump."""
         if tick_s == self.tick_s:
             return self
         anchor_s = self.anchor_s + (tick - self.anchor_tick) * self.tick_s
         return attrs.evolve(self, anchor_s=anchor_s, anchor_tick=tick, tick_s=tick_s)
 
     def covers(self, tick: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Whether the sine is on during each of some ticks."""
+        """Return whether the sine is on, for each of some ticks."""
         return (tick >= self.first_tick) & (tick < self.first_tick + self.ticks)
 
     def values(self, tick: NDArray[np.int64], offset_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return it at instants of its ticks; shape (1, n)."""
+        """Return the sine's values at instants of its ticks, shape (1, n)."""
         out = np.empty((1, len(tick)))
         since_anchor = tick - self.anchor_tick
         _sine(since_anchor, offset_s, self.tick_s, self.anchor_s, TWO_PI * self.frequency_hz, self.amplitude, out[0])
         return out
 
     def replace(self, coefficients: NDArray[np.float64], tick: NDArray[np.int64], pieces: Pieces) -> NDArray[np.bool_]:
-        """Overwrite the polynomials of the pieces in its ticks, shape (pieces, NODES); return which these are."""
+        """Overwrite the polynomials of the pieces in the sine's ticks, shape (pieces, NODES); return a mask of them."""
         on = self.covers(tick)
         coefficients[on] = polynomials(self.values, tick[on], pieces.start[on], pieces.end[on])[0]
         return on
@@ -267,12 +267,12 @@ class Sine:
 
 @entry(INTEGERS, REALS, float, float, float, float, REALS)
 def _sine(tick, offset, tick_s, anchor_s, omega, amplitude, values):  # type: ignore[no-untyped-def]
-    """Fill in a sine at `offset` [s] into ticks, counted from when it had been on for `anchor_s` [s]."""
+    """Fill in a sine at `offset` [s] into ticks, counted from the tick at which it had been on for `anchor_s` [s]."""
     for i in range(values.shape[0]):
         sine, _ = sincos(omega * (anchor_s + (tick[i] * tick_s + offset[i])))
         values[i] = amplitude * sine
 
 
 def still_on(sines: Iterable[tuple[int, Sine]], tick: int, tick_s: float) -> dict[int, Sine]:
-    """Return the sines that are not over at a tick, by channel, with ticks of `tick_s` from there on."""
+    """Return the sines that have not ended at a tick, by channel, with ticks of `tick_s` from there on."""
     return {channel: sine.paced(tick, tick_s) for channel, sine in sines if tick < sine.first_tick + sine.ticks}

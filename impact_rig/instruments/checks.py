@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Known-input check: a calibration sine into every channel of a twin of the instruments, compared with the certificate.
+"""Known-input check: a calibration sine into every channel of a copy of the instruments, compared with the certificate.
 
-The twin has the rig's configuration, seed and so its calibration errors, and the faults it is given; the rig itself is
+The copy has the rig's configuration, its seed (and so its calibration errors) and the given faults; the rig itself is
 not disturbed. To see the sine in the rig's own scans, use `Chain.calibrate`.
 """
 
@@ -32,31 +32,32 @@ from impact_rig.instruments.fault import Fault
 from impact_rig.instruments.instrument import BOARD_KINDS
 from impact_rig.instruments.section import InstrumentSetup
 
-_SETTLE_TICKS = 400  # 4 s: the 1 Hz high-pass forgets its start to e^-25
+_SETTLE_TICKS = 400  # 4 s, in which the 1 Hz high-pass decays to e^-25
 _MEASURE_TICKS = 100
 _COVERAGE = 2.5
-"""Covers any one error within its tolerance, not several at their limits:
-a rectangular one reaches √3 standard uncertainties, linearity √6."""
+"""Coverage factor that allows any single error at its tolerance, but not several at their limits: a rectangular error
+reaches √3 standard uncertainties, linearity √6.
+"""
 
 
 @attrs.frozen
 class ChannelCheck:
     """Measurement of a known sine on one channel."""
 
-    channel: str  # which
-    expected: float  # peak of the reading, by the certificate [unit]
+    channel: str  # name of the channel
+    expected: float  # peak of the reading according to the certificate [unit]
     measured: float  # peak of the reading [unit]
-    gain: float  # measured over expected, its sign that of the reading
-    gain_limit: float  # how far |gain| may be from 1
-    phase_rad: float  # of the reading behind what was expected
-    residual: float  # rms of what is not sine [unit]
-    residual_limit: float  # how much that may be [unit]
-    polarity: int  # 1 right, −1 the wrong way round, 0 no signal
-    ok: bool  # everything within its limit
+    gain: float  # measured over expected, with the sign of the reading
+    gain_limit: float  # largest allowed deviation of |gain| from 1
+    phase_rad: float  # phase lag of the reading behind the expected sine
+    residual: float  # rms of the part that is not the sine [unit]
+    residual_limit: float  # largest allowed residual [unit]
+    polarity: int  # 1 correct, −1 inverted, 0 no signal
+    ok: bool  # whether all values are within their limits
 
 
 class _Rest:
-    """A rig on which nothing moves."""
+    """Motion of a rig at rest."""
 
     impacts = np.zeros(
         0, dtype=[("tick", "i8"), ("offset", "f8"), ("wall", "i1"), ("impulse", "f8"), ("duration", "f8")]
@@ -66,7 +67,7 @@ class _Rest:
         self,
         names: tuple[str, ...],
         tick: NDArray[np.int64],
-        offset_s: NDArray[np.float64],  # noqa: ARG002 - the protocol's
+        offset_s: NDArray[np.float64],  # noqa: ARG002 - required by the protocol
     ) -> NDArray[np.float64]:
         """Return zeros."""
         return np.zeros((len(names), len(tick)))
@@ -82,29 +83,29 @@ class _Rest:
         return np.zeros((len(names), len(tick), NODES))
 
     def breakpoints(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return none."""
+        """Return no breakpoints."""
         return np.empty(0, dtype=np.int64), np.empty(0)
 
 
 def check_known_input(
     config: InstrumentSetup, faults: Iterable[Fault] = (), frequency_hz: float = 10.0, fraction: float = 0.5
 ) -> list[ChannelCheck]:
-    """Put a sine on every channel of a twin of the rig's instruments and judge what it reads.
+    """Apply a sine to every channel of a copy of the rig's instruments and judge the readings.
 
     Args:
-        config: the rig's.
-        faults: faults on the twin, from its start to its end; those of the whole board play no part.
-        frequency_hz: of the sine; a whole number of cycles must fit into one second.
-        fraction: its amplitude, of half the measuring range.
+        config: configuration of the rig.
+        faults: faults on the copy, from its start to its end; faults of the whole board are ignored.
+        frequency_hz: frequency of the sine; a whole number of cycles must fit into one second.
+        fraction: amplitude as a part of half the measuring range.
 
     Returns:
         One check per channel, in scan order.
 
     Raises:
-        CommandError: a number out of range.
+        CommandError: a number is out of range.
     """
     chain = Chain(config)
-    chain.clear()  # what the configuration plans
+    chain.clear()  # the configuration's planned faults
     for fault in faults:
         if fault.kind not in BOARD_KINDS:
             chain.inject(attrs.evolve(fault, start_sample=0, samples=0))
@@ -125,7 +126,7 @@ def check_known_input(
 
 
 def check_polarity(config: InstrumentSetup, faults: Iterable[Fault] = ()) -> dict[str, int]:
-    """Return for every channel 1 if a push to the right reads positive, −1 if negative, 0 if nothing comes through."""
+    """Return for every channel 1 if a push to the right reads positive, −1 if negative, 0 if there is no signal."""
     return {check.channel: check.polarity for check in check_known_input(config, faults)}
 
 

@@ -11,21 +11,24 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""From a sensor's clean output to readings: linearity, noise, end of range, volts; codes, SI units; rows of scans.
+"""Conversion of a sensor's clean output to readings.
 
-A sensor's noise is as wide as the sensor: white noise behind a first-order low-pass at its bandwidth, sampled exactly.
-From one conversion to the next it becomes memory · itself + rms √(1 − memory²) · white, memory = e^{−2π bandwidth
-period}: its rms is the specification's at every scan rate, its spectrum a Lorentzian. With x = −1 … 1 over the range
-and Legendre's polynomials,
+A channel adds linearity error and noise, limits the range and gives volts. The converter gives codes, the codes give
+SI units, and the readings of all channels give rows of scans.
+
+A sensor's noise has the sensor's bandwidth: it is white noise behind a first-order low-pass, sampled exactly. From one
+conversion to the next it becomes memory · itself + rms √(1 − memory²) · white, with memory = e^{−2π bandwidth period}.
+Its rms is that of the specification at every scan rate, and its spectrum is a Lorentzian. With x = −1 … 1 over the
+range and Legendre's polynomials,
 
     value = clean + linearity_2 (3 x² − 1)/2 + linearity_3 (5 x³ − 3 x)/2 + noise,
-            rounded to the output's own resolution, held within its range
+                        rounded to the output's own resolution, limited to its range
     volts = gain value + offset
-    code  = round((adc_gain (volts + adc_noise white) + adc_offset) / lsb), held within the converter's codes
+        code  = round((adc_gain (volts + adc_noise white) + adc_offset) / lsb), limited to the converter's codes
     reading = code scale + zero
 
-Everything is done in short stretches that stay in the first cache, one simple loop after another: the compiler then
-does two scans at a time.
+The arithmetic runs over short stretches that stay in the first cache, in one simple loop after another; the compiler
+then processes two scans at a time.
 """
 
 from __future__ import annotations
@@ -48,16 +51,16 @@ CHANNEL = np.dtype(
         ("per_half_range", "f8"),  # 1 over half of that range [1/unit]
         ("linearity_2", "f8"),  # error of linearity of second order, at an end of the range [unit]
         ("linearity_3", "f8"),  # error of linearity of third order there [unit]
-        ("memory", "f8"),  # part of the sensor's noise that is left after one scan period [-]
-        ("fresh", "f8"),  # rms of what is new in the noise after it [unit]
+        ("memory", "f8"),  # part of the sensor's noise that remains after one scan period [-]
+        ("fresh", "f8"),  # rms of the new part of the noise after one scan period [unit]
         ("resolution", "f8"),  # step of the sensor's own output [unit], 0 for none
         ("low", "f8"),  # lower end of the sensor's range [unit]
         ("high", "f8"),  # upper end of it [unit]
-        ("gain", "f8"),  # sensitivity as it really is [V/unit]
-        ("offset", "f8"),  # output at zero as it really is [V]
+        ("gain", "f8"),  # true sensitivity [V/unit]
+        ("offset", "f8"),  # true output at zero [V]
         ("adc_noise", "f8"),  # rms of the converter's noise [V]
-        ("adc_gain", "f8"),  # gain of the converter as it really is, about 1 [-]
-        ("adc_offset", "f8"),  # offset of the converter as it really is [V]
+        ("adc_gain", "f8"),  # true gain of the converter, about 1 [-]
+        ("adc_offset", "f8"),  # true offset of the converter [V]
         ("lsb", "f8"),  # step of the converter [V]
         ("lowest_code", "f8"),  # smallest code [-]
         ("highest_code", "f8"),  # largest code [-]
@@ -65,28 +68,28 @@ CHANNEL = np.dtype(
         ("zero", "f8"),  # nominal reading at code 0 [unit]
         ("coloured", "f8"),  # last value of the sensor's noise [unit]
         ("noise_random", "u8", (4,)),  # state of the random numbers of the sensor's noise, see `Random`
-        ("adc_random", "u8", (4,)),  # state of those of the converter's noise
-        ("starts_settled", "i8"),  # 1: begins as if the motion's first value had stood for ever; 0: begins at zero
-        ("awake", "i8"),  # 1 once it has begun
+        ("adc_random", "u8", (4,)),  # state of the random numbers of the converter's noise
+        ("starts_settled", "i8"),  # 1: starts as if the motion's first value had always been there; 0: starts at zero
+        ("awake", "i8"),  # 1 once it has started
         ("first_mode", "i8"),  # row of its first mode, see `response`
-        ("modes", "i8"),  # how many modes it has
-        ("due", "i8"),  # when in this tick its next conversion is [clock units]
-        ("converted", "i8"),  # scans since the reset
+        ("modes", "i8"),  # number of its modes
+        ("due", "i8"),  # time of its next conversion in this tick [clock units]
+        ("converted", "i8"),  # number of scans converted since the reset
         ("last_reading", "f8"),  # its last reading [unit]
-        ("finished", "i8"),  # how many values of its buffer are finished readings
-        ("filled", "i8"),  # how many values its buffer has, the newest on their way through the stages
+        ("finished", "i8"),  # number of finished readings in its buffer
+        ("filled", "i8"),  # number of values in its buffer; the newest are still on their way through the stages
     ],
     align=True,
 )
-"""A channel: sensor, cable, converter, with all that goes on from tick to tick."""
+"""One channel: sensor, cable and converter, with all state that continues from tick to tick."""
 
 STRETCH = 512
-"""Scans that go through a stage together."""
+"""Number of scans that pass through a stage together."""
 TWO_D_FLAGS, TWO_D_WORDS = Array(np.dtype("?"), 2), Array(np.dtype("u8"), 2)
 
 
 def set_output(channel: NDArray[np.void], sensor: Sensor, errors: ChannelErrors, scan_period_s: float) -> None:
-    """Give one CHANNEL record the output stage of a sensor with these errors."""
+    """Set the output stage of one CHANNEL record to that of a sensor with these errors."""
     sign = -1.0 if sensor.inverted else 1.0
     gain = sign * sensor.volt_per_unit * (1.0 + errors.gain * sensor.gain_tolerance)
     memory = exp(-TWO_PI * sensor.bandwidth_hz * scan_period_s)
@@ -99,7 +102,7 @@ def set_output(channel: NDArray[np.void], sensor: Sensor, errors: ChannelErrors,
 
 
 def set_converter(channel: NDArray[np.void], sensor: Sensor, adc: Adc, errors: BoardErrors) -> None:
-    """Give one CHANNEL record the converter on its cable."""
+    """Set the converter of one CHANNEL record."""
     lsb = calibration.lsb_v(sensor, adc)
     channel["adc_noise"] = calibration.converter_noise_v(sensor, adc)
     channel["adc_gain"] = 1.0 + errors.gain * adc.gain_tolerance
@@ -111,16 +114,17 @@ def set_converter(channel: NDArray[np.void], sensor: Sensor, adc: Adc, errors: B
 
 @kernel
 def clamped(value, low, high):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Return the value within low … high."""
+    """Return the value limited to low … high."""
     value = low if value < low else value
     return high if value > high else value
 
 
 @kernel
 def to_volts(channel, values, clipped, white):  # type: ignore[no-untyped-def]
-    """Turn what the dynamics put out [unit] into volts at the cable, at most STRETCH of them, in place.
+    """Turn the output of the dynamics [unit] into volts on the cable, at most STRETCH values, in place.
 
-    Notes in `clipped` whether the sensor was at an end of its range; `white` is scratch, at last the noise [unit].
+    Marks in `clipped` where the sensor was at an end of its range; `white` is scratch and finally holds the noise
+    [unit].
     """
     count = values.shape[0]
     fill_normal(channel.noise_random, white)
@@ -153,7 +157,7 @@ def to_volts(channel, values, clipped, white):  # type: ignore[no-untyped-def]
 def to_units(channel, values, clipped, white):  # type: ignore[no-untyped-def]
     """Turn volts into readings [unit], at most STRETCH of them, in place.
 
-    Adds to `clipped` where the converter was at an end of its range.
+    Also marks in `clipped` where the converter was at an end of its range.
     """
     count = values.shape[0]
     fill_normal(channel.adc_random, white)
@@ -170,21 +174,21 @@ def to_units(channel, values, clipped, white):  # type: ignore[no-untyped-def]
 
 @entry(CHANNEL, TWO_D_WORDS, TWO_D_FLAGS, BYTES, INTEGERS, returns=int)
 def take_rows(channels, readings, clipped, rows, layout):  # type: ignore[no-untyped-def]
-    """Fill in the rows of all scans that every channel has finished, and forget these; return how many there are.
+    """Fill in the rows of all scans that every channel has finished, remove these scans, and return their number.
 
     Args:
         channels: CHANNEL records.
-        readings: of each channel, bit by bit, shape (channels, room).
-        clipped: whether each was clipped.
-        rows: of scans, byte by byte, for as many as there may be.
-        layout: bytes of a row, place of the status in it, and places of the channels.
+        readings: readings of each channel as bit patterns, shape (channels, room).
+        clipped: whether each reading was clipped.
+        rows: rows of scans as bytes, with room for as many as there may be.
+        layout: bytes per row, position of the status in it, and positions of the channels.
     """
     count = rows.shape[0] // layout[0]
     for j in range(channels.shape[0]):
         count = min(count, channels[j].finished)
     size = np.uint64(layout[0])
     for j in range(channels.shape[0]):
-        place = np.uint64(layout[2 + j])  # of whole numbers without a sign: those are no places counted from the end
+        place = np.uint64(layout[2 + j])  # unsigned, because signed indices would count from the end if negative
         for i in range(count):
             word = readings[j, i]
             for byte in range(8):

@@ -11,17 +11,17 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""One fault on demand, from a test or a configuration to the journal and back, with exact numbers.
+"""Faults on demand: their text form, their exact numbers, and their effect on the readings.
 
 A configuration plans faults in lines of text, times in seconds since the reset:
 
     offset_step channel=laser start_s=2 duration_s=0.5 value=1e-3 seed=7
 
-`duration_s=0` (the default) lasts until it is cleared; `channel` is left out for faults of the whole board.
+`duration_s=0` (the default) means until the fault is cleared; faults of the whole board have no `channel`.
 
-`FaultBoard` holds the faults of a rig as they act, each with what it carries from scan to scan.
-Faults of a channel act on the volts of its cable, so they pass through the converter like the real thing; `stuck` acts
-behind it. `lost_block` and `clock_drift` concern the whole board: the rig asks `FaultBoard` about them.
+`FaultBoard` holds the active faults of a rig with their state from scan to scan. Faults of a channel act on the volts
+on its cable, so they pass through the converter as real ones would; `stuck` acts behind the converter. `lost_block` and
+`clock_drift` concern the whole board: the rig asks `FaultBoard` about them.
 """
 
 from __future__ import annotations
@@ -41,26 +41,26 @@ from impact_rig.instruments.instrument import BOARD_KINDS, FAULT_KINDS
 from impact_rig.instruments.registry import INSTRUMENTS
 
 DEFAULT_SPIKE_RATE_HZ = 10.0
-MOST = 2**53  # of the whole numbers: beyond, the columns of `truth/faults` are not exact
+MOST = 2**53  # largest integer: the columns of `truth/faults` are not exact beyond it
 LARGEST_DRIFT_PPM = 5e5
-"""Of the scan clock: at −10⁶ a tick of it takes no time at all; far above 0 one takes for ever."""
+"""Limit of the drift of the scan clock: at −10⁶ ppm a tick would take no time, far above 0 one would take for ever."""
 _NUMBERS = ("start_s", "duration_s", "value", "seed", "rate_hz")
 
 
 @attrs.frozen(kw_only=True)
 class Fault:
-    """One fault; times in scans since the reset.
+    """One fault, with times in scans since the reset.
 
     Raises:
-        CommandError: no such kind or channel, or a number out of range.
+        CommandError: the kind or channel does not exist, or a number is out of range.
     """
 
     kind: str  # one of `FAULT_KINDS`
-    channel: str = ""  # the channel it is on, empty for faults of the whole board
+    channel: str = ""  # the channel it acts on, empty for faults of the whole board
     start_sample: int = 0  # first scan it acts on
-    samples: int = 0  # how many scans it lasts, 0 = until it is cleared
-    value: float = 0.0  # its size, in the unit of the channel or as the kind says
-    seed: int = 0  # of its own random numbers
+    samples: int = 0  # number of scans it lasts, 0 = until it is cleared
+    value: float = 0.0  # size in the unit of the channel, or as the kind defines it
+    seed: int = 0  # seed of its own random numbers
     rate_hz: float = DEFAULT_SPIKE_RATE_HZ  # mean rate of a spike train
 
     def __attrs_post_init__(self) -> None:
@@ -77,16 +77,16 @@ class Fault:
                 raise CommandError(f"{key} of {self.kind} must be at most 2**53, got {getattr(self, key)}")
 
     def line(self, scan_rate_hz: int) -> str:
-        """Return the fault as `instruments.faults.planned` takes it."""
+        """Return the fault as text for `instruments.faults.planned`."""
         numbers = (self.start_sample / scan_rate_hz, self.samples / scan_rate_hz, self.value, self.seed, self.rate_hz)
         return fault_line(self.kind, self.channel, **dict(zip(_NUMBERS, numbers, strict=True)))
 
     @classmethod
     def from_line(cls, line: str, scan_rate_hz: int) -> Fault:
-        """Return the fault that one line of text describes; a duration > 0 lasts at least one scan.
+        """Return the fault that a line of text describes; a duration > 0 lasts at least one scan.
 
         Raises:
-            ConfigError: unknown kind, channel or key, or a value that is no number or out of range.
+            ConfigError: the kind, channel or key is unknown, or a value is malformed or out of range.
         """
         kind, *pairs = line.split() or [""]
         texts = dict(pair.partition("=")[::2] for pair in pairs)
@@ -113,7 +113,7 @@ class Fault:
 
 
 def fault_line(kind: str, channel: str, **numbers: float) -> str:
-    """Return a fault as one line of text: see `Fault.from_line`; numbers that are the default are left out."""
+    """Return a fault as one line of text, see `Fault.from_line`; default values are left out."""
     usual = dict.fromkeys(_NUMBERS, 0) | {"rate_hz": DEFAULT_SPIKE_RATE_HZ}
     given = [f"{key}={number!r}" for key, number in numbers.items() if number != usual[key]]
     return " ".join([kind, *([f"channel={channel}"] if channel else []), *given])
@@ -121,7 +121,7 @@ def fault_line(kind: str, channel: str, **numbers: float) -> str:
 
 @attrs.frozen(kw_only=True)
 class FaultPlan:
-    """Faults on demand, planned from the start; off by default."""
+    """Faults planned from the start; none by default."""
 
     planned: tuple[str, ...] = names(
         (), "Faults: `kind channel=... start_s=... duration_s=... value=...`; start_s from the reset, or from when set."
@@ -137,13 +137,13 @@ class FaultPlan:
         """Return the planned faults.
 
         Raises:
-            ConfigError: a line is wrong; the message quotes it.
+            ConfigError: a line is malformed; the message quotes it.
         """
         return tuple(Fault.from_line(line, scan_rate_hz) for line in self.planned if line.split())
 
 
 def _check_kind(kind: str, channel: str) -> None:
-    """Refuse a kind that does not exist, or a channel that does not go with it."""
+    """Raise an error for an unknown kind, or a channel that does not fit the kind."""
     if kind not in FAULT_KINDS:
         raise CommandError(f"fault kind must be one of {', '.join(FAULT_KINDS)}, got {kind!r}")
     if kind in BOARD_KINDS:
@@ -178,15 +178,15 @@ _NO_ROWS = np.zeros(0, FAULTS)
 
 @attrs.define(eq=False)
 class _Active:
-    """A fault on the board, with what it carries from scan to scan."""
+    """A fault with its state from scan to scan."""
 
     number: int
     fault: Fault
-    end: float  # first scan it no longer acts on
+    end: float  # first scan after its effect
     random: Random
 
     def overlap(self, first: int, count: int) -> slice:
-        """Return the part of the scans first … first + count it acts on."""
+        """Return the part of the scans first … first + count that the fault acts on."""
         low = min(max(self.fault.start_sample, first), first + count)
         high = min(max(self.end, low), first + count)
         return slice(low - first, int(high) - first)
@@ -203,7 +203,7 @@ class FaultBoard:
             self.add(fault)
 
     def add(self, fault: Fault) -> int:
-        """Put a fault on the board and return its number."""
+        """Add a fault and return its number."""
         self._last_number += 1
         end = fault.start_sample + fault.samples if fault.samples else math.inf
         random = Random(np.random.SeedSequence(fault.seed, spawn_key=(_STREAM,)))
@@ -211,16 +211,17 @@ class FaultBoard:
         return self._last_number
 
     def numbers(self) -> tuple[int, ...]:
-        """Return the numbers of the faults that are not forgotten."""
+        """Return the numbers of the faults that are still stored."""
         return tuple(active.number for active in self._faults)
 
     def clear(self, number: int | None, scan: int) -> None:
-        """End one fault, or all, at a scan; a fault that would have started later never does.
+        """End one fault, or all, at a scan; a fault that would have started later never starts.
 
-        One that is over stays so: when such a fault is forgotten depends on the cut into blocks, which decides nothing.
+        Clearing a fault that has ended is allowed. How long such a fault is stored depends on the division into blocks,
+        and so must not matter.
 
         Raises:
-            CommandError: there has been no such fault.
+            CommandError: no such fault has been injected.
         """
         if number is not None and not 0 < number <= self._last_number:
             raise CommandError(f"no fault number {number}")
@@ -230,13 +231,13 @@ class FaultBoard:
         self._faults = [active for active in self._faults if active.end > active.fault.start_sample]
 
     def channels(self) -> set[str]:
-        """Return the channels that have faults; "" among them: one of the board, of no channel."""
+        """Return the channels that have faults; "" stands for the whole board."""
         return {active.fault.channel for active in self._faults}
 
     def on_cable(
         self, channel: str, volts: NDArray[np.float64], clipped: NDArray[np.bool_], first: int, gain: float, zero: float
     ) -> None:
-        """Let the faults of a channel act on the volts of its cable, in place; nominal gain [V/unit] and zero [V]."""
+        """Apply the faults of a channel to the volts on its cable, in place; nominal gain [V/unit] and zero [V]."""
         for active in self._faults:
             if active.fault.channel == channel:
                 part = active.overlap(first, len(volts))
@@ -250,7 +251,7 @@ class FaultBoard:
         match fault.kind:
             case "dropout":
                 volts[:] = 0.0
-                clipped[:] = False  # nobody notices an open cable by its range
+                clipped[:] = False  # the range of an open cable's reading does not reveal it
             case "offset_step":
                 volts += gain * value
             case "gain_error":
@@ -268,7 +269,7 @@ class FaultBoard:
     def behind_converter(
         self, channel: str, readings: NDArray[np.float64], clipped: NDArray[np.bool_], first: int, last: float | None
     ) -> None:
-        """Let a stuck converter repeat itself, in place; `last` is the reading before these."""
+        """Apply a stuck converter, which repeats itself, in place; `last` is the reading before these."""
         for active in self._faults:
             if active.fault.channel == channel and active.fault.kind == "stuck":
                 part = active.overlap(first, len(readings))
@@ -280,7 +281,7 @@ class FaultBoard:
     def rows(self, first: int, count: int) -> NDArray[np.void]:
         """Return the `blocks.FAULTS` rows of the scans first … first + count: starts and ends, in order.
 
-        Faults that ended before these scans are forgotten.
+        Faults that ended before these scans are removed.
         """
         if not self._faults:
             return _NO_ROWS
@@ -306,12 +307,12 @@ class FaultBoard:
         return rows
 
     def block_lost(self, first: int, count: int) -> bool:
-        """Whether a lost_block fault acts on any of these scans."""
+        """Return whether a lost_block fault acts on any of these scans."""
         lost = (active for active in self._faults if active.fault.kind == "lost_block")
         return any(active.fault.start_sample < first + count and active.end > first for active in lost)
 
     def clock_ppm(self, scan: int) -> float:
-        """Return by how much faults make the scan clock slow at a scan [ppm], within ± LARGEST_DRIFT_PPM."""
+        """Return the slowdown of the scan clock by faults at a scan [ppm], within ± LARGEST_DRIFT_PPM."""
         if not self._faults:
             return 0.0
         drifts = (active for active in self._faults if active.fault.kind == "clock_drift")

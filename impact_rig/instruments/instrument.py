@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Base class of instruments: a section of the configuration that knows its channel, sensor, faults and message."""
+"""Base class of instruments: a section of the configuration with a channel, a sensor, faults and a message."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ FAULT_KINDS = {
     "spike_train": "`rate_hz` spikes per second of ± `value` [unit], at random",
     "saturation": "the signal is limited to ± `value` [unit] and flagged",
     "added_noise": "white noise of `value` rms [unit] is added",
-    "lost_block": "blocks are numbered, but their scans are withheld; truth and monitors still come",
+    "lost_block": "blocks are numbered, but their scans are withheld; truth and monitors are still published",
     "clock_drift": "the scan clock is slow by `value` ppm, on top of daq.clock_error_ppm",
 }
 BOARD_KINDS = frozenset({"lost_block", "clock_drift"})  # faults of the whole board: their channel is empty
@@ -41,27 +41,27 @@ CHANNEL_KINDS = frozenset(FAULT_KINDS) - BOARD_KINDS
 
 @attrs.frozen(kw_only=True)
 class Instrument:
-    """An instrument on one channel of the board; its fields, made by `impact_rig.config.fields`, are its section.
+    """An instrument on one channel of the board; its fields, made by `impact_rig.config.fields`, form its section.
 
-    An instrument with a field `present` is scanned only while that is on; it must be read-only.
+    An instrument with a field `present` is scanned only while that is true; the field must be read-only.
     """
 
-    name: ClassVar[str]  # of the channel: its column of daq/scan and its section `instruments.<name>`
-    place: ClassVar[int]  # in the scan, counted from 0, among all instruments; it seeds its noise, too
-    senses: ClassVar[str]  # the motion's quantity
+    name: ClassVar[str]  # name of the channel: its column of daq/scan and its section `instruments.<name>`
+    place: ClassVar[int]  # position in the scan among all instruments, counted from 0; it also seeds the noise
+    senses: ClassVar[str]  # the quantity of the motion that it senses
     unit: ClassVar[str]  # of the quantity
-    doc: ClassVar[str]  # what its column holds
-    faults: ClassVar[frozenset[str]] = CHANNEL_KINDS  # kinds that its channel can have
+    doc: ClassVar[str]  # description of its column
+    faults: ClassVar[frozenset[str]] = CHANNEL_KINDS  # kinds of faults that its channel can have
     monitor: ClassVar[Topic | None] = None  # the topic of its message at monitor rate, or None
 
     @property
     def adc_range_v(self) -> float:
-        """Input range of the converter, either side: every instrument has such a field [V]."""
+        """Input range of the converter, ± [V]; every instrument has such a field."""
         raise NotImplementedError
 
     @property
     def fitted(self) -> bool:
-        """Whether the board scans it."""
+        """State of the switch `present`: whether the board scans this instrument."""
         return bool(getattr(self, "present", True))
 
     def sensor(self) -> Sensor:
@@ -72,9 +72,9 @@ class Instrument:
         """Return the fields of the monitor message for one reading: value by field, e.g. `linear_acceleration.x`.
 
         Args:
-            reading: in the channel's unit.
-            clipped: whether it is over range.
-            noise: rms, as in daq/info.
+            reading: reading in the channel's unit.
+            clipped: whether the reading is over range.
+            noise: rms of the noise in the channel's unit, as in daq/info.
         """
         raise NotImplementedError
 

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Laser displacement sensor on the superior base: a first-order lag, a digital output stage, an end of range.
+"""Laser displacement sensor on the superior base: a first-order lag, a digital output stage, and a limited range.
 
-It measures a distance, `distance_m` − x_1, 0 V at the near end: `output_v` (1 − x_1/`half_range_m`) / 2, so that its
-sensitivity to x_1 is negative. Out of range it holds the end it left by, and says so.
+It measures a distance, `distance_m` − x_1, with 0 V at the near end: `output_v` (1 − x_1/`half_range_m`) / 2. Its
+sensitivity to x_1 is therefore negative. Out of range it keeps the end at which it left, and the status flags it.
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ class Laser(Instrument):
         "sensor_msgs/msg/Range",
         Qos.DATA,
         "rig",
-        "Distance of the superior base, 0.050 m - x_1, low-passed; out of range is -Inf or +Inf (REP-117).",
+        "Distance of the superior base, 0.050 m - x_1, low-passed; -Inf or +Inf if out of range (REP-117).",
         (
             Column("range", "m", "instruments.laser.distance_m - x_1; -Inf: too near, +Inf: too far, or no reading."),
             Column("min_range", "m", "Near end of the measuring range."),
             Column("max_range", "m", "Far end of the measuring range."),
             Column("variance", "m^2", "Noise, squared."),
-            Column("field_of_view", "rad", "Of the beam."),
+            Column("field_of_view", "rad", "Divergence of the beam."),
         ),
         frame_id="laser",
     )
@@ -66,7 +66,7 @@ class Laser(Instrument):
     output_v: float = quantity(10.0, "V", "Output at the far end of the range.", above=0)
     lag_s: float = quantity(0.7e-3, "s", "Time constant of its first-order lag.", above=0, at_most=0.1)
     resolution_m: float = quantity(8e-6, "m", "Step of its digital output stage.", at_least=0, at_most=1e-3)
-    noise_m_rms: float = quantity(2e-6, "m", "Noise ahead of that step, rms.", at_least=0, at_most=1e-3)
+    noise_m_rms: float = quantity(2e-6, "m", "Noise before that step, rms.", at_least=0, at_most=1e-3)
     linearity_m: float = quantity(30e-6, "m", "Limit of the departure from a straight line.", at_least=0, at_most=1e-2)
     gain_tolerance: float = quantity(0.002, "-", "Limit of the relative error of the sensitivity.", at_least=0, below=1)
     offset_tolerance_m: float = quantity(50e-6, "m", "Limit of the zero error.", at_least=0, at_most=1e-2)
@@ -100,7 +100,7 @@ class Laser(Instrument):
         )
 
     def message(self, reading: float, clipped: bool, noise: float) -> Mapping[str, object]:
-        """Return the fields of a Range; what is out of range is infinitely near or far (REP-117)."""
+        """Return the fields of a Range message; a reading out of range is infinitely near or far (REP-117)."""
         nearest, farthest = self.distance_m - self.half_range_m, self.distance_m + self.half_range_m
         distance = self.distance_m - reading
         if clipped or not nearest <= distance <= farthest:

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A motion cut into smooth pieces, each a polynomial: what the sensors' exact response is computed from.
+"""A motion cut into smooth pieces, each a polynomial, from which the sensors' exact response is computed.
 
-Between breakpoints every quantity is smooth, and over some that are close together smooth enough, so eight coefficients
-hold it (see `arithmetic.interpolation`). A contact of 40 µs becomes three pieces, a flight of 10 ms four: some five
-hundred pieces per second, which do not depend on the scan rate.
+Between breakpoints every quantity is smooth. Over breakpoints that are close together it is smooth enough, so that
+eight coefficients describe it (see `arithmetic.interpolation`). A contact of 40 µs becomes three pieces, a flight of 10
+ms four. That makes some five hundred pieces per second, independent of the scan rate.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from numpy.typing import NDArray
 from impact_rig.kernels import INTEGERS, REALS, Fields, entry, kernel
 
 PIECES_PER_PERIOD = 2.0
-"""Of the fastest drive."""
+"""Least number of pieces in a period of the fastest drive."""
 
 
 class PiecewiseMotion(Protocol):
-    """What an instrument needs to see of a motion: `impact_rig.physics.Motion` has it, any analytic motion can.
+    """Interface of a motion for instruments; `impact_rig.physics.Motion` has it, and any analytic motion can.
 
     Quantities of the rig are functions of (tick, offset within it); a tick takes 10 ms of the scan clock.
     """
@@ -52,7 +52,7 @@ class PiecewiseMotion(Protocol):
     ) -> NDArray[np.float64]:
         """Return some quantities on pieces between breakpoints, shape (names, n, NODES).
 
-        See `arithmetic.interpolation.polynomials`, which makes them of `quantities`.
+        See `arithmetic.interpolation.polynomials`, which computes them from `quantities`.
         """
 
     def breakpoints(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -60,7 +60,7 @@ class PiecewiseMotion(Protocol):
 
 
 class Limits(NamedTuple):
-    """How ticks are cut [s]: length of a tick, longest piece of a flight, longest joined neighbours."""
+    """Lengths for cutting ticks [s]: a tick, the longest piece of a flight, and the longest joined neighbours."""
 
     tick_s: float
     longest_s: float
@@ -71,14 +71,14 @@ LIMITS = Fields(Limits, (float, float, float))
 
 
 class Pieces(NamedTuple):
-    """Smooth pieces of some ticks, in order; offsets [s] count from the piece's tick.
+    """Smooth pieces of some ticks, in order; offsets [s] count from the start of the piece's tick.
 
     Attributes:
         first_piece: index of the first piece of each tick, and the number of pieces; shape (ticks + 1,).
-        start: where each piece starts, shape (n,).
-        end: where it ends, shape (n,).
-        tick: the motion's number of the piece's tick, shape (n,).
-        tick_s: duration of one tick.
+        start: start of each piece, shape (n,).
+        end: end of each piece, shape (n,).
+        tick: number of the piece's tick in the motion, shape (n,).
+        tick_s: duration of one tick [s].
     """
 
     first_piece: NDArray[np.int64]
@@ -97,11 +97,11 @@ def cut(
     """Cut ticks of a motion at its breakpoints.
 
     Args:
-        breakpoints: the motion's breakpoints (tick, offset [s]), in order; those of other ticks do not matter.
-        motion_tick: the motion's number of the first tick.
-        ticks: how many.
-        limits: flights are cut into equal parts of at most `longest_s`; neighbours between breakpoints are joined as
-            long as they are together no longer than `joined_s`.
+        breakpoints: the motion's breakpoints (tick, offset [s]), in order; those of other ticks are ignored.
+        motion_tick: number of the first tick in the motion.
+        ticks: number of ticks.
+        limits: flights are cut into equal parts of at most `longest_s`; neighbours between breakpoints are joined while
+            their total length is at most `joined_s`.
     """
     tick, offset = breakpoints
     room = ticks * (math.ceil(limits.tick_s / limits.longest_s) + 1) + 2 * len(tick)
@@ -115,7 +115,7 @@ def cut(
 
 @entry(INTEGERS, REALS, int, LIMITS, PIECES, returns=int)
 def _cut(tick, offset, motion_tick, limits, pieces):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Fill `pieces`, which has room; return how many there are."""
+    """Fill `pieces`, which must have room; return the number of pieces."""
     tick_s, longest_s = limits.tick_s, limits.longest_s
     first, start, end, piece_tick = pieces.first_piece, pieces.start, pieces.end, pieces.tick
     ticks = first.shape[0] - 1
@@ -145,7 +145,7 @@ def _cut(tick, offset, motion_tick, limits, pieces):  # type: ignore[no-untyped-
 
 @kernel
 def _next_break(offset, next_break, breaks_end, from_s, limits):  # type: ignore[no-untyped-def]
-    """Return the first breakpoint not yet reached, and where the pieces from `from_s` to it, or those joined, end."""
+    """Return the first breakpoint not yet reached, and the end of the (joined) pieces from `from_s` to it."""
     tick_s, joined_s = limits.tick_s, limits.joined_s
     while next_break < breaks_end and offset[next_break] <= from_s:
         next_break += 1

@@ -11,20 +11,22 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The exact response of a sensor's modes to a motion, read off at the instants of conversion.
+"""The exact response of a sensor's modes to a motion, evaluated at the instants of conversion.
 
-The value of a mode follows ψ' = λ ψ + S, with S what the sensor sees and λ the mode's pole; the output is the sum of
+The value of a mode follows ψ' = λ ψ + S, with S the sensor's input and λ the mode's pole; the output is the sum of
 Re(residue ψ) over the modes. On a piece of half length `half` the input is a polynomial, S = Σ S_k x^k, x = −1 … 1, and
-the mode is the sum of a particular answer to it and of what it rings with:
+the mode is the sum of a particular answer to it and a free response:
 
     ψ = Σ ψ_k x^k + (ψ(−1) − Σ ψ_k (−1)^k) exp(λ half (x + 1))
 
     size >= 1    ψ_k = ((k + 1) ψ_{k+1} − half S_k) / (λ half),    ψ_8 = 0    downwards: of the same degree as S
+
     size < 1     ψ_{k+1} = (λ half ψ_k + half S_k) / (k + 1),      ψ_0 = 0    upwards: SERIES_TERMS of a power series
 
-with size = |Re λ half| + |Im λ half|. The polynomials of all modes of a channel are added up once a piece; a conversion
-then costs one polynomial, and a multiplication for each mode that still rings. Nothing depends on how conversions and
-pieces lie to each other, and no pulse falls between two scans.
+    with size = |Re λ half| + |Im λ half|. The polynomials of all modes of a channel are added once per piece. A
+    conversion
+then costs one polynomial, and one multiplication for each mode that still rings. The result does not depend on the
+alignment of conversions and pieces, and no pulse is missed between two scans.
 """
 
 from __future__ import annotations
@@ -42,14 +44,14 @@ SENSOR_MODE = np.dtype(
     [
         ("pole_re", "f8"),  # real part of λ [1/s]
         ("pole_im", "f8"),  # imaginary part of λ [rad/s]
-        ("residue_re", "f8"),  # real part of the residue: what of ψ the channel puts out [1/s]
+        ("residue_re", "f8"),  # real part of the residue, the factor of ψ in the channel's output [1/s]
         ("residue_im", "f8"),  # imaginary part of it [1/s]
         ("psi_re", "f8"),  # real part of ψ at the start of the piece [unit s]
         ("psi_im", "f8"),  # imaginary part of it [unit s]
         ("decay_re", "f8"),  # real part of exp(λ scan period) [-]
         ("decay_im", "f8"),  # imaginary part of it [-]
-        ("rings_for", "i8"),  # how many conversions later nothing is left of it
-        ("free_re", "f8"),  # real part of the residue times what it rings with at a piece's first conversion [unit]
+        ("rings_for", "i8"),  # number of conversions after which its free response is negligible
+        ("free_re", "f8"),  # real part of the residue times the free response at a piece's first conversion [unit]
         ("free_im", "f8"),  # imaginary part of it [unit]
     ]
 )
@@ -57,7 +59,7 @@ SENSOR_MODE = np.dtype(
 
 SERIES_TERMS = 16
 _SHORT_TERMS = 10
-"""Terms of the sum of all modes' polynomials, where what lies beyond is lost in the rounding of the others."""
+"""Number of terms of the sum of all modes' polynomials; further terms are lost in the rounding of the others."""
 _LOST = 2.0**-54
 _SILENT = 45.0  # exp(−45) = 3e-20
 
@@ -74,7 +76,7 @@ def decayed(re, im, seconds):  # type: ignore[no-untyped-def]  # compiled: types
 
 @kernel
 def set_period(modes, period_s):  # type: ignore[no-untyped-def]
-    """Note what one scan period does to each mode."""
+    """Set the factor by which each mode decays in one scan period."""
     for k in range(modes.shape[0]):
         mode = modes[k]
         mode.decay_re, mode.decay_im = decayed(mode.pole_re, mode.pole_im, period_s)
@@ -83,7 +85,7 @@ def set_period(modes, period_s):  # type: ignore[no-untyped-def]
 
 @kernel
 def settle(modes, level):  # type: ignore[no-untyped-def]
-    """Go on as if the input had been at `level` for ever: ψ = −level / λ."""
+    """Set the modes as if the input had always been `level`: ψ = −level / λ."""
     for k in range(modes.shape[0]):
         mode = modes[k]
         per_square = 1.0 / (mode.pole_re * mode.pole_re + mode.pole_im * mode.pole_im)
@@ -92,7 +94,7 @@ def settle(modes, level):  # type: ignore[no-untyped-def]
 
 @kernel
 def input_at_start(coefficients):  # type: ignore[no-untyped-def]
-    """Return S at x = −1, where the piece starts, by its coefficients."""
+    """Return S at x = −1, the start of the piece, from its coefficients."""
     value = 0.0
     for k in range(NODES - 1, -1, -1):
         value = coefficients[k] - value
@@ -101,7 +103,7 @@ def input_at_start(coefficients):  # type: ignore[no-untyped-def]
 
 @kernel
 def output_at_start(modes):  # type: ignore[no-untyped-def]
-    """Return what the modes put out at the start of the piece."""
+    """Return the output of the modes at the start of the piece."""
     value = 0.0
     for k in range(modes.shape[0]):
         mode = modes[k]
@@ -149,15 +151,15 @@ def _particular(mode, coefficients, half, psi):  # type: ignore[no-untyped-def]
 
 @kernel
 def through_piece(modes, coefficients, length, first_and_spacing, scratch, out):  # type: ignore[no-untyped-def]
-    """Carry the modes through a piece; fill `out` with what they put out at the conversions in it.
+    """Advance the modes through a piece; fill `out` with their output at the conversions in it.
 
     Args:
-        modes: of one channel.
-        coefficients: of the polynomial S, the input, shape (NODES,).
-        length: of the piece [s].
-        first_and_spacing: time from its start to its first conversion, and from one conversion to the next [s].
-        scratch: shape (3, SERIES_TERMS).
-        out: one place for each conversion.
+        modes: modes of one channel.
+        coefficients: coefficients of the polynomial S, the input, shape (NODES,).
+        length: length of the piece [s].
+        first_and_spacing: time from the start of the piece to its first conversion, and between conversions [s].
+        scratch: scratch memory, shape (3, SERIES_TERMS).
+        out: output at each conversion.
     """
     half, count = 0.5 * length, out.shape[0]
     psi, total = scratch[:2], scratch[2]
@@ -184,7 +186,7 @@ def through_piece(modes, coefficients, length, first_and_spacing, scratch, out):
 
 @kernel
 def _fill_polynomial(total, first, spacing, out):  # type: ignore[no-untyped-def]
-    """Fill in the polynomial at x = first, first + spacing, …; return the size of its coefficients."""
+    """Fill in the polynomial at x = first, first + spacing, …; return the magnitude of its coefficients."""
     largest, beyond = 0.0, 0.0
     for k in range(SERIES_TERMS):
         largest = max(largest, abs(total[k]))
@@ -208,7 +210,7 @@ def _fill_polynomial(total, first, spacing, out):  # type: ignore[no-untyped-def
 
 @kernel
 def _add_ringing(mode, largest, out):  # type: ignore[no-untyped-def]
-    """Add what a mode rings with, where it is not lost in the rounding of the rest."""
+    """Add a mode's free response where it is not lost in the rounding of the rest."""
     re, im, decay_re, decay_im = mode.free_re, mode.free_im, mode.decay_re, mode.decay_im
     if abs(re) + abs(im) <= _LOST * largest:
         return
@@ -224,7 +226,7 @@ def _add_ringing(mode, largest, out):  # type: ignore[no-untyped-def]
 
 
 def mode_records(poles: NDArray[np.complex128], residues: NDArray[np.complex128]) -> NDArray[np.void]:
-    """Return SENSOR_MODE records, at zero."""
+    """Return SENSOR_MODE records with zero state."""
     rows = np.zeros(len(poles), SENSOR_MODE)
     rows["pole_re"], rows["pole_im"] = poles.real, poles.imag
     rows["residue_re"], rows["residue_im"] = residues.real, residues.imag

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The configuration's `instruments` section: the board, what every rig has of faults, and a section per instrument.
+"""The configuration's `instruments` section: the board, the faults, and one subsection per instrument.
 
-Tolerances are limits: the rig draws its errors once per seed, evenly within them; the analysis knows only the limits.
-The columns of daq/scan follow from the instruments that are fitted, in the order of their places.
+Tolerances are limits: the rig draws its errors once per seed, uniformly within them, and the analysis knows only the
+limits. The columns of daq/scan follow from the instruments that are fitted, in the order of their positions.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ from impact_rig.topics import SCAN as SCAN_TOPIC
 
 
 def _with_instruments(_section: type, own: list[attrs.Attribute[Any]]) -> list[attrs.Attribute[Any]]:
-    """Return the section's attributes, those of the instruments behind the first."""
+    """Return the section's attributes, with those of the instruments after the first."""
     fields = {name: attrs.field(factory=kind, type=kind) for name, kind in INSTRUMENTS.items()}
     return [own[0], *attrs.fields(attrs.make_class("_", fields, kw_only=True)), *own[1:]]
 
 
 @attrs.frozen(kw_only=True, field_transformer=_with_instruments)
 class Instruments:
-    """All instruments of the rig, each by the name of its channel."""
+    """All instruments of the rig, each under the name of its channel."""
 
     ideal: bool = switch(False, "Ideal instruments: no noise, calibration error, lag, skew, quantisation or range.")
     adc: Adc = attrs.field(factory=Adc)
@@ -55,7 +55,7 @@ class Instruments:
     if TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
-            """Return an instrument; the registry knows which there are."""
+            """Return an instrument; the registry defines which exist."""
 
     def __attrs_post_init__(self) -> None:
         for instrument in self.all():
@@ -76,7 +76,7 @@ class Instruments:
         return found
 
     def fitted(self) -> tuple[Instrument, ...]:
-        """Return those that are scanned."""
+        """Return the instruments that are scanned."""
         return tuple(filter(operator.attrgetter("fitted"), self.all()))
 
 
@@ -87,18 +87,18 @@ def columns(fitted: Iterable[Instrument | type[Instrument]]) -> tuple[Column, ..
 
 
 def row_type_of(instruments: Instruments) -> np.dtype[np.void]:
-    """Return the type of the rows that a configuration scans."""
+    """Return the row type of a configuration's scans."""
     return row_type(columns(instruments.fitted()))
 
 
-COLUMNS = columns(INSTRUMENTS.values())  # with every instrument there is
+COLUMNS = columns(INSTRUMENTS.values())  # with all instruments
 SCAN = row_type_of(Instruments())  # the rows of the default configuration
 CHANNELS = tuple(instrument.name for instrument in Instruments().fitted())
-"""Its channels; channel j is converted j conversion intervals after the scan clock."""
+"""Channels of the default scan; channel j is converted j conversion intervals after the scan clock."""
 
 
 def channels_of(rows: NDArray[np.void]) -> tuple[str, ...]:
-    """Return the channels of some scans: their columns without time and status."""
+    """Return the channels of some scans: their columns except time and status."""
     return tuple(name for name in rows.dtype.names or () if name not in _COMMON)
 
 
@@ -106,7 +106,7 @@ _COMMON = frozenset(column.name for column in SCAN_TOPIC.fields)
 
 
 class InstrumentSetup(Protocol):
-    """Some sections of a configuration; `impact_rig.rig.config.RigConfig` has them."""
+    """Sections of a configuration that the instruments need; `impact_rig.rig.config.RigConfig` has them."""
 
     @property
     def daq(self) -> Daq:
@@ -118,12 +118,12 @@ class InstrumentSetup(Protocol):
 
     @property
     def drive(self) -> Drive:
-        """How far up a chirp goes."""
+        """Drive section, for the highest frequency of a chirp."""
 
     @property
     def shaker(self) -> Shaker:
-        """How fast things move at most, but for a chirp."""
+        """Shaker section, for the highest commanded frequency."""
 
     @property
     def structure(self) -> Structure:
-        """What an impact makes jump."""
+        """Structure section, for the mass whose velocity jumps at an impact."""

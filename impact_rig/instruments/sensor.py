@@ -11,14 +11,14 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What every sensor is made of: a transfer function, a calibration with its tolerances, a range, noise.
+"""Model of a sensor: a transfer function, a calibration with tolerances, a range, and noise.
 
-**Transfer functions** are poles, zeros and gain, and the partial fractions in which they are simulated. One is run
-as Σ r_k / (s − λ_k): every mode is one complex number that follows ψ' = λ_k ψ + S, S what the sensor sees, exactly,
-however its input is cut into pieces (`response`). So there is no discretised filter and no sampling rate in here: a 25
-kHz resonance is the same at 1 kS/s and at 250 kS/s.
+**Transfer functions** consist of poles, zeros and gain, and are simulated as partial fractions Σ r_k / (s − λ_k). Every
+mode is one complex number that follows ψ' = λ_k ψ + S exactly, with S the sensor's input, however that input is cut
+into pieces (see `response`). So there is no discretised filter and no sampling rate here: a 25 kHz resonance is the
+same at 1 kS/s and at 250 kS/s.
 
-Poles, zeros and residues have 70 digits and are rounded once, at the end: every machine gets the same ones.
+Poles, zeros and residues have 70 digits and are rounded once, at the end, so every machine gets the same values.
 
     r_k = gain Π_j (λ_k − zero_j) / Π_{j≠k} (λ_k − λ_j) at distinct poles
     Butterworth: λ_k = ω e^{jπ(2k + n + 1)/2n}, k = 0 … n − 1, gain = ω^n
@@ -51,7 +51,7 @@ class Adc:
     )
     gain_tolerance: float = quantity(60e-6, "-", "Limit of the relative gain error.", at_least=0, below=1)
     offset_tolerance: float = quantity(20e-6, "-", "Limit of the offset, of the range.", at_least=0, below=1)
-    multiplexed: bool = switch(True, "One converter for all channels: they are converted one after another.")
+    multiplexed: bool = switch(True, "One converter for all channels: these are converted one after another.")
     conversion_ns: int = integer(
         11_000, "ns", "Conversion interval; shorter when the scan period is.", at_least=1, at_most=10_000_000
     )
@@ -59,12 +59,12 @@ class Adc:
     anti_alias: str = choice(
         "none", ("none", "butterworth"), "Anti-alias filter ahead of the converter.", switched={False: "none"}
     )
-    anti_alias_hz: float = quantity(4e3, "Hz", "Its corner; below half the scan rate to be of use.", above=0)
-    anti_alias_order: int = integer(4, "-", "Its order.", at_least=1, at_most=8)
+    anti_alias_hz: float = quantity(4e3, "Hz", "Corner of that filter; useful only below half the scan rate.", above=0)
+    anti_alias_order: int = integer(4, "-", "Order of that filter.", at_least=1, at_most=8)
 
 
 _DISTINCT = Decimal("1e-5")
-"""Poles nearer to each other than this, relative, are moved apart by it: partial fractions need distinct poles."""
+"""Least relative distance of two poles: closer ones are moved apart, because partial fractions need distinct poles."""
 
 
 @attrs.frozen(eq=False)
@@ -75,7 +75,7 @@ class SensorModes:
     residues: NDArray[np.complex128]  # complex, shape (k,) [1/s]; doubled where a pair is represented
 
     def same_as(self, other: SensorModes) -> bool:
-        """Whether both describe the same dynamics, bit for bit."""
+        """Return whether both describe the same dynamics, bit for bit."""
         return np.array_equal(self.poles, other.poles) and np.array_equal(self.residues, other.residues)
 
 
@@ -92,7 +92,7 @@ class Transfer:
         return Transfer(self.zeros + other.zeros, self.poles + other.poles, self.gain * other.gain)
 
     def response(self, frequency_hz: NDArray[np.float64] | float) -> NDArray[np.complex128]:
-        """Return H(j 2π f), same shape as the frequencies: for whoever judges readings, no reading depends on it."""
+        """Return H(j 2π f), in the shape of the frequencies; used to judge readings, not to compute them."""
         s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[..., None]
         above, below = (np.array([complex(place) for place in places]) for places in (self.zeros, self.poles))
         ratio = float(self.gain) * np.prod(s - above, axis=-1) / np.prod(s - below, axis=-1)
@@ -108,7 +108,7 @@ class Transfer:
         return _modes(self)
 
 
-@functools.lru_cache(maxsize=64)  # a change that leaves a sensor's dynamics alone recomputes none of them
+@functools.lru_cache(maxsize=64)  # a change that keeps a sensor's dynamics recomputes nothing
 @precise
 def _modes(transfer: Transfer) -> SensorModes:
     upper = _distinct(transfer.poles)
@@ -117,13 +117,13 @@ def _modes(transfer: Transfer) -> SensorModes:
     for k, pole in enumerate(upper):
         above = product(pole - zero for zero in transfer.zeros)
         below = product(pole - other for j, other in enumerate(poles) if j != k)
-        weight = TWO if pole.imag else ONE  # the conjugate's part is the conjugate of this one
+        weight = TWO if pole.imag else ONE  # the part of the conjugate is the conjugate of this part
         residues.append(Complex(weight * transfer.gain) * above / below)
     return SensorModes(np.array([complex(p) for p in upper]), np.array([complex(r) for r in residues]))
 
 
 def _distinct(poles: tuple[Complex, ...]) -> list[Complex]:
-    """Return those poles that are not below the real axis, each further than `_DISTINCT` from all others."""
+    """Return the poles that are not below the real axis, each further than `_DISTINCT` from all others."""
     upper: list[Complex] = []
     for pole in poles:
         if pole.imag < 0:
@@ -177,29 +177,29 @@ def resonance(frequency_hz: float, quality: float) -> Transfer:
 class Sensor:
     """One sensor with its conditioning, up to the volts at the converter's input."""
 
-    name: str  # channel
-    quantity: str  # the motion's quantity it senses
+    name: str  # name of the channel
+    quantity: str  # quantity of the motion that it senses
     unit: str  # its unit
-    low_pass: Transfer  # everything that limits its band from above, unit gain at zero frequency
-    high_pass_hz: float = 0.0  # corner of the first-order high-pass that limits it from below; 0: none
+    low_pass: Transfer  # all dynamics that limit its band from above, with unit gain at zero frequency
+    high_pass_hz: float = 0.0  # corner of the first-order high-pass that limits its band from below, 0 for none
     lag_order: int  # in the rig's band: 1 first-order lag, 2 two-pole Butterworth, 0 pure delay
     bandwidth_hz: float  # −3 dB corner of the sensor, and of its noise
-    volt_per_unit: float  # nominal sensitivity, with its sign [V/unit]
+    volt_per_unit: float  # nominal sensitivity, signed [V/unit]
     offset_v: float = 0.0  # nominal output at zero [V]
-    low: float  # smallest value it can put out [unit]
-    high: float  # largest [unit]
+    low: float  # smallest output [unit]
+    high: float  # largest output [unit]
     gain_tolerance: float  # limit of the relative error of the sensitivity
     offset_tolerance: float  # limit of the zero error [unit]
     linearity: float = 0.0  # limit of the departure from a straight line [unit]
     noise: float  # rms within the bandwidth [unit]
     resolution: float = 0.0  # step of its own output, 0 for none [unit]
     adc_range_v: float  # input range of the converter, either side [V]
-    inverted: bool  # wired the wrong way round
-    starts_settled: bool = True  # whether it begins as if the motion's first value had stood for ever, or at zero
+    inverted: bool  # whether it is wired the wrong way round
+    starts_settled: bool = True  # whether it starts as if the motion's first value had been constant before, or at zero
 
     @property
     def transfer(self) -> Transfer:
-        """The whole chain."""
+        """The complete transfer function."""
         return self.low_pass * high_pass(self.high_pass_hz) if self.high_pass_hz else self.low_pass
 
     @property
@@ -213,7 +213,7 @@ class Sensor:
         return 0.5 * (self.high + self.low)
 
     def converter_range(self) -> tuple[float, float]:
-        """Return what the converter's input range means in the sensor's unit: (low, high)."""
+        """Return the converter's input range in the sensor's unit: (low, high)."""
         ends = [(volt - self.offset_v) / self.volt_per_unit for volt in (-self.adc_range_v, self.adc_range_v)]
         return min(ends), max(ends)
 
@@ -223,15 +223,15 @@ class Sensor:
         return max(low, self.low), min(high, self.high)
 
     def behind(self, adc: Adc) -> Sensor:
-        """Return the sensor with the board's anti-alias filter in its dynamics, if there is one.
+        """Return the sensor with the board's anti-alias filter in its dynamics, if the board has one.
 
-        Linearity, steps and end of range follow the dynamics, and so the filter. The noise keeps its density and its
-        one pole, at the lower of both corners.
+        Linearity, resolution and end of range are applied after the dynamics, so after the filter. The noise keeps
+        its density and its single pole, at the lower of the two corners.
         """
         if adc.anti_alias == "none":
             return self
         filtered = self.low_pass * butterworth(adc.anti_alias_order, adc.anti_alias_hz)
-        # a delay comes on top of whatever the sensor is: only poles that clearly dominate still describe it
+        # a delay is added to the sensor's own: only poles that clearly dominate still describe it
         dominates = self.low_pass.delay_s() > 0.7 * filtered.delay_s()
         return attrs.evolve(
             self,

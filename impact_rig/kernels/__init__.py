@@ -11,17 +11,17 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Compiled functions: marked in the sources, built into one library by `python -m impact_rig.kernels.build`.
+"""Compiled functions: marked in the sources, and built into one library by `python -m impact_rig.kernels.build`.
 
-`kernel` marks a function that compiled code calls, `entry` one that Python calls, with the types it takes. What runs is
-decided once, when this module is imported:
+`kernel` marks a function that compiled code calls, `entry` one that Python calls, with its argument types. One of three
+modes is chosen when this module is imported:
 
-    library   the shared library, where it is there and was built from these sources; nothing of Numba is imported
-    jit       Numba compiles each function at its first call: no C compiler was there, or a kernel is being edited
-    plain     the functions themselves: the same bits, some thousand times slower
+    library   the shared library, if it exists and was built from these sources; Numba is not imported
+    jit       Numba compiles each function at its first call: without a C compiler, or while a kernel is being edited
+    plain     the functions themselves: the same bits, about a thousand times slower
 
-`IMPACT_RIG_KERNELS` names one of them; left alone, the first that can be had is taken. See docs/explanation/kernels.md.
-`records` are arrays whose fields have names in all three.
+`IMPACT_RIG_KERNELS` selects a mode; by default it is the first that is available. See docs/explanation/kernels.md.
+`records` are arrays whose elements have named fields in all three modes.
 """
 
 from __future__ import annotations
@@ -44,15 +44,15 @@ PACKAGE = Path(__file__).parents[1]
 VARIABLE = "IMPACT_RIG_KERNELS"
 MODES = ("library", "jit", "plain")
 OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
-"""What Numba is told of every kernel."""
+"""Numba's options for every kernel."""
 
 
 class Array(NamedTuple):
     """The type of an array in C order.
 
     Attributes:
-        dtype: of its elements.
-        dimensions: how many.
+        dtype: type of its elements.
+        dimensions: number of dimensions.
     """
 
     dtype: np.dtype[Any]
@@ -63,8 +63,8 @@ class Fields(NamedTuple):
     """The type of a NamedTuple.
 
     Attributes:
-        of: the class.
-        types: of its fields.
+        of: class of the tuple.
+        types: types of its fields.
     """
 
     of: type
@@ -72,21 +72,21 @@ class Fields(NamedTuple):
 
 
 class RecordType(NamedTuple):
-    """The type of one record, handed over by its address: for functions that only kernels call.
+    """The type of one record, passed by address: for functions that only kernels call.
 
     Attributes:
-        dtype: of the record.
+        dtype: type of the record.
     """
 
     dtype: np.dtype[np.void]
 
 
 class Function(NamedTuple):
-    """The type of a compiled function that is handed over as a `Pointer`.
+    """The type of a compiled function that is passed as a `Pointer`.
 
     Attributes:
         arguments: types of its arguments.
-        returns: of its result.
+        returns: type of its result.
     """
 
     arguments: tuple[Any, ...]
@@ -94,12 +94,12 @@ class Function(NamedTuple):
 
 
 class Pointer(NamedTuple):
-    """A compiled function as kernels take it.
+    """A compiled function in the form in which kernels accept it.
 
     Attributes:
-        address: where it is.
-        function: the same for Python.
-        kept: what must stay as long as the address is used.
+        address: its address.
+        function: the same function for Python.
+        kept: objects that must live as long as the address is used.
     """
 
     address: int
@@ -107,7 +107,7 @@ class Pointer(NamedTuple):
     kept: Any = None
 
     def __call__(self, *arguments: Any) -> Any:
-        """Call it as Python."""
+        """Call the function as Python."""
         return self.function(*arguments)
 
 
@@ -115,7 +115,7 @@ class Entry(NamedTuple):
     """A function that Python calls.
 
     Attributes:
-        function: as it is written.
+        function: the function in Python.
         arguments: type of each: int, float, bool, an Array, a record type for an array of such records, Fields, or a
             Function.
         returns: int, bool, a tuple of these, or None.
@@ -127,12 +127,12 @@ class Entry(NamedTuple):
 
 
 class Exported(NamedTuple):
-    """A function that is handed to kernels as a `Pointer`.
+    """A function that is passed to kernels as a `Pointer`.
 
     Attributes:
-        function: as it is written.
-        type: of what `around` makes of it.
-        around: returns the function of that type, which calls the one it is given.
+        function: the function in Python.
+        type: type of the function that `around` returns.
+        around: wrapper that returns a function of that type, which calls the given one.
     """
 
     function: Callable[..., Any]
@@ -144,26 +144,26 @@ REALS, REALS_2D, REALS_3D = (Array(np.dtype("f8"), dimensions) for dimensions in
 INTEGERS, WORDS, BYTES, FLAGS = (Array(np.dtype(kind)) for kind in ("i8", "u8", "u1", "?"))
 
 entries: dict[str, Entry] = {}
-"""All that have been imported, by `module.name`."""
+"""All imported entries, by `module.name`."""
 exported: dict[str, Exported] = {}
-"""All functions that have been declared to be handed over, by a name of their own."""
+"""All functions declared for passing to kernels, by their exported name."""
 kernels: list[Callable[..., Any]] = []
-"""All functions that are compiled, as they are written."""
+"""All compiled functions, in Python."""
 
 
 def digest(path: Path) -> str:
-    """Return what tells one content of a file from another."""
+    """Return a digest of a file's content."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def library() -> ModuleType | None:
-    """Return the shared library if it can be loaded and was built from the sources as they are, else warn."""
+    """Return the shared library if it can be loaded and was built from the present sources; otherwise warn."""
     if importlib.util.find_spec(f"{__name__}._library") is None:
         return None
     try:
         from impact_rig.kernels import _library as found  # type: ignore[attr-defined]  # noqa: PLC0415  # where it is built
-    except ImportError as error:  # of another machine, or cut short
-        sys.stderr.write(f"impact_rig: the library of kernels cannot be loaded ({error}): `make kernels` builds it\n")
+    except ImportError as error:  # built for another machine, or incomplete
+        sys.stderr.write(f"impact_rig: the library of kernels cannot be loaded ({error}); run `make kernels`\n")
         return None
 
     sources: dict[str, str] = json.loads(found.sources())
@@ -172,8 +172,8 @@ def library() -> ModuleType | None:
     changed = next((path for path, known in paths if not path.exists() or digest(path) != known), None)
     if changed is None:
         return whole
-    # without a word, who has edited a line would take minutes of compiling for a program that hangs
-    sys.stderr.write(f"impact_rig: {changed} is not what the kernels were built from: `make kernels` builds them\n")
+    # without this message, a program would seem to hang for minutes of compiling after an edit
+    sys.stderr.write(f"impact_rig: {changed} has changed since the kernels were built; run `make kernels`\n")
     return None
 
 
@@ -185,7 +185,7 @@ def _decide() -> tuple[str, ModuleType | None]:
     if built is not None:
         return "library", built
     if asked == "library":
-        raise ImportError("the library of compiled kernels is not there, or not of these sources: make kernels")
+        raise ImportError("the library of compiled kernels is missing or outdated: run `make kernels`")
     if asked == "jit" or (not asked and importlib.util.find_spec("numba")):
         return "jit", None
     return "plain", None
@@ -226,12 +226,12 @@ def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def address(name: str) -> int:
-    """Return where an exported function of the library is; 0: there is none of that name."""
+    """Return the address of an exported function of the library, 0 if there is no such function."""
     return int(_LIBRARY.address(name)) if _LIBRARY is not None else 0
 
 
 def plan(arguments: tuple[Any, ...]) -> tuple[str, tuple[np.dtype[Any], ...]]:
-    """Return how arguments are unpacked: a letter a piece (see library.c), and the types of the arrays in them."""
+    """Return how arguments are unpacked: one letter per piece (see library.c), and the types of their arrays."""
     letters: list[str] = []
     dtypes: list[np.dtype[Any]] = []
     for one in arguments:
@@ -251,7 +251,7 @@ def plan(arguments: tuple[Any, ...]) -> tuple[str, tuple[np.dtype[Any], ...]]:
 
 
 def codes(kind: Any) -> str:
-    """Return the letters of numbers, see `plan`; none for None."""
+    """Return the letters of the numbers in a result, see `plan`; empty for None."""
     if kind is None:
         return ""
     return "".join(map(codes, kind)) if isinstance(kind, tuple) else {int: "i", bool: "b", float: "f"}[kind]
@@ -260,27 +260,27 @@ def codes(kind: Any) -> str:
 def records(count: int, kind: np.dtype[np.void]) -> Any:
     """Return `count` records of zeros; `records[i].field` reads and writes in place.
 
-    Plain Python needs a recarray for that; to compiled code an ordinary array is the same and is handed over in a
-    third of the time. A field must not be called like an attribute of NumPy's scalars (real, put, round, …).
+    Plain Python needs a recarray for that. Compiled code accepts an ordinary array as well, which is passed in a third
+    of the time. A field must not have the name of an attribute of NumPy's scalars (real, put, round, …).
     """
     assert not any(hasattr(np.record, name) for name in kind.names or ())
     return for_kernels(np.zeros(count, kind))
 
 
 def room(count: int, kind: np.dtype[np.void]) -> Any:
-    """Return room for `count` records that are written before they are read: nothing is cleared."""
+    """Return `count` records that will be written before they are read; they are not cleared."""
     return for_kernels(np.empty(count, kind))
 
 
 def for_kernels(rows: NDArray[np.void]) -> Any:
-    """Return rows as kernels take them: as they are, with fields by name where kernels run as plain Python."""
+    """Return rows for kernels: unchanged, or with named fields if kernels run as plain Python."""
     return with_fields(rows) if MODE == "plain" else rows
 
 
 def with_fields(rows: NDArray[np.void]) -> Any:
-    """Return a recarray of the same memory; in plain Python its elements find their fields by descriptors.
+    """Return a recarray of the same memory whose elements, in plain Python, access their fields by descriptors.
 
-    NumPy's own record looks each name up twenty times as slowly, which is nearly all the time of an interpreted kernel.
+    NumPy's own record takes twenty times as long per field, which is nearly all the time of an interpreted kernel.
     """
     found = rows.view(np.recarray)
     if MODE == "plain":

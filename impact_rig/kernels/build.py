@@ -11,21 +11,21 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Build the kernels, next to their sources or in a folder: `python -m impact_rig.kernels.build [FOLDER]`.
+"""Build of the kernels, next to their sources or in a folder: `python -m impact_rig.kernels.build [FOLDER]`.
 
     _library.abi3.so   the shared library that Python loads
     impact_rig.o       the same kernels for programs in C, without Python
     impact_rig.h       their declarations
 
-Where they are already there, of these sources, they are left, or copied. `--machine aarch64` builds for another
-machine, with the compiler that CC names. `--keep DIR` keeps what was translated, which serves every machine.
+Files that exist and are up to date are kept, or copied to the folder. `--machine aarch64` builds for another machine,
+with the compiler in CC. `--keep DIR` keeps the translated kernels, which serve every machine.
 
-Numba translates each entry, and whatever it calls, to LLVM's code once, for a plain CPU of this machine's kind (the
-arithmetic is portable, so nothing is lost and the bits are the same). Each of two processes makes one module of its
-part, in which LLVM sees and optimises everything together, once (`emit`). The system's C compiler links the parts with
-kernels.c, and for Python with library.c.
+Numba translates each entry, and the functions it calls, to LLVM code once, for the baseline CPU of this kind of machine
+(the arithmetic is portable, so the bits are the same). Each of two processes makes one module of its part, which LLVM
+optimises as a whole, once (`emit`). The system's C compiler links the parts with kernels.c and, for Python, with
+library.c.
 
-This uses parts of Numba that are not its public interface: the build pins its version.
+The build uses parts of Numba that are not its public interface, so it pins Numba's version.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ from impact_rig.kernels.header import whole
 
 FOLDER = Path(__file__).parent
 ASSEMBLY = FOLDER / "assembly"
-"""In a released source distribution: the kernels as assembly for each machine of RELEASED."""
+"""Kernels in a released source distribution: assembly for each machine of RELEASED."""
 RELEASED = ("x86_64", "aarch64")
 STAMP = "sources.json"
 OUTPUT, HEADER, OBJECT = "_library.abi3.so", "impact_rig.h", "impact_rig.o"
@@ -61,19 +61,19 @@ PARTS = {
     "mechanics": ("physics.simulation", "physics.function_generator", "rig.interlock", "rig.monitors", "rig.truth"),
     "instruments": ("instruments.chain", "analysis.tracker", "codec"),
 }
-"""What is translated side by side: modules whose import declares the entries."""
+"""Parts that are translated in parallel: modules whose import declares the entries."""
 CPUS = {"x86_64": "x86-64", "aarch64": "generic", "arm64": "generic"}
-"""LLVM's name of a plain CPU by machine. LLVM ignores the name of another machine's and emits soft-float calls."""
+"""LLVM's name of the baseline CPU, by machine; for the name of a wrong CPU, LLVM emits soft-float calls."""
 NUMBA = "0.68.1"
-"""The build uses parts of it that other versions may not have."""
+"""Version of Numba; other versions may lack the internal parts that the build uses."""
 TELL_S = 5.0
 
 
 def cpu(machine: str) -> str:
-    """Return the CPU that code is made for on a machine, as `platform.machine` names it.
+    """Return the CPU for which code is made on a machine, named as by `platform.machine`.
 
     Raises:
-        SystemExit: the kernels are not made for such a machine.
+        SystemExit: kernels are not supported on such a machine.
     """
     try:
         return CPUS[machine]
@@ -82,7 +82,7 @@ def cpu(machine: str) -> str:
 
 
 def sources() -> list[Path]:
-    """Return the files that decide the library: kernels, what these import from, the rest of the build."""
+    """Return the files that determine the library: kernels, their imports, and the rest of the build."""
     texts = {path: path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py")}
     declares = re.compile(r"^from impact_rig\.(kernels|physics\.contact\.law) import", re.MULTILINE)
     holders = {path for path, text in texts.items() if declares.search(text)}
@@ -100,16 +100,16 @@ def stamps() -> dict[str, str]:
 
 
 def symbol(name: str) -> str:
-    """Return what a kernel is called in C: `physics.event_loop.run` is `ir_physics_event_loop_run_slots`.
+    """Return the name of a kernel in C: `physics.event_loop.run` is `ir_physics_event_loop_run_slots`.
 
-    An exported function has its name alone, without `_slots`: it takes its arguments as they are.
+    An exported function has no suffix `_slots`: it takes its arguments directly.
     """
     plain = f"ir_{name.replace('.', '_')}"
     return plain if name.startswith("force.") else f"{plain}_slots"
 
 
 def is_built() -> bool:
-    """Return whether everything is there, made of these sources."""
+    """Return whether all files exist and were built from these sources."""
     return all((FOLDER / name).exists() for name in (HEADER, OBJECT)) and library() is not None
 
 
@@ -117,12 +117,12 @@ def build(folder: Path = FOLDER, machine: str = "", keep: Path | None = None) ->
     """Build everything into a folder, by default next to the sources, and print the progress.
 
     Args:
-        folder: where the files go.
-        machine: what it is built for, as `platform.machine` names it; default: this machine.
-        keep: folder that keeps the translated kernels.
+        folder: destination of the files.
+        machine: machine to build for, named as by `platform.machine`; default: this machine.
+        keep: folder for the translated kernels.
 
     Raises:
-        SystemExit: no Numba or another one than the build is made for, no C compiler, or one of them failed.
+        SystemExit: Numba is missing or of another version, there is no C compiler, or one of them failed.
     """
     began, here = time.monotonic(), platform.machine()
     machine = machine or here
@@ -144,15 +144,15 @@ def build(folder: Path = FOLDER, machine: str = "", keep: Path | None = None) ->
             _check_loads(work / OUTPUT)
         write_header(found, work / HEADER)
         folder.mkdir(parents=True, exist_ok=True)
-        for file in (HEADER, OBJECT, OUTPUT):  # the library last: it says that the others are there
+        for file in (HEADER, OBJECT, OUTPUT):  # the library last: its presence means that the others are present
             new = folder / f".{file}.new"
             new.write_bytes((work / file).read_bytes())
-            new.replace(folder / file)  # at once: a process that runs the old one keeps it
+            new.replace(folder / file)  # atomically: a process that runs the old one keeps it
     print(f"kernels for {machine} in {folder}, {time.monotonic() - began:.0f} s")  # noqa: T201
 
 
 def translated(folder: Path) -> Path:
-    """Return the folder, filled with the translated kernels of these sources unless it holds them already."""
+    """Fill the folder with the translated kernels of these sources, unless it already holds them, and return it."""
     if not _is_of_these_sources(folder):
         _check_numba()
         folder.mkdir(parents=True, exist_ok=True)
@@ -174,7 +174,7 @@ def _emit(bitcode: Path, machine: str) -> tuple[bytes, str]:
 
 
 def write_assembly(keep: Path) -> None:
-    """Write the kernels as assembly, from which any system's compiler builds them, into the package."""
+    """Write the kernels as assembly into the package, from which any system's compiler builds them."""
     found = translated(keep)
     shutil.rmtree(ASSEMBLY, ignore_errors=True)
     ASSEMBLY.mkdir()
@@ -187,7 +187,7 @@ def write_assembly(keep: Path) -> None:
 
 
 def _prototype(name: str) -> str:
-    """Return the declaration of a kernel in C; WebAssembly calls nothing by another one."""
+    """Return the declaration of a kernel in C; WebAssembly requires the exact types."""
     if name.endswith(".at_point"):
         return f"void *{symbol(name)}(void *, double, double, double, double, void *)"
     if name.endswith(".at_stages"):
@@ -201,7 +201,7 @@ def write_header(found: Path, path: Path) -> None:
 
 
 def write_tables(found: Path, work: Path) -> list[str]:
-    """Write `tables.c`, what kernels.c and library.c know of translated kernels; return their names."""
+    """Write `tables.c`, the tables of translated kernels for kernels.c and library.c; return the kernels' names."""
     names = [line for part in PARTS for line in (found / f"{part}.names").read_text().splitlines()]
     declared = "\n".join(f"extern {_prototype(name)};" for name in names)
     rows = "\n".join(f'    {{"{name}", (void *){symbol(name)}}},' for name in names)
@@ -224,10 +224,10 @@ const char kernel_version[] = {json.dumps(__version__)};
 
 
 def _check_loads(path: Path) -> None:
-    """Load a library in a process of its own: the linker accepts one whose functions exist nowhere.
+    """Load a library in a separate process, because the linker accepts a library with undefined functions.
 
     Raises:
-        SystemExit: it cannot be loaded.
+        SystemExit: the library cannot be loaded.
     """
     load = "import importlib.util as u, sys; u.module_from_spec(u.spec_from_file_location('_library', sys.argv[1]))"
     done = subprocess.run([sys.executable, "-c", load, str(path)], capture_output=True, text=True, check=False)  # noqa: S603  # ourselves
@@ -245,10 +245,10 @@ def _check_numba() -> None:
 
 
 def _translate_all(work: Path) -> None:
-    """Translate all parts side by side, and tell how far they are.
+    """Translate all parts in parallel and print the progress.
 
     Raises:
-        SystemExit: a part failed; its own words are on stderr.
+        SystemExit: a part failed; its own messages are on stderr.
     """
     path = os.pathsep.join(filter(None, (str(PACKAGE.parent), os.environ.get("PYTHONPATH"))))
     environment = {**os.environ, VARIABLE: "plain", "PYTHONPATH": path}
@@ -267,7 +267,7 @@ def _translate_all(work: Path) -> None:
             print(f"building kernels: {words}", flush=True)  # noqa: T201
     failed = [part for part, process in running.items() if process.returncode]
     if failed:
-        raise SystemExit(f"the kernels of {', '.join(failed)} could not be built: see above")
+        raise SystemExit(f"the kernels of {', '.join(failed)} could not be built; see the messages above")
 
 
 def _read(path: Path) -> str:
@@ -278,7 +278,7 @@ def _compile(arguments: list[str]) -> None:
     """Call the C compiler.
 
     Raises:
-        SystemExit: there is none, or it fails.
+        SystemExit: there is no compiler, or it fails.
     """
     compiler = shlex.split(os.environ.get("CC", "cc"))
     options = ["-fPIC", "-O2", "-Wall", "-Wextra", "-Werror", f"-I{sysconfig.get_paths()['include']}"]
@@ -289,9 +289,9 @@ def _compile(arguments: list[str]) -> None:
 
 
 def main() -> None:
-    """Put the kernels of these sources into a folder: build them, or copy what is there."""
+    """Build the kernels of these sources in a folder, or copy existing ones."""
     parser = argparse.ArgumentParser(description="Build the kernels.")
-    parser.add_argument("folder", nargs="?", type=Path, default=FOLDER, help="where they go (default: the package)")
+    parser.add_argument("folder", nargs="?", type=Path, default=FOLDER, help="destination (default: the package)")
     parser.add_argument("--machine", default=platform.machine(), help="machine to build for (default: this one)")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="folder that keeps the translated kernels")
     parser.add_argument(

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Machine code for a target, from the linked code of the kernels that `translate` writes.
+"""Machine code for a target, made from the linked code of the kernels that `translate` writes.
 
-The arithmetic is portable: no target may contract a product and a sum, and none does, because Numba marks nothing as
-fast and each target is a plain CPU of its kind.
+The arithmetic is portable: no target may contract a product and a sum. None does, because Numba marks nothing as fast
+and each target is the baseline CPU of its kind.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ OPTIMISATION = 3
 
 
 class Target(NamedTuple):
-    """What LLVM emits code for."""
+    """Target for which LLVM emits code."""
 
     triple: str
     cpu: str
@@ -42,7 +42,7 @@ class Target(NamedTuple):
 
 
 def target(machine: str) -> Target:
-    """Return the target of a machine, as `platform.machine` names it, or of `wasm32`."""
+    """Return the target of a machine, named as by `platform.machine`, or of `wasm32`."""
     if machine == WASM:
         return Target("wasm32-unknown-unknown", "mvp", WASM_FEATURES, "static")
     system = "apple-macosx11.0" if sys.platform == "darwin" or machine == "arm64" else "unknown-linux-gnu"
@@ -50,7 +50,7 @@ def target(machine: str) -> Target:
 
 
 def emit(bitcode: Path, machine: str) -> tuple[bytes, str]:
-    """Return the object file and the assembly of linked code, optimised for a machine."""
+    """Optimise linked code for a machine and return its object file and assembly."""
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
     found = target(machine)
@@ -60,7 +60,7 @@ def emit(bitcode: Path, machine: str) -> tuple[bytes, str]:
     module = llvm.parse_bitcode(bitcode.read_bytes())
     module.triple, module.data_layout = found.triple, str(made.target_data)
     module.verify()
-    for cheap in (True, False):  # inlining first: what counts references is found within one function
+    for cheap in (True, False):  # inlining first: the pass that removes reference counts works within one function
         manager, builder = _passes(made, cheap)
         manager.run(module, builder)
     return made.emit_object(module), made.emit_assembly(module)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Kernels compiled by Numba when they are first called, and the declared types in its words."""
+"""Compilation of kernels by Numba at their first call, and the Numba types of declared types."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ types: Any = _types  # typed in parts
 
 
 def numba_type(kind: Any) -> Any:
-    """Return Numba's type of a declared one."""
+    """Return Numba's type of a declared type."""
     if isinstance(kind, Fields):
         return types.NamedTuple(tuple(map(numba_type, kind.types)), kind.of)
     if isinstance(kind, Function):
@@ -49,23 +49,23 @@ def numba_type(kind: Any) -> Any:
 
 
 def signature(kind: Function) -> Any:
-    """Return Numba's signature of a function."""
+    """Return Numba's signature of a declared function type."""
     return numba_type(kind.returns)(*map(numba_type, kind.arguments))
 
 
 def compiled(function: Callable[..., Any]) -> Any:
-    """Return a function that is compiled by its first call."""
-    kept = Path(function.__code__.co_filename).is_file()  # what was typed in cannot be
+    """Return a function that is compiled at its first call."""
+    kept = Path(function.__code__.co_filename).is_file()  # code that was typed in has no file for the cache
     return _kept(lambda: njit(cache=kept, **OPTIONS)(function))
 
 
 def pointer(function: Callable[..., Any], kind: Function) -> Any:
-    """Return a function compiled for one signature, with an `address`."""
+    """Return a function compiled for one signature, which has an `address`."""
     return _kept(lambda: cfunc(signature(kind), error_model="numpy")(function))
 
 
 def _kept(compile_: Callable[[], Any]) -> Any:
-    """Compile with a cache of these sources alone: Numba's own does not see that a function called has changed."""
+    """Compile with a cache for these sources alone: Numba's own cache misses changes of called functions."""
     before, config.CACHE_DIR = config.CACHE_DIR, _directory()
     try:
         return compile_()

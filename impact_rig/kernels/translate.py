@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Translate one part of the kernels into linked code of LLVM; a process of its own, started by `build`.
+"""Translation of one part of the kernels into linked LLVM code; it runs in a separate process, started by `build`.
 
-Here is all that knows Numba's insides. Three things differ from what Numba does for itself: code is made for a plain
-CPU and another address; nothing is optimised before everything is together; each entry gets a second function
-around it, `int32_t name(uint64_t *in, uint64_t *out)`, which takes its arguments from slots (see library.c).
+This is the only module that uses Numba's internals. Three things differ from Numba's own compilation: code is made for
+the baseline CPU, nothing is optimised before all functions are together, and each entry gets a second function around
+it. That function, `int32_t name(uint64_t *in, uint64_t *out)`, takes its arguments from slots (see library.c).
 """
 
 from __future__ import annotations
@@ -42,28 +42,28 @@ from impact_rig.kernels.header import header
 from impact_rig.kernels.jit import numba_type
 
 INSIDE: dict[str, Any] = {**OPTIONS, "_nrt": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-"""What Numba is told of functions that only kernels call; nothing allocates, so nothing is counted."""
+"""Numba's options for functions that only kernels call; nothing allocates, so nothing is counted."""
 NOTHING = -2
-"""How a function of Numba's says that it returned None."""
+"""Return value of a Numba function that returned None."""
 WORD, STATUS = ir.IntType(64), ir.IntType(32)
 
 
 class Library(AOTCodeLibrary):  # type: ignore[misc]  # Numba is untyped
-    """What Numba puts one function into: left as it is until everything is linked."""
+    """Numba's container of one function, which is not optimised until everything is linked."""
 
     def _optimize_functions(self, ll_module: Any) -> None:
         pass
 
     def finalize(self) -> None:
-        """Call it whole without linking what it calls: that is done once, for all."""
+        """Mark the library as complete without linking the functions it calls; that is done once, for all."""
         self._finalized = True
 
 
 class Context(cpu.CPUContext):  # type: ignore[misc]
-    """Numba's target, where nothing is loaded into this process."""
+    """Numba's target without loading anything into this process."""
 
     def get_executable(self, _library: Any, _fndesc: Any, _environment: Any) -> Any:
-        """Return something that can be told from all others; Numba finds a callee's code by it."""
+        """Return a unique object, by which Numba finds a callee's code."""
         return [].append
 
 
@@ -78,7 +78,7 @@ def main() -> None:
     context = cpu_target.target_context.with_aot_codegen("impact_rig_kernels", cpu_name=plain_cpu(platform.machine()))
     context.__class__ = Context
     context.codegen()._library_class = Library
-    vars(cpu_target)["_toplevel_target_context"] = context  # of every function that is called, too
+    vars(cpu_target)["_toplevel_target_context"] = context  # also for every function that is called
     libraries: dict[int, Any] = {}
     wanted: list[tuple[str, Entry | Exported]] = [*entries.items(), *forces.items()]
     with global_compiler_lock:
@@ -92,22 +92,22 @@ def main() -> None:
 
 
 def part_of(name: str) -> str:
-    """Return in which part an entry is translated."""
+    """Return the part in which an entry is translated."""
     return "mechanics" if name.startswith(("physics.", "arithmetic.", "rig.")) else "instruments"
 
 
 def _let_numba_see_kernels() -> None:
-    """Put what Numba can call in the place of every kernel, in all modules that have imported it."""
+    """Replace every kernel, in all modules that have imported it, by a function that Numba can call."""
     seen = {function: njit(**INSIDE)(function) for function in declared.kernels}
     for module in [found for name, found in sys.modules.items() if name.startswith("impact_rig.")]:
         for name, value in list(vars(module).items()):
-            function = getattr(value, "__wrapped__", value)  # as plain Python, some are wrapped
+            function = getattr(value, "__wrapped__", value)  # in plain Python, some are wrapped
             if callable(function) and function.__hash__ and function in seen:
                 setattr(module, name, seen[function])
 
 
 def _translated(context: Any, name: str, one: Entry | Exported) -> Any:
-    """Return the library that holds a function under its exported name, with the ones that it calls."""
+    """Translate a function under its exported name and return the library with it and the functions it calls."""
     flags = compiler.Flags()
     flags.no_cpython_wrapper, flags.no_cfunc_wrapper = True, isinstance(one, Entry)
     flags.nrt, flags.error_model, flags.release_gil = False, str(OPTIONS["error_model"]), True
@@ -131,7 +131,7 @@ def _translated(context: Any, name: str, one: Entry | Exported) -> Any:
 
 
 def _from_slots(context: Any, module: Any, name: str, described: Any) -> None:
-    """Define the function `name`: it calls another with arguments from slots, and stores what that returns."""
+    """Define the function `name`, which calls another with arguments from slots and stores its result."""
     words = WORD.as_pointer()
     around = ir.Function(module, ir.FunctionType(STATUS, [words, words]), name)
     kind = context.call_conv.get_function_type(described.restype, described.argtypes)
@@ -161,7 +161,7 @@ def _from_slots(context: Any, module: Any, name: str, described: Any) -> None:
 
 
 def _renamed(context: Any, module: Any, name: str, described: Any) -> None:
-    """Define `name` as the function with C's convention that Numba has made around another."""
+    """Define `name` as the function with the C calling convention that Numba made around another."""
     kinds = [context.get_value_type(one) for one in described.argtypes]
     kind = ir.FunctionType(context.get_value_type(described.restype), kinds)
     inner = ir.Function(module, kind, described.llvm_cfunc_wrapper_name)
@@ -172,7 +172,7 @@ def _renamed(context: Any, module: Any, name: str, described: Any) -> None:
 
 
 def _collect(library: Any, found: dict[int, Any]) -> None:
-    """Add a library and all that it needs."""
+    """Add a library and all libraries that it needs."""
     if id(library) not in found:
         found[id(library)] = library
         for one in library._linking_libraries:
@@ -180,19 +180,19 @@ def _collect(library: Any, found: dict[int, Any]) -> None:
 
 
 def _linked(libraries: Any, exported: set[str]) -> Any:
-    """Return all code in one module, in which only the exported names are seen from outside."""
+    """Link all code into one module in which only the exported names are visible from outside."""
     together = llvm.parse_assembly("")
     for library in libraries:
         for function in library._final_module.functions:
             if not function.is_declaration and function.linkage == llvm.Linkage.linkonce_odr:
-                function.linkage = "weak_odr"  # what nobody has asked for yet would be dropped
+                function.linkage = "weak_odr"  # otherwise a function without a caller yet would be dropped
         together.link_in(library._final_module)
     for function in together.functions:
         if not function.is_declaration:
             function.linkage = "external" if function.name in exported else "internal"
     for variable in together.global_variables:
         if variable.linkage == llvm.Linkage.common:
-            # environments of Numba's call-backs: their long names are most of the library
+            # environments of Numba's callbacks: their long names are most of the library
             variable.linkage = "internal"
     together.verify()
     return together

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The rig's mechanics: flights in closed form, contacts integrated in a variable without kinks.
+"""The rig's mechanics: flights in closed form, and contacts integrated in a variable in which the force has no kinks.
 
-Never imports rclpy. `Simulation` advances by drive segments made by `FunctionGenerator` and returns a `Motion`, which
-instruments evaluate.
+This package never imports rclpy. `FunctionGenerator` makes drive segments, `Simulation` advances by them and returns a
+`Motion`, and the instruments evaluate that motion.
 """
 
 from typing import TYPE_CHECKING

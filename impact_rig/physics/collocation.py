@@ -16,8 +16,8 @@
 Stage i of a step of length h lies at c_i h; with slopes f_j at the stages, y_i = y_0 + h Σ_j A_ij f_j, and the step
 ends at the last stage. Source: Hairer & Wanner (1996), Solving Ordinary Differential Equations II, section IV.5.
 
-The numbers are written out, because a root finder ends in another last bit on another machine; test_collocation.py
-computes them anew to 40 digits.
+The numbers are written out because a root finder may end in another last bit on another machine. test_collocation.py
+recomputes them to 40 digits.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ INVERSE = np.array(
         [8.41242422359429, -6.970256116656661, 8.777114204150473, -18.2192823110881, 13.0],
     ]
 )
-"""Of MATRIX."""
+"""Inverse of MATRIX."""
 TO_START = np.array([1.5864079001863283, -1.008117881498373, 0.7309748661597875, -0.5092648848477427, 0.2])
 """Weights that extrapolate the stages' values to the start of the step."""
 TO_POLYNOMIAL = np.array(
@@ -58,9 +58,9 @@ TO_POLYNOMIAL = np.array(
         [-126.0, 199.88739542347736, -127.022853068795, 92.10283313613321, -64.16737549081559, 25.2],
     ]
 )
-"""Gives the coefficients, lowest first, of the polynomial through the values at the start and at the stages."""
+"""Matrix from the values at the start and the stages to the coefficients of their polynomial, lowest first."""
 REAL_EIGENVALUE = 0.15906584442746913
-"""Of MATRIX: the weight of the error estimate's filter."""
+"""Real eigenvalue of MATRIX: the weight in the filter of the error estimate."""
 
 POINTS = 8
 GAUSS_NODES = np.array(

@@ -11,25 +11,25 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A contact from touch to separation: steps of the indentation, each ended exactly where something happens.
+"""A contact from touch to separation: steps of the indentation, each ended exactly at the first event in it.
 
 δ is the indentation, w = √δ, and a step has a length in χ, with dt = w dχ (see `contact_step`, which solves the step):
 
-    dw/dχ = δ'/2,    dt/dχ = w,    dδ'/dχ = w δ'',    F the law's force, elastic and lossy part together
+        dw/dχ = δ'/2,    dt/dχ = w,    dδ'/dχ = w δ'',    F: the law's force, elastic and lossy part together
 
-The state y holds the centre of mass of structure and sphere, x_1* = x_1 + side σ δ. In the functions p are the
-parameters, law the contact law's force, f the drive, s the state, step the step with its stages, and a slope is a
-derivative by χ. An event's `excess` is how far a point is beyond it, in units of the event's scale.
+The state y holds the centre of mass of structure and sphere, x_1* = x_1 + side σ δ. The functions share some argument
+names: p are the parameters, law is the contact law's force, f the drive, s the state, and step the step with its
+stages. A slope is a derivative by χ. The `excess` of an event is how far a point is beyond it, in units of its scale.
 
-A step ends where its error allows, and earlier at the first of these events:
+The error estimate determines where a step ends, unless one of these events comes first:
 
     SEPARATED  w = 0          the sphere is off the wall
     PAUSED     t = t_end      the drive segment is over
-    RELEASED   F = 0, δ > 0   a law that lets go would pull: the surface stays behind until the sphere is out of there
-    TURNED     δ' = 0         a law with a memory changes branch, at the largest indentation
-    RELOADED   w = deepest_w  it presses further than before, and changes branch again
+    RELEASED   F = 0, δ > 0   a law that lets go would pull: the surface stays behind until the sphere has left it
+    TURNED     δ' = 0         a law with a memory changes branch at the largest indentation
+    RELOADED   w = deepest_w  the sphere presses deeper than before, and the law changes branch again
 
-A step that overshoots an event is taken again, its length found by Newton's method, until it ends there.
+A step that overshoots an event is solved again, with a length found by Newton's method, so that it ends at the event.
 """
 
 from __future__ import annotations
@@ -58,18 +58,18 @@ from impact_rig.physics.contact_step import (
 from impact_rig.physics.energy import add_powers
 from impact_rig.physics.state import FAILED, NOTHING, PAUSED, RELEASED, RELOADED, SEPARATED, TURNED, V1, X1
 
-_IN_ORDER = (SEPARATED, PAUSED, RELEASED, TURNED, RELOADED)  # past SEPARATED the others mean nothing: it comes first
+_IN_ORDER = (SEPARATED, PAUSED, RELEASED, TURNED, RELOADED)  # after SEPARATED the others have no meaning
 
 _REJECTIONS = 60
-_ATTEMPTS = 12  # Newton needs two to four
-_REACHED = 1e-10  # of the quantity's own scale: as near as Newton's method solves a step
-_COLLAPSED = 1e-4  # of w at the step's start: where it is smaller at a stage the step is refused, see `_first_event`
+_ATTEMPTS = 12  # Newton's method needs two to four
+_REACHED = 1e-10  # of the quantity's own scale: the accuracy to which Newton's method solves a step
+_COLLAPSED = 1e-4  # of w at the step's start: a step with a smaller w at a stage is rejected, see `_first_event`
 _SMALLEST = 1e-300
-_FIRST_LENGTH = 0.2  # of √(time/v0), which is half of ∫ dt/√(v0 t), see `first_length`
+_FIRST_LENGTH = 0.2  # of √(time/v0), half of ∫ dt/√(v0 t), see `first_length`
 _HOP = 3.0  # of the pressing acceleration, see `settles`
-_GUESSES, _NEAR = 12, 1e-6  # of the event's scale: as good as a step's polynomial is
+_GUESSES, _NEAR = 12, 1e-6  # of the event's scale: the accuracy of a step's polynomial
 _PEAK_FOUND = 1e-5  # of a step: the force is flat there
-_PEAK_MARGIN = 0.95  # of an earlier peak: a step whose stages all stay below this does not exceed it between them
+_PEAK_MARGIN = 0.95  # of an earlier peak: a step whose stages all stay below this cannot exceed the peak between them
 _PART_OF_FALL, _RADIANS = 0.4, 8.0  # see `_limit_length`
 
 
@@ -83,10 +83,10 @@ def _force_and_slope(p, law, s, step, point):  # type: ignore[no-untyped-def]
 
 @kernel
 def _excess(p, law, s, step, event, at):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Return how far a point of the step is beyond an event, in units of the event's scale; at most 0 before it.
+    """Return how far a point of the step is beyond an event, in units of the event's scale; at most 0 before the event.
 
-    The point is `at` = (time since the start of the step, w, δ'). Where `step.time_left` is infinite none is PAUSED:
-    its excess is NaN, which is not beyond anything.
+    The point is `at` = (time since the start of the step, w, δ'). If `step.time_left` is infinite, PAUSED has the
+    excess NaN, which never counts as beyond.
     """
     since, w, speed = at
     if event == SEPARATED:
@@ -121,7 +121,7 @@ def _excess_slope(p, law, s, step, event):  # type: ignore[no-untyped-def]
 
 @kernel
 def _length_by_dense_output(p, law, s, step, event):  # type: ignore[no-untyped-def]
-    """Return the length of a step up to an event that it went beyond, by the Illinois method on its dense output."""
+    """Return the length of a step up to an event that it passed, by the Illinois method on the step's dense output."""
     low, high, x, last_moved = 0.0, 1.0, 1.0, 0
     excess_low = _excess(p, law, s, step, event, dense_output(s, step, low))
     excess_high = _excess(p, law, s, step, event, dense_output(s, step, high))
@@ -144,7 +144,7 @@ def _length_by_dense_output(p, law, s, step, event):  # type: ignore[no-untyped-
 
 @kernel
 def _end_at(p, law, s, step, event):  # type: ignore[no-untyped-def]
-    """Take the step again until it ends at the event, its length in `s.h`; return whether that succeeded."""
+    """Solve the step again until it ends at the event, with its length in `s.h`; return whether that succeeded."""
     low, high = 0.0, s.h
     s.h = _length_by_dense_output(p, law, s, step, event)
     for _ in range(_ATTEMPTS):
@@ -161,7 +161,7 @@ def _end_at(p, law, s, step, event):  # type: ignore[no-untyped-def]
         s.h = s.h - excess / slope if slope > 0.0 else low
         if not low < s.h < high:
             s.h = 0.5 * (low + high)
-    else:  # as near as numbers resolve: what is in step must be the step whose length is in s
+    else:  # as near as numbers resolve; solve once more, so that `step` is the step of length s.h
         if not solve(p, law, s, step, s.h, ROUNDS):
             return False
     keep_dense_output(s, step)
@@ -170,11 +170,11 @@ def _end_at(p, law, s, step, event):  # type: ignore[no-untyped-def]
 
 @kernel
 def _first_event(p, law, s, step):  # type: ignore[no-untyped-def]
-    """End the step solved last at the first event that it went beyond; return that, NOTHING or FAILED.
+    """End the step solved last at the first event that it passed; return that event, NOTHING or FAILED.
 
-    What ends there must be as exact as any step, and touch the wall all the way: near the end of a contact and where
-    the acceleration jumps, the equations of a long step have a second, false solution, in which the indentation
-    collapses at once or passes through zero and back, and the time with it.
+    A step that ends at an event must be as exact as any other step, and must touch the wall all the way. Near the end
+    of a contact, and where the acceleration jumps, the equations of a long step have a second, false solution. In it
+    the indentation and the time collapse at once, or pass through zero and return.
     """
     ended = NOTHING
     for event in _IN_ORDER:
@@ -182,7 +182,7 @@ def _first_event(p, law, s, step):  # type: ignore[no-untyped-def]
             if not _end_at(p, law, s, step, event) or estimate_error(step, s.h) > 1.0:
                 return FAILED
             ended = event
-    if ended == SEPARATED and step.speed[LAST] > 0.0:  # nothing leaves inwards: a false solution as well
+    if ended == SEPARATED and step.speed[LAST] > 0.0:  # no sphere leaves inwards: another false solution
         return FAILED
     for i in range(STAGES):
         least_w = 0.0 if ended == SEPARATED and i >= LAST - 1 else _COLLAPSED * s.w
@@ -193,11 +193,12 @@ def _first_event(p, law, s, step):  # type: ignore[no-untyped-def]
 
 @kernel
 def _limit_length(s, step):  # type: ignore[no-untyped-def]
-    """Return the proposed length of a step, or less where it is longer than its polynomials hold, or would go too far.
+    """Return the proposed length of a step, reduced to where its polynomials are valid and to a safe part of the way.
 
-    While the sphere rests on the wall, δ falls as the two thirds' power of the time to the lift-off (to the zero of
-    a_r, seen from here): polynomials follow that over a part of this time, and what a longer step misses of the slow
-    motion rings on through all later ones. A step need not be shorter than some radians of the contact's own vibration.
+    While the sphere rests on the wall, δ falls as the two-thirds power of the time left to the lift-off. The lift-off
+    is estimated as the zero of a_r. Polynomials follow that fall over a part of this time only, and an error that a
+    longer step makes in the slow motion rings through all later steps. A step need not be shorter than some radians of
+    the contact's own vibration.
     """
     if not s.w > 0.0:
         return s.next_h
@@ -213,10 +214,10 @@ def _limit_length(s, step):  # type: ignore[no-untyped-def]
 
 @kernel
 def take_step(p, law, s, step):  # type: ignore[no-untyped-def]
-    """Solve the next step, its length in `s.h`, and propose one in `s.next_h`; return the event it ends at.
+    """Solve the next step, its length in `s.h`, propose the next length in `s.next_h`, and return the event at its end.
 
-    The state stays where it is until `conclude` moves it. `step` must have been expanded about s, and hold the
-    `time_left` of the segment.
+    `conclude` moves the state; this function leaves it in place. `step` must have been expanded about s, and must hold
+    the `time_left` of the segment.
     """
     begin_step(p, law, s, step)
     s.h = _limit_length(s, step)
@@ -233,7 +234,7 @@ def take_step(p, law, s, step):  # type: ignore[no-untyped-def]
                 ended = _first_event(p, law, s, step)
                 if ended != FAILED:
                     return ended
-                s.h *= 0.5  # nearer to the event the step up to it is an easier one
+                s.h *= 0.5  # closer to the event, the remaining step is easier to solve
             else:
                 s.h = next_length(s.h, error)
     return FAILED
@@ -241,7 +242,7 @@ def take_step(p, law, s, step):  # type: ignore[no-untyped-def]
 
 @kernel
 def take_next_step(model, f, s, step, t_end):  # type: ignore[no-untyped-def]
-    """Take the next step of the contact at s, or its first; return the event it ends at; `conclude` moves s there."""
+    """Solve the first or the next step of the contact at s and return the event it ends at; `conclude` then moves s."""
     p = model.parameters[0]
     expand(p, f, s, step)
     if s.next_h == 0.0:
@@ -252,7 +253,7 @@ def take_next_step(model, f, s, step, t_end):  # type: ignore[no-untyped-def]
 
 @kernel
 def dissipated(step, h):  # type: ignore[no-untyped-def]
-    """Return the energy that the contact loses during the step [J], by the quadrature of the collocation."""
+    """Return the energy that the contact loses during the step [J], by the quadrature of the collocation method."""
     lost = 0.0
     for i in range(STAGES):
         lost += h * MATRIX[LAST, i] * step.w[i] * step.lossy[i] * step.speed[i]
@@ -261,7 +262,7 @@ def dissipated(step, h):  # type: ignore[no-untyped-def]
 
 @kernel
 def _find_peak(p, law, s, step, of_force):  # type: ignore[no-untyped-def]
-    """Return the place (a part of the step) where the force, or the indentation, stops growing, by the polynomial."""
+    """Compute where the step's polynomial of the force or the indentation has its maximum, as a part of the step."""
     low, high = 0.0, 1.0
     while high - low > _PEAK_FOUND:
         middle = 0.5 * (low + high)
@@ -277,9 +278,11 @@ def _find_peak(p, law, s, step, of_force):  # type: ignore[no-untyped-def]
 
 @kernel
 def find_peaks(p, law, s, step):  # type: ignore[no-untyped-def]
-    """Raise `s.peak_force` [N] and `s.deepest_w` to the largest of the step, also where they lie inside of it.
+    """Raise `s.peak_force` [N] and `s.deepest_w` to the largest values in the step, also between its stages.
 
-    Inside, a step is solved that ends where the polynomial says; what is left to the peak is of second order. Where all
+    For a maximum between stages, a step is solved that ends where the polynomial predicts it; the remaining error is of
+    second order. If all stages are well below an earlier peak, so is the step. The steps of a law with a memory end at
+    their deepest point.
     stages are well below an earlier peak, so is the step. A law with a memory ends its steps where it is deepest.
     """
     w, speed, slope = step.w[LAST], step.speed[LAST], step.speed_slope[LAST]
@@ -305,7 +308,7 @@ def find_peaks(p, law, s, step):  # type: ignore[no-untyped-def]
             if slope < 0.0:
                 depth -= 0.5 * w * speed * speed / slope  # δ'' = slope / w
             s.deepest_w = max(s.deepest_w, math.sqrt(depth))
-    if of_force or of_depth:  # what is in step must be the step whose length is in s
+    if of_force or of_depth:  # solve once more, so that `step` is the step of length s.h
         solve(p, law, s, step, s.h, ROUNDS)
 
 
@@ -313,7 +316,7 @@ def find_peaks(p, law, s, step):  # type: ignore[no-untyped-def]
 def account_step(p, f, s, step, ledger):  # type: ignore[no-untyped-def]
     """Add the work of the drive and the losses outside the contact during the step.
 
-    First those of the pair as it would move with nothing indented, which is smooth in time; then the difference that
+    The first part is that of the pair without indentation, which is smooth in time. The second is the difference that
     the indentation makes, which is known at the stages only.
     """
     half = 0.5 * step.since[LAST]
@@ -333,7 +336,7 @@ def account_step(p, f, s, step, ledger):  # type: ignore[no-untyped-def]
 
 @kernel
 def conclude(p, s, step, ended, t_end):  # type: ignore[no-untyped-def]
-    """Move the state to the end of the step, with the time elapsed, the impulse on the sphere and the deepest point."""
+    """Move the state to the end of the step; update elapsed time, impulse on the sphere and largest indentation."""
     since, w, speed = step.since[LAST], max(step.w[LAST], 0.0), step.speed[LAST]
     v_2_before = s.y[V1] + s.side * (1.0 - p.share) * s.speed
     pair_at(step, since, s.y)
@@ -351,14 +354,14 @@ def conclude(p, s, step, ended, t_end):  # type: ignore[no-untyped-def]
 
 @kernel
 def settles(p, law, s, step):  # type: ignore[no-untyped-def]
-    """Whether a law with a memory only rings about its rest any more, slower than `speed_floor`.
+    """Return whether a contact with memory has decayed to ringing about its rest position, slower than `speed_floor`.
 
-    At a turning point the ringing has the speed amplitude |δ''| / ω_c, ω_c the contact's own frequency [rad/s]. Up to
-    three times the acceleration that presses, a hop is as short as a period of the ringing: it counts as ringing, not
-    as flight.
+    At a turning point the ringing has the speed amplitude |δ''| / ω_c, with ω_c the contact's own frequency [rad/s]. Up
+    to three times the pressing acceleration, a hop is as short as a period of the ringing, so it counts as ringing and
+    not as flight.
     """
     elastic, lossy, _, by_w, _ = force_at(p, law, s.per_v0, turned_at(s), s.w, s.speed, step)
-    pressing = step.acceleration[0]  # a_r where the step began: it hardly changes in one
+    pressing = step.acceleration[0]  # a_r at the start of the step, which hardly changes within one
     ringing_acceleration = abs(pressing - (elastic + lossy) * p.per_m_eff)  # |δ''| [m/s²]
     return ringing_acceleration <= _HOP * pressing and ringing_acceleration <= p.speed_floor * math.sqrt(
         0.5 * by_w * p.per_m_eff / s.w
@@ -373,6 +376,6 @@ def t_0_of(p, speed):  # type: ignore[no-untyped-def]
 
 @kernel
 def first_length(p, speed, acceleration):  # type: ignore[no-untyped-def]
-    """Return a first step [s/m^0.5]: a part of √(time/v0), with the time scale of the law, or of a_r."""
+    """Return the length of a first step [s/m^0.5], a part of √(time/v0), with the time scale of the law or of a_r."""
     scale = min(t_0_of(p, speed), speed / max(abs(acceleration), _SMALLEST))
     return _FIRST_LENGTH * math.sqrt(scale / speed)

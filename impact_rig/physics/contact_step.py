@@ -11,25 +11,26 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""One step of a contact: sphere and superior base press each other, and move on together.
+"""One step of a contact: sphere and superior base press against each other and move together.
 
 x_1 and x_2 are superior base (mass m_1, with the walls) and sphere (mass m), x_b the inferior base that the columns
 k_1, c_1 stand on (mass m_a + m_b, on k_f, c_f), i the current of its coil. The sphere indents the wall on `side` by δ,
-beyond the dent (0 but where a contact has just let go at δ > 0): x_2 − x_1 = side (g/2 + dent + δ). In a contact the
-structural state y holds the centre of mass of both, measured as the position that x_1 has at δ = 0:
+beyond the residual indentation δ_r (the state's `dent`, not 0 only after a contact has let go at δ > 0):
+x_2 − x_1 = side (g/2 + δ_r + δ). In a contact the structural state y holds the centre of mass of both, measured as the
+position that x_1 has at δ = 0:
 
     x_1* = x_1 + side σ δ,   v_1* = v_1 + side σ δ',   σ = m / (m_1 + m)
     (m_1 + m) x_1*'' = F_c*,    F_c* = −k_1 (x_1* − x_b) − c_1 (v_1* − v_b)
     (m_a + m_b) x_b'' = K_f i − c_f x_b' − k_f x_b − F_c*,    voltage drive: L i' = U − R i − K_f x_b'
 
 F_c* is the columns' force as it would be at δ = 0; F_c = −k_1 (x_1 − x_b) − c_1 (v_1 − v_b) is the real one. The
-contact force is inner to the pair and does not appear; a prescribed base moves as it is told. These equations give y as
-Taylor polynomials in time (`expand`), and the relative acceleration a_r = −side F_c* / m_1 [m/s²] with which the
-columns press sphere and wall together: m_1 x_1'' = F_c + side F, m x_2'' = −side F.
+contact force is internal to the pair and does not appear. A prescribed base follows its commanded motion. These
+equations give y as Taylor polynomials in time (`expand`), and the relative acceleration a_r = −side F_c* / m_1 [m/s²]
+with which the columns press sphere and wall together: m_1 x_1'' = F_c + side F, m x_2'' = −side F.
 
-That leaves out F_c − F_c* = side σ (k_1 δ + c_1 δ'), most often a millionth of it, and what follows from it: it moves
-the pair by side σ z, its `correction`, from z = 0 at the start of each step on. With side σ F_z what δ and z add to the
-columns' force,
+These equations leave out F_c − F_c* = side σ (k_1 δ + c_1 δ'), usually a millionth of F_c, and its consequences. The
+difference moves the pair by side σ z, its `correction`, starting from z = 0 at the start of each step. With side σ F_z,
+the change of the columns' force by δ and z,
 
     z_x1' = z_v1,   (m_1 + m) z_v1' = F_z,    F_z = k_1 (δ − z_x1 + z_xb) + c_1 (δ' − z_v1 + z_vb)
     z_xb' = z_vb,   (m_a + m_b) z_vb' = K_f z_i − c_f z_vb − k_f z_xb − F_z,   L z_i' = −R z_i − K_f z_vb
@@ -43,17 +44,17 @@ and dt = w dχ, χ in s/m^0.5 (a Sundman transformation), the equations are smoo
 
     dw/dχ = δ'/2,    dt/dχ = w,    dδ'/dχ = w δ''
 
-A step has a length h in χ. It solves the collocation equations of `collocation` at five stages (Radau IIA, order 9,
-L-stable: a sphere that rests on the wall is no harder than one that bounces off). w and t follow linearly from the
-speeds δ' at the stages, which are the only unknowns of Newton's method. The last stage is the end of the step.
+A step has a length h in χ. It solves the collocation equations of `collocation` at five stages (Radau IIA, order 9).
+The method is L-stable: a sphere that rests on the wall is no harder than one that bounces off. w and t follow linearly
+from the speeds δ' at the stages, which are the only unknowns of Newton's method. The last stage is the end of the step.
 
 **Dense output.** The speeds at the start and at the stages define a polynomial of degree 5 in x = χ / h, and through
-dw/dχ and dt/dχ also w and the time. It is a thousandth or a millionth off, not as good as the step itself: it predicts
-the next step for Newton's method and about where an event lies, and decides nothing of the motion; the instruments'
-polynomials in a contact are read off it (`sampling.fit`).
+dw/dχ and dt/dχ also w and the time. Its error is between a thousandth and a millionth, larger than that of the step
+itself. It predicts the next step for Newton's method and the approximate place of an event, but does not determine the
+motion. The instruments read their polynomials in a contact from it (`sampling.fit`).
 
-In the functions p are the parameters, law the contact law's force, f the drive, s the state, step the step with its
-stages, and a slope is a derivative by χ.
+The functions share some argument names: p are the parameters, law is the contact law's force, f the drive, s the state,
+and step the step with its stages. A slope is a derivative by χ.
 """
 
 from __future__ import annotations
@@ -77,14 +78,15 @@ from impact_rig.physics.state import COIL, PRESCRIBED, STEP_TERMS, STRUCTURE, V1
 FEW_TERMS = 8
 _FEW_VALID_RADIANS = 0.03  # of the fastest motion in one step: FEW_TERMS leave out 1e-16
 _VALID_RADIANS = 0.25  # the same for STEP_TERMS
-_AMPLE = 4.0  # terms are chosen before the length is known, for this many times what is expected
+_AMPLE = 4.0  # the terms are chosen before the length is known, for this many times the expected length
 
 
 @kernel
 def expand(p, f, s, step):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Fill `step.path` and `step.acceleration` with the pair's Taylor coefficients about the state s, drive included.
 
-    As many terms as the step that is expected needs, and how long they hold: `step.terms`, `step.valid_for`.
+    The expected length of the step determines the number of terms, `step.terms`, and how long they hold,
+    `step.valid_for`.
     """
     path = step.path
     fastest = max(p.fastest, f.omega)
@@ -124,7 +126,7 @@ def expand(p, f, s, step):  # type: ignore[no-untyped-def]  # compiled: types ar
 
 @kernel
 def polynomial(coefficients, since, terms):  # type: ignore[no-untyped-def]
-    """Return the Taylor polynomial `since` seconds after the start of the step, from its first terms."""
+    """Return the value of a Taylor polynomial `since` seconds after the start of the step, from its first terms."""
     total = coefficients[terms - 1]
     for n in range(terms - 2, -1, -1):
         total = total * since + coefficients[n]
@@ -177,17 +179,17 @@ def improve_correction(p, step, h):  # type: ignore[no-untyped-def]
 
 @kernel
 def add_correction(p, side, step, stage, y):  # type: ignore[no-untyped-def]
-    """Add the correction at a stage to y."""
+    """Add the correction at one stage to y."""
     for q in range(STRUCTURE):
         y[q] += side * p.share * step.correction[q, stage]
 
 
-_FAR = 1.6  # times its length: further on the polynomial is worse than a straight line
+_FAR = 1.6  # times the step's length: beyond it the polynomial is worse than a straight line
 
 
 @kernel
 def keep_dense_output(s, step):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Keep the polynomial of the step of length `s.h` that was solved from s."""
+    """Keep the dense output of the step of length `s.h` that was solved from s."""
     for n in range(STAGES + 1):
         total = TO_POLYNOMIAL[n, 0] * s.speed
         for j in range(STAGES):
@@ -198,7 +200,7 @@ def keep_dense_output(s, step):  # type: ignore[no-untyped-def]  # compiled: typ
 
 @kernel
 def drop_dense_output(step):  # type: ignore[no-untyped-def]
-    """Let the next step begin without a polynomial: what follows must not depend on what was solved before."""
+    """Clear the dense output, so that the next step does not depend on what was solved before."""
     step.dense_length = 0.0
 
 
@@ -222,7 +224,7 @@ def dense_slope(step, x):  # type: ignore[no-untyped-def]
 
 @kernel
 def predict_speeds(s, step, h):  # type: ignore[no-untyped-def]
-    """Fill the stages of a step of length h from s with the speeds that are expected there."""
+    """Fill the stages of a step of length h from s with the speeds expected there."""
     if step.dense_since + h <= _FAR * step.dense_length:
         x_start, x_length = step.dense_since / step.dense_length, h / step.dense_length
         for i in range(STAGES):
@@ -243,25 +245,25 @@ def dense_output(s, step, x):  # type: ignore[no-untyped-def]
     return step.dense_length * x * (s.w + half_length * time_sum), s.w + half_length * w_sum, _dense_speed(step, x)
 
 
-ERROR_ORDER = 8.0  # in h, of the relieved estimate_error: between 6, where it is relieved by a constant, and 10
-_RELIEF = 1e4  # found by trial: the largest with which contacts still keep their tolerance
+ERROR_ORDER = 8.0  # in h, of the reduced estimate_error: between 6, where a constant reduces it, and 10
+_RELIEF = 1e4  # found by trial: the largest value with which contacts still keep their tolerance
 FEW_ROUNDS, ROUNDS = 12, 24  # most steps need three to six; one that needs many is better taken shorter
-_SLOW = 0.1  # a round that leaves more than this part of the change before makes the next one renew the matrix
-_CONVERGED = 0.1  # of what the contact's own speeds allow
-_RESOLUTION = 2.0**-48  # of the speeds: Newton cannot come closer
+_SLOW = 0.1  # after a round that leaves more than this part of the change before, the next round renews the matrix
+_CONVERGED = 0.1  # of the error that the contact's own speeds allow
+_RESOLUTION = 2.0**-48  # of the speeds: Newton's method cannot come closer
 _AT_REST = 0.1  # see `begin_step`: with more, the force on a resting sphere becomes inexact
 _LEAST_PART = 1e-3  # of `speed_floor`: slower motion of a contact need not be resolved relatively
 
 
 @kernel
 def turned_at(s):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Return the w from which the law unloads, 0 while it loads: see `contact.law`."""
+    """Return the w below which the law unloads, 0 while it loads: see `contact.law`."""
     return 0.0 if s.w >= s.deepest_w and s.speed > 0.0 else s.deepest_w
 
 
 @kernel
 def force_at(p, law, per_v0, turned_at, w, speed, step):  # type: ignore[no-untyped-def]
-    """Return (elastic, lossy, stored, ∂F/∂w, ∂F/∂δ') of the law at one point; `step.point` is the room for them."""
+    """Return the law's (elastic, lossy, stored, ∂F/∂w, ∂F/∂δ') at one point; `step.point` is its scratch memory."""
     law.at_point(p, per_v0, turned_at, w, speed, step)
     point = step.point
     return point[0], point[1], point[2], point[3], point[4]
@@ -269,18 +271,18 @@ def force_at(p, law, per_v0, turned_at, w, speed, step):  # type: ignore[no-unty
 
 @kernel
 def begin_step(p, law, s, step):  # type: ignore[no-untyped-def]
-    """Evaluate force and slope where a step starts, where it turned, its time scale, and how exact its speeds must be.
+    """Evaluate force and slope at the start of a step, its turning point, its time scale and its tolerance.
 
     A step may be wrong by a part of the contact's own speeds: δ', and δ times its natural frequency. Where the sphere
-    rests on the wall these are tiny, and it may be the same part of a tenth of the speed that a_r gives in a radian of
-    the fastest motion of structure or drive. Newton's method never goes by the latter: instruments solve steps
-    again, from another prediction, and must find the same.
+    rests on the wall these are tiny. The error may then be the same part of a tenth of the speed that a_r gives in a
+    radian of the fastest motion of structure or drive. Newton's method never uses this second limit: instruments solve
+    steps again from another prediction, and must find the same result.
     """
     step.turned_at = turned_at(s)
     elastic, lossy, _, by_w, _ = force_at(p, law, s.per_v0, step.turned_at, s.w, s.speed, step)
     depth = s.w * s.w
     step.start_force = elastic + lossy
-    from_columns = p.slowing_by_depth * depth + p.slowing_by_speed * s.speed  # taken off δ'' [m/s²]
+    from_columns = p.slowing_by_depth * depth + p.slowing_by_speed * s.speed  # subtracted from δ'' [m/s²]
     step.start_speed_slope = s.w * (step.acceleration[0] - from_columns - step.start_force * p.per_m_eff)
     vibration_speed = math.sqrt(0.5 * s.w * depth * abs(by_w) * p.per_m_eff)  # δ times the contact's own frequency
     step.contact_time_scale = depth / vibration_speed if vibration_speed > 0.0 else 0.0
@@ -306,7 +308,7 @@ def _integrate_speeds(s, step, h):  # type: ignore[no-untyped-def]
 
 @kernel
 def _evaluate_acceleration(p, step):  # type: ignore[no-untyped-def]
-    """Fill the relative acceleration at the stages, with what the correction adds to it."""
+    """Fill the relative acceleration at the stages, including the part of the correction."""
     for i in range(STAGES):
         step.acceleration_at[i] = step.acceleration[step.terms - 1]
     for n in range(step.terms - 2, -1, -1):
@@ -381,7 +383,7 @@ def _invert_newton(step):  # type: ignore[no-untyped-def]
 
 @kernel
 def _newton_step(s, step, h):  # type: ignore[no-untyped-def]
-    """Make one Newton step of the stages' speeds; return the largest change [m/s], infinite where one is not finite."""
+    """Make one Newton step for the stages' speeds; return the largest change [m/s], infinite if one is not finite."""
     for i in range(STAGES):
         residual = h * step.speed_slope[i]
         for j in range(STAGES):
@@ -392,7 +394,7 @@ def _newton_step(s, step, h):  # type: ignore[no-untyped-def]
         change = 0.0
         for j in range(STAGES):
             change += step.newton[i, j] * step.residual[j]
-        if not abs(change) < math.inf:  # also where it is NaN, which `max` would pass over
+        if not abs(change) < math.inf:  # also for NaN, which `max` would ignore
             return math.inf
         step.speed[i] += change
         largest = max(largest, abs(change))
@@ -401,11 +403,11 @@ def _newton_step(s, step, h):  # type: ignore[no-untyped-def]
 
 @kernel
 def solve(p, law, s, step, h, rounds):  # type: ignore[no-untyped-def]
-    """Solve a step of length h; return whether Newton converged. The stages hold the step, the last one its end.
+    """Solve a step of length h; return whether Newton's method converged. The last stage is the end of the step.
 
-    Where a sphere rests on the wall until a_r(t) lifts it off, a_r decides the indentation, and Newton's method adds
-    the derivative of a_r(t) after FEW_ROUNDS. Only a step of given length gets as many, ROUNDS; one whose length is
-    free is taken shorter instead. Forces and slopes at the stages belong to the speeds before Newton's last change.
+    Where a sphere rests on the wall until a_r(t) lifts it off, a_r determines the indentation, and Newton's method adds
+    the derivative of a_r(t) after FEW_ROUNDS. Only a step of fixed length gets as many as ROUNDS; a step of free length
+    is shortened instead. Forces and slopes at the stages belong to the speeds before Newton's last change.
     """
     predict_speeds(s, step, h)
     step.correction[:] = 0.0
@@ -415,7 +417,7 @@ def solve(p, law, s, step, h, rounds):  # type: ignore[no-untyped-def]
         improve_correction(p, step, h)
         _evaluate_acceleration(p, step)
         _evaluate_slopes(p, law, s, step)
-        if (n != 1 and contraction > _SLOW) or n >= FEW_ROUNDS:  # after one round nobody knows how fast it converges
+        if (n != 1 and contraction > _SLOW) or n >= FEW_ROUNDS:  # one round does not show how fast it converges
             _set_newton(step, h)
             if n >= FEW_ROUNDS:
                 _add_acceleration_to_newton(step, h)
@@ -435,11 +437,11 @@ def solve(p, law, s, step, h, rounds):  # type: ignore[no-untyped-def]
 
 @kernel
 def estimate_error(step, h):  # type: ignore[no-untyped-def]
-    """Return the error of the step solved last, in units of what is allowed.
+    """Return the error of the step solved last, in units of the allowed error.
 
-    How far the stages' slopes, extrapolated to the start, miss the slope there is an error of order 6 in h, filtered so
-    that fast decay counts only as much as it shows (Hairer & Wanner, section IV.8). The step itself is of order 9 where
-    it is not stiff: there the estimate is relieved, by the less the stiffer the contact.
+    The stages' slopes, extrapolated to the start, miss the slope there by an error of order 6 in h. It is filtered so
+    that fast decay counts only as much as it is visible (Hairer & Wanner, section IV.8). The step itself is of order 9
+    where it is not stiff. There the estimate is reduced, by less the stiffer the contact is.
     """
     defect = step.start_speed_slope
     for j in range(STAGES):
@@ -457,5 +459,5 @@ def estimate_error(step, h):  # type: ignore[no-untyped-def]
 
 @kernel
 def next_length(h, error):  # type: ignore[no-untyped-def]
-    """Return the step length that this error asks for."""
+    """Return the step length that an error calls for."""
     return h * min(4.0, max(0.1, 0.8 * power(max(error, 1e-9), -1.0 / ERROR_ORDER)))

@@ -13,7 +13,7 @@
 # limitations under the License.
 """Work and losses of a flight, by Gauss–Legendre quadrature of its closed form.
 
-Contacts: `contact_phase.account_step`; what they lose themselves: `event_loop`, where `ledger.contact` grows.
+For contacts see `contact_phase.account_step`; the losses of the contacts themselves are added in `event_loop`.
 
 columns  ∫ c_1 (v_1 − v_b)² dt        shaker  ∫ c_f v_b² + R i² dt        friction  force times the distance slid
 work     ∫ K_f i v_b dt (current),  ∫ U i dt (voltage),  ∫ [k_1 (x_b − x_1) − c_1 (v_1 − v_b)] v_b dt (prescribed)
@@ -31,16 +31,16 @@ from impact_rig.physics.collocation import GAUSS_NODES, GAUSS_WEIGHTS
 from impact_rig.physics.flight import drive, structure_at
 from impact_rig.physics.state import COIL, PRESCRIBED, V1, VB, VOLTAGE, X1, XB
 
-_PANEL = 1.0  # radians (or e-foldings) of the fastest motion per quadrature panel: 8 Gauss points leave 1e-14
-_SHORT = 0.02  # of such a panel, an interval of a stream's samples, three points leave 2e-15
+_PANEL = 1.0  # radians (or e-foldings) of the fastest motion per quadrature panel: eight points leave 1e-14
+_SHORT = 0.02  # of such a panel: for an interval of a stream's samples, three points have an error of 2e-15
 _SHORT_NODES = np.array([-0.7745966692414834, 0.0, 0.7745966692414834])
 _SHORT_WEIGHTS = np.array([0.5555555555555556, 0.8888888888888888, 0.5555555555555556])
-_FORGOTTEN = 50.0  # e-foldings after which a mode no longer needs panels of its own
+_FORGOTTEN = 50.0  # e-foldings after which a mode needs no panels of its own
 
 
 @kernel
 def add_powers(p, f, y, t, weight, ledger):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Add weight [s] times the powers at t; of a prescribed base y need not hold the motion."""
+    """Add weight [s] times the powers at t; y need not hold the motion of a prescribed base."""
     u, u_rate = drive(f, t)
     x_b, v_b = (u, u_rate) if p.drive_kind == PRESCRIBED else (y[XB], y[VB])
     v_rel = y[V1] - v_b

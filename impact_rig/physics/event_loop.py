@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The event loop: fly, touch, leave — segment by segment of the drive.
+"""The event loop: flights, contacts and their transitions, segment by segment of the drive.
 
-Each phase of the motion goes on until an event, or until it is PAUSED to be entered again: at the end of the segment,
-and a contact also after very many steps:
+Each phase of the motion lasts until an event, or until it is PAUSED and entered again: at the end of a segment, and in
+a contact also after very many steps.
 
     phase      event           what then happens                                    next phase
     FREE       TOUCHED         a contact begins (`_touch`)                          CONTACT
@@ -27,10 +27,10 @@ and a contact also after very many steps:
                                (`_part`)
 
 A sphere that rests on a wall under any other law that yields stays in CONTACT until it is lifted off: SEPARATED or
-RELEASED. A rig begins FREE, or ATTACHED where its sphere is at rest and the guide has friction, or `set_state` puts it
-at rest on a wall; a call of `run` goes on in any phase. A contact whose outcome is tabulated ends SEPARATED; TURNED and
-RELOADED end a step of a contact, not the contact. `_change_phase` is this table. Every segment has its own time zero;
-every phase stops at its end, so nothing depends on the number of calls that a motion takes.
+RELEASED. A rig begins FREE, or ATTACHED if its sphere is at rest and the guide has friction or `set_state` puts it at
+rest on a wall. A call of `run` can start in any phase. A contact whose outcome is tabulated ends SEPARATED. TURNED and
+RELOADED end a step of a contact, not the contact. `_change_phase` implements this table. Every segment has its own time
+zero, and every phase stops at the segment's end, so nothing depends on the number of calls that a motion takes.
 """
 
 from __future__ import annotations
@@ -86,21 +86,22 @@ from impact_rig.physics.state import (
 )
 
 DONE, NEED_ROOM, STUCK, UNSOLVED = range(4)
-"""How `run` ends: all segments done; call again with more room in history and impacts; no progress; a step of a contact
-has no solution that can be found."""
+"""Results of `run`: all segments are done; history or impacts need more room, so call again; no progress is made; or no
+solution is found for a step of a contact.
+"""
 
 _SPEED_RESOLUTION = 2.0**-48
-_STEPS = 500  # of a contact in one call of its phase
+_STEPS = 500  # largest number of steps of a contact in one call of its phase
 ROWS_PER_PHASE = 2 * _STEPS
-"""Rows of the history that must be left before a phase is entered: it fills hardly more than half of them."""
+"""Rows of the history that must be free before a phase is entered; the phase fills little more than half of them."""
 _EVENTS_PER_SEGMENT = 10_000_000
 
 
 class Workspace(NamedTuple):
-    """What the event loop works on.
+    """Arrays on which the event loop works.
 
     Attributes:
-        states: records of STATE: the state, and one to follow a contact on the side.
+        states: records of STATE: the state, and a copy with which a contact is followed separately.
         flight: one record of FLIGHT.
         step: one record of CONTACT_STEP.
         ledger: one record of LEDGER.
@@ -126,7 +127,7 @@ WORKSPACE = Fields(Workspace, (STATE, FLIGHT, CONTACT_STEP, LEDGER, COUNTS, STAT
 
 
 def new_workspace(states: int, impacts: int) -> Workspace:
-    """Return a workspace with room for a history of so many states and for so many impacts."""
+    """Return a workspace with room for `states` rows of history and for `impacts` impacts."""
     return Workspace(
         records(2, STATE),
         records(1, FLIGHT),
@@ -142,14 +143,14 @@ def new_workspace(states: int, impacts: int) -> Workspace:
 
 @kernel
 def _keep_state(work):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Append the state to the history."""
+    """Append the current state to the history."""
     work.history[work.counts[0].states] = work.states[0]
     work.counts[0].states += 1
 
 
 @kernel
 def _fly_on(p, s, d, d_rate):  # type: ignore[no-untyped-def]
-    """Set a flight that starts at d with the rate d_rate; guide friction works against it from the start."""
+    """Start a flight at the relative position d with the rate d_rate; guide friction acts against it from the start."""
     s.phase, s.side = FREE, 0.0
     s.d, s.d_rate = d, d_rate
     s.slide = np.sign(d_rate) if p.friction_acceleration > 0.0 else 0.0
@@ -164,13 +165,13 @@ def _hold(s, d, side):  # type: ignore[no-untyped-def]
 
 @kernel
 def _least_speed(p, s):  # type: ignore[no-untyped-def]
-    """Return the least relative speed [m/s]: `touch_speed`, or what the rounding of the structure's speed leaves."""
+    """Return the least relative speed [m/s]: `touch_speed`, or the rounding of the structure's speed if larger."""
     return max(p.touch_speed, _SPEED_RESOLUTION * abs(s.y[V1]))
 
 
 @kernel
 def _part(p, s, way, ledger):  # type: ignore[no-untyped-def]
-    """Let a sphere that moves with the structure come loose: with the least speed, nothing added to the momentum."""
+    """Release a sphere that moves with the structure, with the least speed and without changing the momentum."""
     if s.side != 0.0:
         s.dent, s.dent_side = max(0.0, s.side * s.d - p.half_gap), s.side
     d_rate = way * _least_speed(p, s)
@@ -181,9 +182,9 @@ def _part(p, s, way, ledger):  # type: ignore[no-untyped-def]
 
 @kernel
 def _touch(p, s, side, ledger):  # type: ignore[no-untyped-def]
-    """Begin a contact with the wall just reached: y becomes that of the pair.
+    """Begin a contact with the wall just reached; from here y holds the state of the pair.
 
-    The energy that the least speed adds is a negative loss of the contact.
+    The energy that the least speed adds counts as a negative loss of the contact.
     """
     speed = max(side * s.d_rate, p.touch_speed)
     ledger.contact -= 0.5 * p.m_eff * (speed * speed - s.d_rate * s.d_rate)
@@ -201,7 +202,7 @@ def _touch(p, s, side, ledger):  # type: ignore[no-untyped-def]
 
 @kernel
 def _keep_impact(work, s, separation, indentation):  # type: ignore[no-untyped-def]
-    """Append the contact of s as an impact; separation speed [m/s], largest indentation [m]."""
+    """Append the contact of s as an impact; separation speed in m/s, largest indentation in m."""
     row = work.impacts[work.counts[0].impacts]
     row.tick, row.offset, row.wall = s.touch_tick, s.touch_offset, int(s.side)
     row.approach_speed, row.separation_speed = s.approach, separation
@@ -212,9 +213,10 @@ def _keep_impact(work, s, separation, indentation):  # type: ignore[no-untyped-d
 
 @kernel
 def _leave(model, s, work, settled):  # type: ignore[no-untyped-def]
-    """End a contact: keep the impact, give y back to the structure; fly on from where the surface is, or be held there.
+    """End a contact: keep the impact and give y back to the structure. The sphere then flies on, or stays if `settled`.
 
-    What the contact still stores is lost: it relaxes alone or, `settled`, rings out while the sphere goes on ATTACHED.
+    The energy that the contact still stores is lost: it relaxes or, if `settled`, rings out while the sphere is
+    ATTACHED.
     """
     p, depth, side = model.parameters[0], s.w * s.w, s.side
     if depth > 0.0:
@@ -237,8 +239,8 @@ def _leave(model, s, work, settled):  # type: ignore[no-untyped-def]
 def _bounce(p, s, side, pair_acceleration, position_rounding, work):  # type: ignore[no-untyped-def]
     """Reverse the relative speed at once, or attach a sphere that no longer bounces off a pressing wall.
 
-    It stays where the wall presses it, by the `pair_acceleration` [m/s²] of both as one body, up to the `least_rebound`
-    speed: a lower bounce would be undone by the rounding of the positions, over and over.
+    The sphere stays if the wall presses it, by the `pair_acceleration` [m/s²] of both as one body, and it is not faster
+    than `least_rebound`. The rounding of the positions would undo a lower bounce, over and over.
     """
     speed = max(0.0, side * s.d_rate)
     e = p.restitution
@@ -247,7 +249,7 @@ def _bounce(p, s, side, pair_acceleration, position_rounding, work):  # type: ig
     if stays:
         e = 0.0
     rebound_speed = 0.0 if stays else max(e * speed, _least_speed(p, s))
-    s.y[V1] += p.share * (s.d_rate + side * rebound_speed)  # not of `speed`: the momentum of both must stay
+    s.y[V1] += p.share * (s.d_rate + side * rebound_speed)  # not of `speed`: the momentum of both must not change
     s.side, s.approach, s.elapsed, s.peak_force = side, speed, 0.0, 0.0
     s.impulse, s.lost = p.m_eff * speed * (1.0 + e), 0.5 * p.m_eff * speed * speed * (1.0 - e * e)
     work.ledger[0].contact += 0.5 * p.m_eff * (s.d_rate * s.d_rate - rebound_speed * rebound_speed)
@@ -261,7 +263,7 @@ def _bounce(p, s, side, pair_acceleration, position_rounding, work):  # type: ig
 
 @kernel
 def _flight_phase(model, f, work, t_end, account):  # type: ignore[no-untyped-def]
-    """Fly, free or as one body with the structure; return what ends it."""
+    """Advance a flight, free or as one body with the structure; return the event that ends it."""
     p, s, flight = model.parameters[0], work.states[0], work.flight[0]
     _keep_state(work)
     system, d_before = model.systems[flight.system], s.d
@@ -275,7 +277,7 @@ def _flight_phase(model, f, work, t_end, account):  # type: ignore[no-untyped-de
 
 @kernel
 def _apply_tabulated(model, f, work, t_end, account):  # type: ignore[no-untyped-def]
-    """Take a contact that has just begun to its end, from the table; return whether that was possible."""
+    """Complete a contact that has just begun, from the table; return whether that was possible."""
     p, table = model.parameters[0], model.table[0]
     s, step = work.states[0], work.step[0]
     if table.high == 0.0:
@@ -296,7 +298,7 @@ def _apply_tabulated(model, f, work, t_end, account):  # type: ignore[no-untyped
 
 @kernel
 def account_contact(model, f, s, step, ledger):  # type: ignore[no-untyped-def]
-    """Follow s to the end of its contact, step by step, for the account only; a step that fails ends it."""
+    """Follow s step by step to the end of its contact, for the energy account only; a step that fails ends it."""
     drop_dense_output(step)
     for _ in range(_STEPS):
         ended = take_next_step(model, f, s, step, math.inf)
@@ -310,7 +312,10 @@ def account_contact(model, f, s, step, ledger):  # type: ignore[no-untyped-def]
 
 @kernel
 def _contact_phase(model, f, work, t_end, account):  # type: ignore[no-untyped-def]
-    """Go on with a contact; return what ends it, or FAILED; PAUSED before t_end where its steps are used up."""
+    """Continue a contact; return the event that ends it, or FAILED.
+
+    It is PAUSED before t_end if the number of steps in one call is exceeded.
+    """
     p, s, step, ledger = model.parameters[0], work.states[0], work.step[0], work.ledger[0]
     if s.next_h == 0.0 and _apply_tabulated(model, f, work, t_end, account):
         return SEPARATED
@@ -337,7 +342,7 @@ def _contact_phase(model, f, work, t_end, account):  # type: ignore[no-untyped-d
             ended = SETTLED
             break
         ended = PAUSED
-        if s.t >= t_end:  # the step ended there by itself, or beyond it by less than what counts as PAUSED
+        if s.t >= t_end:  # the step ended there, or beyond by less than the tolerance of PAUSED
             break
     s.h = 0.0
     _keep_state(work)
@@ -346,7 +351,7 @@ def _contact_phase(model, f, work, t_end, account):  # type: ignore[no-untyped-d
 
 @kernel
 def _change_phase(model, f, work, tick, ended):  # type: ignore[no-untyped-def]
-    """Do what an event asks for, see the table above."""
+    """Change the phase after an event, see the table at the head of this module."""
     p, s, flight, ledger = model.parameters[0], work.states[0], work.flight[0], work.ledger[0]
     if ended == PAUSED:
         return
@@ -372,7 +377,7 @@ def _change_phase(model, f, work, tick, ended):  # type: ignore[no-untyped-def]
 
 @kernel
 def _prepare_flight(model, f, work, t_end, fresh):  # type: ignore[no-untyped-def]
-    """Prepare the closed form of a flight where the frequency, the system or (`fresh`) the segment is new."""
+    """Prepare the closed form of a flight if the frequency, the system or (`fresh`) the segment is new."""
     flight = work.flight[0]
     renewed = choose_system(model, f, work.states[0], flight)
     if fresh or renewed:
@@ -381,7 +386,7 @@ def _prepare_flight(model, f, work, t_end, fresh):  # type: ignore[no-untyped-de
 
 @kernel
 def _move_base(p, f, s, ledger, account):  # type: ignore[no-untyped-def]
-    """Let a prescribed base begin a segment; where it jumps to its place, the springs of the columns take that work."""
+    """Start a segment of a prescribed base; if the base jumps, the springs of the columns absorb the work."""
     x_b_before = s.y[XB]
     s.y[XB], s.y[VB] = drive(f, 0.0)
     if account:
@@ -395,16 +400,16 @@ def _move_base(p, f, s, ledger, account):  # type: ignore[no-untyped-def]
 def run(model, segments, first_tick, segment, work, account):  # type: ignore[no-untyped-def]
     """Advance the state through `segments[segment:]`; return (how it ended, the segment it is in).
 
-    `first_tick` is the number of the tick of `segments[0]`, counted since the reset, whatever `segment` is.
+    `first_tick` is the number of the tick of `segments[0]`, counted since the reset, regardless of `segment`.
 
-    Work, and losses outside the contacts, are accounted for only if `account`: it costs as much as flying.
+    Work, and losses outside the contacts, are computed only if `account` is true; this costs as much as the flights.
     """
     s = work.states[0]
     work.flight[0].omega = -1.0
     while segment < segments.shape[0]:
         row = segments[segment]
         f, t_end, fresh = drive_segment(row), row.duration, True
-        if work.counts[0].segments == segment:  # not noted before a call ran out of room
+        if work.counts[0].segments == segment:  # not set before a call ran out of room
             work.first_state[segment] = work.counts[0].states
             work.counts[0].segments += 1
             if row.begin == 0.0:
@@ -429,11 +434,11 @@ def run(model, segments, first_tick, segment, work, account):  # type: ignore[no
                 break
         else:
             return STUCK, segment
-        if model.parameters[0].drive_kind == PRESCRIBED:  # not integrated, but the energy depends on it
+        if model.parameters[0].drive_kind == PRESCRIBED:  # a prescribed base is not integrated but has energy
             s.y[XB], s.y[VB] = drive(f, t_end)
         s.t = 0.0
         segment += 1
     counts = work.counts[0]
-    work.history[counts.states] = s  # where the next motion begins; no row of this one
+    work.history[counts.states] = s  # the state from which the next motion begins; not a row of this one
     work.first_state[segment], work.first_segment[counts.ticks] = counts.states, segment
     return DONE, segment

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Between contacts: the structure is linear, the sphere loose or one body with it, and both are known in closed form.
+"""Closed forms of the motion between contacts: the structure is linear, the sphere is loose or one body with it.
 
 **Drive.** Inside one segment u(t) = (A + B t) sin(ω t + φ). The answer of the linear system y' = M y + b_0 u + b_1 u'
 to it is
@@ -28,15 +28,15 @@ to it is
 `friction_force` [N] on the structure and `braking` [m/s²] of the sphere are the guide's friction, constant while the
 sphere slides one way.
 
-**Touch.** It is approached by conservative advancement. With a speed and an acceleration towards a target and
-|jerk| <= J, a point covers within a time called horizon at most
+**Touch.** Conservative advancement finds it. With a speed and an acceleration towards a target and |jerk| <= J, a point
+covers within a time called horizon at most
 
     speed t + (acceleration + J horizon / 3) t² / 2,   0 <= t <= horizon
 
-The first t at which that is the distance is safe if it comes before the horizon, and the horizon itself is safe
-otherwise. Repeated advances close in on the first touch from before it and cannot step over it, however short or
-grazing the crossing. The same holds for a speed in place of the distance (the stop of a sliding sphere), and for an
-acceleration (its parting from the structure): speed, acceleration and J are then one and two derivatives higher.
+The first t at which that is the distance is safe if it is before the horizon; otherwise the horizon itself is safe.
+Repeated advances approach the first touch from before it and cannot step over it, however short or grazing the crossing
+is. The same holds for a speed in place of the distance (a sliding sphere stops) and for an acceleration (the sphere
+parts from the structure): speed, acceleration and J are then one and two derivatives higher.
 """
 
 from __future__ import annotations
@@ -63,10 +63,10 @@ from impact_rig.physics.state import (
 
 _THIRD = 1.0 / 3.0
 _ROUNDS = 12
-_CLOSE = 0.8  # of the horizon: a crossing that comes later makes a shorter horizon not worth trying
-_TIME_RESOLUTION = 2.0**-51  # of t: an advance as short is lost in rounding
+_CLOSE = 0.8  # of the horizon: for a later crossing a shorter horizon is not worth trying
+_TIME_RESOLUTION = 2.0**-51  # of t: an advance as short as this is lost in rounding
 _POSITION_RESOLUTION = 2.0**-47  # of the largest terms of x_1, with a margin
-_SHORTEST = 1e-3  # least t that _TIME_RESOLUTION is of [s]: before that, times are resolved as there
+_SHORTEST = 1e-3  # least t to which _TIME_RESOLUTION is relative [s]: earlier times are resolved as at that instant
 
 SEGMENT = np.dtype(
     [
@@ -74,11 +74,11 @@ SEGMENT = np.dtype(
         ("omega", "f8"),  # ω of the drive [rad/s]
         ("phase", "f8"),  # φ of the drive at the segment's start [rad]
         ("amplitude", "f8"),  # A of the drive at the segment's start [A, m or V, by drive]
-        ("growth", "f8"),  # B, by which the amplitude grows [A/s, m/s or V/s]
+        ("growth", "f8"),  # B, growth rate of the amplitude [A/s, m/s or V/s]
         ("begin", "f8"),  # when the segment begins, since the start of its tick [s]
     ]
 )
-"""Drive segments, in order. One begins a tick of its own, or goes on in the tick of the one before, `begin` > 0."""
+"""Drive segments, in order. A segment either begins a tick (`begin` = 0) or continues the tick of the one before."""
 
 
 class DriveSegment(NamedTuple):
@@ -93,7 +93,7 @@ class DriveSegment(NamedTuple):
 
 @kernel
 def drive_segment(row):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Return a segment of the drive that is a record of SEGMENT."""
+    """Return one record of SEGMENT as a segment of the drive."""
     return DriveSegment(row.omega, row.phase, row.amplitude, row.growth, row.begin)
 
 
@@ -108,7 +108,7 @@ def drive(f, t):  # type: ignore[no-untyped-def]
 @kernel
 def phasor(angle):  # type: ignore[no-untyped-def]
     """Return exp(j angle)."""
-    if angle == 0.0:  # at all times, where the drive is a straight line
+    if angle == 0.0:  # always, if the drive is a straight line
         return 1.0 + 0.0j
     sine, cosine = sincos(angle)
     return complex(cosine, sine)
@@ -116,7 +116,7 @@ def phasor(angle):  # type: ignore[no-untyped-def]
 
 @kernel
 def bound_omega(system, omega):  # type: ignore[no-untyped-def]
-    """Return the fastest rate [1/s] of the drive and the modes."""
+    """Return the fastest rate [1/s] of the drive and of the modes."""
     fastest = max(omega, 1e-9)
     for n in range(system.modes):
         fastest = max(fastest, modulus(system.rate[n]))
@@ -132,7 +132,7 @@ def _half_reciprocal(number):  # type: ignore[no-untyped-def]
 
 @kernel
 def resolve(system, omega, vector, out):  # type: ignore[no-untyped-def]
-    """Fill out = (jω − M)^-1 vector; each kept mode stands for itself and its conjugate."""
+    """Fill out = (jω − M)^-1 vector; each kept mode represents itself and its conjugate."""
     for i in range(system.states):
         out[i] = 0.0j
     for n in range(system.modes):
@@ -153,7 +153,7 @@ def resolve(system, omega, vector, out):  # type: ignore[no-untyped-def]
 def frequency_response(system, omega, flight):  # type: ignore[no-untyped-def]
     """Fill `flight.answer` (H) and `flight.growth_answer` (G): the answers to a steady and to a growing drive."""
     n = system.states
-    vector = flight.steady  # scratch: `particular` fills it anew
+    vector = flight.steady  # scratch: `particular` overwrites it
     for i in range(n):
         vector[i] = complex(system.b_0[i], omega * system.b_1[i])
     resolve(system, omega, vector, flight.answer)
@@ -178,7 +178,7 @@ def safe_time(distance, speed, acceleration, jerk_bound, longest):  # type: igno
     if speed * longest + half_acceleration * longest * longest <= distance and (
         speed <= 0.0 or speed + 2.0 * half_acceleration * longest >= 0.0
     ):
-        return longest  # most often: it ends nearer, and was never further out than there or where it began
+        return longest  # most often: it ends nearer, and was never further out than there or at the start
     horizon = longest
     if jerk_bound > 0.0:
         horizon = min(
@@ -212,7 +212,7 @@ def safe_time(distance, speed, acceleration, jerk_bound, longest):  # type: igno
 
 @kernel
 def choose_system(model, f, s, flight):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Let `flight.system` be what moves from s on; return whether its answers to the drive had to be renewed."""
+    """Set `flight.system` to the system that moves from s on; return whether its answers had to be recomputed."""
     which = SPHERE_ATTACHED if s.phase == ATTACHED else SPHERE_LOOSE
     if f.omega == flight.omega and which == flight.system:
         return False
@@ -223,13 +223,13 @@ def choose_system(model, f, s, flight):  # type: ignore[no-untyped-def]  # compi
 
 @kernel
 def guide_friction(p, s):  # type: ignore[no-untyped-def]
-    """Return the force of the guide's friction on the superior base [N]: of one body it is an inner force."""
+    """Return the force of the guide's friction on the superior base [N]; in phase ATTACHED it is an internal force."""
     return 0.0 if s.phase == ATTACHED else s.slide * p.m * p.friction_acceleration
 
 
 @kernel
 def prepare_segment(system, f, flight, t_end):  # type: ignore[no-untyped-def]
-    """Prepare a segment's particular solution and its part in the derivatives of x_1, with a bound on each."""
+    """Prepare a segment's particular solution and its part in the derivatives of x_1, with a bound on each part."""
     particular(system, f, flight)
     jw = complex(0.0, f.omega)
     steady, growing = flight.steady[X1], flight.growing[X1]
@@ -241,7 +241,7 @@ def prepare_segment(system, f, flight, t_end):  # type: ignore[no-untyped-def]
 
 @kernel
 def mode_decay(rate, since):  # type: ignore[no-untyped-def]
-    """Return the modulus and the value of exp(λ since): what has become of a mode's amplitude."""
+    """Return the modulus and the value of exp(λ since), the factor by which a mode's amplitude has changed."""
     envelope = exp(rate.real * since)
     sine, cosine = sincos(rate.imag * since)
     return envelope, complex(envelope * cosine, envelope * sine)
@@ -249,7 +249,7 @@ def mode_decay(rate, since):  # type: ignore[no-untyped-def]
 
 @kernel
 def begin_flight(system, f, flight, y, t):  # type: ignore[no-untyped-def]
-    """Fill the modes' amplitudes of the flight that begins at t with the state y, and their parts in x_1."""
+    """Compute the modes' amplitudes of a flight that begins at t with the state y, and their parts in x_1."""
     rotor = phasor(f.omega * t)
     flight.t_b = t
     for i in range(system.states):
@@ -317,13 +317,13 @@ def structure_at(system, f, flight, t):  # type: ignore[no-untyped-def]
 
 @kernel
 def negligible(advance, t):  # type: ignore[no-untyped-def]
-    """Whether an advance [s] is lost in the rounding of the time."""
+    """Return whether an advance [s] is lost in the rounding of the time."""
     return advance <= _TIME_RESOLUTION * max(t, _SHORTEST)
 
 
 @kernel
 def wall_distance(p, s, side, d):  # type: ignore[no-untyped-def]
-    """Return how far the sphere at d is from a wall [m]; a wall that has let it go stands where that was."""
+    """Return the distance from the sphere at d to a wall [m]; a wall that let it go has its surface further back."""
     dent = s.dent if s.dent_side == side else 0.0
     return max(0.0, p.half_gap + dent - side * d)
 
@@ -332,8 +332,8 @@ def wall_distance(p, s, side, d):  # type: ignore[no-untyped-def]
 def fly(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def]
     """Advance a flight from s to the first touch or to t_end; return TOUCHED, STOPPED or PAUSED.
 
-    TOUCHED: the state is the one at the touch, the distance to the wall `s.side` zero within rounding (`_touch` and
-    `_bounce` set it exactly). STOPPED: friction has brought the sphere to rest on its guide.
+    TOUCHED: the state is the one at the touch, and the distance to the wall `s.side` is zero within rounding; `_touch`
+    and `_bounce` set it exactly. STOPPED: friction has brought the sphere to rest on its guide.
     """
     braking, x_1 = -s.slide * p.friction_acceleration, flight.x_1
     begin_flight(system, f, flight, s.y, s.t)
@@ -344,7 +344,7 @@ def fly(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def]
         since, time_left = t - flight.t_b, t_end - t
         d = x_2_start + since * (v_2_start + 0.5 * since * braking) - x_1[0]
         d_rate, d_acceleration, jerk_bound = v_2_start + since * braking - x_1[1], braking - x_1[2], flight.bound
-        side = 1.0 if d_rate >= 0.0 else -1.0  # the wall that the sphere moves to; the other one is seldom nearer
+        side = 1.0 if d_rate >= 0.0 else -1.0  # the wall that the sphere moves to; the other one is rarely nearer
         time_to_wall = safe_time(
             wall_distance(p, s, side, d), side * d_rate, side * d_acceleration, jerk_bound, time_left
         )
@@ -358,7 +358,7 @@ def fly(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def]
             inside, out = max(0.0, s.dent_side * d - p.half_gap), -s.dent_side
             time_to_surface = safe_time(inside, out * d_rate, out * d_acceleration, jerk_bound, time_left)
             if negligible(time_to_surface, t):
-                s.dent = 0.0  # the sphere is out of it: from here on the surface is whole again
+                s.dent = 0.0  # the sphere has left the indentation: from here on the surface is intact again
                 continue
         if s.slide != 0.0:
             evaluate(system, f, flight, t, 1)
@@ -391,8 +391,8 @@ def fly(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def]
 def fly_attached(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def]
     """Advance sphere and superior base as one body until they part or to t_end; return PARTED or PAUSED.
 
-    `s.side` is the wall that presses the sphere, or 0 when guide friction holds it. They part where |x_1''| comes to
-    μ g_0, at a wall only where it pulls away; the sphere then goes the way of `s.slide`.
+    `s.side` is the wall that presses the sphere, or 0 if guide friction holds it. They part when |x_1''| reaches μ g_0,
+    at a wall only if it pulls away. The sphere then moves in the direction of `s.slide`.
     """
     begin_flight(system, f, flight, s.y, s.t)
     t, ended, x_1 = s.t, PAUSED, flight.x_1

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The function generator: cycles commands into drive segments, phase-continuous, with ramped amplitude.
+"""The function generator: makes drive segments from commands, phase-continuous and with ramped amplitude.
 
-One segment per tick of the command grid; a stream, see `stream`, cuts ticks at its samples as well. No phase depends on
-how many segments are asked for at once: that of a sine is computed from the number of ticks since the last change, so
-it does not drift; a chirp changes in every tick.
+There is one segment per tick of the command grid; a stream (see `stream`) splits ticks at its samples as well. The
+phase does not depend on how many segments are requested at once. The phase of a sine is computed from the number of
+ticks since the last change, so it does not drift; a chirp changes in every tick.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from impact_rig.simtime import COMMAND_GRID_S
 
 
 class Ramp(NamedTuple):
-    """Of the amplitude, linear: first tick, initial amplitude there, target, and ticks until that."""
+    """Linear ramp of the amplitude: first tick, amplitude there, target, and number of ticks to the target."""
 
     first_tick: int
     initial: float
@@ -58,7 +58,7 @@ def amplitude_at(ramp, tick):  # type: ignore[no-untyped-def]
 
 @entry(SEGMENT, REALS, float)
 def fill_lines(segments, amplitudes, tick_s):  # type: ignore[no-untyped-def]
-    """Fill in n segments of a tick [s] each, straight lines between n + 1 amplitudes at their ends."""
+    """Fill in n segments of one tick [s] each: straight lines between n + 1 amplitudes at their ends."""
     for i in range(segments.shape[0]):
         segment = segments[i]
         segment.duration, segment.omega, segment.phase, segment.begin = tick_s, 0.0, PI / 2.0, 0.0
@@ -67,7 +67,7 @@ def fill_lines(segments, amplitudes, tick_s):  # type: ignore[no-untyped-def]
 
 @entry(SEGMENT, int, RAMP, float, float, int, float)
 def fill_sine(segments, tick, ramp, tick_s, frequency_hz, ticks_since, phase):  # type: ignore[no-untyped-def]
-    """Fill in segments of one tick [s] each from `tick` on, `ticks_since` ticks after the phase [rad] was `phase`."""
+    """Fill in segments of one tick [s] each from `tick` on; `phase` [rad] holds `ticks_since` ticks before `tick`."""
     amplitude, cycles_per_tick = amplitude_at(ramp, tick), frequency_hz * tick_s
     for i in range(segments.shape[0]):
         segment, next_amplitude = segments[i], amplitude_at(ramp, tick + i + 1)
@@ -81,15 +81,15 @@ def fill_sine(segments, tick, ramp, tick_s, frequency_hz, ticks_since, phase):  
 
 
 class FunctionGenerator:
-    """Sine with phase-continuous frequency changes, a chirp in steps of one tick, seeded band-limited noise, a stream.
+    """Function generator for sines, chirps in steps of one tick, seeded band-limited noise, and streams of samples.
 
     The amplitude moves linearly to a new command within `shaker.ramp_s`, rounded up to whole ticks. Random drive is
-    Gaussian noise, band-passed, straight lines between ticks; its amplitude is the rms of its values there.
+    Gaussian noise, band-passed, with straight lines between ticks; its amplitude is the rms of its values there.
 
     Attributes:
-        frequency_hz: commanded frequency from the next tick on; of a chirp its first.
+        frequency_hz: commanded frequency from the next tick on; for a chirp, its first frequency.
         tick: number of ticks generated so far.
-        stream: what plays the samples of a stream; None with any other waveform. It has no amplitude: that is 0.
+        stream: player of a stream's samples, None with any other waveform. The amplitude of a stream is 0.
     """
 
     def __init__(self, drive: Drive, shaker: Shaker, random: Random, tick_s: float = COMMAND_GRID_S) -> None:
@@ -127,11 +127,11 @@ class FunctionGenerator:
 
     @property
     def target_amplitude(self) -> float:
-        """Amplitude that the ramp leads to."""
+        """Amplitude at the end of the present ramp."""
         return self._ramp.target
 
     def set_frequency(self, frequency_hz: float) -> None:
-        """Go on with another frequency from the next tick, without a jump of phase."""
+        """Change the frequency from the next tick on, without a jump of the phase."""
         if not (math.isfinite(frequency_hz) and frequency_hz > 0.0):
             raise CommandError(f"frequency must be > 0 Hz, got {frequency_hz!r}")
         self._anchor_phase = self.phase_rad
@@ -141,20 +141,20 @@ class FunctionGenerator:
     def set_amplitude(self, amplitude: float) -> None:
         """Ramp to another amplitude (A, m or V by drive; peak, or rms for random drive) from the next tick.
 
-        A stream takes zero only: it is stopped, and its buffered samples are dropped.
+        A stream accepts zero only, which stops it and drops its buffered samples.
         """
         if not (math.isfinite(amplitude) and amplitude >= 0.0):
             raise CommandError(f"amplitude must be >= 0, got {amplitude!r}")
         self._ramp_to(amplitude, self._ramp_ticks)
 
     def stop(self, ramp_s: float) -> None:
-        """Ramp to zero within `ramp_s`, whatever the ramp of other commands is; drop the samples of a stream."""
+        """Ramp to zero within `ramp_s`, regardless of the ramp of other commands; drop the samples of a stream."""
         self._ramp_to(0.0, self._ticks_of(ramp_s))
 
     def set_ramp(self, ramp_s: float) -> None:
-        """Ramp later amplitude changes within another time; a ramp under way starts again with it.
+        """Set the ramp time of later amplitude changes; a ramp under way starts again with it.
 
-        A ramp to zero becomes shorter only, see `_ramp_to`.
+        A ramp to zero can only become shorter, see `_ramp_to`.
         """
         self._ramp_ticks = self._ticks_of(ramp_s)
         if self.stream is not None:
@@ -168,7 +168,7 @@ class FunctionGenerator:
     def _ramp_to(self, target: float, ticks: int) -> None:
         """Ramp from the present amplitude to another one.
 
-        No command makes a ramp to zero end later: a stop stays as quick as it was, whatever follows it.
+        No command delays the end of a ramp to zero: a stop stays as quick as it was, whatever commands follow.
         """
         present = self._reached
         if self.stream is not None:
@@ -181,20 +181,20 @@ class FunctionGenerator:
             self._ramp = Ramp(self.tick, present if ticks else target, target, ticks)
 
     def set_tick(self, tick_s: float) -> None:
-        """Go on with ticks of another duration: the scan clock's error has changed. The phase does not jump."""
+        """Change the duration of a tick after the scan clock's error has changed; the phase does not jump."""
         if tick_s != self._tick_s:
             self._anchor_phase, self._anchor_tick = self.phase_rad, self.tick
             self._tick_s = tick_s
 
     def copy(self) -> FunctionGenerator:
-        """Return a generator that goes on from here on its own, with the same noise."""
+        """Return an independent copy that continues from here with the same noise."""
         twin = copy.copy(self)
         twin._noise = self._noise and self._noise.copy()
         twin.stream = self.stream and self.stream.copy()
         return twin
 
     def segments(self, count: int) -> NDArray[np.void]:
-        """Return the drive segments of the next `count` ticks, dtype `SEGMENT`: one each, of a stream more."""
+        """Return the drive segments of the next `count` ticks, dtype `SEGMENT`: one per tick, or more for a stream."""
         segments: NDArray[np.void]
         if self.stream is not None:
             segments = self.stream.segments(self.tick, count, self._tick_s)
@@ -229,7 +229,7 @@ class FunctionGenerator:
 
     def _fill_chirp(self, segments: NDArray[np.void]) -> None:
         drive = self._drive
-        ticks_per_sweep = max(1, round(drive.chirp_s / COMMAND_GRID_S))  # by the scan clock, whatever its error
+        ticks_per_sweep = max(1, round(drive.chirp_s / COMMAND_GRID_S))  # by the scan clock, regardless of its error
         for i in range(len(segments)):
             progress = ((self.tick + i) % ticks_per_sweep) / ticks_per_sweep
             frequency = drive.frequency_hz + progress * (drive.chirp_end_hz - drive.frequency_hz)

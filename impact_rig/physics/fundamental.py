@@ -11,12 +11,13 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What whole cycles of the drive do, in closed form from the states between which the motion goes on.
+"""Motion over complete cycles of the drive, in closed form from the stored states.
 
-The fundamentals of both bases, and where the sphere is as each cycle begins.
+Computed are the fundamentals of both bases, and position and velocity of the sphere at the start of each cycle.
 
-Of a segment of the drive that is one cycle, T = 2π/ω, let Y be the integral of y(t) exp(−jωt), and D that of the drive.
-The structure is linear, and all that the sphere does to it, at the walls or by friction, is N = −m x_2''. So
+For a segment of the drive that is one cycle, T = 2π/ω, let Y be the integral of y(t) exp(−jωt), and D that of the
+drive. The structure is linear, and the only effect of the sphere on it, at the walls or by friction, is N = −m x_2''.
+So
 
     (jω − M) Y = −[y] + b_0 D + b_1 ([u] + jω D) + N's integral / m_1,   [y] = y(T) − y(0)
 
@@ -24,10 +25,10 @@ The structure is linear, and all that the sphere does to it, at the walls or by 
 
 The complex amplitude of x, for x = Im(X exp(jωt)), is 2j/T times its integral. That of x_2'' is
 
-    in flight       of the guide's friction, which is constant
-    in a contact    of a straight line, that has the change of speed and of place from one step to the next: what it
-                    leaves out is the bend of the force in (ω τ)² / 24, τ the length of the step
-    ATTACHED        of x_1'' in closed form
+    in flight       that of the guide's friction, which is constant
+    in a contact    that of a straight line with the changes of velocity and position of each step: it leaves out the
+                    curvature of the force, (ω τ)² / 24 with τ the length of the step
+        ATTACHED        that of x_1'' in closed form
 """
 
 from __future__ import annotations
@@ -44,16 +45,16 @@ CYCLE = np.dtype(
     [
         ("x_b", "c16"),  # X_b of x_b = Im(X_b exp(jωt)), t from the start of the cycle [m]
         ("x_1", "c16"),  # X_1, likewise [m]
-        ("x_2", "f8"),  # where the sphere is as the cycle begins, 0 without one [m]
-        ("v_2", "f8"),  # its velocity then [m/s]
+        ("x_2", "f8"),  # position of the sphere at the start of the cycle, 0 without a sphere [m]
+        ("v_2", "f8"),  # its velocity at that instant [m/s]
     ]
 )
-"""One cycle."""
+"""One cycle of the drive."""
 
 
 @kernel
 def _sphere(p, s):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Return x_2 and v_2 in a state."""
+    """Return x_2 and v_2 of a state."""
     if s.phase != CONTACT:
         return s.y[X1] + s.d, s.y[V1] + s.d_rate
     part = (1.0 - p.share) * s.side
@@ -62,7 +63,7 @@ def _sphere(p, s):  # type: ignore[no-untyped-def]  # compiled: types are inferr
 
 @kernel
 def _integrate_straight(omega, length, x_2, v_2, x_end, v_end):  # type: ignore[no-untyped-def]
-    """Return the integral over a step of x_2'' exp(−jωt), t from its middle, where x_2'' is a straight line."""
+    """Return the integral of x_2'' exp(−jωt) over a step, with t from its middle, if x_2'' is a straight line."""
     moment = 0.5 * length * (v_end + v_2) - (x_end - x_2)  # of x_2'' about the middle
     square = omega * length * omega * length
     return complex((v_end - v_2) * (1.0 - square * (1.0 / 24.0)), -omega * moment * (1.0 - square * (1.0 / 40.0)))
@@ -110,14 +111,14 @@ def _integrate_acceleration(model, f, trajectory, rows, duration, flight):  # ty
         else:
             braking = -s.slide * p.friction_acceleration
             total += braking * (rotor_end - rotor) * complex(0.0, 1.0 / f.omega)
-            total += (v_end - v_2 - braking * length) * rotor_end  # off a rigid wall: at once
+            total += (v_end - v_2 - braking * length) * rotor_end  # at a rigid wall the speed changes at once
         x_2, v_2, rotor = x_end, v_end, rotor_end
     return total
 
 
 @entry(MODEL, TRAJECTORY, FLIGHT, REALS_2D)
 def follow_cycles(model, trajectory, flights, out):  # type: ignore[no-untyped-def]
-    """Fill in the numbers of a CYCLE, a row a segment; `flights` is scratch, one record."""
+    """Fill in one CYCLE per segment; `flights` is scratch memory, one record."""
     p, system, flight = model.parameters[0], model.systems[SPHERE_LOOSE], flights[0]
     flight.omega = -1.0
     for i in range(out.shape[0]):
@@ -139,11 +140,11 @@ def follow_cycles(model, trajectory, flights, out):  # type: ignore[no-untyped-d
         x_2, v_2 = _sphere(p, begin)
         out[i, 4], out[i, 5] = (x_2, v_2) if p.sphere_present else (0.0, 0.0)
         for s, sign in ((begin, 1.0), (end, -1.0)):
-            if s.phase == CONTACT:  # y is the pair's
+            if s.phase == CONTACT:  # y belongs to the pair
                 load[X1] -= sign * p.share * s.side * s.w * s.w
                 load[V1] -= sign * p.share * s.side * s.speed
         resolve(system, f.omega, load, flight.answer)
-        flight.omega = -1.0  # it holds no answer to the drive any more
+        flight.omega = -1.0  # mark it as holding no answer to the drive
         base = drive if p.drive_kind == PRESCRIBED else flight.answer[XB]
         amplitude = complex(0.0, 2.0 / duration)
         base, superior = amplitude * base, amplitude * flight.answer[X1]

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The linear rig: from a configuration to the constants of the equations of motion, and the modes of what is linear.
+"""The linear rig: the constants of the equations of motion from a configuration, and the modes of the linear systems.
 
     y' = M y + b_0 u + b_1 u',   y = (x_1, v_1[, x_b, v_b[, i]]),   u = coil current, base displacement or coil voltage
 
@@ -51,7 +51,7 @@ from impact_rig.physics.state import COIL, V1, VB, X1, XB
 
 
 class MechanicsSetup(Protocol):
-    """Some sections of a configuration; `impact_rig.rig.config.RigConfig` has them."""
+    """Sections of a configuration that the mechanics need; `impact_rig.rig.config.RigConfig` has them."""
 
     @property
     def structure(self) -> Structure:
@@ -63,7 +63,7 @@ class MechanicsSetup(Protocol):
 
     @property
     def drive(self) -> Drive:
-        """What drives it."""
+        """Drive waveform and kind."""
 
     @property
     def sphere(self) -> Sphere:
@@ -71,11 +71,11 @@ class MechanicsSetup(Protocol):
 
     @property
     def barriers(self) -> Barriers:
-        """What it strikes."""
+        """The two barriers."""
 
     @property
     def contact(self) -> Contact:
-        """How it strikes."""
+        """Contact law and its parameters."""
 
 
 def sphere_mass_kg(sphere: Sphere) -> float:
@@ -99,11 +99,11 @@ def _compliance(poisson_ratio: float, young_modulus_pa: float) -> float:
 
 
 def effective_mass_kg(first_kg: float, second_kg: float) -> float:
-    """Return the mass that the relative motion of two free bodies sees, m₁ m₂ / (m₁ + m₂) [kg]."""
+    """Return the effective mass of the relative motion of two free bodies, m₁ m₂ / (m₁ + m₂) [kg]."""
     return first_kg * second_kg / (first_kg + second_kg)
 
 
-_WORST_CONDITION = Decimal("1e7")  # how much larger than the motion its modes may be
+_WORST_CONDITION = Decimal("1e7")  # how much larger than the motion its modal parts may be
 _GOOD_SIZE = Decimal("0.1")  # of the largest entry of a residue
 _DETUNING = 1e-9  # relative nudge of the damping that separates two coinciding eigenvalues
 
@@ -125,7 +125,7 @@ class Constants(NamedTuple):
 class Modes(NamedTuple):
     """Modes of y' = M y; complex pairs are kept once with doubled right vectors. Shapes: (k,), (k, n), (k, n).
 
-    Each left vector is 1 at one place of the state, so that the modal coordinate counts in that place's unit.
+    Each left vector is 1 at one entry of the state, so the modal coordinate has the unit of that entry.
     """
 
     rate: NDArray[np.complex128]
@@ -168,7 +168,7 @@ def state_matrix(c: Constants, kind: str, mass: float) -> NDArray[np.float64]:
 
 
 def input_vectors(c: Constants, kind: str, mass: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return b_0 and b_1, shape (n,): how u and its rate enter."""
+    """Return b_0 and b_1, shape (n,): the factors of u and of its rate."""
     n = {"prescribed": 2, "current": 4, "voltage": 5}[kind]
     b_0, b_1 = np.zeros(n), np.zeros(n)
     if kind == "prescribed":
@@ -181,16 +181,16 @@ def input_vectors(c: Constants, kind: str, mass: float) -> tuple[NDArray[np.floa
 
 
 def modes(matrix: NDArray[np.float64]) -> Modes:
-    """Return the modes of a real matrix, computed with many digits and rounded once; real ones first, then pairs.
+    """Return the modes of a real matrix, computed with many digits and rounded once; real modes first, then pairs.
 
     (s I − M)⁻¹ = adj(s I − M) / p(s) has the residue right · left at each root of p, a matrix of rank one. Coinciding
-    eigenvalues (critical damping) have no full set of modes: the damping is then nudged by parts in 1e9.
+    eigenvalues (critical damping) have no complete set of modes; the damping is then changed by a few parts in 1e9.
 
     Raises:
-        ConfigError: the matrix has no usable modes: masses or stiffnesses are too far apart.
+        ConfigError: the matrix has no usable modes, because masses or stiffnesses are too far apart.
     """
     if not np.all(np.isfinite(matrix)):
-        raise ConfigError("structure and shaker have no modes: masses, stiffnesses or dampings are out of all bounds")
+        raise ConfigError("structure and shaker have no modes: a mass, stiffness or damping is out of range")
     for attempt in range(3):
         nudged = matrix.copy()
         for i in range(len(nudged)):
@@ -202,14 +202,14 @@ def modes(matrix: NDArray[np.float64]) -> Modes:
 
 
 def static_answer(matrix: NDArray[np.float64], load: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the state −M⁻¹ load in which y' = M y + load rests, shape (n,), computed with many digits.
+    """Return the state −M⁻¹ load in which y' = M y + load is at rest, shape (n,), computed with many digits.
 
     Raises:
-        ConfigError: there is none.
+        ConfigError: no such state exists.
     """
     answer = _rest(matrix, load)
     if answer is None or not np.all(np.isfinite(answer)):
-        raise ConfigError("structure and shaker have no position of rest: stiffnesses are out of all bounds")
+        raise ConfigError("structure and shaker have no position of rest: a stiffness is out of range")
     return answer
 
 
@@ -224,10 +224,10 @@ def _rest(matrix: NDArray[np.float64], load: NDArray[np.float64]) -> NDArray[np.
 
 @precise
 def _refined(matrix: NDArray[np.float64]) -> Modes | None:
-    """Return the modes, or None where two of them are too much alike to be told apart."""
+    """Return the modes, or None if two of them are too similar to separate."""
     polynomial, adjugate = resolvent(_exactly(matrix))
     scale = _balance(matrix)
-    start = np.linalg.eigvals(matrix * scale[np.newaxis, :] / scale[:, np.newaxis])  # the roots do not depend on it
+    start = np.linalg.eigvals(matrix * scale[np.newaxis, :] / scale[:, np.newaxis])  # the scaling keeps the roots
     rates = roots(polynomial, [complex(value) for value in start])
     if rates is None:
         return None
@@ -242,7 +242,7 @@ def _refined(matrix: NDArray[np.float64]) -> Modes | None:
         largest = max(max(row) for row in size)
         if not largest < _WORST_CONDITION:
             return None
-        # the first entry of a good size, so that no last digit decides between two equal ones
+        # the first entry of a sufficient size, so that no last digit decides between two equal entries
         i, j = next((i, j) for i, row in enumerate(size) for j, value in enumerate(row) if value > _GOOD_SIZE * largest)
         weight = Complex(TWO if rate.imag else ONE)
         right.append([complex(weight * row[j]) for row in residue])
@@ -258,7 +258,7 @@ def _residue(adjugate: Sequence[Matrix], rate: Complex, slope: Complex) -> list[
 
 
 def _balance(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return units, shape (n,), in which lengths and speeds are of one size: time scales differ by decades."""
+    """Return units, shape (n,), in which lengths and speeds have similar sizes: time scales differ by decades."""
     scale = np.ones(len(matrix))
     scale[[X1, XB] if len(matrix) > 2 else [X1]] = 1.0 / max(1e-300, math.sqrt(abs(matrix[V1, X1])))
     return scale

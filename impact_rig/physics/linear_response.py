@@ -35,7 +35,7 @@ def transmissibility(config: MechanicsSetup, frequency_hz: NDArray[np.float64] |
 def base_per_ampere(config: MechanicsSetup, frequency_hz: NDArray[np.float64] | float) -> NDArray[np.complex128]:
     """Return X_b per ampere of coil current without the sphere [m/A].
 
-    X_b = K_f I / [k_f − (m_a + m_b) ω² + iωc_f − m_1 ω² T]: the structure pushes back on the base with m_1 ω² X_1.
+    X_b = K_f I / [k_f − (m_a + m_b) ω² + iωc_f − m_1 ω² T]: the structure acts back on the base with m_1 ω² X_1.
     """
     c = constants(config)
     omega = 2.0 * math.pi * np.asarray(frequency_hz, float)

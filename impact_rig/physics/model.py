@@ -49,7 +49,7 @@ CONTACT_RTOL = 1e-9
 
 
 class Model(NamedTuple):
-    """Everything constant between two changes of the configuration.
+    """Constants between two changes of the configuration.
 
     Attributes:
         parameters: one record of PARAMETERS.
@@ -68,7 +68,7 @@ MODEL = Fields(Model, (PARAMETERS, SYSTEM, TABLE, FORCE))
 
 
 def build(config: MechanicsSetup, rtol: float = CONTACT_RTOL, kind: str | None = None) -> Model:
-    """Return the model of a configuration, its `drive.kind` replaced by `kind` if there is one.
+    """Return the model of a configuration; `kind`, if given, replaces its `drive.kind`.
 
     Raises:
         ConfigError: the masses and stiffnesses have no usable modes.
@@ -79,7 +79,7 @@ def build(config: MechanicsSetup, rtol: float = CONTACT_RTOL, kind: str | None =
     law = contact_laws.from_config(config.contact)
     force = law.force(ContactPair(hertz_stiffness_n_m32(config.sphere, config.barriers), m_eff))
     systems, fastest = _systems(c, kind, mass)
-    p = SimpleNamespace()  # a record takes as long for one field as this for all
+    p = SimpleNamespace()  # setting one field of a record takes as long as setting all of these
     p.drive_kind, p.sphere_present = DRIVES.index(kind), config.sphere.present
     p.m_1, p.c_1, p.k_1, p.m_base, p.c_f, p.k_f = c.m_1, c.c_1, c.k_1, c.m_base, c.c_f, c.k_f
     p.force_factor, p.resistance, p.per_inductance = c.force_factor, c.resistance, 1.0 / c.inductance
@@ -99,10 +99,10 @@ def build(config: MechanicsSetup, rtol: float = CONTACT_RTOL, kind: str | None =
 
 
 def _parameters(p: SimpleNamespace) -> Any:
-    """Return one record of PARAMETERS; what was not set is zero.
+    """Return one record of PARAMETERS; fields that are not set are zero.
 
     Raises:
-        AttributeError: something was set that PARAMETERS has not.
+        AttributeError: PARAMETERS has no such field.
     """
     names = PARAMETERS.names or ()
     if unknown := vars(p).keys() - set(names):
@@ -113,7 +113,7 @@ def _parameters(p: SimpleNamespace) -> Any:
 
 
 def _set_force(p: SimpleNamespace, force: Force, m_eff: float) -> None:
-    """Set what the contact law decides."""
+    """Set the parameters that depend on the contact law."""
     p.stiffness, p.factor, p.restitution = force.stiffness, force.factor, force.restitution
     p.rigid, p.lets_go, p.remembers = force.rigid, force.lets_go, force.remembers
     if not force.rigid:
@@ -123,12 +123,12 @@ def _set_force(p: SimpleNamespace, force: Force, m_eff: float) -> None:
 
 @lru_cache(maxsize=32)
 def _table(force: Force) -> Any:
-    """Return the outcomes of a law, in its own units."""
+    """Return the table of a law's outcomes, in its own units."""
     return tabulate(unit_parameters(force), compiled_force(force.function))
 
 
 def unit_parameters(force: Force) -> Any:
-    """Return one record of PARAMETERS for a law in its own units: masses are 1, and so should its stiffness be."""
+    """Return one record of PARAMETERS for a law in its own units: all masses are 1, and so should its stiffness be."""
     p = SimpleNamespace(m=1.0, m_1=1.0, m_eff=1.0, per_m_eff=1.0, speed_floor=1.0)
     _set_force(p, force, 1.0)
     return _parameters(p)
@@ -136,7 +136,7 @@ def unit_parameters(force: Force) -> Any:
 
 @lru_cache(maxsize=32)
 def _systems(c: Constants, kind: str, sphere_kg: float) -> Any:
-    """Return the two linear systems and the fastest of their modes: a change of gap or law does not come here."""
+    """Return the two linear systems and the fastest of their modes; they do not depend on gap and contact law."""
     systems = record(SYSTEM, 2)
     for system, mass in zip(systems, (c.m_1, c.m_1 + sphere_kg), strict=True):
         matrix = state_matrix(c, kind, mass)

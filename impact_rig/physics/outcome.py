@@ -11,22 +11,23 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What a fast contact does, looked up: its outcome depends on so little that it is tabulated once per law.
+"""Tables of the outcomes of fast contacts: so few numbers determine an outcome that it is tabulated once per law.
 
-With approach speed v0, in units of δ_0 = v0 t_0 and t_0 = (m_eff/K)^(1/(1+b)) v0^((1−b)/(1+b)), a contact of a law
-F ~ K δ^b without a scale of its own is, Δ = δ/δ_0 and θ = t/t_0, Δ' = dΔ/dθ and F in units of m_eff δ_0/t_0²,
+Let v0 be the approach speed, t_0 = (m_eff/K)^(1/(1+b)) v0^((1−b)/(1+b)), δ_0 = v0 t_0, Δ = δ/δ_0, θ = t/t_0 and
+Δ' = dΔ/dθ, with F in units of m_eff δ_0/t_0². A contact of a law F ~ K δ^b without a scale of its own then obeys
 
     Δ'' = −F(Δ, Δ') + η_0 + η_1 θ + η_2 θ² − α Δ − γ Δ',    Δ = 0, Δ' = 1 at θ = 0
     η_k = (k-th Taylor coefficient of a_r about the touch) t_0^(k+1) / v0,   α = t_0² σ k_1 / m_1,   γ = t_0 σ c_1 / m_1
 
-with a_r the relative acceleration that presses sphere and wall together. η_0 is a few hundredths and the rest parts of
-a million, called perturbations here. `perturbed_contact` integrates that equation, and `look_up` takes from the table
+with a_r the relative acceleration that presses sphere and wall together. η_0 is a few hundredths and the rest, called
+perturbations here, are parts in a million. `perturbed_contact` integrates that equation, and `look_up` computes from
+the table
 
     outcome = plain + η_1 ∂/∂η_1 plain   [+ (½ η_1² ∂²/∂η_1² + η_2 ∂/∂η_2 + α ∂/∂α + γ ∂/∂γ) plain]
 
-with plain and its derivatives at η_1 = η_2 = α = γ = 0, each a Chebyshev series in η_0; what is in brackets is added to
-the first three quantities, the DECISIVE ones. Contacts beyond the table's range are integrated step by step; those
-inside end within 1e-10 of that.
+with plain and its derivatives at η_1 = η_2 = α = γ = 0, each a Chebyshev series in η_0. The terms in brackets are added
+to the first three quantities, the DECISIVE ones. Contacts beyond the table's range are integrated step by step. Those
+inside agree with the integration within 1e-10.
 """
 
 from __future__ import annotations
@@ -52,22 +53,22 @@ indentation, ∫ Δ dθ and ∫ (θ_end − θ) Δ dθ."""
 OUTCOMES = 7
 BY_ETA_1_SQUARED, BY_ETA_2, BY_STIFFNESS, BY_DAMPING = range(4)
 """Further derivatives, of the first outcomes only: ½ ∂²/∂η_1², ∂/∂η_2, ∂/∂α, ∂/∂γ."""
-DECISIVE = 3  # so many outcomes have these
+DECISIVE = 3  # number of outcomes that have these derivatives
 SERIES_COUNT = 2 * OUTCOMES + 4 * DECISIVE
-"""Of the series: all outcomes, their derivatives by η_1, and the further ones of the decisive three."""
+"""Columns of the series: all outcomes, their derivatives by η_1, and the further derivatives of DECISIVE outcomes."""
 COEFFICIENTS = 20
 _COEFFICIENTS_1, _COEFFICIENTS_2 = 14, 7  # of the derivatives, whose factors are below MOST_1 and MOST_2
 
 WIDEST = 0.1  # of |η_0|
 MOST_1, MOST_2, MOST_3 = 3e-4, 2e-7, 1e-10
-"""Largest η_1, η_2 (and α and γ), η_3 (not tabulated): what is neglected then moves no outcome by 1e-10."""
+"""Largest η_1, of η_2, α and γ, and of η_3 (not tabulated): beyond them an outcome could change by 1e-10."""
 _NARROWER = 0.8
 _NARROWINGS = 24
-_MARGIN = 1.1  # of the range in which the sphere leaves by itself, for the derivatives at its end
-_WEAKEST = 0.3  # of the energy with which the sphere leaves: there the outcome turns steep, as the sphere stays
+_MARGIN = 1.1  # of the range in which the sphere leaves by itself, for the derivatives at its ends
+_WEAKEST = 0.3  # of the energy with which the sphere leaves: below it the outcome turns steep
 _TAIL = 1e-11  # of the largest coefficient
 RTOL = 1e-12
-"""Of the contacts that the table is made of."""
+"""Tolerance of the contacts that the table is computed from."""
 _PERTURBATION = 1e-4
 _MOST_STEPS = 400
 
@@ -77,7 +78,7 @@ TABLE = np.dtype(
         ("high", "f8"),  # its upper end, 0 where nothing is tabulated [-]
         ("series", "f8", (COEFFICIENTS, SERIES_COUNT)),  # Chebyshev coefficients of each column, by degree [-]
         ("value", "f8", (SERIES_COUNT,)),  # of each column at the η_0 looked up last [-]
-        ("outcome", "f8", (OUTCOMES,)),  # what was looked up last, in the contact's own units [-]
+        ("outcome", "f8", (OUTCOMES,)),  # outcome looked up last, in the contact's own units [-]
     ],
     align=True,
 )
@@ -117,13 +118,13 @@ def perturbed_contact(parameters, law, eta_0, perturbations, states, steps, out)
             damped += s.h * MATRIX[LAST, i] * step.w[i] * step.speed[i] * step.speed[i]
         find_peaks(p, law, s, step)
         conclude(p, s, step, ended, 0.0)
-        step.dense_since = 0.0  # a prediction from where the last step began is what the bits of the tables go by
+        step.dense_since = 0.0  # a prediction from the start of the last step, on which the bits of the tables depend
         if ended == SEPARATED:
             out[SEPARATION], out[DURATION], out[DEPTH] = -s.speed, s.t, s.deepest_w * s.deepest_w
             out[PEAK] = s.peak_force
             if largest_lossy == 0.0:
                 return True
-            first_moment = s.t * out[SUM] - out[MOMENT]  # ∫ θ Δ dθ; what a_r does, it does along Δ, which ends at 0
+            first_moment = s.t * out[SUM] - out[MOMENT]  # ∫ θ Δ dθ; a_r acts along Δ, which ends at 0
             out[LOST] = 0.5 * (1.0 - s.speed * s.speed) - eta_1 * out[SUM] - 2.0 * eta_2 * first_moment - gamma * damped
             return True
     return False
@@ -133,7 +134,7 @@ class Contacts:
     """Contacts of one law in its own units.
 
     Args:
-        parameters: one record of PARAMETERS: the law's numbers, stiffness and masses 1; changed on the way.
+        parameters: one record of PARAMETERS with the law's numbers, stiffness and masses 1; it is modified.
         law: the contact law's compiled force.
     """
 
@@ -161,16 +162,16 @@ class Contacts:
         return left and left_up and left_down, (up - down) / (2.0 * perturbation), half_second
 
     def rebound_squared(self, eta_0: float) -> float:
-        """Return twice the energy with which the sphere leaves under η_0, 0 where it does not leave by itself."""
+        """Return twice the energy with which the sphere leaves under η_0, 0 if it does not leave by itself."""
         left, out = self.under(eta_0, np.zeros(4))
         return float(out[SEPARATION] * out[SEPARATION]) if left else 0.0
 
 
 def tabulate(parameters: Any, law: CompiledForce) -> Any:
-    """Return the table of a law, TABLE shape (1,), its range as wide as the series hold.
+    """Return the table of a law, TABLE shape (1,), with the widest range in which the series hold.
 
     Args:
-        parameters: one record of the law's numbers in its own units, stiffness and masses 1; changed on the way.
+        parameters: one record of the law's numbers in its own units, stiffness and masses 1; it is modified.
         law: the contact law's compiled force.
     """
     table, contacts = record(TABLE), Contacts(parameters, law)
@@ -190,9 +191,9 @@ def tabulate(parameters: Any, law: CompiledForce) -> Any:
 
 
 def _series(contacts: Contacts, limits: tuple[float, float]) -> NDArray[np.float64] | None:
-    """Return the series over a range of η_0, shape (COEFFICIENTS, SERIES_COUNT); None where they do not hold.
+    """Return the series over a range of η_0, shape (COEFFICIENTS, SERIES_COUNT); None if they do not hold.
 
-    The less a column counts, the fewer contacts it is made of.
+    Less important columns are computed from fewer contacts.
     """
     series = np.zeros((COEFFICIENTS, SERIES_COUNT))
 
@@ -221,7 +222,7 @@ def _series(contacts: Contacts, limits: tuple[float, float]) -> NDArray[np.float
 
 
 def _nodes(limits: tuple[float, float], count: int) -> list[float]:
-    """Return the places of a Chebyshev series within limits."""
+    """Return the nodes of a Chebyshev series within limits."""
     middle, half = 0.5 * (limits[0] + limits[1]), 0.5 * (limits[1] - limits[0])
     return [middle + half * sincos(PI * (j + 0.5) / count)[1] for j in range(count)]
 
@@ -238,12 +239,13 @@ def _chebyshev(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @kernel
 def look_up(p, table, s, step, time_left):  # type: ignore[no-untyped-def]
-    """Fill `table.outcome` for the contact that begins at s, `step` expanded about it.
+    """Compute `table.outcome` for the contact that begins at s; `step` must be expanded about s.
 
-    Returns whether it is tabulated, and over within `time_left` seconds and while the polynomials of `step` hold.
+    Returns whether the contact is tabulated and ends within `time_left` seconds and while the polynomials of `step`
+    hold.
     """
     speed = s.speed
-    if speed < p.speed_floor:  # a floored approach speed is a scale of its own
+    if speed < p.speed_floor:  # a limited approach speed would be a scale of its own
         return False
     t_0 = t_0_of(p, speed)
     eta_0 = step.acceleration[0] * t_0 / speed
@@ -279,7 +281,7 @@ def look_up(p, table, s, step, time_left):  # type: ignore[no-untyped-def]
 
 @kernel
 def apply_outcome(p, table, s, step):  # type: ignore[no-untyped-def]
-    """Move s from the touch to the end of the contact that `look_up` found."""
+    """Move s from the touch to the end of the contact that `look_up` computed."""
     found, speed = table.outcome, s.speed
     t_0 = t_0_of(p, speed)
     delta_0 = speed * t_0
@@ -290,7 +292,7 @@ def apply_outcome(p, table, s, step):  # type: ignore[no-untyped-def]
     )  # ∫∫ F_z dt dt [N s²]
     v_2_before = s.y[V1] + s.side * (1.0 - p.share) * speed
     pair_at(step, duration, s.y)
-    # the correction z to first order: `look_up` has seen to it that the next one is nothing
+    # the correction z to first order: `look_up` has checked that the next order is negligible
     signed_share = s.side * p.share
     s.y[V1] += signed_share * columns_impulse * p.per_m_pair
     s.y[X1] += signed_share * columns_impulse_integral * p.per_m_pair

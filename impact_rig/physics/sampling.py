@@ -11,22 +11,22 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Evaluate a trajectory after the fact, at any instants or as polynomials: instruments read it and never touch it.
+"""Evaluation of a trajectory after the fact, at any instants or as polynomials; instruments only read it.
 
-In flight the closed form is expanded into short Taylor polynomials anchored at fixed places of the flight, so a
-sample costs a dozen multiplications and does not depend on which other samples are asked for. Inside a contact the
-step is solved again up to the instant; a contact whose outcome was tabulated is integrated here first. With F the
-contact force and F_c that of the columns,
+In flight the closed form is expanded into short Taylor polynomials anchored at fixed places of the flight. A sample
+then costs a dozen multiplications and does not depend on which other samples are requested. Inside a contact the step
+is solved again up to the instant; a contact whose outcome was tabulated is integrated here first. With F the contact
+force, F_c that of the columns and δ_r the residual indentation (`dent` of the state),
 
-    x_1 = x_1* − side σ δ,    x_2 = x_1 + side (g/2 + dent + δ),    a_1 = (F_c + side F) / m_1,    a_2 = −side F / m
+        x_1 = x_1* − side σ δ,    x_2 = x_1 + side (g/2 + δ_r + δ),    a_1 = (F_c + side F) / m_1,    a_2 = −side F / m
 
-In the functions s is the state at the event or step that the motion goes on from, t the time since the start of the
-segment, `since` that since the flight, step or contact began, and τ that from the place a polynomial is anchored at.
+In the functions, s is the state at the event or step from which the motion continues, and t the time since the start of
+the segment. `since` is the time since the start of the flight, step or contact, and τ that since a polynomial's anchor.
 
-The sensors take a motion piece by piece (`refine` gives the instants at which it is cut), each as one polynomial
-(`fit`): in flight the Taylor polynomial about its middle, shortened; in a contact the one through eight instants, of a
-step's dense output or, if tabulated, of δ integrated anew; anything else, and a tabulated contact of a law with a
-memory, through eight samples.
+The sensors evaluate a motion piece by piece, each piece as one polynomial (`fit`); `refine` returns the instants
+between the pieces. In flight it is the shortened Taylor polynomial about the middle of the piece. In a contact it is
+the polynomial through eight instants of the step's dense output or, if the contact was tabulated, of δ integrated
+again. Anything else, including a tabulated contact of a law with a memory, is fitted through eight samples.
 """
 
 from __future__ import annotations
@@ -93,16 +93,16 @@ OF_CURRENT, OF_FORCE_LEFT, OF_FORCE_RIGHT = range(9, 12)
 QUANTITIES = (
     "x_b", "x_1", "x_2", "v_b", "v_1", "v_2", "a_b", "a_1", "a_2", "current", "force_left", "force_right"
 )  # fmt: skip
-"""What a motion can be asked for, SI; OF_X_1 is the place of x_1 here, X1 that in a structural state."""
+"""Quantities that a motion can be evaluated for, SI; OF_X_1 is the index of x_1 here, X1 that in a structural state."""
 
 _INTERVAL_RADIANS = 0.5  # of the fastest motion per polynomial: the first neglected term is 0.25^14 / 14! = 4e-20
 _MOST_STEPS = 500
 _ROOT_ROUNDS = 60  # Newton needs three to six
 _ROOT_TOLERANCE = 1e-9  # of the step
-_SAME_INSTANT_S = 1e-12  # instants nearer to each other are one [s]
+_SAME_INSTANT_S = 1e-12  # instants closer than this are one [s]
 _LONGEST_PIECE = 4.0 / _INTERVAL_RADIANS  # in a flight, over `flight.interval`: 2 radians either side of its middle
-_PULSE_STEPS = 12  # of a tabulated contact, at least; the nodes make more of them
-_LENGTH_CORRECTIONS = 2  # of a step's length: the dense output leaves parts in 1e4, each correction squares the error
+_PULSE_STEPS = 12  # least number of steps in a tabulated contact; the nodes add more
+_LENGTH_CORRECTIONS = 2  # of a step's length: the dense output is off by parts in 1e4; a correction squares the error
 
 
 class Trajectory(NamedTuple):
@@ -112,8 +112,8 @@ class Trajectory(NamedTuple):
         segments: the drive.
         first_tick: number of the first tick.
         first_segment: row of each tick's first segment, and the number of segments.
-        history: records of STATE, and last the one after all segments.
-        first_state: row of each segment's first state, and of that last one.
+        history: records of STATE; the last one is the state after all segments.
+        first_state: row of each segment's first state, and that of the last record.
     """
 
     segments: NDArray[np.void]
@@ -127,10 +127,10 @@ TRAJECTORY = Fields(Trajectory, (SEGMENT, int, INTEGERS, STATE, INTEGERS))
 
 
 class Query(NamedTuple):
-    """Quantities wanted at instants.
+    """Quantities requested at instants.
 
     Attributes:
-        wanted: places in QUANTITIES, shape (q,).
+        wanted: indices in QUANTITIES, shape (q,).
         tick: shape (n,).
         offset: time since the tick's start [s], shape (n,).
         out: shape (q, n).
@@ -146,10 +146,10 @@ QUERY = Fields(Query, (INTEGERS, INTEGERS, REALS, REALS_2D))
 
 
 class Spans(NamedTuple):
-    """Quantities wanted as polynomials on pieces.
+    """Quantities requested as polynomials on pieces.
 
     Attributes:
-        wanted: places in QUANTITIES, shape (q,).
+        wanted: indices in QUANTITIES, shape (q,).
         tick: shape (n,).
         start: time since the tick's start [s], shape (n,).
         end: likewise.
@@ -168,7 +168,7 @@ SPANS = Fields(Spans, (INTEGERS, INTEGERS, REALS, REALS, REALS_3D))
 
 @functools.cache
 def places(names: tuple[str, ...]) -> NDArray[np.int64]:
-    """Return the places of some quantities in QUANTITIES, shape (names,)."""
+    """Return the indices of some quantities in QUANTITIES, shape (names,)."""
     return np.array([QUANTITIES.index(name) for name in names], np.int64)
 
 
@@ -182,11 +182,11 @@ class SamplingWorkspace(NamedTuple):
         polynomials: one for each quantity, shape (QUANTITIES, PIECE_TERMS).
         quantities: all quantities at one instant, shape (QUANTITIES,).
         powers: (λ half)^k / k! of one rate λ, real and imaginary part, shape (2, PIECE_TERMS).
-        pulse: of a tabulated contact: time since the touch [s], δ [m], δ' [m/s]; shape (3,).
+        pulse: state of a tabulated contact: time since the touch [s], δ [m], δ' [m/s]; shape (3,).
         pulse_row: row of the state where that contact begins, shape (1,).
-        tick: of a piece's nodes, shape (NODES,).
-        offset: likewise.
-        values: of all quantities at a piece's nodes, shape (QUANTITIES, NODES).
+        tick: tick of each of a piece's nodes, shape (NODES,).
+        offset: time of each node since its tick's start [s], shape (NODES,).
+        values: all quantities at a piece's nodes, shape (QUANTITIES, NODES).
     """
 
     flight: NDArray[np.void]
@@ -209,7 +209,7 @@ SAMPLING_WORKSPACE = Fields(
 
 
 SAMPLED = MODEL, TRAJECTORY, SAMPLING_WORKSPACE
-"""What a kernel takes that evaluates a motion, see `Motion.sampled`."""
+"""Argument types of a kernel that evaluates a motion, see `Motion.sampled`."""
 
 
 def new_sampling_workspace() -> SamplingWorkspace:
@@ -232,7 +232,7 @@ def new_sampling_workspace() -> SamplingWorkspace:
 
 @kernel
 def _place_and_order(p, quantity):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Return (place in y, derivative of it, whether it is the drive itself) that a quantity of the structure is."""
+    """Return (index in y, order of the derivative, whether it is the drive itself) of a quantity of the structure."""
     if quantity in (OF_X_1, OF_V_1, OF_A_1):
         return X1 if quantity == OF_X_1 else V1, 1 if quantity == OF_A_1 else 0, False
     if quantity == OF_CURRENT:
@@ -245,7 +245,7 @@ def _place_and_order(p, quantity):  # type: ignore[no-untyped-def]  # compiled: 
 
 @kernel
 def _fill_powers(workspace, rate, half):  # type: ignore[no-untyped-def]
-    """Fill `workspace.powers` with (λ half)^k / k!; return how many there are: two for λ = 0, a straight line."""
+    """Fill `workspace.powers` with (λ half)^k / k!; return their number, which is two for λ = 0, a straight line."""
     scaled_rate, term = rate * half, 1.0 + 0.0j
     terms = 2 if rate == 0.0 else PIECE_TERMS
     for k in range(terms):
@@ -258,7 +258,7 @@ def _fill_powers(workspace, rate, half):  # type: ignore[no-untyped-def]
 def _add_series(poly, workspace, terms, value, growth, rate, order, half):  # type: ignore[no-untyped-def]
     """Add the Taylor coefficients in x = τ / half of Re[(value + growth τ) exp(λ τ)], differentiated `order` times.
 
-    They are made of the first `terms` of `workspace.powers`, which are those of the rate λ.
+    The first `terms` of `workspace.powers`, for the same rate λ, are used.
     """
     for _ in range(order):
         value, growth = rate * value + growth, rate * growth
@@ -271,7 +271,7 @@ def _add_series(poly, workspace, terms, value, growth, rate, order, half):  # ty
 
 @kernel
 def _expand_flight(p, system, f, flight, quantity, poly, since, workspace):  # type: ignore[no-untyped-def]
-    """Fill the Taylor polynomial of a quantity of the structure, `since` seconds after the flight's beginning."""
+    """Fill the Taylor polynomial of a quantity of the structure, `since` seconds after the start of the flight."""
     poly[:] = 0.0
     t = flight.t_b + since
     place, order, is_drive = _place_and_order(p, quantity)
@@ -295,17 +295,17 @@ def _expand_flight(p, system, f, flight, quantity, poly, since, workspace):  # t
 
 @kernel
 def _is_of_structure(p, quantity):  # type: ignore[no-untyped-def]
-    """Return whether a quantity is a motion of the structure or its drive: then it has a polynomial in flight."""
+    """Return whether a quantity is a motion of the structure or its drive, so that it has a polynomial in flight."""
     of_sphere = quantity in (OF_X_2, OF_V_2, OF_A_2, OF_FORCE_LEFT, OF_FORCE_RIGHT)
     return not (of_sphere or (quantity == OF_CURRENT and p.drive_kind == PRESCRIBED))
 
 
 @kernel
 def _structure_quantity(s, quantity):  # type: ignore[no-untyped-def]
-    """Return the quantity of the structure that this one follows from in flight."""
-    if s.phase == ATTACHED:  # one body: the sphere moves as the structure, and a wall may push it
+    """Return the quantity of the structure from which this quantity follows in flight."""
+    if s.phase == ATTACHED:  # one body: the sphere moves with the structure, and a wall may push it
         if quantity in (OF_X_2, OF_V_2, OF_A_2):
-            return quantity - 1  # x_1, v_1, a_1: each stands before the sphere's
+            return quantity - 1  # x_1, v_1, a_1 precede x_2, v_2, a_2 in QUANTITIES
         if quantity >= OF_FORCE_LEFT:
             return OF_A_1
     return quantity
@@ -313,7 +313,7 @@ def _structure_quantity(s, quantity):  # type: ignore[no-untyped-def]
 
 @kernel
 def _quantity_in_flight(p, s, quantity, poly, tau, since):  # type: ignore[no-untyped-def]
-    """Return a quantity in the flight from s, by its polynomial, or where it has none by the sphere's parabola."""
+    """Return a quantity in the flight from s, by its polynomial or, if it has none, by the sphere's parabola."""
     if quantity == OF_CURRENT and p.drive_kind == PRESCRIBED:
         return 0.0
     if s.phase == ATTACHED:
@@ -338,7 +338,8 @@ def _quantity_in_flight(p, s, quantity, poly, tau, since):  # type: ignore[no-un
 def integrate_tabulated(model, f, step, steps):  # type: ignore[no-untyped-def]
     """Integrate the contact that begins at `steps[_MOST_STEPS]` into `steps[0]`, `steps[1]`, …; return their number.
 
-    The last of them is its end, or where a step failed or room ran out. What it begins at is overwritten.
+    The last of them is the end of the contact, or the place where a step failed or the room ran out. The initial state
+    is overwritten.
     """
     p, s = model.parameters[0], steps[_MOST_STEPS]
     drop_dense_output(step)
@@ -370,7 +371,7 @@ def last_not_after(history, first_row, end_row, t):  # type: ignore[no-untyped-d
 def _step_length_for(s, step, end_point, since):  # type: ignore[no-untyped-def]
     """Return the length in χ of a step that takes about `since` seconds, by the dense output of the whole step.
 
-    `s` is the state where the step begins; `end_point`, where the whole one ends, is (time it takes [s], w, δ').
+    `s` is the state at the start of the step; `end_point`, the end of the full step, is (its duration [s], w, δ').
     """
     low, high = 0.0, 1.0
     x = min(1.0, since / end_point[0])
@@ -382,7 +383,7 @@ def _step_length_for(s, step, end_point, since):  # type: ignore[no-untyped-def]
             low = x
         correction = (since - since_x) / (w * s.h) if w > 0.0 else np.inf
         x += correction
-        if abs(correction) <= _ROOT_TOLERANCE:  # asked before the limits: at the root, rounding puts x on one of them
+        if abs(correction) <= _ROOT_TOLERANCE:  # tested before the limits: at the root, rounding puts x on one of them
             break
         if not low < x < high:
             x = 0.5 * (low + high)
@@ -391,7 +392,7 @@ def _step_length_for(s, step, end_point, since):  # type: ignore[no-untyped-def]
 
 @kernel
 def _solve_up_to(model, s, step, end_point, since):  # type: ignore[no-untyped-def]
-    """Return (w, δ') `since` seconds after the start of a step: the step is taken again to end there."""
+    """Return (w, δ') `since` seconds after the start of a step, by solving the step so that it ends there."""
     if s.h == 0.0 or since <= 0.0:
         return s.w, s.speed
     h = s.h
@@ -409,8 +410,8 @@ def _solve_up_to(model, s, step, end_point, since):  # type: ignore[no-untyped-d
 def _quantities_in_contact(model, f, s, step, point, solved_there, out):  # type: ignore[no-untyped-def]
     """Fill all quantities at a point of a contact's step, which begins at s; `step` is expanded there.
 
-    `point` is (time since the start of the step [s], w, δ'). `solved_there`: the step has been solved to end at the
-    point, so that the correction, what the indentation moves the pair by, is known; else that millionth is left out.
+    `point` is (time since the start of the step [s], w, δ'). `solved_there` is true if the step has been solved to end
+    at the point. The correction of the pair by the indentation is then known; otherwise that millionth is left out.
     """
     p, side = model.parameters[0], s.side
     since, w, speed = point
@@ -443,7 +444,7 @@ def _quantities_in_contact(model, f, s, step, point, solved_there, out):  # type
 
 @kernel
 def _solve_again(model, f, s, step):  # type: ignore[no-untyped-def]
-    """Expand `step` about s and solve it again; return how it ends: (time it takes [s], w, δ')."""
+    """Expand `step` about s and solve it again; return its end: (its duration [s], w, δ')."""
     p = model.parameters[0]
     expand(p, f, s, step)
     begin_step(p, model.law, s, step)
@@ -457,7 +458,7 @@ def _solve_again(model, f, s, step):  # type: ignore[no-untyped-def]
 
 @kernel
 def _sample_contact(model, f, history, row, start, stop, query, workspace):  # type: ignore[no-untyped-def]
-    """Fill the query's instants start … stop − 1, all in the contact whose state is `history[row]`."""
+    """Fill the query's instants start … stop − 1, which are all in the contact whose state is `history[row]`."""
     step, s = workspace.step[0], history[row]
     steps, first_row, end_row, solved_row = history, row, row + 1, -1
     if s.tabulated:
@@ -480,7 +481,7 @@ def _sample_contact(model, f, history, row, start, stop, query, workspace):  # t
 
 @kernel
 def begin_flight_at(model, f, s, flight):  # type: ignore[no-untyped-def]
-    """Prepare the closed form of the flight that begins at s; return the system that flies."""
+    """Prepare the closed form of the flight that begins at s; return the system that moves."""
     renewed = choose_system(model, f, s, flight)
     system = model.systems[flight.system]
     if renewed:
@@ -493,7 +494,7 @@ def begin_flight_at(model, f, s, flight):  # type: ignore[no-untyped-def]
 
 @kernel
 def _sample_flight(model, f, s, start, stop, query, workspace):  # type: ignore[no-untyped-def]
-    """Fill the query's instants start … stop − 1, all in the flight that begins at s."""
+    """Fill the query's instants start … stop − 1, which are all in the flight that begins at s."""
     p, flight = model.parameters[0], workspace.flight[0]
     system = begin_flight_at(model, f, s, flight)
     expanded_interval = -1
@@ -515,7 +516,7 @@ def _sample_flight(model, f, s, start, stop, query, workspace):  # type: ignore[
 
 @kernel
 def _rows_at(trajectory, tick, offset):  # type: ignore[no-untyped-def]
-    """Return (row of the segment that holds an instant of a tick, row of the state there, row after its last)."""
+    """Return (row of an instant's segment, row of the state there, row after the segment's last state)."""
     segment, end_segment = trajectory.first_segment[tick], trajectory.first_segment[tick + 1]
     while end_segment - segment > 1:
         middle_segment = (segment + end_segment) // 2
@@ -529,9 +530,9 @@ def _rows_at(trajectory, tick, offset):  # type: ignore[no-untyped-def]
 
 @entry(*SAMPLED, QUERY, returns=bool)
 def sample(model, trajectory, workspace, query):  # type: ignore[no-untyped-def]
-    """Fill `query.out` and return whether there are such ticks.
+    """Fill `query.out` and return whether the trajectory contains all requested ticks.
 
-    Instants in a row that share one row of the history are evaluated together.
+    Consecutive instants in one row of the history are evaluated together.
     """
     workspace.flight[0].omega = -1.0
     return _sample(model, trajectory, query, workspace)
@@ -567,7 +568,7 @@ def _sample(model, trajectory, query, workspace):  # type: ignore[no-untyped-def
 
 @kernel
 def _fit_flight(p, system, f, flight, spans, i, workspace):  # type: ignore[no-untyped-def]
-    """Fill in the polynomials of a piece in the flight that has been prepared, all quantities of the structure."""
+    """Fill in the polynomials of a piece in the prepared flight, for all quantities of the structure."""
     half = 0.5 * (spans.end[i] - spans.start[i])
     t_middle = 0.5 * (spans.start[i] + spans.end[i]) - f.begin
     since_middle, wanted, poly = t_middle - flight.t_b, spans.wanted, workspace.polynomials
@@ -617,7 +618,7 @@ def _fit_contact(model, f, history, row, spans, i, workspace):  # type: ignore[n
 
 @kernel
 def _depth_acceleration(model, step, per_v0, since, depth, speed):  # type: ignore[no-untyped-def]
-    """Return δ'' in a tabulated contact, whose `step` is expanded about the touch."""
+    """Return δ'' in a tabulated contact; `step` must be expanded about the touch."""
     p = model.parameters[0]
     w = math.sqrt(max(0.0, depth))
     elastic, lossy, _, _, _ = force_at(p, model.law, per_v0, 0.0, w, speed, step)
@@ -628,7 +629,7 @@ def _depth_acceleration(model, step, per_v0, since, depth, speed):  # type: igno
 
 @kernel
 def _integrate_pulse(model, step, per_v0, pulse, since_end, longest_step):  # type: ignore[no-untyped-def]
-    """Integrate `pulse` = (time since the touch, δ, δ') up to `since_end`, by Runge and Kutta's fourth order."""
+    """Integrate `pulse` = (time since the touch, δ, δ') up to `since_end` by the fourth-order Runge–Kutta method."""
     steps = math.ceil((since_end - pulse[0]) / longest_step)
     for n in range(steps):
         since, depth, speed = pulse[0], pulse[1], pulse[2]
@@ -650,10 +651,10 @@ def _integrate_pulse(model, step, per_v0, pulse, since_end, longest_step):  # ty
 
 @kernel
 def _fit_pulse(model, f, history, row, spans, i, workspace):  # type: ignore[no-untyped-def]
-    """Fill in the values at the nodes of a piece of a tabulated contact: it is integrated to them.
+    """Fill in the values at the nodes of a piece of a tabulated contact, by integrating the contact to them.
 
-    These crowd at the ends of each piece, and so of the contact, where the force has its kinks. The force is wrong by
-    at most 3e-4 of its peak.
+    The nodes are densest at the ends of each piece, and so of the contact, where the force has its kinks. The error of
+    the force is at most 3e-4 of its peak.
     """
     p, step, pulse, s = model.parameters[0], workspace.step[0], workspace.pulse, history[row]
     since_middle, half = 0.5 * (spans.start[i] + spans.end[i]) - f.begin - s.t, 0.5 * (spans.end[i] - spans.start[i])
@@ -672,9 +673,9 @@ def _fit_pulse(model, f, history, row, spans, i, workspace):  # type: ignore[no-
 
 @kernel
 def _fit_samples(model, trajectory, spans, i, workspace):  # type: ignore[no-untyped-def]
-    """Fill in the values at the nodes of any other piece: samples of it.
+    """Fill in the values at the nodes of any other piece by sampling them.
 
-    It holds more than one flight or step, or is too long, or the sphere or a force is wanted in flight.
+    Such a piece holds more than one flight or step, or is too long, or asks for the sphere or a force in flight.
     """
     middle, half = 0.5 * (spans.start[i] + spans.end[i]), 0.5 * (spans.end[i] - spans.start[i])
     for j in range(NODES):
@@ -684,19 +685,19 @@ def _fit_samples(model, trajectory, spans, i, workspace):  # type: ignore[no-unt
 
 @entry(MODEL, TRAJECTORY, SPANS, SAMPLING_WORKSPACE, returns=bool)
 def fit(model, trajectory, spans, workspace):  # type: ignore[no-untyped-def]
-    """Fill `spans.out` and return whether there are such ticks.
+    """Fill `spans.out` and return whether the trajectory contains all requested ticks.
 
-    In flight the fastest motion goes at most 2 radians either side of a piece's middle. There the series leaves out
-    2^14 / 14! = 2e-7 of it, and its shortening to eight terms 2 / 8! = 5e-5; longer pieces go through samples. In a
-    step of a contact a millionth is left out; in a tabulated one the polynomial misses the force by up to a thousandth
-    of its peak.
+    In flight the fastest motion covers at most 2 radians on either side of a piece's middle. There the series leaves
+    out 2^14 / 14! = 2e-7 of it, and its shortening to eight terms 2 / 8! = 5e-5; longer pieces are fitted through
+    samples. In a step of a contact a millionth is left out. In a tabulated contact the polynomial misses the force by
+    up to a thousandth of its peak.
     """
     p, flight, history = model.parameters[0], workspace.flight[0], trajectory.history
     flight.omega, workspace.pulse_row[0] = -1.0, -1
     structure_alone = True
     for q in range(spans.wanted.shape[0]):
         structure_alone = structure_alone and _is_of_structure(p, spans.wanted[q])
-    prepared_row = -1  # row of the state that the flight at hand begins at
+    prepared_row = -1  # row of the state at the start of the prepared flight
     for i in range(spans.start.shape[0]):
         tick = spans.tick[i] - trajectory.first_tick
         if not 0 <= tick < trajectory.first_segment.shape[0] - 1:
@@ -731,14 +732,14 @@ def fit(model, trajectory, spans, workspace):  # type: ignore[no-untyped-def]
 
 
 TABULATED_PIECES = 3
-"""Pieces in which a tabulated contact is smooth enough for the instruments' polynomials."""
+"""Number of pieces in which a tabulated contact is smooth enough for the instruments' polynomials."""
 
 
 @entry(TRAJECTORY, INTEGERS, REALS, returns=int)
 def refine(trajectory, tick, offset):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Fill in tick and offset [s] of the instants between which all is smooth; return how many there are.
+    """Fill in tick and offset [s] of the instants between which every quantity is smooth; return their number.
 
-    The arrays have room for TABULATED_PIECES instants a state.
+    The arrays must have room for TABULATED_PIECES instants per state.
     """
     history, first_state, count = trajectory.history, trajectory.first_state, 0
     tick_index = -1

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`Simulation`: the rig's mechanics as one object that advances by drive segments; `Motion`: what an advance leaves."""
+"""`Simulation`: the rig's mechanics, which advances by drive segments; `Motion`: the result of an advance."""
 
 from __future__ import annotations
 
@@ -75,14 +75,14 @@ SAMPLE = np.dtype([(name, "f8") for name in QUANTITIES])
 class Motion:
     """The trajectory of consecutive ticks, numbered from `first_tick`: each one drive segment, or several of a stream.
 
-    Times are (tick, offset into the tick): no value depends on how the run was cut into advances. Motions that
-    are asked in turn may share a `work`, their scratch memory.
+    Times are (tick, offset into the tick), so no value depends on how the run was divided into advances. Motions that
+    are evaluated one after the other may share `work`, their scratch memory.
 
     Attributes:
         first_tick: number of the first tick, counted since the reset.
         segments: the drive, shape (n,), dtype `flight.SEGMENT`.
         first_segment: row of each tick's first segment, and the number of segments.
-        impacts: contacts that ended in this motion, dtype `IMPACT`; a contact may have begun in an earlier one.
+        impacts: contacts that ended in this motion, dtype `IMPACT`; a contact may have begun in an earlier motion.
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class Motion:
 
     @property
     def sampled(self) -> tuple[Model, Trajectory, SamplingWorkspace]:
-        """What kernels take that evaluate it, as `sampling.SAMPLED`."""
+        """Arguments of a kernel that evaluates this motion, of the types `sampling.SAMPLED`."""
         return self._model, self._trajectory, self._sampling
 
     @property
@@ -114,7 +114,7 @@ class Motion:
         return self.first_tick + len(self.first_segment) - 2
 
     def sample(self, tick: NDArray[np.int64], offset_s: NDArray[np.float64]) -> NDArray[np.void]:
-        """Return all quantities (dtype `SAMPLE`, SI) at the instants, in their shape; fastest when in order."""
+        """Return all quantities (dtype `SAMPLE`, SI) at the instants, in their shape; ordered instants are fastest."""
         found = np.moveaxis(self.quantities(QUANTITIES, tick, offset_s), 0, -1)
         rows: NDArray[np.void] = np.ascontiguousarray(found).view(SAMPLE)[..., 0]
         return rows
@@ -127,10 +127,10 @@ class Motion:
     def quantities(
         self, names: tuple[str, ...], tick: NDArray[np.int64], offset_s: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return some quantities of `SAMPLE` at the given instants, shape (names, *instants): cheaper than one by one.
+        """Return some quantities of `SAMPLE` at the given instants, shape (names, *instants); faster than one by one.
 
         Raises:
-            ValueError: an instant is in none of the ticks, or the shapes differ.
+            ValueError: an instant is in none of the motion's ticks, or the shapes differ.
         """
         tick = np.ascontiguousarray(tick, np.int64)
         offset_s = np.ascontiguousarray(offset_s, np.float64)
@@ -149,19 +149,19 @@ class Motion:
     ) -> NDArray[np.float64]:
         """Return some quantities of `SAMPLE` on pieces between breakpoints, each as a polynomial in x = −1 … 1.
 
-        Its error is what eight terms leave out: see `sampling.fit`.
+        The error is that of a polynomial of eight terms, see `sampling.fit`.
 
         Args:
-            names: of the quantities.
-            tick: of each piece, shape (n,).
-            start_s: of each piece, since its tick's start.
-            end_s: likewise.
+            names: names of the quantities.
+            tick: tick of each piece, shape (n,).
+            start_s: start of each piece since the start of its tick [s], shape (n,).
+            end_s: end of each piece since the start of its tick [s], shape (n,).
 
         Returns:
             The coefficients, constant first, shape (names, n, NODES).
 
         Raises:
-            ValueError: a piece is in none of the ticks.
+            ValueError: a piece is in none of the motion's ticks.
         """
         out = np.empty((len(names), len(tick), NODES))
         found = fit(self._model, self._trajectory, Spans(places(names), tick, start_s, end_s, out), self._sampling)
@@ -171,14 +171,14 @@ class Motion:
         return out
 
     def cycles(self) -> NDArray[np.void]:
-        """Return what each tick does, dtype `fundamental.CYCLE`.
+        """Return the fundamentals of each tick, dtype `fundamental.CYCLE`.
 
         Raises:
-            ValueError: a tick is not one segment of one whole cycle of the drive.
+            ValueError: a tick is not a single segment of one complete cycle of the drive.
         """
         turns = self.segments["duration"] * self.segments["omega"]
         if len(self.segments) >= len(self.first_segment) or np.abs(turns - TWO_PI).max(initial=0.0) > _WHOLE:
-            raise ValueError("each tick must be one segment, and one whole cycle of the drive")
+            raise ValueError("each tick must be a single segment of one complete cycle of the drive")
         out = np.empty((len(self.segments), CYCLE.itemsize // 8))
         follow_cycles(self._model, self._trajectory, self._sampling.flight, out)
         found: NDArray[np.void] = out.view(CYCLE)[:, 0]
@@ -192,7 +192,7 @@ class Motion:
     def breakpoints(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Return (tick, offset) of the instants between which every quantity is smooth, in order.
 
-        These are all states that were kept, at events and steps of contacts, and two places in each tabulated contact.
+        These are all stored states, at events and steps of contacts, and two places in each tabulated contact.
         """
         most = TABULATED_PIECES * len(self._trajectory.history)
         tick, offset = np.empty(most, np.int64), np.empty(most)
@@ -201,25 +201,30 @@ class Motion:
 
 
 MOST_STATES = 200_000
-"""Rows of the history in one drive segment: flights and steps of contacts. It is looked at when the history is full; a
-chattering sphere makes some ten rows a segment."""
+"""Most rows of the history in one drive segment: flights and steps of contacts. The limit is checked when the history
+is full; a chattering sphere makes some ten rows a segment.
+"""
 
-_WHOLE = 1e-9  # by so much the phase of a whole cycle may miss one turn [rad]
-_STATES, _IMPACTS = 1 << 15, 1 << 11  # room for so many: pages that are not touched take no memory
+_WHOLE = 1e-9  # largest error of the phase of a complete cycle [rad]
+_STATES, _IMPACTS = 1 << 15, 1 << 11  # initial room: untouched pages take no memory
 _NOTHING_FILLED, _NO_IMPACTS = np.zeros((), COUNTS), np.empty(0, IMPACT)
-_GROWTH = 4  # of the history, when a call needs more room
+_GROWTH = 4  # factor by which the history grows when a call needs more room
 _PLACES = {"left": -1.0, "centre": 0.0, "right": 1.0}
 
 
 @attrs.frozen
 class EnergyAccount:
-    """Energies since the ledger began [J], each term integrated on its own: `imbalance` measures the integration.
+    """Energies since the ledger began [J], each integrated independently: `imbalance` measures the integration error.
 
-    work: done by the drive (coil force, coil voltage or prescribed base);
-    columns, shaker, contact, friction: lost there;
-    stored: kinetic and potential, less what was stored then.
+    The ledger begins at a reset, another configuration, a pluck or another place of the sphere.
 
-    It begins with a reset, another configuration, a pluck or another place of the sphere.
+    Attributes:
+        work: work of the drive (coil force, coil voltage or prescribed base).
+        columns: loss in the columns' damping.
+        shaker: loss in the suspension's damping and in the coil.
+        contact: loss in contacts.
+        friction: loss by the guide's friction.
+        stored: kinetic and potential energy, minus its value when the ledger began.
     """
 
     work: float
@@ -231,18 +236,18 @@ class EnergyAccount:
 
     @property
     def imbalance(self) -> float:
-        """Return work − losses − stored: zero but for integration errors."""
+        """Return work − losses − stored: zero except for integration errors."""
         return self.work - self.columns - self.shaker - self.contact - self.friction - self.stored
 
 
 class Simulation:
-    """Exact flights and integrated contacts of the configured rig; pure, deterministic, bounded memory.
+    """The configured rig's mechanics, with exact flights and integrated contacts: deterministic, with bounded memory.
 
     Args:
-        config: the rig.
+        config: configuration of the rig.
         rtol: relative tolerance of each step of a contact.
         account: whether to keep the energy account (flights then cost about twice as much).
-        model: of the configuration, where that has been built; its tolerance holds until the next is built.
+        model: the model of `config` if it is already built; its tolerance is used until the next model is built.
 
     Attributes:
         tick: number of the next tick, counted since the reset.
@@ -261,35 +266,35 @@ class Simulation:
 
     @property
     def config(self) -> MechanicsSetup:
-        """The configuration in force."""
+        """The active configuration."""
         return self._config
 
     @property
     def parameters(self) -> np.record:
-        """The numbers of the equations of motion in force, SI."""
+        """The active numbers of the equations of motion, SI."""
         record_: np.record = self._model.parameters[0]
         return record_
 
     @property
     def realised_restitution(self) -> float:
-        """The restitution that the configured contact law really returns."""
+        """The restitution that the configured contact law really gives."""
         return contact_laws.from_config(self._config.contact).realised_restitution()
 
     def reset(self) -> None:
-        """Put everything to rest at zero, the sphere at its start, and free a locked base."""
+        """Set everything to rest at zero, the sphere at its start, and release a locked base."""
         if self.locked:
             self._model, self.locked = build(self._config, self._rtol), False
         self._begin(np.zeros(STRUCTURE))
         self.tick = 0
 
     def configure(self, config: MechanicsSetup, model: Model | None = None) -> None:
-        """Go on with another configuration: the structure keeps its motion, the sphere rests at its start again.
+        """Change the configuration: the structure keeps its motion, and the sphere is at rest at its start again.
 
         A locked base stays locked.
 
         Args:
-            config: the configuration.
-            model: its model, where that has been built.
+            config: the new configuration.
+            model: its model, if already built.
         """
         y = self._structure()
         self._config = config
@@ -319,7 +324,7 @@ class Simulation:
         x_b: float = 0.0,
         v_b: float = 0.0,
     ) -> None:
-        """Set the state by hand: superior base, sphere relative to it (d = x_2 − x_1), base of a free shaker."""
+        """Set the state: superior base, sphere relative to it (d = x_2 − x_1), and base of a free shaker; SI."""
         y = np.zeros(STRUCTURE)
         y[X1], y[V1], y[XB], y[VB] = x_1, v_1, x_b, v_b
         self._begin(y)
@@ -329,7 +334,7 @@ class Simulation:
     def state(self) -> NDArray[np.float64] | None:
         """Return x_1, v_1, x_b, v_b, the coil's current, x_2 − x_1 and its rate after the last segment, shape (7,).
 
-        None during a contact: how it began decides its force, which these numbers do not tell.
+        None during a contact: its force depends on how the contact began, which these numbers do not contain.
         """
         s = self._work.states[0]
         if s["phase"] == CONTACT:
@@ -337,7 +342,7 @@ class Simulation:
         return np.array([*s["y"].tolist(), float(s["d"]), float(s["d_rate"])])
 
     def set_state(self, state: NDArray[np.float64]) -> None:
-        """Go on from what `state` gave; a sphere at rest on a wall stays there until that pulls away."""
+        """Continue from a state that `state` returned; a sphere at rest on a wall stays until the wall pulls away."""
         *y, d, rate = state.tolist()
         self._work.states[0] = np.zeros((), STATE)
         s = self._work.states[0]
@@ -386,11 +391,11 @@ class Simulation:
                     f"{work.states[0]['t']:.9f} s into a segment of it: the motion cannot be resolved"
                 )
             work = self._work = _grown(work)
-        kept = work.history[: states + 1]  # and where the next motion begins
-        if len(work.history) > _STATES:  # one that grew is given away: to copy it takes a tenth of the motion's time
+        kept = work.history[: states + 1]  # including the state from which the next motion begins
+        if len(work.history) > _STATES:  # a grown history is handed over: copying it takes a tenth of the motion's time
             self._work = work._replace(history=room(_STATES, STATE))
         else:
-            kept = joined([kept])  # a copy, in bytes: NumPy copies records field by field
+            kept = joined([kept])  # a copy by bytes: NumPy copies records field by field
         hits = joined([work.impacts[:impacts]]) if impacts else _NO_IMPACTS
         first_segment = work.first_segment[: ticks + 1]
         motion = Motion(self._model, self.tick, segments, first_segment, kept, work.first_state, hits, self._sampling)
@@ -398,13 +403,13 @@ class Simulation:
         return motion
 
     def copy(self) -> Simulation:
-        """Return a simulation that goes on from here on its own; scratch memory is shared, so advance them in turn."""
+        """Return an independent copy; the two share scratch memory, so advance them one after the other."""
         twin = copy.copy(self)
         twin._work = self._work._replace(states=joined([self._work.states]), ledger=joined([self._work.ledger]))
         return twin
 
     def energy(self) -> EnergyAccount:
-        """Return the energy account; only the contacts' share is kept unless `account` is on."""
+        """Return the energy account; without `account` it contains the losses of contacts only."""
         ledger = self._work.ledger[0]
         work, columns, shaker, contact, friction = (float(ledger[name]) for name in LEDGER.names or ())
         return EnergyAccount(work, columns, shaker, contact, friction, self.stored_energy() - self._stored)
@@ -441,7 +446,7 @@ class Simulation:
         self._stored = self.stored_energy()
 
     def _put_sphere(self, d: float, d_rate: float) -> None:
-        """Set the sphere; where the guide has friction, one at rest is held and a sliding one braked."""
+        """Set the sphere; if the guide has friction, a sphere at rest is held and a sliding one is braked."""
         p, s = self._model.parameters[0], self._state
         s.phase, s.side, s.slide, s.d, s.d_rate = FREE, 0.0, 0.0, d, d_rate
         if p.friction_acceleration > 0.0 and p.sphere_present:
@@ -449,7 +454,7 @@ class Simulation:
             s.slide = np.sign(d_rate)
 
     def _structure(self) -> NDArray[np.float64]:
-        """Return y = (x_1, v_1, x_b, v_b, i) whatever the phase, shape (STRUCTURE,)."""
+        """Return y = (x_1, v_1, x_b, v_b, i) in any phase, shape (STRUCTURE,)."""
         p, s = self._model.parameters[0], self._state
         y: NDArray[np.float64] = s.y.copy()
         if s.phase == CONTACT:
@@ -459,12 +464,12 @@ class Simulation:
 
 
 def _grown(work: Workspace) -> Workspace:
-    """Return the workspace with more room in its history, what is in it kept."""
+    """Return a workspace with a larger history and the same contents."""
     return work._replace(history=_longer(work.history, STATE), impacts=_longer(work.impacts, IMPACT))
 
 
 def _longer(rows: Any, kind: np.dtype[np.void]) -> Any:
-    """Return records with more room; NumPy would copy them field by field, which takes twelve times as long."""
+    """Return records with more room; NumPy's copy, field by field, takes twelve times as long."""
     grown = room(_GROWTH * len(rows), kind)
     grown.view(np.uint8)[: rows.nbytes] = rows.view(np.uint8)
     return grown

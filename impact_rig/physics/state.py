@@ -11,14 +11,14 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What kernels work on: the parameters of the equations, the state of the rig, and their workspaces.
+"""Kernel records: parameters of the equations, state of the rig, and workspaces.
 
-Everything is a record with named fields in SI units. A field has one unit; where its meaning depends on the phase, the
-comment beside it says how. A record is an element of a recarray: compiled code and plain Python both read and write
-`state.d_rate`.
+Everything is a record with named fields in SI units. A field has one unit; if its meaning depends on the phase, the
+comment next to it explains how. A record is an element of a recarray, so compiled code and plain Python both access a
+field as `state.d_rate`.
 
-A trajectory is the history of states at its events and at the steps of its contacts. Each state says which phase of
-motion goes on from there, which is enough to evaluate the motion up to the next one.
+A trajectory is the history of states at its events and at the steps of its contacts. Each state contains the phase of
+the motion that starts there, which is enough to evaluate the motion up to the next state.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ NOTHING, SEPARATED, PAUSED, RELEASED, TURNED, RELOADED, FAILED, SETTLED, TOUCHED
 See `contact_phase` and the table of `event_loop`."""
 
 X1, V1, XB, VB, COIL = range(5)
-"""Places in a structural state y: superior base [m], [m/s], inferior base [m], [m/s], current i of the coil [A].
+"""Indices in a structural state y: superior base [m], [m/s], inferior base [m], [m/s], current i of the coil [A].
 
 A prescribed base has the first two only, a current drive the first four.
 """
 STRUCTURE = 5
-"""How many places y has."""
+"""Length of y."""
 
 ORDERS = 6
-"""Derivatives of x_1 that a flight has terms of: it evaluates 0 … 4, and bounds the one after those it evaluates."""
+"""Number of derivatives of x_1 for which a flight has terms: it evaluates 0 … 4, and bounds the next one."""
 STEP_TERMS = 12
 """Taylor terms of the structure's motion within one step of a contact."""
 
@@ -227,8 +227,8 @@ PARAMETERS = np.dtype(
         ("remembers", "i8"),  # 1 where the force depends on where the indentation turned
         ("time_scale", "f8"),  # of t_0 = time_scale v0^time_power, in s for v0 in m/s
         ("time_power", "f8"),  # exponent in it [-]
-        ("speed_floor", "f8"),  # least v0 that a law is told, as in c = a K / v0 [m/s]
-        ("touch_speed", "f8"),  # least speed that a contact begins, or a sphere parts, with [m/s]
+        ("speed_floor", "f8"),  # least v0 that a law uses, as in c = a K / v0 [m/s]
+        ("touch_speed", "f8"),  # least speed with which a contact begins or a sphere parts [m/s]
         ("fastest", "f8"),  # rate of the fastest mode [1/s]
         ("rtol", "f8"),  # relative tolerance of a contact's step [-]
     ],

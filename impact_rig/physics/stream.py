@@ -11,11 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The drive as a stream of samples: what is buffered, what is in force, and what stands where samples are missing.
+"""The drive as a stream of samples: the buffer, the samples in effect, and the replacement of missing samples.
 
-Sample k lies k · 10⁹ // rate nanoseconds after scan 0. Between samples the drive is a straight line (first-order hold)
-or the sample before (zero-order hold); its segments end at samples and at ticks of the command grid. What has come by
-the time a tick is simulated is in force; into which blocks it was cut, in which order and how often it came, is lost.
+Sample k is k · 10⁹ // rate nanoseconds after scan 0. Between samples the drive is a straight line (first-order hold) or
+the sample before (zero-order hold); its segments end at samples and at ticks of the command grid. The samples that have
+arrived when a tick is simulated take effect. How they were divided into blocks, in which order and how often they
+arrived is not recorded.
 """
 
 from __future__ import annotations
@@ -36,11 +37,11 @@ from impact_rig.physics.flight import SEGMENT
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 
 SUM_TICKS = 100
-"""Once a second the samples that came into force are summed up."""
+"""Interval at which the samples that took effect are summed up: one second."""
 
 
 class Event(enum.StrEnum):
-    """What happens to a stream."""
+    """Event in a stream."""
 
     BEGIN = "begin"
     END = "end"
@@ -48,7 +49,7 @@ class Event(enum.StrEnum):
 
 
 class Happened(NamedTuple):
-    """An event, the sample it begins with, and of an END why, of a SUM `count crc`."""
+    """An event, the sample it begins with, and a detail: the reason of an END, `count crc` of a SUM."""
 
     event: Event
     sample: int
@@ -56,33 +57,34 @@ class Happened(NamedTuple):
 
 
 UNDERRUN, ENDED, STOPPED = "underrun", "ended", "stopped"
-"""Why a stream ends: no sample came in time; its controller said so; the shaker was stopped."""
+"""Reasons for the end of a stream: a sample was late, the controller ended it, or the shaker was stopped."""
 
 
 class StreamState(enum.Enum):
-    """Where a stream is."""
+    """State of a stream."""
 
-    RESTING = "no sample has come yet"
-    PLAYING = "samples are in force"
-    MISSING = "no sample came in time"
+    RESTING = "no sample has arrived yet"
+    PLAYING = "samples are in effect"
+    MISSING = "no sample arrived in time"
     OVER = "the controller has ended it"
 
 
 class Buffer:
-    """A ring of samples by number, in which one may be put again until it is played."""
+    """A ring of numbered samples; a sample can be replaced until it is played."""
 
     def __init__(self, capacity: int) -> None:
         self.capacity = capacity
         self.ends: set[int] = set()
-        """Numbers of samples that will not come."""
+        """Numbers of samples at which the stream ends."""
         self._values = np.zeros(capacity)
         self._tags = np.zeros(capacity, np.int64)  # number + 1
-        self._whole_to = 0  # all are there from the first one played to here
+        self._whole_to = 0  # all samples are present from the first one played to here
 
     def put(self, first: int, values: NDArray[np.float64]) -> None:
-        """Put the samples from number `first` on, no more than the capacity; none at all: they end there.
+        """Store the samples from number `first` on, at most the capacity; an empty array ends the samples there.
 
-        An end is replaced by the sample of its number alone, not by later ones: in which order they come is lost.
+        Only the sample with its own number replaces an end; later samples do not, so that the order of arrival has no
+        effect.
         """
         self.ends = {end for end in self.ends if not first <= end < first + len(values)}
         if len(values) == 0:
@@ -98,7 +100,7 @@ class Buffer:
         self.ends.clear()
 
     def there(self, first: int, end: int) -> NDArray[np.bool_]:
-        """Return which of the samples first … end − 1 are there."""
+        """Return which of the samples first … end − 1 are present."""
         numbers = np.arange(first, end)
         found: NDArray[np.bool_] = self._tags[numbers % self.capacity] == numbers + 1
         return found
@@ -109,26 +111,26 @@ class Buffer:
         return found
 
     def first_missing(self, first: int) -> int:
-        """Return the number of the first sample from `first` on that is not there."""
+        """Return the number of the first missing sample from `first` on."""
         at = max(first, self._whole_to)
         missing = np.flatnonzero(~self.there(at, first + self.capacity))
         self._whole_to = at + int(missing[0]) if len(missing) else first + self.capacity
         return self._whole_to
 
     def first_there(self, first: int) -> int | None:
-        """Return the number of the first sample from `first` on that is there, or None."""
+        """Return the number of the first sample that is present from `first` on, or None."""
         found = np.flatnonzero(self.there(first, first + self.capacity))
         return first + int(found[0]) if len(found) else None
 
 
 class Stream:
-    """Plays buffered samples as drive segments, tick by tick; copies share the buffer.
+    """Player of buffered samples as drive segments, tick by tick; copies share the buffer.
 
     Attributes:
-        played: number of the next sample that is wanted: all before it are in force.
-        state: where it is.
-        missing: samples that did not come in time.
-        events: what has happened and was not taken away yet.
+        played: number of the next sample to play; all earlier samples have taken effect.
+        state: state of the stream.
+        missing: number of samples that did not arrive in time.
+        events: events that have not been collected yet.
     """
 
     def __init__(self, drive: Drive, shaker: Shaker) -> None:
@@ -141,44 +143,44 @@ class Stream:
         self.events: list[Happened] = []
         self._linear = drive.stream_hold == "first_order"
         self._holds_on_underrun = drive.on_underrun == "hold"
-        self._recent = np.zeros(2)  # the last two samples in force
-        self._last_value = 0.0  # the last value in force: what is held, or what a ramp begins from
-        self._ramped = 0  # missing samples since then, at most those of a ramp
-        self._ramps_down = True  # whether it ramps to zero from there, or holds the value
-        self._end_reason = UNDERRUN  # why it ends where a sample is missing, unless its controller has ended it there
+        self._recent = np.zeros(2)  # the last two samples in effect
+        self._last_value = 0.0  # the last value in effect, which is held or ramped down
+        self._ramped = 0  # number of missing samples since then, at most the length of a ramp
+        self._ramps_down = True  # whether missing samples ramp to zero, or hold the value
+        self._end_reason = UNDERRUN  # reason for the end at a missing sample, unless the controller ends it there
         self._crc_first, self._crc_count, self._crc = 0, 0, 0
-        self._ramp_samples = 1  # samples of a ramp to zero
+        self._ramp_samples = 1  # number of samples of a ramp to zero
         self.set_ramp(shaker.ramp_s)
 
     def set_ramp(self, ramp_s: float) -> None:
-        """Ramp to zero within another time where samples are missing; a ramp under way starts again with it."""
+        """Set the time of the ramp to zero at missing samples; a ramp under way starts again with it."""
         if self.state is not StreamState.PLAYING and self._ramps_down and self._ramped:
-            # from where it is: the drive must not jump
+            # from the present value, because the drive must not jump
             self._last_value, self._ramped = self._last_value * (1.0 - self._ramped / self._ramp_samples), 0
         self._ramp_samples = max(1, math.ceil(ramp_s * self.rate_hz - 1e-9))
 
     def copy(self) -> Stream:
-        """Return a stream that goes on from here on its own, from the same buffer."""
+        """Return an independent copy of this stream that reads the same buffer."""
         twin = copy.copy(self)
         twin.events = list(self.events)
         return twin
 
     def time_ns(self, sample: int) -> int:
-        """Return when a sample lies, since scan 0."""
+        """Return the time of a sample since scan 0."""
         return sample * NS_PER_S // self.rate_hz
 
     def put(self, first: int, values: NDArray[np.float64]) -> int:
-        """Take a block, the samples from number `first` on; return how many of them are late and were left out.
+        """Store a block, the samples from number `first` on; return how many of them are late and were ignored.
 
         A block without samples ends the stream at `first`.
 
         Raises:
-            CommandError: it reaches beyond the buffer.
+            CommandError: the block reaches beyond the buffer.
         """
         if first + len(values) > self.played + self.capacity:
             ahead = (self.time_ns(first + len(values)) - self.time_ns(self.played)) / NS_PER_S
             raise CommandError(f"the block reaches {ahead:.6g} s ahead, beyond drive.stream_buffer_s")
-        self.buffer.ends = {end for end in self.buffer.ends if end >= self.played}  # the others have had their effect
+        self.buffer.ends = {end for end in self.buffer.ends if end >= self.played}  # the others have taken effect
         late = min(len(values), max(0, self.played - first))
         if late < len(values) or len(values) == 0:
             self.buffer.put(max(first, self.played), values[late:])
@@ -189,7 +191,7 @@ class Stream:
     def stop(self, tick: int) -> float:
         """Drop all samples, in effect or buffered, and return the value at the start of `tick`, the next one.
 
-        The stream itself is zero from there on: its samples may be a second apart, which is no way to ramp down.
+        From there on the stream itself is zero: its samples may be a second apart, too far to make a ramp of them.
         """
         value = self._value_at(tick)
         self.buffer.clear()
@@ -201,7 +203,7 @@ class Stream:
         return value
 
     def _value_at(self, tick: int) -> float:
-        """Return the value at the start of the next tick, coming from the one before."""
+        """Return the value at the start of the next tick, approached from the tick before."""
         before, last = map(float, self._recent)
         if not self._linear or self.played == 0:
             return last
@@ -209,17 +211,17 @@ class Stream:
         return last if end_ns <= at_ns else before + (last - before) * ((at_ns - start_ns) / (end_ns - start_ns))
 
     def buffered(self) -> int:
-        """Return how many samples are there that follow each other from the next one wanted on."""
+        """Return the number of consecutive samples that are present from the next one to play."""
         return self.buffer.first_missing(self.played) - self.played
 
     def ticks_until_event(self, tick: int) -> int:
-        """Return how many ticks from `tick` on end with the first event to come, or the first sum."""
+        """Return how many ticks from `tick` on end with the next event or the next sum."""
         ahead = SUM_TICKS - tick % SUM_TICKS
         at = self._first_missing() if self.state is StreamState.PLAYING else self.buffer.first_there(self.played)
         return ahead if at is None else min(ahead, max(1, self._tick_of(at) - tick + 1))
 
     def whole_ticks(self) -> int | None:
-        """Return up to which tick samples suffice, or None: no more will come."""
+        """Return the tick up to which the samples suffice, or None if no more samples will arrive."""
         missing = self._first_missing()
         over = self.state is StreamState.OVER or self._end_reason == STOPPED
         if missing in self.buffer.ends or (over and missing == self.played):
@@ -229,7 +231,7 @@ class Stream:
     def segments(self, tick: int, count: int, tick_s: float) -> NDArray[np.void]:
         """Return the drive of the ticks tick … tick + count − 1, dtype `SEGMENT`."""
         begin_ns, end_ns = tick * COMMAND_GRID_NS, (tick + count) * COMMAND_GRID_NS
-        first = -(-(begin_ns + 1) * self.rate_hz // NS_PER_S) - 1  # the last one not after the begin
+        first = -(-(begin_ns + 1) * self.rate_hz // NS_PER_S) - 1  # the last one not after the start
         first_new, end = self.played, -(-end_ns * self.rate_hz // NS_PER_S) + self._linear
         values = self._play(end)
         values = np.concatenate([self._recent[2 - first_new + first :], values]) if first < first_new else values
@@ -238,7 +240,7 @@ class Stream:
         times_ns = numbers // self.rate_hz * NS_PER_S + numbers % self.rate_hz * NS_PER_S // self.rate_hz
         inside = (times_ns >= begin_ns) & (times_ns < end_ns)
         edges = np.concatenate([times_ns[inside], np.arange(begin_ns, end_ns, COMMAND_GRID_NS)])
-        edges.sort(kind="stable")  # two runs to merge; numpy's `union1d` takes five times as long
+        edges.sort(kind="stable")  # merges two sorted parts; numpy's `union1d` takes five times as long
         edges = edges[np.diff(edges, prepend=-1) > 0]
         at = np.searchsorted(times_ns, edges, side="right") - 1
         rows = np.zeros(len(edges), SEGMENT)
@@ -259,11 +261,11 @@ class Stream:
         return self.buffer.first_missing(self.played)
 
     def _tick_of(self, sample: int) -> int:
-        """Return the first tick that needs a sample."""
+        """Return the first tick that needs a given sample."""
         return self.time_ns(max(0, sample - self._linear)) // COMMAND_GRID_NS
 
     def _play(self, end: int) -> NDArray[np.float64]:
-        """Return the values of the samples played … end − 1, which from now on are in force."""
+        """Return the values of the samples played … end − 1, which take effect from now on."""
         parts = [np.empty(0)]
         while self.played < end:
             there = self.buffer.there(self.played, end)
@@ -286,7 +288,7 @@ class Stream:
         return values
 
     def _without(self, count: int) -> NDArray[np.float64]:
-        """Return what stands in place of samples that are missing: zero, a straight ramp to it, or the last one."""
+        """Return replacements for missing samples: zero, a straight ramp to zero, or the last value."""
         if self.state is StreamState.PLAYING:
             self._sum_up()
             why = ENDED if self._end_reason == UNDERRUN and self.played in self.buffer.ends else self._end_reason

@@ -367,9 +367,9 @@ class Rig:
     # Inputs: commands and parameters act at the frontier and are journaled there; faults and samples at their own scans
 
     def accept(self, frequency_hz: float | None = None, amplitude: float | None = None) -> Table:
-        """Apply a commanded frequency and amplitude (A peak; m, V by `drive.kind`; rms if random).
+        """Apply a commanded frequency and amplitude, and return the applied row.
 
-        Return the applied row.
+        The amplitude is in A peak, or m or V by `drive.kind`; rms for random drive.
 
         Raises:
             CommandError: out of range, not finite, not accepted by the waveform (a frequency is for a sine alone), or

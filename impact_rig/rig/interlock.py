@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What protects the shaker: command limits, and the interlock on true travel of the base and coil current.
+"""Protection of the shaker: command limits, and the interlock on true travel of the base and coil current.
 
-The interlock looks at fixed instants of the command grid, so that neither scan rate nor block length nor the cut into
-calls decides whether it trips; of a streamed current it integrates the lines.
+The interlock samples the motion at fixed instants of the command grid, so that neither scan rate, block length nor the
+division into calls affects whether it trips. The straight lines of a streamed current are integrated exactly.
 """
 
 from __future__ import annotations
@@ -37,19 +37,21 @@ from impact_rig.physics.sampling import QUERY, SAMPLED, Query, places, sample
 from impact_rig.physics.stream import UNDERRUN
 
 LOOKS_PER_TICK = 10
-"""1 ms apart, with the extremes between them from position and velocity: at the 30 Hz below which this shaker can reach
-its stops, these are found to 3e-6 (spacing⁴ ω⁴ / 384)."""
+"""Spacing of the samples: 1 ms. The extremes between them follow from position and velocity. At the 30 Hz below which
+this shaker can reach its stops, their error is 3e-6 (spacing⁴ ω⁴ / 384).
+"""
 CURRENT_TIME_S = 1.0
 """Averaging time of the rms current."""
 OVER_CURRENT_MARGIN = 1.05
-"""Trips above the limit times this: the average of a sine at the limit, which is a legal command, ripples by 0.8 % at
-5 Hz."""
+"""Factor on the current limit at which the interlock trips: the average of a sine at the limit, which is a legal
+command, ripples by 0.8 % at 5 Hz.
+"""
 OVER_TRAVEL, OVER_CURRENT = "over_travel", "over_current"
 
 
 @attrs.frozen
 class Trip:
-    """Why the shaker is stopped: over-travel, over-current or an underrun; and in which tick of the call."""
+    """Trip of the shaker: its reason (over-travel, over-current or an underrun), and its tick within the call."""
 
     tick: int
     reason: str
@@ -57,23 +59,23 @@ class Trip:
     limit: float
 
     def message(self) -> str:
-        """Return one line for people."""
+        """Return one line for users."""
         if self.reason == UNDERRUN:
-            return f"{self.reason}: sample {self.measured:.0f} of the stream did not come in time"
+            return f"{self.reason}: sample {self.measured:.0f} of the stream did not arrive in time"
         if self.reason == OVER_TRAVEL:
             return f"{self.reason}: {1e3 * self.measured:.4g} mm of travel, limit {1e3 * self.limit:.4g} mm"
         return f"{self.reason}: {self.measured:.4g} A rms, limit {self.limit:.4g} A"
 
 
 class Interlock:
-    """Watches the shaker tick by tick; a prescribed base motion has no shaker and never trips."""
+    """Monitor of the shaker, tick by tick; a prescribed base motion has no shaker and never trips."""
 
     def __init__(self) -> None:
         self._mean_square = 0.0
-        self._looks: Query | None = None  # scratch: where and what is looked at
+        self._looks: Query | None = None  # scratch memory for the sampled instants and quantities
 
     def reset(self) -> None:
-        """Forget the current so far."""
+        """Clear the averaged current."""
         self._mean_square = 0.0
 
     def copy(self) -> Interlock:
@@ -102,7 +104,7 @@ class Interlock:
             self._looks = Query(places(("x_b", "v_b", "current")), np.empty(room.shape[1], np.int64), room[3], room[:3])
         found = np.empty((ticks, 2))
         travel_and_current(*motion.sampled, self._looks, tick_s / LOOKS_PER_TICK, found)
-        if (drive.kind, drive.waveform) == ("current", "stream"):  # it may do anything between the looks
+        if (drive.kind, drive.waveform) == ("current", "stream"):  # a stream may contain anything between the samples
             mean_square_of_lines(for_kernels(motion.segments), motion.first_segment, tick_s, found)
         gain = _gain(tick_s)
         limit, limit_rms = shaker.travel_limit_m, shaker.current_limit_a_rms
@@ -123,10 +125,10 @@ def _gain(tick_s: float) -> float:
 
 @entry(*SAMPLED, QUERY, float, REALS_2D)
 def travel_and_current(model, trajectory, work, looks, spacing_s, found):  # type: ignore[no-untyped-def]  # compiled
-    """Fill in each tick's largest |travel| [m] and mean square of the current [A²], `found` of shape (ticks, 2).
+    """Compute each tick's largest |travel| [m] and mean square of the current [A²], into `found` of shape (ticks, 2).
 
-    `looks` asks for travel, its rate and the current, and has room for all looks: `spacing_s` [s] apart, from the start
-    of each tick to its end, which is also the start of the next.
+    `looks` requests travel, its rate and the current at all sampled instants: `spacing_s` [s] apart, from the start of
+    each tick to its end, which is also the start of the next tick.
     """
     looks_per_tick = looks.tick.shape[0] // found.shape[0]
     for i in range(looks.tick.shape[0]):
@@ -140,7 +142,7 @@ def travel_and_current(model, trajectory, work, looks, spacing_s, found):  # typ
 
 @kernel
 def mean_square(values):  # type: ignore[no-untyped-def]
-    """Return the mean of the squares of all values but the first, added up in order."""
+    """Return the mean of the squares of all values except the first, added up in order."""
     total = 0.0
     for i in range(1, values.shape[0]):
         total += values[i] * values[i]
@@ -149,7 +151,7 @@ def mean_square(values):  # type: ignore[no-untyped-def]
 
 @entry(SEGMENT, INTEGERS, float, REALS_2D)
 def mean_square_of_lines(segments, first_segment, tick_s, found):  # type: ignore[no-untyped-def]
-    """Fill in `found[:, 1]`, for a current of straight lines [A²]; `first_segment` is that of a Motion."""
+    """Compute `found[:, 1]` for a current of straight lines [A²]; `first_segment` is that of a Motion."""
     for tick in range(found.shape[0]):
         total = 0.0
         for i in range(first_segment[tick], first_segment[tick + 1]):
@@ -163,9 +165,9 @@ def mean_square_of_lines(segments, first_segment, tick_s, found):  # type: ignor
 def largest_travel(position, velocity, spacing_s):  # type: ignore[no-untyped-def]
     """Return the largest |position|, between the samples as well.
 
-    position [m] and its rate, velocity [m/s], have shape (n,), samples `spacing_s` [s] apart: so short that the
-    velocity changes its sign at most once in it. Between two samples the position is the cubic through both ends,
-    start + x (start_rate + x (quadratic + cubic x)), x = 0 … 1.
+    Position [m] and its rate, velocity [m/s], have shape (n,). The samples are `spacing_s` [s] apart, so close that the
+    velocity changes its sign at most once between two of them. Between two samples the position is the cubic through
+    both ends, start + x (start_rate + x (quadratic + cubic x)), x = 0 … 1.
     """
     found = abs(position[0])
     for i in range(position.shape[0] - 1):
@@ -184,10 +186,10 @@ def largest_travel(position, velocity, spacing_s):  # type: ignore[no-untyped-de
 
 
 def check_frequency(frequency_hz: float, shaker: Shaker) -> None:
-    """Refuse a frequency the shaker does not take.
+    """Raise an error for a frequency outside the shaker's range.
 
     Raises:
-        CommandError: names value and range.
+        CommandError: the frequency is out of range; the message names value and range.
     """
     low, high = shaker.frequency_min_hz, shaker.frequency_max_hz
     if not math.isfinite(frequency_hz) or not low <= frequency_hz <= high:
@@ -195,10 +197,10 @@ def check_frequency(frequency_hz: float, shaker: Shaker) -> None:
 
 
 def check_amplitude(amplitude: float, drive: Drive, shaker: Shaker) -> None:
-    """Refuse an amplitude that is not finite, negative, or more than the shaker may carry.
+    """Raise an error for an amplitude that is not finite, negative, or above the shaker's limit.
 
     Raises:
-        CommandError: names value and range.
+        CommandError: the amplitude is not allowed; the message names value and range.
     """
     name, unit, high, why = amplitude_limit(drive, shaker)
     if not math.isfinite(amplitude) or not 0.0 <= amplitude <= high:
@@ -206,10 +208,10 @@ def check_amplitude(amplitude: float, drive: Drive, shaker: Shaker) -> None:
 
 
 def check_stream(values: NDArray[np.float64], drive: Drive, shaker: Shaker) -> None:
-    """Refuse samples of which one is not finite or beyond what the shaker may carry.
+    """Raise an error for samples that are not finite or exceed the shaker's limit.
 
-    Raises:
-        CommandError: names the first such sample and the limit, or the shape that is none.
+    Raises: CommandError: a sample is not allowed, or the shape is wrong; the message names the first such sample and
+    the limit.
     """
     if values.ndim != 1:
         raise CommandError(f"a block of samples must have the shape (n,), got {values.shape}")
@@ -221,7 +223,7 @@ def check_stream(values: NDArray[np.float64], drive: Drive, shaker: Shaker) -> N
 
 
 def amplitude_limit(drive: Drive, shaker: Shaker) -> tuple[str, str, float, str]:
-    """Return name, unit and value of the largest amplitude that is taken, and what limits it."""
+    """Return name, unit and value of the largest allowed amplitude, and the parameter that limits it."""
     if drive.kind == "prescribed":
         return "base amplitude", "m", shaker.travel_limit_m, "shaker.travel_limit_m"
     crest = 1.0 if drive.waveform == "random" else math.sqrt(2.0)

@@ -13,11 +13,11 @@
 # limitations under the License.
 """Scans at monitor rate, for plotters.
 
-Scans at 10 kS/s shown at 50 Hz would fold every pulse into nonsense, so readings go through a low-pass first: a
-windowed sinc (Kaiser, beta 5; Oppenheim and Schafer, Discrete-Time Signal Processing, section 7.5) as long as eight
-monitor periods, centred at the scan whose stamp the message has: no phase is lost, and the message comes four periods
-later. With f_m the monitor rate the gain is within 0.5 % of 1 up to 0.2 f_m and below 0.4 % from 0.6 f_m on, so that
-nothing folds to below 0.4 f_m. The truth is never filtered.
+Scans at 10 kS/s shown at 50 Hz would alias every pulse, so readings first pass a low-pass: a windowed sinc (Kaiser,
+beta 5; Oppenheim and Schafer, Discrete-Time Signal Processing, section 7.5). It is eight monitor periods long and
+centred at the scan whose stamp the message has. So there is no phase error, and the message is four periods late. With
+f_m the monitor rate, the gain is within 0.5 % of 1 up to 0.2 f_m and below 0.4 % from 0.6 f_m on, so that nothing is
+aliased to below 0.4 f_m. The truth is never filtered.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ from numpy.typing import NDArray
 from impact_rig.arithmetic.elementary import PI, sincos
 from impact_rig.kernels import BYTES, INTEGERS, REALS, REALS_2D, entry
 
-HALF_PERIODS = 4  # half the filter's length, in monitor periods: how much later than its stamp a message comes
-CUTOFF = 0.4  # middle of the transition, over the monitor rate
+HALF_PERIODS = 4  # half the filter's length in monitor periods: the delay of a message after its stamp
+CUTOFF = 0.4  # middle of the transition, as a part of the monitor rate
 BETA = 5.0
-_WINDOWS = 2 * HALF_PERIODS + 1  # that can weigh one scan
-_BESSEL_TERMS = 20  # of I_0 up to BETA: what is left is below rounding
+_WINDOWS = 2 * HALF_PERIODS + 1  # number of windows that contain one scan
+_BESSEL_TERMS = 20  # of I_0 up to BETA: the remainder is below rounding
 
 
 @functools.lru_cache(maxsize=4)
 def taps(step: int) -> NDArray[np.float64]:
-    """Return the filter for a monitor of every `step`-th scan, of sum 1, shape (8 step + 1,); of every scan (1,)."""
+    """Return the filter for a monitor of every `step`-th scan, with sum 1, shape (8 step + 1,); (1,) for step 1."""
     if step == 1:
         return np.ones(1)
     offsets = np.arange(-HALF_PERIODS * step, HALF_PERIODS * step + 1)
@@ -50,7 +50,7 @@ def taps(step: int) -> NDArray[np.float64]:
     sinc = np.array([sincos(angle)[0] / angle if angle else 1.0 for angle in angles])
     share = offsets / (HALF_PERIODS * step)
     square = 0.25 * BETA * BETA * (1.0 - share * share)
-    term, window = np.ones(len(offsets)), np.ones(len(offsets))  # Kaiser's, but for a factor: I_0(2 √square)
+    term, window = np.ones(len(offsets)), np.ones(len(offsets))  # Kaiser's window up to a factor: I_0(2 √square)
     for k in range(1, _BESSEL_TERMS):
         term *= square / (k * k)
         window += term
@@ -69,33 +69,33 @@ class Smoothed:
 
 
 class AntiAlias:
-    """Filters a stream of scans at the monitor instants, the scans whose numbers are multiples of `step`.
+    """Filter of a stream of scans at the monitor instants, the scans whose numbers are multiples of `step`.
 
-    Each scan is weighed once, when it comes, for every instant whose window it lies in: no scan is kept.
+    Each scan is weighted once, on arrival, for every instant whose window contains it; no scan is kept.
 
     Args:
-        channels: columns to be filtered.
+        channels: columns to filter.
         step: scans per monitor period.
     """
 
     def __init__(self, channels: Iterable[str], step: int) -> None:
         self.channels, self.step = tuple(channels), step
         self._weights = taps(step)
-        self.half = len(self._weights) // 2  # scans on either side of an instant that the filter weighs
+        self.half = len(self._weights) // 2  # number of scans on either side of an instant that the filter weights
         self._sums = np.zeros((_WINDOWS, 1 + len(self.channels)))
         self._statuses = np.zeros(_WINDOWS, np.int64)
         self._begin = self._end = -1  # numbers of the stream's first scan, and of the one after the last
-        self._type: np.dtype[np.void] | None = None  # of the rows, and where in one of them the columns stand
+        self._type: np.dtype[np.void] | None = None  # type of the rows, and offsets of the columns in one
         self._layout = np.zeros(0, np.int64)
 
     def feed(self, first: int, rows: NDArray[np.void]) -> list[Smoothed]:
         """Return the instants that a block completes; after a gap, as after a reset, a new stream begins.
 
-        At the beginning of a stream the filter is cut where there are no scans, and weighs what there is.
+        At the start of a stream the filter is truncated to the scans that exist.
 
         Args:
             first: number of the block's first scan.
-            rows: of daq/scan.
+            rows: rows of daq/scan.
         """
         if first != self._end:
             self._begin = first
@@ -118,21 +118,21 @@ class AntiAlias:
 
 @entry(BYTES, INTEGERS, int, int, int, REALS, REALS_2D, INTEGERS, REALS_2D, returns=int)
 def _weigh(rows, layout, least, first, step, weights, sums, statuses, done):  # type: ignore[no-untyped-def]  # compiled
-    """Add a block to the windows it lies in; return how many end in it.
+    """Add a block to the windows that contain it; return how many windows end in it.
 
-    Each window is summed scan by scan, so that the cut into blocks changes no bit.
+    Each window is summed scan by scan, so that the division into blocks changes no bit.
 
     Args:
-        rows: of scans, byte by byte.
-        layout: bytes of a row, place of the status in it, and places of the channels.
+        rows: rows of scans as bytes.
+        layout: bytes per row, position of the status in it, and positions of the channels.
         least: number of the first scan that may be an instant whose window is open.
         first: number of the first scan of the block.
         step: scans per monitor period.
-        weights: of a window's scans.
-        sums: of each window: sum of the weights, and of the weighed readings by channel. Window k is in row k modulo
+        weights: weights of a window's scans.
+        sums: for each window the sum of the weights, and the weighted readings by channel. Window k is in row k modulo
             their number.
-        statuses: of each window: status bits of the scans between the instants before and after its own.
-        done: is filled in for each window that ends: number of its scan, status, means by channel.
+        statuses: for each window the status bits of the scans between the instants before and after its own.
+        done: output for each window that ends: number of its scan, status, means by channel.
     """
     half = weights.shape[0] // 2
     end = first + rows.shape[0] // layout[0]

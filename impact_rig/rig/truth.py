@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The truth beside the instruments: true states at scan instants, and contacts, kept until their block is cut.
+"""The truth in addition to the instruments: true states at scan instants, and contacts, kept until their block is cut.
 
-Instants are reckoned in whole ticks and a remainder, so nothing depends on how the simulation was cut into calls.
+Instants are computed from integer ticks and a remainder, so nothing depends on the division into calls.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ _QUANTITIES = (TRUTH_SCAN.names or ())[1:]
 
 
 def monitor_step(rate_hz: int, monitor_hz: float) -> int:
-    """Return how many scans lie between two monitor instants: the nearest whole number from above."""
+    """Return the number of scans between two monitor instants, rounded up."""
     return max(1, math.ceil(rate_hz / monitor_hz - 1e-9))
 
 
 class Scans(NamedTuple):
-    """Every so many scans: number of the first, step, and scans per second."""
+    """Selection of scans: number of the first, step, and scans per second."""
 
     first: int
     step: int
@@ -58,9 +58,9 @@ SCANS = Fields(Scans, (int, int, int))
 
 @entry(*SAMPLED, QUERY, SCANS, float, REALS_2D)
 def state_rows(model, trajectory, work, query, scans, tick_s, rows):  # type: ignore[no-untyped-def]  # compiled
-    """Fill in the number of each scan, which becomes its time when the block is known, and what `query` asks for.
+    """Fill in the number of each scan, which becomes its time when the block is known, and the quantities of `query`.
 
-    rows has the shape (n, 1 + q); `query` has room for n instants.
+    `rows` has the shape (n, 1 + q); `query` has room for n instants.
     """
     seconds_per_rest = tick_s / scans.rate_hz
     for i in range(rows.shape[0]):
@@ -76,9 +76,9 @@ def state_rows(model, trajectory, work, query, scans, tick_s, rows):  # type: ig
 
 @entry(IMPACT, float, IMPACTS, REALS)
 def impact_rows(found, clock_per_motion, rows, ends):  # type: ignore[no-untyped-def]
-    """Fill in the columns of the impacts, and when each ended, since scan 0 [s].
+    """Fill in the columns of the impacts, and the end of each since scan 0 [s].
 
-    A second of motion is `clock_per_motion` seconds of the scan clock; durations stay in those of motion.
+    A second of motion is `clock_per_motion` seconds of the scan clock; durations are in seconds of motion.
     """
     for i in range(found.shape[0]):
         impact, row = found[i], rows[i]
@@ -90,12 +90,13 @@ def impact_rows(found, clock_per_motion, rows, ends):  # type: ignore[no-untyped
 
 
 class Truth:
-    """Collects the truth of simulated ticks and gives it out by scans.
+    """Collector of the truth of simulated ticks, which are returned by scans.
 
     Args:
         rate_hz: scans per second.
-        monitor_hz: wanted rate of the monitor; every k-th scan is taken, k the nearest from above.
-        every_scan: keep the truth of every scan, not of the monitor instants only.
+        monitor_hz: wanted rate of the monitor; every k-th scan is kept, with the smallest k that does not exceed the
+            rate.
+        every_scan: whether to keep the truth of every scan instead of the monitor instants only.
     """
 
     def __init__(self, rate_hz: int, monitor_hz: float, every_scan: bool) -> None:
@@ -103,10 +104,10 @@ class Truth:
         self.configure(monitor_hz, every_scan)
         self._states: list[NDArray[np.void]] = []
         self._impacts: list[NDArray[np.void]] = []  # time: since scan 0
-        self._ends: list[float] = []  # of them, since scan 0, in order: a sphere has one contact after another
+        self._ends: list[float] = []  # their ends since scan 0, in order: a sphere has one contact at a time
 
     def configure(self, monitor_hz: float, every_scan: bool) -> None:
-        """Change what is kept, from the next tick on."""
+        """Change the selection from the next tick on."""
         self.monitor_step = monitor_step(self._rate_hz, monitor_hz)
         self.every_scan = every_scan
 
@@ -115,7 +116,7 @@ class Truth:
         return 1 if self.every_scan else self.monitor_step
 
     def take(self, motion: Motion, tick_s: float) -> None:
-        """Keep what is wanted of simulated ticks, of `tick_s` seconds each."""
+        """Keep the selected truth of simulated ticks, of `tick_s` seconds each."""
         self._take_states(motion, tick_s)
         self._take_impacts(motion, tick_s)
 
@@ -143,9 +144,10 @@ class Truth:
     def pop_states(
         self, first: int, count: int
     ) -> tuple[NDArray[np.void], NDArray[np.int64], NDArray[np.bool_] | slice]:
-        """Return the kept rows of scans first … first + count − 1, with `time` since `first`, and forget them.
+        """Return and remove the kept rows of scans first … first + count − 1, with `time` since `first`.
 
-        The second array says which of the `count` scans they are, the last value which of them are monitor instants.
+        The second array contains which of the `count` scans they are, the last value which of them are monitor
+        instants.
         """
         if not self._states:
             return _NO_STATES, _NO_SCANS, _ALL
@@ -161,7 +163,7 @@ class Truth:
         return rows, found, monitor
 
     def pop_impacts(self, first: int, count: int) -> NDArray[np.void]:
-        """Return the contacts that ended before the end of these scans, with `time` since `first`, and forget them."""
+        """Return and remove the contacts that ended before the end of these scans, with `time` since `first`."""
         end_s = (first + count) / self._rate_hz
         done = bisect.bisect_left(self._ends, end_s)
         if done == 0:

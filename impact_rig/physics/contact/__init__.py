@@ -54,13 +54,13 @@ for _law in LAWS.values():
 
 
 def _with_settings_of_laws(_section: type, own: list[attrs.Attribute[Any]]) -> list[attrs.Attribute[Any]]:
-    """Return the section's attributes and those that only some laws have; laws that share one share its meaning."""
+    """Return the section's attributes and those that laws add; laws that share an attribute must define it alike."""
     found = {attribute.name: attribute for attribute in own}
     for law in LAWS.values():
         for attribute in attrs.fields(law):
             known = found.setdefault(attribute.name, attribute.evolve(kw_only=True, inherited=False))
             same = (known.default, known.metadata) == (attribute.default, attribute.metadata)
-            assert same, f"two contact laws mean different things by {attribute.name}"
+            assert same, f"two contact laws define differently the setting {attribute.name}"
     return list(found.values())
 
 
@@ -73,16 +73,16 @@ class Contact:
     calibration: str = choice(
         "nominal",
         ("nominal", "exact"),
-        "nominal: e goes into the law as published; exact: the law is adjusted until it returns e.",
+        "nominal: the law uses e as published; exact: the law is adjusted to rebound with exactly e.",
         Origin.PAPER,
     )
     speed_floor_m_s: float = quantity(
-        1e-3, "m/s", "Floor of the approach speed in c = a K / v0, singular as v0 -> 0.", at_least=1e-6, at_most=0.1
+        1e-3, "m/s", "Lower limit of v0 in c = a K / v0, which is singular at v0 = 0.", at_least=1e-6, at_most=0.1
     )
 
 
 def from_config(contact: Contact) -> ContactLaw:
-    """Return the configured law; `calibration: exact` replaces a damping factor by the one that returns e."""
+    """Return the configured law; with `calibration: exact` its damping factor is replaced by the one that returns e."""
     named = LAWS[contact.law]
     law = LAWS["exact"] if contact.calibration == "exact" and named.adjustable else named
     return law(**{attribute.name: getattr(contact, attribute.name) for attribute in attrs.fields(law)})

@@ -13,15 +13,15 @@
 # limitations under the License.
 """Laws of the Hunt–Crossley form: Hertz's force with a damping that vanishes with the indentation.
 
-    F = K δ^1.5 (1 + a δ'/v0)        v0: approach speed of the contact; a: hysteresis factor, what the laws differ in
+    F = K δ^1.5 (1 + a δ'/v0)        v0: approach speed of the contact; a: hysteresis factor, the laws differ in a
 
-What such a law really returns between two free bodies, whatever K, the exponent, the masses and v0:
+Restitution e that such a law really gives between two free bodies, whatever K, the exponent, the masses and v0:
 
     ln[(1 + a) / (1 − a e)] = a (1 + e)
 
-Integrate δ' dδ' = −(K/m)(1 + a δ'/v0) δⁿ dδ from v0 in and from −e v0 out; the δⁿ cancels. It is solved in portable
-arithmetic, since the simulation runs on such factors; by bisection, since the two sides agree to many digits where e is
-close to 1.
+To derive it, integrate δ' dδ' = −(K/m)(1 + a δ'/v0) δⁿ dδ inwards from v0 and outwards from −e v0; the δⁿ cancels. The
+equation is solved in portable arithmetic because the simulation depends on the factors, and by bisection because its
+two sides agree to many digits where e is close to 1.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from impact_rig.physics.contact.law import ContactLaw, ContactPair, Force
 
 _CLOSE = Decimal("1e-20")
 _SMALL = 1e-9
-"""Below this factor the next term of the series, 4a²/9, is less than a float can tell."""
+"""Below this factor, the next term of the series (4a²/9) is smaller than the resolution of a float."""
 
 
 @precise
@@ -64,7 +64,7 @@ def factor_returning(restitution: float) -> float:
 
 
 def _imbalance(a: Decimal, e: Decimal) -> Decimal:
-    """Return the left side less the right one: negative below the root, in `a` as in `e`, and positive above it."""
+    """Return the left side minus the right side: negative below the root and positive above it, in `a` as in `e`."""
     return ((ONE + a) / (ONE - a * e)).ln() - a * (ONE + e)
 
 
@@ -94,7 +94,7 @@ def _hertz_damped(
 
 @attrs.frozen
 class HystereticLaw(ContactLaw):
-    """A law of this form says only what `a` is."""
+    """Contact law of the Hunt–Crossley form; a subclass defines only the hysteresis factor `a`."""
 
     adjustable = True
 
@@ -116,7 +116,7 @@ class HystereticLaw(ContactLaw):
 def _published(
     name: str, formula: str, returns: float, source: str, factor: Callable[[float], float], *, adjustable: bool = True
 ) -> type[HystereticLaw]:
-    """Return a law from its row; `factor` is a(e)."""
+    """Return the law of one table row; `factor` computes a from e."""
     row = {"name": name, "formula": formula, "returns": returns, "source": source, "adjustable": adjustable}
     law = type(name, (HystereticLaw,), {
         **row, "hysteresis_factor": lambda self: factor(self.restitution), "__module__": __name__,
@@ -128,12 +128,12 @@ def _published(
 Hertz = _published(
     "hertz", "0", 1.0, "Hertz (1882), J. Reine Angew. Math. 92, 156–171", lambda _: 0.0, adjustable=False
 )
-"""The elastic limit and an oracle: it returns 1 whatever the nominal restitution."""
+"""The elastic limit, used as a reference: it returns 1 whatever the nominal restitution."""
 HuntCrossley = _published(
     "hunt_crossley", "3(1 − e)/2", 0.600, "Hunt & Crossley (1975), J. Appl. Mech. 42, 440–445",
     lambda e: 1.5 * (1.0 - e),
 )  # fmt: skip
-"""The first damping term that vanishes with the indentation; derived for e close to 1."""
+"""The first law whose damping vanishes with the indentation; derived for e close to 1."""
 HerbertMcWhannell = _published(
     "herbert_mcwhannell", "6(1 − e)/((2e − 1)² + 3)", 0.534, "Herbert & McWhannell (1977), J. Eng. Ind. 99, 671–674",
     lambda e: 6.0 * (1.0 - e) / ((2.0 * e - 1.0) * (2.0 * e - 1.0) + 3.0),
@@ -151,7 +151,7 @@ Gonthier = _published(
     "gonthier", "(1 − e²)/e", 0.352,
     "Gonthier, McPhee, Lange & Piedbœuf (2004), Multibody Syst. Dyn. 11, 209–233", lambda e: (1.0 - e * e) / e,
 )  # fmt: skip
-"""Close to the asked restitution over the whole range."""
+"""Close to the requested restitution over the whole range."""
 ZhiyingQishao = _published(
     "zhiying_qishao", "¾(1 − e²) exp(2(1 − e))", 0.361, "Qin & Lu (2006), J. Dynamics and Control 4(4), 294–298",
     lambda e: 0.75 * (1.0 - e * e) * float(exp(2.0 * (1.0 - e))),
@@ -162,7 +162,7 @@ Flores = _published(
     "Flores, Machado, Silva & Martins (2011), Multibody Syst. Dyn. 25, 357–375; the paper's Eq. (5)",
     lambda e: 8.0 * (1.0 - e) / (5.0 * e),
 )  # fmt: skip
-"""The paper's: its own simulation rebounded less than its drop test."""
+"""The law of the paper, whose own simulation rebounded less than its drop test."""
 HuGuo = _published(
     "hu_guo", "3(1 − e)/(2e)", 0.325, "Hu & Guo (2015), Multibody Syst. Dyn. 35, 131–151",
     lambda e: 1.5 * (1.0 - e) / e,
@@ -171,4 +171,4 @@ Exact = _published(
     "exact", "root of ln[(1 + a)/(1 − a e)] = a (1 + e)", 0.350, "closed form of the Hunt–Crossley family",
     factor_returning,
 )  # fmt: skip
-"""The factor that returns exactly the asked restitution: 2.52338 for e = 0.35."""
+"""The factor that gives exactly the requested restitution: 2.52338 for e = 0.35."""

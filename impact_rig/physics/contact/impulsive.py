@@ -11,9 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Instantaneous restitution: no contact time, the relative speed jumps from v to −e v.
+"""Instantaneous restitution: the contact takes no time, and the relative speed jumps from v to −e v.
 
-The sphere's momentum goes to the structure in no time; one that no longer bounces stays on the wall, ATTACHED.
+The sphere's change of momentum goes to the structure at once. A sphere that no longer bounces stays on the wall, in
+phase ATTACHED.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from impact_rig.physics.contact.law import ContactLaw, ContactPair, Force
 
 
 def _never(
-    stiffness: float,  # noqa: ARG001  # nothing decides it
+    stiffness: float,  # noqa: ARG001  # a rigid wall ignores all arguments
     factor: float,  # noqa: ARG001
     per_v0: float,  # noqa: ARG001
     turned_at: float,  # noqa: ARG001
@@ -37,7 +38,7 @@ def _never(
 
 @attrs.frozen
 class Restitution(ContactLaw):
-    """Coefficient of restitution e."""
+    """Rigid wall with coefficient of restitution e."""
 
     name = "restitution"
     formula = "instantaneous, δ' → −e δ'"

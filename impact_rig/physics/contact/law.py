@@ -11,27 +11,27 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What a contact law is: a name, its origin, a restitution, and a force that every phase of the motion can use.
+"""Base class of contact laws: a name, a source, a restitution, and a force that every phase of the motion can use.
 
-A law says its force in a plain function of numbers, which is compiled when it is first used, and the numbers that
-function is called with in a `Force`:
+A law defines its force as a plain function of numbers, which is compiled at its first use. Its `Force` holds the
+constants that are passed to that function:
 
     force(stiffness, factor, per_v0, turned_at, w, speed) -> (elastic, lossy, stored, ∂F/∂w, ∂F/∂δ')
     F = elastic + lossy
 
-    w          √δ [m^0.5], the variable in which contacts are integrated
-    speed      δ' [m/s], positive while the indentation grows
-    turned_at  the largest w so far [m^0.5] once the indentation has shrunk from there, 0 on the first way in and beyond
-               that largest w: a law with a memory has one branch for each
-    per_v0     1 / approach speed of this contact, floored [s/m]
-    elastic    the part of F [N] that the stored energy gives back
-    lossy      the rest: lossy · δ' [W] is what the contact loses at this instant
-    stored     that energy [J], ∫ elastic dδ; what is left of it where the contact ends is lost
+- `w`: √δ [m^0.5], the variable in which contacts are integrated.
+- `speed`: δ' [m/s], positive while the indentation grows.
+- `turned_at`: the largest w so far [m^0.5] while the indentation is smaller than there, 0 on the first way in and
+  beyond that largest w. A law with a memory has one branch for each.
+- `per_v0`: 1 / approach speed of this contact, with a lower limit of the speed [s/m].
+- `elastic`: the part of F that the stored energy gives back [N].
+- `lossy`: the rest of F [N]. The contact loses the power lossy · δ' [W].
+- `stored`: stored energy ∫ elastic dδ [J]. What is left of it at the end of the contact is lost.
 
-On either branch the force must be smooth in w and δ', also a little beyond w = 0, where a step may try it.
-Nothing else of the package asks which law it is: kernels call a force by function pointers of one type, those of
-`CompiledForce`. The forces of the package's own laws are in the library. That of a law from elsewhere is compiled by
-Numba where it is installed, and its address handed over; without Numba the library calls back into plain Python.
+On either branch the force must be smooth in w and δ', also slightly below w = 0, where a step may evaluate it.
+No other module depends on which law is used: kernels call a force through the function pointers of `CompiledForce`. The
+library contains the forces of the package's own laws. If Numba is installed, it compiles the force of any other law,
+and the kernels get its address. Without Numba the library calls back into plain Python.
 """
 
 from __future__ import annotations
@@ -61,15 +61,15 @@ class Force(NamedTuple):
     """A law's force for one pair of bodies.
 
     Attributes:
-        function: see above.
+        function: the force function, see the head of this module.
         stiffness: its first argument, K of F ~ K δ^exponent [N/m^exponent].
-        factor: its second argument, by law: a [-], c [N s/m] or e² [-].
-        exponent: of the indentation, for the scales of a contact.
-        restitution: nominal; what a rigid law rebounds with.
+        factor: its second argument, depending on the law: a [-], c [N s/m] or e² [-].
+        exponent: exponent of the indentation, for the scales of a contact.
+        restitution: nominal restitution; a rigid law rebounds with it.
         lets_go: whether the contact ends where the force would pull; otherwise it pulls, and the contact ends at δ = 0.
-        scale_free: whether every contact is the same in units of its own: `factor` has no dimension.
-        remembers: whether the force depends on `turned_at`; such a law may ring undamped, and is averaged once slow.
-        rigid: whether a contact takes no time, and the force is never asked for.
+        scale_free: whether all contacts are equal in their own units, which needs a `factor` without dimension.
+        remembers: whether the force depends on `turned_at`. Such a law may ring undamped; slow ringing is averaged.
+        rigid: whether a contact takes no time; its force is never evaluated.
     """
 
     function: ForceFunction
@@ -91,8 +91,9 @@ class ContactPair(NamedTuple):
 
 
 LEAST_RESTITUTION = 0.01
-"""A sphere dropped from 1 m rebounds by e², 0.1 mm then: a drop test measures no less, and a smaller e says that the
-bodies stick, which no law here models. The tests hold the laws from here on."""
+"""Lower limit of e. A sphere dropped from 1 m rebounds by e², which is 0.1 mm here. A drop test measures no less, and
+with a smaller e the bodies would stick, which no law here models. The tests cover the laws from this value up.
+"""
 
 
 def restitution() -> Any:
@@ -103,16 +104,16 @@ def restitution() -> Any:
 
 @attrs.frozen
 class ContactLaw:
-    """A contact law; its fields are the values of the configuration's `contact` section that it reads.
+    """Contact law; its fields are the values of the configuration's `contact` section that it reads.
 
-    A field that the section has not got, made by `impact_rig.config.fields`, becomes a part of it.
+    A field that the section lacks is added to it; make such fields with `impact_rig.config.fields`.
 
     Attributes:
-        name: by which it is chosen.
-        formula: its row in the table of laws, without `|`.
-        source: who published it, where.
-        returns: the restitution it gives for a nominal 0.35, to three digits.
-        adjustable: whether `calibration: exact` puts the law `exact` in its place.
+        name: name by which a configuration chooses the law.
+        formula: formula in the table of laws, without `|`.
+        source: publication that defines it.
+        returns: restitution it gives for a nominal 0.35, to three digits.
+        adjustable: whether `calibration: exact` replaces this law by the law `exact`.
     """
 
     name: ClassVar[str]
@@ -127,7 +128,7 @@ class ContactLaw:
         raise NotImplementedError
 
     def realised_restitution(self) -> float:
-        """Return the restitution this law really gives, from its closed form."""
+        """Return the restitution that this law really gives, from its closed form."""
         raise NotImplementedError
 
 
@@ -139,9 +140,10 @@ class CompiledForce(NamedTuple):
     """A law's force as function pointers.
 
     Attributes:
-        at_point: called with (parameters, per_v0, turned_at, w, speed, step), fills the step's `point` with what the
-            law's function returns.
-        at_stages: called with (parameters, per_v0, step), fills the step's force, lossy, force_by_w, force_by_speed.
+        at_point: function that takes (parameters, per_v0, turned_at, w, speed, step) and fills the step's `point` with
+            the results of the law's function.
+        at_stages: function that takes (parameters, per_v0, step) and fills the step's force, lossy, force_by_w and
+            force_by_speed.
     """
 
     at_point: Any
@@ -177,19 +179,19 @@ def at_stages_of(force: Any) -> Any:
 
 
 def declare(function: ForceFunction) -> None:
-    """Let the library hold a law's force."""
+    """Register a law's force for the library."""
     kernels.exported[f"{name_of(function)}.at_point"] = Exported(function, AT_POINT, at_point_of)
     kernels.exported[f"{name_of(function)}.at_stages"] = Exported(function, AT_STAGES, at_stages_of)
 
 
 def name_of(function: ForceFunction) -> str:
-    """Return the name under which the library holds a force, less `.at_point` or `.at_stages`."""
+    """Return the name of a force in the library, without `.at_point` or `.at_stages`."""
     return f"force.{function.__module__}.{function.__qualname__}"
 
 
 @functools.cache
 def compiled_force(function: ForceFunction) -> CompiledForce:
-    """Return a law's force as the kernels of this process take it."""
+    """Return a law's force as function pointers for the kernels of this process."""
     name, parts = name_of(function), ((at_point_of, AT_POINT), (at_stages_of, AT_STAGES))
     if kernels.MODE == "plain":
         return CompiledForce(*(around(_reported(function, name)) for around, _ in parts))
@@ -204,13 +206,13 @@ def compiled_force(function: ForceFunction) -> CompiledForce:
         found = [jit.pointer(around(inner), kind) for around, kind in parts]
         return CompiledForce(*(one if kernels.MODE == "jit" else Pointer(one.address, one) for one in found))
     logging.getLogger(__name__).warning(
-        "the contact force %s runs as plain Python, some hundred times slower: pip install impact-rig[jit]", name
+        "the contact force %s runs as plain Python, several hundred times slower: pip install impact-rig[jit]", name
     )
     return CompiledForce(*(_callback(around(_reported(function, name)), kind) for around, kind in parts))
 
 
 def _reported(force: ForceFunction, name: str) -> ForceFunction:
-    """Return a force whose exceptions say that they are its own."""
+    """Return a force whose exceptions name the contact force they come from."""
 
     def reported(*numbers: float) -> tuple[float, float, float, float, float]:
         try:
@@ -222,13 +224,13 @@ def _reported(force: ForceFunction, name: str) -> ForceFunction:
 
 
 def _finite(force: Any) -> Any:
-    """Return a compiled force that returns NaN where it raises, which ends the contact and the run."""
+    """Return a compiled force that returns NaN where it would raise, which ends the contact and the run."""
 
     def finite(stiffness, factor, per_v0, turned_at, w, speed):  # type: ignore[no-untyped-def]
         elastic = lossy = stored = by_w = by_speed = math.nan
         try:
             elastic, lossy, stored, by_w, by_speed = force(stiffness, factor, per_v0, turned_at, w, speed)
-        except Exception:  # Numba knows no other
+        except Exception:  # Numba supports no other kind of except clause
             elastic = math.nan
         return elastic, lossy, stored, by_w, by_speed
 
@@ -236,17 +238,17 @@ def _finite(force: Any) -> Any:
 
 
 _raised: list[BaseException] = []
-"""What a callback raised: it cannot pass through compiled code, so `raise_failure` raises it afterwards."""
+"""Exceptions of callbacks. They cannot pass through compiled code, so `raise_failure` raises them afterwards."""
 
 
 def raise_failure() -> None:
-    """Raise what a contact force in plain Python has raised while compiled code called it."""
+    """Raise the exception that a plain Python contact force raised while compiled code called it."""
     if _raised:
         raise _raised.pop()
 
 
 def _callback(function: Callable[..., None], kind: Function) -> Pointer:
-    """Return a pointer to a Python function, its records handed over by address; the last of them is the step."""
+    """Return a pointer to a Python function that gets its records by address; the last record is the step."""
     layout: Any = np.ctypeslib.as_ctypes_type
     types: list[Any] = [
         ctypes.POINTER(layout(one.dtype)) if isinstance(one, RecordType) else ctypes.c_double for one in kind.arguments
@@ -257,7 +259,7 @@ def _callback(function: Callable[..., None], kind: Function) -> Pointer:
         if not _raised:
             try:
                 return function(*given)
-            except BaseException as error:  # ctypes would print it and go on
+            except BaseException as error:  # ctypes would only print it and continue
                 _raised.append(error)
         given[-1].point[:], given[-1].force[:] = POINT * [math.nan], STAGES * [math.nan]  # ends the contact
         return None

@@ -11,26 +11,26 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Springs in place of Hertz's stiffness: laws that follow from a contact time t_c and a restitution e.
+"""Laws with a linear spring in place of Hertz's stiffness, derived from a contact time t_c and a restitution e.
 
 **Kelvin–Voigt**: linear spring and damper, the textbook model with a closed form.
 
     F = k δ + c δ',   k = m (π² + ln²e) / t_c²,   c = −2 m ln(e) / t_c        m: effective mass, t_c: contact time
 
-The force jumps to c v0 at the first touch and pulls just before the end. Released at zero indentation (as published)
-it returns e; released at zero force it returns more.
+The force jumps to c v0 at the first touch and pulls just before the end. If the sphere is released at zero indentation
+(as published), the restitution is e; if it is released at zero force, the restitution is larger.
 
-**Walton–Braun**: loading along one line, unloading along a steeper one; no damping, a loss by plastic yielding.
+**Walton–Braun**: loading along one line, unloading along a steeper one. Plastic yielding, not damping, causes the loss.
 
     loading    F = k_1 δ
     unloading  F = k_2 (δ − δ_p),   k_2 = k_1 / e²,   δ_p = (1 − e²) δ_max        below the largest indentation δ_max
 
-With a constant coefficient of restitution, which it returns whatever the speed: the areas under the two lines are as
-1 : e². The sphere lets go at δ_p, where the force is gone, and flies on from there; the dent belongs to one contact.
-k_1 follows from the contact time, a quarter period on each line: t_c = (π/2) (1 + e) √(m_eff / k_1).
+The coefficient of restitution is constant whatever the speed, because the areas under the two lines are as 1 : e². The
+sphere is released at δ_p, where the force vanishes, and flies on from there. The residual indentation δ_p lasts for one
+contact only. k_1 follows from the contact time, a quarter period on each line: t_c = (π/2) (1 + e) √(m_eff / k_1).
 
-A pressed sphere rings on the unloading line for ever. Below `contact.speed_floor_m_s` the ringing is averaged: sphere
-and base go on as one body, and its energy is booked as lost.
+A pressed sphere would ring on the unloading line for ever. Below `contact.speed_floor_m_s` the ringing is averaged: the
+sphere moves with the base as one body, and the energy of the ringing is counted as lost.
 """
 
 from __future__ import annotations
@@ -46,15 +46,15 @@ from impact_rig.physics.contact.law import ContactLaw, ContactPair, Force
 
 
 def contact_time_s() -> Any:
-    """Return the attrs field of t_c, which linear laws take in place of the Hertz stiffness."""
-    return quantity(45e-6, "s", "Contact time of laws that take it for a stiffness.", at_least=1e-6, at_most=0.01)
+    """Return the attrs field of t_c, from which linear laws derive their stiffness in place of the Hertz stiffness."""
+    return quantity(45e-6, "s", "Contact time that gives a linear law its stiffness.", at_least=1e-6, at_most=0.01)
 
 
 def _spring_damper(
     stiffness: float,
     factor: float,
-    per_v0: float,  # noqa: ARG001  # this force knows neither the approach speed
-    turned_at: float,  # noqa: ARG001  # nor its past
+    per_v0: float,  # noqa: ARG001  # this force depends neither on the approach speed
+    turned_at: float,  # noqa: ARG001  # nor on the past
     w: float,
     speed: float,
 ) -> tuple[float, float, float, float, float]:
@@ -72,7 +72,7 @@ class KelvinVoigt(ContactLaw):
     returns = 0.350
     contact_time_s: float = contact_time_s()
     release: str = choice(
-        "position", ("position", "force"), "kelvin_voigt lets go at zero indentation, or already at zero force."
+        "position", ("position", "force"), "kelvin_voigt releases at zero indentation, or already at zero force."
     )
 
     def force(self, pair: ContactPair) -> Force:
@@ -83,7 +83,7 @@ class KelvinVoigt(ContactLaw):
         return Force(_spring_damper, stiffness, damping, 1.0, self.restitution, lets_go=self.release == "force")
 
     def realised_restitution(self) -> float:
-        """Return e, or the larger value that release at zero force gives.
+        """Return e, or the larger restitution for release at zero force.
 
         With decay rate β = −ln(e)/t_c and ω_d = π/t_c, the force vanishes where tan(ω_d t) = −2 β ω_d / (ω_d² − β²).
         """
@@ -99,12 +99,12 @@ class KelvinVoigt(ContactLaw):
 def _elastoplastic(
     stiffness: float,
     factor: float,
-    per_v0: float,  # noqa: ARG001  # this force knows no speed
+    per_v0: float,  # noqa: ARG001  # this force does not depend on the speed
     turned_at: float,
     w: float,
     speed: float,  # noqa: ARG001  # as above
 ) -> tuple[float, float, float, float, float]:
-    """F on the loading line, or on the unloading line from where it turned; factor is e²."""
+    """Return the force on the loading line, or on the unloading line below the turning point; `factor` is e²."""
     if turned_at == 0.0:
         force = stiffness * w * w
         return factor * force, (1.0 - factor) * force, 0.5 * factor * force * w * w, 2.0 * stiffness * w, 0.0

@@ -247,7 +247,7 @@ def test_fundamentals_of_cycles_are_those_of_the_samples(changes, left_out, phas
 @pytest.mark.parametrize("turns", [0.5, 1.001, 2.0])
 def test_what_is_no_cycle_has_no_fundamental(turns):
     motion = Simulation(rig()).advance(sine(9.1, 0.5, turns / 9.1, 3))
-    with pytest.raises(ValueError, match="one whole cycle"):
+    with pytest.raises(ValueError, match="one complete cycle"):
         motion.cycles()
 
 
