@@ -11,4 +11,4 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What `make bench` runs: one file per part, each with `run() -> dict` of the flat keys of build/bench.json."""
+"""Benchmarks of `make bench`: one file per part, each with `run() -> dict` of the flat keys of build/bench.json."""

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Run benchmarks and merge their figures into build/bench.json: `python -m benchmarks [PART]`."""
+"""`python -m benchmarks [PART]`: benchmarks, whose figures are merged into build/bench.json."""
 
 from __future__ import annotations
 

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""How fast a recorded 50 kS/s run is analysed, file reading included, and where that time goes.
+"""Speed of the analysis of a recorded 50 kS/s run, file reading included, and its division.
 
-The run holds what a rig publishes: calibration, one command, blocks of 10 ms of four channels as a 16-bit converter
-gives them, two impacts per drive cycle. One core; the file is read from the disk cache.
+The run contains what a rig publishes: calibration, one command, and blocks of 10 ms with four channels quantised to 16
+bit, with two impacts per drive cycle. The benchmark uses one core; the file is read from the disk cache.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ PULSE_M_S2 = 150.0 * np.array([0.05, 0.6, 1.0, 0.7, 0.3, 0.1])
 
 
 def info() -> Table:
-    """A calibration like the default rig's."""
+    """Return a calibration like that of the default rig."""
     rows = np.zeros(4, DAQ_INFO)
     rows["name"], rows["rate"], rows["sensitivity"] = CHANNELS, RATE_HZ, 1.0
     rows["range_high"] = RANGES
@@ -55,7 +55,7 @@ def info() -> Table:
 
 
 def scans(rng: np.random.Generator) -> np.ndarray:
-    """Scans of a rig that vibrates and strikes, quantised to 16 bit."""
+    """Return scans of a rig that vibrates and strikes, quantised to 16 bit."""
     time_s = np.arange(SECONDS * RATE_HZ) / RATE_HZ
     rows = np.zeros(len(time_s), SCAN)
     rows["time"] = np.arange(len(time_s)) % BLOCK_SCANS / RATE_HZ
@@ -88,7 +88,7 @@ def write(directory: Path, tables: list[Table]) -> None:
 
 
 def analyse(directory: Path) -> int:
-    """Read and analyse a run; return how many measurements it gave."""
+    """Read and analyse a run; return the number of measurements."""
     tracker, found = Tracker(), 0
     with open_run(directory) as run:
         for topic, _, _, _, _, data in run.messages([topics.INFO.name, topics.APPLIED.name, topics.SCAN.name]):
@@ -103,7 +103,7 @@ def analyse(directory: Path) -> int:
 
 
 def feed(tables: list[Table]) -> float:
-    """Return the seconds that the tracker alone takes for the whole run."""
+    """Return the time of the tracker alone for the complete run [s]."""
     tracker = Tracker()
     tracker.configure(info())
     command = np.zeros(1, APPLIED)
@@ -116,11 +116,11 @@ def feed(tables: list[Table]) -> float:
 
 
 def run() -> dict[str, float]:
-    """Measure; keys as `make bench` writes them. Each figure is the best of three: other loads only slow it down."""
+    """Measure; keys as in `make bench`. Each figure is the best of three, because other loads can only slow it down."""
     period_ns = BLOCK_SCANS * 10**9 // RATE_HZ
     parts = np.split(scans(np.random.default_rng(1)), SECONDS * RATE_HZ // BLOCK_SCANS)
     tables = [Table(number * period_ns, part) for number, part in enumerate(parts)]
-    feed(tables[:600])  # compiles, or loads what was compiled before
+    feed(tables[:600])  # compiles, or loads earlier compiled code
     with tempfile.TemporaryDirectory(prefix="impact_rig_bench_") as scratch:
         directory = Path(scratch) / "run"
         write(directory, tables)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What a process takes of a core and of memory."""
+"""Share of a core and memory used by a process."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from pathlib import Path
 
 
 def cpu_share(pid: int) -> Callable[[], float]:
-    """Return a function that says how much of a core a process has taken since now, user and system [%]."""
+    """Return a function that returns the share of a core that a process has used since now, user and system [%]."""
 
     def used_s() -> float:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
@@ -33,7 +33,7 @@ def cpu_share(pid: int) -> Callable[[], float]:
 
 
 def resident_mb(pid: int) -> float:
-    """Return what a process holds in memory, shared libraries included [MB]."""
+    """Return the resident memory of a process, shared libraries included [MB]."""
     lines = Path(f"/proc/{pid}/status").read_text().splitlines()
     (size_kb,) = (line.split()[1] for line in lines if line.startswith("VmRSS:"))
     return float(size_kb) / 1024.0

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""How fast the instruments are at 50 kS/s, all channels, and where the time goes.
+"""Speed of the instruments at 50 kS/s with all channels, and the time of each stage.
 
-The default rig at 9.1 Hz with impacts, in one thread; times are its processor time, so that other work on the machine
-does not count. Sampling the motion is part of the instruments; advancing the mechanics is not, and stands beside them.
-Calls of one second measure what an offline run gets, calls of one tick what a live rig gets.
+The default rig runs at 9.1 Hz with impacts, in one thread. Times are CPU times, so that other work on the machine does
+not count. Sampling the motion is part of the instruments; advancing the mechanics is not, and is listed separately.
+Calls of one second measure the speed of an offline run, calls of one tick that of a live rig.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def run(seconds: int = 40) -> dict[str, float]:
         bench.second()
     peer = SciPyChain()
     whole, ticks, peers, peers_ticks = [], [], [], []
-    for _ in range(seconds):  # in turn: what else the machine does meets all of them
+    for _ in range(seconds):  # alternating, so that other loads on the machine affect all of them
         whole.append(bench.second())
         peers.append(peer.second())
         ticks.append(bench.second(1))
@@ -102,7 +102,7 @@ def run(seconds: int = 40) -> dict[str, float]:
 
 
 def stages(bench: Bench, seconds: int) -> tuple[dict[str, float], float]:
-    """Return the seconds each stage takes per second of rig time, and all of them with what is between them."""
+    """Return the time of each stage per second of rig time, and the total time including the gaps between them [s]."""
     spent: dict[str, float] = defaultdict(float)
     whole = 0.0
     originals = [getattr(owner, name) for _, owner, name in STAGES]

@@ -11,11 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What the live page costs: 50 kS/s in real time with one Chromium and two socket clients, one of them stalled.
+"""Cost of the live page: 50 kS/s in real time with one Chromium and two socket clients, one of them stalled.
 
-The load of the rig is measured in turns, with and without pages, and compared by the median of pairs. `SECONDS` sets
-how long a turn is, `PAIRS` how many there are, `MEMORY_S` how long the memory of the lab process is watched. Whatever
-is waited for has a limit, and each step is told: six minutes by default, and what hangs is named.
+The load of the rig is measured alternately with and without pages, and compared by the median of pairs. `SECONDS` is
+the length of a turn, `PAIRS` the number of pairs, and `MEMORY_S` how long the memory of the lab process is observed.
+Every wait has a limit, and each step is printed. The benchmark takes six minutes by default, and names a step that
+hangs.
 """
 
 from __future__ import annotations
@@ -50,13 +51,13 @@ NODES = ("rig", "analysis", "recorder")
 DRIVE = {"drive.amplitude": 0.52, "barriers.gap_m": 0.006}
 TRACE = 3
 LONGEST_S = 3600.0
-"""A socket client lives no longer, whatever happens."""
+"""Longest life of a socket client, whatever happens."""
 PATIENCE_S = 60.0
-"""How long one step may take that is not measured: a page that opens, a process that ends."""
+"""Time limit of a step that is not measured, such as opening a page or ending a process."""
 
 
 def tell(text: str) -> None:
-    """Say what is done now."""
+    """Print the present step."""
     print(f"lab: {text}", flush=True)  # a command line tool talks
 
 
@@ -104,7 +105,7 @@ def _live(seconds: float, pairs: int) -> dict[str, float]:
 
 
 def _free_running(seconds: float, pairs: int) -> dict[str, float]:
-    """Speed as fast as analysis and recorder follow, in turns with and without a page."""
+    """Return the speed at which analysis and recorder follow, alternately with and without a page."""
     parameters = {
         "time.mode": "free_running", "time.peers": ("analysis", "recorder"),
         "time.ack_window": FREE_RUNNING_WINDOW, **DRIVE,
@@ -120,7 +121,7 @@ def _free_running(seconds: float, pairs: int) -> dict[str, float]:
                     speeds.append(_speed(client, seconds))
                 client.spin_for(2.0)
                 without.append(_speed(client, seconds))
-            ratios = [  # beside the mean of before and after: a machine that slows down or picks up counts for neither
+            ratios = [  # relative to the mean of before and after: a drift of the machine's speed cancels
                 speed / (0.5 * (before + after))
                 for speed, before, after in zip(speeds, without, without[1:], strict=False)
             ]
@@ -134,7 +135,7 @@ def _free_running(seconds: float, pairs: int) -> dict[str, float]:
 
 @contextmanager
 def _lab(processes: Processes, directory: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
-    """The lab as the process it is for a user, attached to the graph."""
+    """Run the lab as a separate process, as a user does, attached to the graph."""
     log = directory / "lab.log"
     environment = {**os.environ, "ROS_DOMAIN_ID": str(processes.domain_id), "XDG_STATE_HOME": str(directory)}
     command = [sys.executable, "-c", "from impact_rig.cli import main; raise SystemExit(main())", "lab"]
@@ -146,7 +147,7 @@ def _lab(processes: Processes, directory: Path) -> Iterator[tuple[str, subproces
         deadline = time.monotonic() + PATIENCE_S
         while not (found := [line for line in log.read_text().splitlines() if line.startswith("http")]):
             if lab.poll() is not None or time.monotonic() > deadline:
-                raise ImpactRigError(f"the lab has not begun (exit code {lab.poll()}): {log.read_text()[-2000:]}")
+                raise ImpactRigError(f"the lab has not started (exit code {lab.poll()}): {log.read_text()[-2000:]}")
             time.sleep(0.05)
         yield found[0], lab
     finally:
@@ -154,14 +155,14 @@ def _lab(processes: Processes, directory: Path) -> Iterator[tuple[str, subproces
         try:
             lab.wait(PATIENCE_S)
         except subprocess.TimeoutExpired:
-            tell("the lab did not end when it was told to: killed")
+            tell("the lab did not end after the signal: killed")
             lab.kill()
             lab.wait()
 
 
 @contextmanager
 def _pages(browser: Browser, address: str, sockets: int = 2) -> Iterator[object]:
-    """A page in Chromium, and socket clients, the first of which never draws."""
+    """Open a page in Chromium, and socket clients, the first of which never draws."""
     page = browser.page(1280, 800)
     page.goto(address)
     page.wait("window.lab && lab.drawn.pictures > 5", "traces")
@@ -191,7 +192,7 @@ def _client(address: str, draws: bool, end: threading.Event, troubles: list[str]
             socket = await session.ws_connect(f"{base}/socket?token={token}", headers={"Origin": base}, max_msg_size=0)
             while not end.is_set():
                 if not draws:
-                    await asyncio.sleep(0.1)  # reads nothing at all
+                    await asyncio.sleep(0.1)  # never reads
                     continue
                 message = await asyncio.wait_for(socket.receive(), PATIENCE_S)
                 if message.type is not aiohttp.WSMsgType.BINARY:
@@ -203,7 +204,7 @@ def _client(address: str, draws: bool, end: threading.Event, troubles: list[str]
 
     try:
         asyncio.run(asyncio.wait_for(talk(), LONGEST_S))
-    except Exception as error:  # told to who waits for the threads
+    except Exception as error:  # reported to the thread that waits for this one
         troubles.append(f"{'drawing' if draws else 'stalled'}: {type(error).__name__} {error}")
 
 
@@ -225,7 +226,7 @@ def _speed(client: Client, seconds: float) -> float:
 
 
 def _memory(browser: Browser, address: str, lab: subprocess.Popen[bytes], client: Client) -> float:
-    """Growth of the lab process [MB] while a page is open."""
+    """Return the growth of the lab process [MB] while a page is open."""
     with _pages(browser, address):
         client.spin_for(15.0)
         before = _usual_mb(lab.pid, client)
@@ -234,7 +235,7 @@ def _memory(browser: Browser, address: str, lab: subprocess.Popen[bytes], client
 
 
 def _usual_mb(pid: int, client: Client) -> float:
-    """Return the median of some readings: a spectrum or a long trace takes megabytes for a moment."""
+    """Return the median of some readings, because a spectrum or a long trace takes megabytes for a moment."""
     readings = []
     for _ in range(20):
         client.spin_for(0.25)

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The whole graph as processes: real time at 10 and 50 kS/s, free-running at 10 kS/s, beside what the wire takes.
+"""The complete graph as processes: real time at 10 and 50 kS/s, free-running at 10 kS/s, compared with bare messages.
 
-Lateness is receipt at a further subscriber less the end of the block, so it holds computing, pacing, DDS and that
-subscriber's own wake-up. CPU shares are those of the processes, from /proc, in percent of one core. The environment
-variable SECONDS sets how long each measurement runs: `SECONDS=300 make bench ONLY=live`.
+Lateness is the receipt at an additional subscriber minus the end of the block. It contains computation, pacing, DDS and
+that subscriber's own wake-up. CPU shares are those of the processes, from /proc, in percent of one core. The
+environment variable SECONDS sets the duration of each measurement: `SECONDS=300 make bench ONLY=live`.
 
 `stop_latency_p99_s` is the time from sending `rig/stop` to receiving the block in which the current has become zero,
 the ramp included, while a busy process loads every core.
@@ -64,7 +64,7 @@ def run() -> dict[str, float]:
 
 
 def live_beside_the_wire(seconds: float) -> dict[str, float]:
-    """Real time and what its bare messages take, in turn: medians, of the ratios too; the worst of what is wrong."""
+    """Measure real time and its bare messages alternately; return medians, also of ratios, and worst faults."""
     found = [{**live(seconds, 10_000), **wire.run_paced(seconds)} for _ in range(ROUNDS)]
     for one in found:
         for ours, bare in BESIDE.items():
@@ -76,7 +76,7 @@ def live_beside_the_wire(seconds: float) -> dict[str, float]:
 
 
 def free_running_beside_the_wire(seconds: float) -> dict[str, float]:
-    """Free-running mode and what the wire carries, in turn; the ratio of their medians."""
+    """Measure free-running mode and bare messages alternately; return both and the ratio of their medians."""
     found = [
         (
             free_running(seconds)["freewheel_x_realtime_10kSps"],
@@ -96,7 +96,7 @@ def free_running_beside_the_wire(seconds: float) -> dict[str, float]:
 
 
 def live(seconds: float, rate_hz: int) -> dict[str, float]:
-    """Default instruments in real time, with analysis and recorder attached."""
+    """Run the default instruments in real time, with analysis and recorder attached."""
     with graph({"daq.rate_hz": rate_hz, "daq.block_scans": rate_hz // 100, **DRIVE}) as (client, processes, directory):
         scans = client.collect(topics.SCAN.name)
         client.spin_for(WARM_UP_S)
@@ -106,7 +106,7 @@ def live(seconds: float, rate_hz: int) -> dict[str, float]:
         wall, cpu = time.monotonic() - began, {name: share() for name, share in shares.items()}
         ends = np.array([codec.header_stamp_ns(data) for data in scans.messages]) + BLOCK_NS
         late_ms = (np.array([message.received_system_ns for message in scans.received]) - ends) * 1e-6
-        wrong = np.count_nonzero(np.diff(ends) != BLOCK_NS)  # blocks begin where the one before ends, to the nanosecond
+        wrong = np.count_nonzero(np.diff(ends) != BLOCK_NS)  # a block starts exactly where the one before ends
         lost = scans.lost() + float(client.figures("analysis").get("lost_scans", "nan")) / (rate_hz // 100)
         slips = float(client.figures("rig")["slips"])
         processes.stop()
@@ -125,7 +125,7 @@ def live(seconds: float, rate_hz: int) -> dict[str, float]:
 
 
 def free_running(seconds: float) -> dict[str, float]:
-    """As fast as analysis and recorder acknowledge, default rate."""
+    """Run as fast as analysis and recorder acknowledge, at the default rate."""
     parameters = {
         "time.mode": "free_running",
         "time.peers": ("analysis", "recorder"),
@@ -145,7 +145,7 @@ def free_running(seconds: float) -> dict[str, float]:
 
 
 def stop_under_load() -> dict[str, float]:
-    """Stop a rig in real time again and again, with analysis and recorder attached and all cores busy."""
+    """Stop a rig in real time repeatedly, with analysis and recorder attached and all cores busy."""
     latencies_s = []
     with graph({"output.truth_scan": True, **DRIVE}) as (client, _, _), ExitStack() as load:
         for _ in range(os.cpu_count() or 1):
@@ -172,7 +172,7 @@ def _ends_with_current(truth: Collector, flows: bool) -> bool:
 
 @contextmanager
 def graph(parameters: Mapping[str, ParameterValue]) -> Iterator[tuple[Client, Processes, Path]]:
-    """Rig, analysis and recorder as processes, with a client."""
+    """Run rig, analysis and recorder as processes, with a client."""
     with (
         tempfile.TemporaryDirectory() as name,
         isolated_domain() as domain_id,

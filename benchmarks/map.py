@@ -31,9 +31,9 @@ axes:
 
 
 def run() -> dict[str, float]:
-    """Measure with a warm cache; `map_points_per_core_s` is over processor time, whatever else the machine does.
+    """Measure with a warm cache; `map_points_per_core_s` is per CPU time, regardless of other loads on the machine.
 
-    Of 680 places the beginning of the workers took a third of the time.
+    With only 680 places the start of the workers took a third of the time.
     """
     with tempfile.TemporaryDirectory(prefix="impact_rig_bench_") as scratch:
         path = Path(scratch) / "map.yaml"
@@ -56,7 +56,7 @@ def _cpu_s() -> float:
 
 
 def _whole(plan: MapPlan, points: int, wall_s: float) -> float:
-    """Return how long 100 × 100 places take at this rate."""
+    """Return the time of 100 × 100 places at this rate [s]."""
     assert points == plan.points
     return 10_000 * wall_s / points
 

@@ -11,12 +11,14 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The mechanics beside its peers, on one problem, in one run.
+"""The mechanics compared with its peers, on one problem, in one run.
 
-Prescribed base 60 µm · sin(2π 9.1 t), m_1 = 0.13 kg, f_n = 9.105 Hz, ζ = 0.0045, m = 1.0524 g, K = 4.403e9 N/m^1.5,
-Flores e = 0.35; start x_1 = −6 mm at rest, sphere at x_1 with +0.15 m/s; 60 s. Speeds are simulated seconds per wall
-second, medians of five, one core, warm. All take turns, so that a busy machine slows all alike, and a ratio is the
-median of the turns' ratios.
+The problem: prescribed base 60 µm · sin(2π 9.1 t), m_1 = 0.13 kg, f_n = 9.105 Hz, ζ = 0.0045, m = 1.0524 g,
+K = 4.403e9 N/m^1.5, Flores e = 0.35. It starts with x_1 = −6 mm at rest and the sphere at x_1 with +0.15 m/s, and lasts
+60 s.
+
+Speeds are simulated seconds per wall second, medians of five, on one warm core. The programs run alternately, so that
+other loads slow all of them alike, and a ratio is the median of the ratios of the turns.
 """
 
 from __future__ import annotations
@@ -37,11 +39,11 @@ from impact_rig.physics.linear import hertz_stiffness_n_m32, sphere_mass_kg
 from impact_rig.rig.config import RigConfig, from_flat
 
 END_S, LATE_S, TURNS = 60.0, 40.0, 5
-SCIPY_END_S = 3.0  # slow, and linear in time
+SCIPY_END_S = 3.0  # it is slow, and linear in time
 FREQUENCY_HZ, BASE_M = 9.1, 60e-6
 MASS_KG, STIFFNESS = 1.0524e-3, 4.403e9
 REFERENCE_AMPLITUDE_M = 3.48083e-3
-"""Gap 6 mm: closed-form flights with 50 ns steps in contact, and an order-8 integrator at rtol 1e-11, agree on it."""
+"""Amplitude at 6 mm, as given alike by closed-form flights with 50 ns steps in contact and an order-8 integrator."""
 
 FIRST_RESULT = "from benchmarks.physics import wall_s; wall_s(6e-3, 1.0)"
 
@@ -49,7 +51,7 @@ FIRST_RESULT = "from benchmarks.physics import wall_s; wall_s(6e-3, 1.0)"
 def problem(gap_m: float, *, sphere: bool = True) -> Simulation:
     """Return the simulation of the benchmark problem at its start.
 
-    Density and Young's moduli are what gives the mass and stiffness of the problem, rounded as they are there.
+    Density and Young's moduli are those that give the mass and stiffness of the problem, with the rounding used there.
     """
     rig = RigConfig()
     heavier = MASS_KG / sphere_mass_kg(rig.sphere)
@@ -85,7 +87,7 @@ def wall_s(gap_m: float, end_s: float = END_S, *, sphere: bool = True) -> float:
 
 
 def coupled(gap_m: float) -> tuple[Simulation, FunctionGenerator]:
-    """Return the default rig, shaker and all, and its drive in ticks of 10 ms."""
+    """Return the default rig including the shaker, and its drive in ticks of 10 ms."""
     config = from_flat(RigConfig(), {"barriers.gap_m": gap_m, "drive.amplitude": 0.52})
     return Simulation(config), FunctionGenerator(config.drive, config.shaker, Random(1))
 
@@ -98,7 +100,7 @@ def coupled_wall_s(gap_m: float) -> float:
 
 
 def amplitude_m(gap_m: float) -> float:
-    """Return the amplitude by lock-in over whole cycles of the last 20 s."""
+    """Return the amplitude by lock-in over complete cycles of the last 20 s."""
     motion = problem(gap_m).advance(segment(END_S))
     cycles = int((END_S - LATE_S) * FREQUENCY_HZ)
     n = cycles * 2000
@@ -108,7 +110,7 @@ def amplitude_m(gap_m: float) -> float:
 
 
 def speeds() -> dict[str, float]:
-    """Ours and the peers', turn by turn."""
+    """Measure our speed and that of the peers alternately."""
     takes: dict[str, Callable[[], float]] = {
         "mechanics_{}_gapnone": lambda: wall_s(6e-3, sphere=False) / END_S,
         "mechanics_{}_gap2mm": lambda: wall_s(2e-3) / END_S,
@@ -142,7 +144,7 @@ def speeds() -> dict[str, float]:
 
 
 def accuracy() -> dict[str, float]:
-    """Amplitudes against the reference, at the settings whose speed is measured."""
+    """Compare amplitudes with the reference, at the settings whose speed is measured."""
     _, of_c = peer_c(6e-3, END_S)
     amplitudes = {"mechanics": amplitude_m(6e-3), "peer_c": of_c}
     return {
@@ -152,10 +154,10 @@ def accuracy() -> dict[str, float]:
 
 
 def costs() -> dict[str, float]:
-    """What the cost grows with: nothing but simulated time, impacts and samples."""
+    """Measure the causes of cost: simulated time, impacts and samples, and nothing else."""
     simulation, generator = coupled(6e-3)
     slices, impacts = [], []
-    for _ in range(10):  # ten times a minute, in calls of a second, as a node makes them
+    for _ in range(10):  # ten times a minute of rig time, in calls of a second, as a node makes them
         spent, count = 0.0, 0
         for _ in range(60):
             begin = time.perf_counter()
@@ -181,7 +183,7 @@ def costs() -> dict[str, float]:
 
 
 def first_results() -> dict[str, float]:
-    """From starting Python to the first simulated second."""
+    """Measure the time from starting Python to the first simulated second."""
     run = [sys.executable, "-c", FIRST_RESULT]
     return {"mechanics_cold_first_result_s": _clock(lambda: subprocess.run(run, check=True))}
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The mechanics' peers on the benchmark problem: SciPy's `solve_ivp` and a plain C program written for speed."""
+"""Peers of the mechanics on the benchmark problem: SciPy's `solve_ivp`, and a plain C program optimised for speed."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ def scipy_wall_s(
 ) -> float:
     """Return the wall time of SciPy's RK45 at rtol 1e-6 with events at the walls: the paper's ode45.
 
-    Its events are seen at the ends of steps only; with steps no longer than the C program's in flight it does not pass
-    over a touch that is faster than a few mm/s.
+    SciPy looks for events at the ends of steps only. With steps no longer than those of the C program in flight, it
+    does not miss a touch that is faster than a few mm/s.
     """
-    half = p.half_gap  # the same numbers, not the same code
+    half = p.half_gap  # the same numbers in independent code
     omega = 2.0 * math.pi * frequency_hz
 
     def rates(t: float, s: np.ndarray, side: int, beta: float) -> list[float]:

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""How fast a run is written and read: the recorder's sustained ceiling, its longest stall, and the reader's.
+"""Speed of writing and reading a run: the recorder's sustained rate, its longest stall, and the reader's rate.
 
-MB are CDR bytes handed to the writer. The data are scans as an ADC gives them (a sine, two LSB of noise, 16 bit), so
-that compression has the work it has in a real run.
+MB are CDR bytes passed to the writer. The data are scans as an ADC gives them (a sine, two LSB of noise, 16 bit), so
+that the compression has as much work as in a real run.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ FLOAT64 = b"\0\1\0\0" + np.float64(9.1).tobytes()
 
 
 def blocks(rng: np.random.Generator) -> list[np.ndarray]:
-    """Scans of a rig driven at 9.1 Hz, quantised to 16 bit."""
+    """Return scans of a rig driven at 9.1 Hz, quantised to 16 bit."""
     times = np.arange(BLOCK_SCANS * DISTINCT_BLOCKS) / RATE_HZ
     rows = np.zeros(len(times), SCAN)
     rows["time"] = np.tile(times[:BLOCK_SCANS], DISTINCT_BLOCKS)
@@ -54,7 +54,7 @@ def blocks(rng: np.random.Generator) -> list[np.ndarray]:
 
 
 def messages(pool: list[np.ndarray], count: int) -> list[bytes]:
-    """`count` consecutive blocks as they come from the middleware."""
+    """Return `count` consecutive blocks as received from the middleware."""
     period_ns = BLOCK_SCANS * 10**9 // RATE_HZ
     return [codec.encode(Table(number * period_ns, pool[number % DISTINCT_BLOCKS])) for number in range(count)]
 
@@ -97,7 +97,7 @@ def write_small(directory: Path, compression: str) -> float:
 
 
 def read_back(directory: Path, compression: str, sent: list[bytes]) -> float:
-    """Return how many times faster than real time the scans of a 50 kS/s run are read and decoded."""
+    """Return the speed of reading and decoding the scans of a 50 kS/s run, as a multiple of real time."""
     with writer(directory, compression) as run:
         for data in sent:
             run.write("/rig/daq/scan", data, 0)
@@ -110,7 +110,7 @@ def read_back(directory: Path, compression: str, sent: list[bytes]) -> float:
 
 
 def run() -> dict[str, float]:
-    """Measure; keys as `make bench` writes them."""
+    """Measure; keys as in `make bench`."""
     figures = {}
     sent = messages(blocks(np.random.default_rng(1)), 2000)
     with tempfile.TemporaryDirectory(prefix="impact_rig_bench_") as scratch:

@@ -11,11 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What an engineer writes in an afternoon with NumPy and SciPy, to compare the instruments with in the same run.
+"""A simple chain of instruments in NumPy and SciPy, written in an afternoon, as a comparison in the same run.
 
-Four channels at 50 kS/s in blocks of a second, or of 10 ms: per channel a Butterworth filter of fourth order that keeps
-its state, white noise, rounding to 16 bit, clipping with flags, and the rows of the block. No pulses between the scans,
-no resonance, no calibration errors, no skew, and other bits on another CPU.
+It has four channels at 50 kS/s in blocks of a second, or of 10 ms. Each channel has a Butterworth filter of fourth
+order that keeps its state, white noise, rounding to 16 bit, and clipping with flags; the result is the rows of the
+block. It has no pulses between the scans, no resonance, no calibration errors and no skew, and its bits depend on the
+CPU.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ ROWS = np.dtype([("time", "f8"), *((f"c{j}", "f8") for j in range(CHANNELS)), ("
 
 
 class SciPyChain:
-    """The chain, fed with a sine."""
+    """The chain, with a sine as its input."""
 
     def __init__(self) -> None:
         self._random = np.random.default_rng(1)
@@ -42,7 +43,7 @@ class SciPyChain:
         self._input = np.sin(2.0 * np.pi * 9.1 * self._time)
 
     def second(self, calls: int = 1) -> float:
-        """Return the processor time of one second of scans, measured in so many calls [s]."""
+        """Return the CPU time of one second of scans, divided into `calls` calls [s]."""
         scans = RATE_HZ // calls
         began = time.thread_time()
         for call in range(calls):

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What it costs to begin: a fresh process, a node's first block, the memory of nodes, and the README's commands.
+"""Cost of starting: a fresh process, a node's first block, the memory of nodes, and the README's commands.
 
-Installation, demo and tests take minutes and begin elsewhere: whoever runs them notes the figure
-(`qualification/doors.py`, `make test`, `make check`), each in a file of its own in build/start, and here the latest
-are read. Memory is read after a minute in real time at 10 kS/s; `SECONDS=10 make bench ONLY=start` waits less.
+Installation, demo and tests take minutes and are run elsewhere. Those programs (`qualification/doors.py`, `make test`,
+`make check`) store their figures in build/start, each in a separate file, and the latest are read here. Memory is read
+after a minute in real time at 10 kS/s; `SECONDS=10 make bench ONLY=start` waits less.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ print(next(line.split()[1] for line in open("/proc/self/status") if line.startsw
 """
 PROGRAM = "import sys; from impact_rig.cli import main; sys.exit(main())"
 FRESH = 5
-"""Processes of which the median is taken."""
+"""Number of processes for each median."""
 
 
 def run() -> dict[str, float]:
-    """Measure what is quick, and read what was noted."""
+    """Measure what is quick, and read the stored figures."""
     return {
         **first_block(),
         **one_second(),
@@ -58,7 +58,7 @@ def run() -> dict[str, float]:
 
 
 def first_block() -> dict[str, float]:
-    """From starting a rig process to its first block; cold: the first of these, warm: the same again."""
+    """Measure the time from starting a rig process to its first block; cold: the first time, warm: the second."""
     cold, *warm = (_first_block_s() for _ in range(1 + FRESH))
     median = statistics.median(warm)
     return {"cold_start_s": cold, "warm_start_s": median, "node_first_block_s": median}
@@ -79,20 +79,20 @@ def _first_block_s() -> float:
 
 
 def one_second() -> dict[str, float]:
-    """A fresh process that simulates one second of the rig: processor time, and the most memory it held."""
+    """Measure a fresh process that simulates one second of the rig: its CPU time and its peak memory."""
     subprocess.run(
         [sys.executable, "-c", ONE_SECOND], check=True, stdout=subprocess.DEVNULL
-    )  # whatever has to be compiled
+    )  # compiles everything that has to be compiled
     usage = [_fresh([sys.executable, "-c", ONE_SECOND]) for _ in range(FRESH)]
     return {
         "one_second_cpu_s": statistics.median(cpu_s for cpu_s, _ in usage),
-        # from the process itself: what wait4 says includes the memory of the one that started it
+        # from the process itself: the value of wait4 includes the memory of its parent
         "one_second_rss_mb": statistics.median(float(output) / 1024.0 for _, output in usage),
     }
 
 
 def command_line() -> dict[str, float]:
-    """Processor time of importing the package, and of the slowest help page: of the program, or of a command."""
+    """Measure the CPU time of importing the package, and of the slowest help page of the program or a command."""
     import_cpu_s = _median_cpu_s([sys.executable, "-c", "import impact_rig"])
     pages = [["--help"], *([name, "--help"] for name in commands())]
     first_line_cpu_s = max(_median_cpu_s([sys.executable, "-c", PROGRAM, *page]) for page in pages)
@@ -114,14 +114,14 @@ def _fresh(command: list[str]) -> tuple[float, str]:
 
 
 def memory(seconds: float) -> dict[str, float]:
-    """What rig and analysis hold after a while in real time at the default rate."""
+    """Return the memory of rig and analysis after some time in real time at the default rate."""
     with graph(DRIVE) as (client, processes, _):
         client.spin_for(seconds)
         return {f"{node}_rss_mb": resident_mb(processes.running[node].pid) for node in ("rig", "analysis")}
 
 
 def noted() -> dict[str, float]:
-    """Return the figures that other programs noted in their latest runs."""
+    """Return the latest figures that other programs stored."""
     return {path.name: float(path.read_text()) for path in sorted(NOTED.glob("*_*"))}
 
 

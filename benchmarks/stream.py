@@ -11,11 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""How fast a rig runs that is driven by a stream of samples, and how soon it plays a controller's answer to a scan.
+"""Speed of a rig driven by a stream of samples, and its delay in playing a controller's answer to a scan.
 
-Speed: in process, in one thread, its processor time. Answer: a rig in real time with blocks of 1 ms, and a controller
-in Python, as two processes. It answers a block of scans with samples from the end of that block on; the rig drops and
-counts those that are past when they come, and this is the time from a scan's last sample to its answer in force.
+The speed is measured in this process, in one thread, by CPU time. For the delay, a rig in real time with blocks of 1 ms
+and a controller in Python run as two processes. The controller answers a block of scans with samples that begin at the
+end of that block. The rig drops and counts samples that arrive too late. The delay is the time from a scan's last
+sample to the first sample of the answer that takes effect.
 """
 
 from __future__ import annotations
@@ -70,7 +71,7 @@ def speed(seconds: int = 10) -> dict[str, float]:
 
 
 def round_trip() -> dict[str, float]:
-    """Answer blocks of scans over topics, one after the other; half and 99 of 100 are in force so soon."""
+    """Answer blocks of scans over topics, one after the other; return the delays that half and 99 of 100 keep."""
     answer, spent = np.zeros(round(LONGEST_S * RATE_HZ), WAVEFORM), []
     with (
         isolated_domain() as domain_id,
@@ -98,7 +99,7 @@ def round_trip() -> dict[str, float]:
 
 
 def _late(stream: Collector, before: float) -> float | None:
-    """Return how many samples were late so far, once it is more."""
+    """Return the number of late samples, once it has grown."""
     late = max((float(table.rows["late"][0]) for table in stream.tables()), default=0.0)
     return late if late > before else None
 

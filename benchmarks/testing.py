@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What a minute of rig time costs in a test of a pipeline, the start of Python and of the rig included.
+"""Cost of a minute of rig time in a test of a pipeline, including the start of Python and of the rig.
 
 python -m benchmarks.testing
 """
@@ -45,7 +45,7 @@ def run() -> dict[str, float]:
 
 
 def minute(kind: str) -> None:
-    """Run a rig for a minute of its time, with somebody who takes every block."""
+    """Run a rig for a minute of its time, with a client that takes every block."""
     if kind == "virtual":
         from impact_rig.driver.local_rig import LocalRig  # noqa: PLC0415  # loads compiled code
 

@@ -11,14 +11,19 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What the wire alone carries: three bare rclpy processes pass the messages of a rig, with no rig in them.
+"""Capacity of the middleware alone: three bare rclpy processes exchange the messages of a rig, without a rig.
 
-A source publishes scans of 10 ms at 10 kS/s, monitors and clock as ready-made bytes; a reader acknowledges every scan;
-a keeper writes all bytes to a file and acknowledges, too. The source keeps at most a window ahead of the slower of the
-two: free-running without simulation, analysis or MCAP; the ratio to it, measured in the same minute, says how near ours
-comes. It sends five messages a block there, a rig 3.4; on the other hand threads of DDS interrupt it, as they do every
-rclpy node. With threads as patient as our nodes' it carries nearly twice as much. Or the source publishes a block every
-10 ms: the least that a rig, its analysis and its recorder take of a core in real time.
+A source publishes scans of 10 ms at 10 kS/s, monitors and clock as ready-made bytes. A reader acknowledges every scan,
+and a keeper writes all bytes to a file and acknowledges, too. The source stays at most a window ahead of the slower of
+the two.
+
+Free-running, this measures the limit without simulation, analysis or MCAP; the ratio to it, measured in the same
+minute, shows how close our graph comes. The source sends five messages per block, a rig 3.4. On the other hand, threads
+of DDS interrupt it, as in every rclpy node; with threads as patient as those of our nodes it carries nearly twice as
+much.
+
+Alternatively, the source publishes a block every 10 ms. This measures the least load that a rig, its analysis and its
+recorder put on a core in real time.
 
     python -m benchmarks.wire [SECONDS]
 """
@@ -55,15 +60,15 @@ from impact_rig.rig.config import RigConfig
 BLOCKS_PER_S, SCANS = 100, 100
 SPIN_S = 0.05
 MONITORED_BLOCKS = 2
-"""Of so many blocks one comes with monitors in real time, at the default rates."""
+"""One of this many blocks has monitors in real time, at the default rates."""
 WARM_UP_S = 2.0
 READERS = ("reader", "keeper")
-PATIENT = "PATIENT"  # environment: whether the threads of DDS wait their turn
+PATIENT = "PATIENT"  # environment variable: whether the threads of DDS wait their turn
 _OTHERS = [*MONITORS.values(), topics.CLOCK]
 
 
 def run(seconds: float, window: int, patient: bool = False) -> float:
-    """Return how many times real time the wire carries; `patient`: with threads of DDS that wait their turn."""
+    """Return the capacity as a multiple of real time; with `patient`, threads of DDS wait their turn."""
     with _wire("source", str(seconds), str(window), patient=patient) as (client, processes):
         log = processes.running["source"].log
         client.wait_until(lambda: b"wall" in log.read_bytes(), "the source to end", seconds + 60.0)
@@ -72,7 +77,7 @@ def run(seconds: float, window: int, patient: bool = False) -> float:
 
 
 def run_paced(seconds: float) -> dict[str, float]:
-    """Return what the three take in real time [% of a core], beside a client that listens to the scans as well."""
+    """Measure the load of the three processes in real time [% of a core], with a client that also reads the scans."""
     with _wire("paced") as (client, processes):
         client.collect(topics.SCAN.name)
         client.spin_for(WARM_UP_S)
@@ -83,7 +88,7 @@ def run_paced(seconds: float) -> dict[str, float]:
 
 @contextlib.contextmanager
 def _wire(role: str, *words: str, patient: bool = False) -> Iterator[tuple[Client, Processes]]:
-    """Readers and a source of that role as processes, with a client."""
+    """Run readers and a source of that role as processes, with a client."""
     with (
         tempfile.TemporaryDirectory() as directory,
         isolated_domain() as domain_id,
@@ -98,7 +103,7 @@ def _wire(role: str, *words: str, patient: bool = False) -> Iterator[tuple[Clien
 
 
 def _messages() -> dict[topics.Topic, bytes]:
-    """Return what is published for a block."""
+    """Return the messages of one block."""
     scans = np.zeros(SCANS, row_type_of(RigConfig().instruments))
     return {
         topics.SCAN: codec.encode(Table(0, scans)),
@@ -107,7 +112,7 @@ def _messages() -> dict[topics.Topic, bytes]:
 
 
 class Source:
-    """Publishes blocks as far ahead of the readers as the window allows."""
+    """Source that publishes blocks as far ahead of the readers as the window allows."""
 
     def __init__(self, node: Node, window: int) -> None:
         self.acknowledged = dict.fromkeys(READERS, 0)
@@ -119,13 +124,13 @@ class Source:
         node.create_subscription(Header, topics.ACK.name, self._on_ack, messages.profile(topics.ACK.qos))
 
     def matched(self) -> bool:
-        """Whether everybody listens."""
+        """Matching of the readers: true if both have subscribed."""
         return all(publisher.get_subscription_count() >= 1 for publisher, _ in self._outlets) and (
             self._outlets[0][0].get_subscription_count() == len(READERS)
         )
 
     def run_ahead(self) -> None:
-        """Publish what the window has room for, once that is half of it."""
+        """Publish as many blocks as fit into the window, if that is at least half of it."""
         room = self._window - (self._sent - min(self.acknowledged.values()))
         if room < self._window // 2:
             return
@@ -135,7 +140,7 @@ class Source:
             self._sent += 1
 
     def publish(self) -> None:
-        """Publish a block of real time; every other one comes with monitors."""
+        """Publish a block of real time; every other one has monitors."""
         monitored = self._sent % MONITORED_BLOCKS == 0
         for publisher, data in self._outlets if monitored else self._outlets[:1]:
             publisher.publish(data)

@@ -13,6 +13,6 @@
 # limitations under the License.
 """Hostile inputs for everything that reads the network or a file: `make fuzz`.
 
-A target takes one input, refuses it with an error of this package or accepts it, and checks what it accepted. Anything
-else is a finding: another exception, a hang, a NaN, or an acceptance of what should have been refused.
+A target takes one input, and either rejects it with an error of this package, or accepts and checks it. Anything else
+is a finding: another exception, a hang, a NaN, or the acceptance of an invalid input.
 """

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Run the fuzz targets and print what was thrown at them: `make fuzz`, `python -m fuzz --inputs 1000 texts`."""
+"""Runner of the fuzz targets, with a table of their inputs: `make fuzz`, `python -m fuzz --inputs 1000 texts`."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ PACKAGES = ["impact_rig", "impact_rig_studies", "impact_rig_lab"]
 
 
 def main() -> int:
-    """Return 0 if nothing was found."""
+    """Run the targets; return 0 if nothing was found."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("targets", nargs="*", help="which; default: all")
-    parser.add_argument("--inputs", type=int, default=INPUTS, help=f"per target, at least (default {INPUTS})")
-    parser.add_argument("--seed", type=int, default=0, help="other inputs (default 0)")
+    parser.add_argument("targets", nargs="*", help="names of the targets to run (default: all)")
+    parser.add_argument("--inputs", type=int, default=INPUTS, help=f"least number per target (default: {INPUTS})")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the inputs (default: 0)")
     parser.add_argument(
-        "--guided", metavar="TARGET", help="let atheris guide one by coverage; takes libFuzzer's options"
+        "--guided", metavar="TARGET", help="target to fuzz with atheris; libFuzzer's options may follow"
     )
     arguments, rest = parser.parse_known_args()
-    warnings.simplefilter("ignore")  # numpy warns of what it was asked to compare
+    warnings.simplefilter("ignore")  # numpy warns about the values that it is asked to compare
     with _guide() if arguments.guided else _branches() as watching:
         from fuzz import calls, decoders, importers, sockets, target, validators  # noqa: PLC0415  # measured
 
@@ -86,7 +86,7 @@ def main() -> int:
 
 @contextlib.contextmanager
 def _branches() -> Iterator[Any]:
-    """Measure branch coverage where coverage.py is installed."""
+    """Measure branch coverage if coverage.py is installed."""
     try:
         import coverage  # noqa: PLC0415  # optional
     except ImportError:
@@ -102,13 +102,13 @@ def _branches() -> Iterator[Any]:
 
 @contextlib.contextmanager
 def _guide() -> Iterator[Any]:
-    """Let libFuzzer mutate what hypothesis draws from, guided by the branches of this package that it reaches."""
+    """Let libFuzzer mutate the data from which hypothesis draws, guided by the branches that it reaches."""
     try:
         import atheris  # noqa: PLC0415  # optional: where it installs
     except ImportError:
         sys.exit("atheris is not installed: pip install atheris")
     root = Path(__file__).parents[1]
-    # what Numba compiles cannot be instrumented
+    # functions compiled by Numba cannot be instrumented
     compiled = [path for path in root.glob("impact_rig*/**/*.py") if "import njit" in path.read_text(encoding="utf-8")]
     names = [".".join(path.relative_to(root).with_suffix("").parts) for path in compiled]
     with atheris.instrument_imports(include=PACKAGES, exclude=names):

@@ -51,7 +51,7 @@ class _RefusedError(ImpactRigError):
 
 
 class _Context:
-    """Context of a call whose client has left, so that nothing waits."""
+    """Context of a call whose client has disconnected, so that nothing waits."""
 
     def is_active(self) -> bool:
         return False
@@ -96,7 +96,7 @@ def _usual(*, output: bool) -> st.SearchStrategy[list[tuple[str, dict[str, Any]]
 
 
 def daqmx(calls: list[tuple[str, dict[str, Any]]]) -> tuple[int, int]:
-    """Check that a call answers or is refused with an error of NI-DAQmx."""
+    """Check that a call succeeds or is rejected with an error of NI-DAQmx."""
     board, refused = Board(RigConfig()), 0
     service = servicer(board)
     try:

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Targets that read bytes: tables from the network, MCAP files whole or damaged, journals, what the analysis is fed."""
+"""Fuzz targets for bytes: tables from the network, MCAP files (intact or damaged), journals, input of the analysis."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ from impact_rig.runs import recover
 
 TABLES = {name: value for name, value in vars(blocks).items() if isinstance(value, np.dtype)}
 WRITTEN = 8
-"""Messages of each small run."""
+"""Number of messages in each small run."""
 LARGEST_S = 0.05
-"""Rig time that a hostile journal is re-simulated for."""
+"""Rig time for which a hostile journal is re-simulated."""
 
 
 PROVENANCE = Provenance(version="1", seed=3, wall_start_ns=4)
@@ -66,7 +66,7 @@ MESSAGES += [codec.encode(Table(0, np.zeros(1, [("a", "u1"), ("b", "<f4"), ("t",
 
 
 def point_cloud(raw: bytes) -> None:
-    """What is decoded lies in the message, and is a table that can be sent again."""
+    """Check that a decoded table lies within the message and can be encoded again."""
     table = codec.decode(raw)
     assert table.rows.nbytes <= len(raw)
     again = codec.decode(codec.encode(table))
@@ -82,10 +82,10 @@ def point_cloud(raw: bytes) -> None:
 
 
 def _small_run(directory: Path, compression: str) -> tuple[bytes, tuple[bytes, bytes], set[tuple[str, bytes]]]:
-    """Some 3 kB with two topics, an attachment and several chunks.
+    """Write a run of some 3 kB with two topics, an attachment and several chunks.
 
     Returns:
-        The file; the file and its tail as they were before the last chunk was closed; the messages.
+        The file, the pair of file and tail before the last chunk was closed, and the messages.
     """
     topics = [
         TopicDescription(name=f"/{name}", type_name="std_msgs/msg/String", schema="string data\n") for name in "ab"
@@ -122,7 +122,7 @@ shutil.rmtree(_SCRATCH)
 
 
 def mcap_read(raw: bytes) -> None:
-    """A reader gives messages that were written, or refuses."""
+    """Check that a reader returns messages that were written, or rejects the file."""
     with tempfile.TemporaryDirectory(prefix="impact_rig_fuzz_") as folder:
         path = Path(folder, "run.mcap")
         path.write_bytes(raw)
@@ -134,7 +134,7 @@ def mcap_read(raw: bytes) -> None:
 
 
 def mcap_recover(raw: tuple[bytes, bytes | None]) -> None:
-    """Whatever a file and its tail have gone through, what is given back was written, and is a whole run."""
+    """Check that a recovery returns messages that were written, as an intact run, despite any damage."""
     recording, tail = raw
     with tempfile.TemporaryDirectory(prefix="impact_rig_fuzz_") as folder:
         path = Path(folder, "run.mcap")
@@ -164,7 +164,7 @@ CELLS = st.recursive(
 
 @st.composite
 def journals(draw: st.DrawFn) -> list[str]:
-    """The lines of a journal with some of their members changed, entries dropped or doubled."""
+    """Draw the lines of a journal with some members changed, and entries dropped or doubled."""
     contents = [json.loads(entry.line()) for entry in JOURNAL]
     for _ in range(draw(st.integers(1, 4))):
         content = draw(st.sampled_from(contents))
@@ -175,7 +175,7 @@ def journals(draw: st.DrawFn) -> list[str]:
 
 
 def journal(lines: list[str]) -> None:
-    """A re-simulation begins with what the journal says, or says why it cannot; its scans are numbers."""
+    """Check that a re-simulation starts from the journal or reports why it cannot, and that its scans are numbers."""
     deadline = time.perf_counter() + LARGEST_S
     entries, view = [JournalEntry.from_line(line) for line in lines], JournalView()
     for entry in entries:
@@ -200,7 +200,7 @@ INFO, APPLIED, SCANS = _stream()
 
 @st.composite
 def streams(draw: st.DrawFn) -> list[tuple[str, Table]]:
-    """Calibration, command and scans of a rig, some of them hostile: cells, columns, stamps, lengths."""
+    """Draw calibration, command and scans of a rig, with some hostile cells, columns, stamps and lengths."""
     stream = [("info", INFO), ("applied", APPLIED), *(("scan", scan) for scan in SCANS[:4])]
     for _ in range(draw(st.integers(1, 3))):
         at = draw(st.integers(0, len(stream) - 1))
@@ -228,7 +228,7 @@ def streams(draw: st.DrawFn) -> list[tuple[str, Table]]:
 
 
 def analysis(stream: list[tuple[str, Table]]) -> None:
-    """Every table is taken or refused by name; what is found has numbers where it says it was measured."""
+    """Check that every table is accepted or rejected by name, and that rows of measurements contain numbers."""
     tracker = Tracker()
     takers = {"info": tracker.configure, "applied": tracker.on_applied, "scan": tracker.feed}
     for kind, table in stream:

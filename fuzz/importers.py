@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Targets that read measurements of somebody else's: a small file of each format, damaged, and mappings of channels."""
+"""Fuzz targets for foreign measurements: a small file of each format, damaged, and mappings of channels."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def _netcdf() -> bytes:
 
 
 def _uff() -> bytes:
-    """Write it as `impact-rig export` does: its own columns, one dataset each."""
+    """Write the file as `impact-rig export` does: its own columns, one dataset each."""
     with tempfile.TemporaryDirectory() as folder:
         return write_columns(lambda: iter([COLUMNS]), Path(folder) / "all.uff").read_bytes()
 
@@ -161,7 +161,7 @@ def _bag(suffix: str) -> bytes:
 
 
 def _reads(suffix: str) -> Callable[[bytes], None]:
-    """Return what reads a file; signals of a WAV file have no names that say what they are."""
+    """Make a check that reads a file; signals of a WAV file have no descriptive names."""
     said = "channels: {laser: {column: channel_0, unit: mm}, base: {column: channel_1, unit: mm}}"
 
     def check(content: bytes) -> None:
@@ -178,7 +178,7 @@ def _reads(suffix: str) -> Callable[[bytes], None]:
 
 
 def mapping(text: str) -> None:
-    """Take a mapping for a sound file."""
+    """Apply a mapping to a sound file."""
     times = Abscissa(AbscissaKind.TIME, "s", values=COLUMNS["time"])
     signals = {name: Signal(values, abscissa=times) for name, values in COLUMNS.items() if name != "time"}
     source = ImportedSignals(Path("own.csv"), "text table", signals)
@@ -188,7 +188,7 @@ def mapping(text: str) -> None:
 
 
 def words(text: str) -> None:
-    """Take a text for a unit, a sensitivity and a channel."""
+    """Parse a text as a unit, a sensitivity and a channel."""
     for wanted in ("m", "m/s^2"):
         factor = unit_factor(text, wanted)
         assert factor is None or (np.isfinite(factor) and factor != 0.0)

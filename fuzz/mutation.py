@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Bytes and texts that are nearly right: the inputs that get furthest into a parser."""
+"""Bytes and texts that are nearly valid, the inputs that get furthest into a parser."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ HOSTILE_WORDS = (
 
 @st.composite
 def mutated(draw: st.DrawFn, seeds: Sequence[bytes], most: int = 6) -> bytes:
-    """One of the seeds after a few changes: a number replaced, bytes flipped, cut, doubled, dropped or spliced in."""
+    """Draw a seed after a few changes: a number replaced, bytes flipped, cut, doubled, dropped or spliced in."""
     data = bytearray(draw(st.sampled_from(seeds)))
     for _ in range(draw(st.integers(1, most))):
         at = draw(st.integers(0, max(len(data) - 1, 0)))
@@ -60,7 +60,7 @@ def mutated(draw: st.DrawFn, seeds: Sequence[bytes], most: int = 6) -> bytes:
 
 @st.composite
 def mutated_lines(draw: st.DrawFn, text: str, most: int = 4) -> str:
-    """A file of `key: value` lines after a few changes of whole lines."""
+    """Draw a file of `key: value` lines after a few changes of complete lines."""
     lines = text.splitlines()
     for _ in range(draw(st.integers(1, most))):
         at = draw(st.integers(0, len(lines) - 1))

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Targets of the lab's WebSocket: what a page sends, and the joint states that are drawn from their bytes."""
+"""Targets of the lab's WebSocket: requests from a page, and the decoding of joint states for its drawing."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ JOINTS = [encode_joint_state(stamp, (1e-3, -2e-3, 3e-3), (0.1, 0.2, math.nan)) f
 
 
 def requests(raw: bytes) -> None:
-    """What is taken is asked for by name, finite, and can be published."""
+    """Check that an accepted request has a known name and finite values, and can be published."""
     found = parse(raw)
     assert found.values.keys() == REQUESTS[found.do].keys()
     assert json.loads(json.dumps(dict(found.values), allow_nan=False)) is not None
@@ -70,7 +70,7 @@ def requests(raw: bytes) -> None:
 
 
 def joint_states(raw: bytes) -> None:
-    """What is taken has three bodies."""
+    """Check that accepted joint states have three bodies."""
     motion = MotionBuffer()
     motion.add_state(raw, 0)
     assert motion.states.since(0).shape == (1, 7)

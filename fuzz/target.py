@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Fuzz targets, and the loop that feeds inputs to them."""
+"""Fuzz targets, and the loop that passes inputs to them."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from hypothesis import strategies as st
 from impact_rig.errors import ImpactRigError
 
 HANG_S = 10.0
-"""An input that computes longer is a finding; where it has waited as long, the stack is shown."""
+"""An input that computes for longer is a finding; if it has waited as long, the stack is printed."""
 MEMORY_MIB = 256.0
-"""A run of a target whose largest process occupies more is a finding."""
+"""A run of a target with a process that uses more memory is a finding."""
 BATCH = 1000
-"""Examples drawn with one seed."""
+"""Number of examples drawn with one seed."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,10 +40,11 @@ class Target:
     """Reader of hostile input.
 
     Attributes:
-        name: for the command line.
-        inputs: what is thrown at it.
-        check: takes one input; raises an ImpactRigError to refuse it, or returns (inputs, refusals) if it was several.
-        modules: whose branches it is meant to reach, files of the repository.
+        name: name on the command line.
+        inputs: strategy of the inputs.
+        check: function that takes one input; it raises an ImpactRigError to reject it, or returns (inputs, rejections)
+            if the input was a sequence.
+        modules: files of the repository whose branches it should reach.
     """
 
     name: str
@@ -64,9 +65,9 @@ class Tally:
 
 
 def prepared(target: Target, examples: int, number: int, tally: Tally) -> Callable[[], None]:
-    """Return a hypothesis test that throws `examples` inputs, drawn with a seed, and counts them.
+    """Return a hypothesis test that passes `examples` inputs, drawn with a seed, and counts them.
 
-    Its `hypothesis.fuzz_one_input` takes bytes, which is what a coverage-guided fuzzer wants.
+    Its `hypothesis.fuzz_one_input` takes bytes, as a coverage-guided fuzzer needs.
     """
 
     @seed(number)
@@ -81,7 +82,7 @@ def prepared(target: Target, examples: int, number: int, tally: Tally) -> Callab
     @given(target.inputs)
     def each(value: Any) -> None:
         started = _cpu_s()
-        faulthandler.dump_traceback_later(HANG_S)  # says where a slow one is, while it is there
+        faulthandler.dump_traceback_later(HANG_S)  # prints where a slow input is, while it is there
         try:
             inputs, refused = target.check(value) or (1, 0)
         except ImpactRigError:
@@ -99,12 +100,12 @@ def prepared(target: Target, examples: int, number: int, tally: Tally) -> Callab
 
 
 def _cpu_s() -> float:
-    """Return the time that this process and those it has waited for have computed [s]; a busy machine adds none."""
+    """Return the CPU time of this process and of its ended children [s], unaffected by other loads."""
     return sum(one.ru_utime + one.ru_stime for one in _used())
 
 
 def _peak_mib() -> float:
-    """Return the largest memory that this process, or one that it has waited for, has occupied."""
+    """Return the peak memory of this process and of its ended children [MiB]."""
     return max(one.ru_maxrss for one in _used()) / 1024.0
 
 
@@ -113,9 +114,9 @@ def _used() -> list[resource.struct_rusage]:
 
 
 def run(target: Target, inputs: int, number: int = 0) -> Tally:
-    """Throw at least this many inputs at a target; an exception is a finding, reduced to its smallest form.
+    """Pass at least this many inputs to a target; an exception is a finding, reduced to its smallest form.
 
-    hypothesis leaves out repetitions and stops early when a space is small: further seeds make up for it.
+    hypothesis omits repetitions and stops early if a space is small; further seeds make up for that.
     """
     tally, started = Tally(), time.perf_counter()
     while tally.inputs < inputs:

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Targets that read words and numbers: configuration files, parameters, commands, remarks, fault lines."""
+"""Fuzz targets for texts and numbers: configuration files, parameters, commands, remarks, fault lines."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ CHANGES = st.dictionaries(NAMES | st.text(max_size=20) | NAMES.map(lambda name: 
 
 
 def _check_config(config: RigConfig) -> None:
-    """Nothing outside its declared range was let in; and it can be written and read again."""
+    """Check that every value is within its declared range, and that the configuration can be written and read again."""
     for name, value in to_flat(config).items():
         about = KNOWN[name]
         if isinstance(value, (int, float)) and not isinstance(value, bool):
@@ -63,7 +63,7 @@ def _check_config(config: RigConfig) -> None:
 
 
 def configuration_file(text: str | bytes) -> None:
-    """A file gives a configuration that can be written and read again, or is refused."""
+    """Check that a file gives a configuration that can be written and read again, or is rejected."""
     with tempfile.TemporaryDirectory(prefix="impact_rig_fuzz_") as folder:
         path = Path(folder, "rig.yaml")
         path.write_bytes(text if isinstance(text, bytes) else text.encode("utf-8", "surrogatepass"))
@@ -75,7 +75,7 @@ def configuration_file(text: str | bytes) -> None:
 
 
 def parameters(changes: dict[str, Any]) -> None:
-    """All of the changes, or none."""
+    """Check that all changes are made, or none."""
     config = from_flat(RigConfig(), changes)
     _check_config(config)
     flat = to_flat(config)
@@ -92,7 +92,7 @@ def _settings(draw: st.DrawFn) -> dict[str, Any]:
 
 
 def settings(given: dict[str, Any]) -> None:
-    """Settings of the analysis: from parameters, and as a recorded table brings them back."""
+    """Check settings of the analysis: from parameters, and as read back from a recorded table."""
     section, values = given["section"], given["values"]
     numbers = {key: value for key, value in values.items() if isinstance(value, float)}
     if numbers and section is TrackerSettings:
@@ -112,7 +112,7 @@ LINES = st.lists(
 
 
 def texts(words: list[str]) -> tuple[int, int]:
-    """Remarks, fault lines, journal entries and type names, which all come from the network or a file."""
+    """Check remarks, fault lines, journal entries and type names, all of which come from the network or a file."""
     label = parse_label("".join(words))
     if label is not None:
         assert math.isnan(label.gap_m) or 0 <= label.gap_m <= 1
@@ -149,7 +149,7 @@ OPERATIONS = st.one_of(
 
 
 def commands(operations: list[tuple[Any, ...]]) -> tuple[int, int]:
-    """Whatever is asked of a running rig is done or refused; its scans stay numbers and its journal whole."""
+    """Check that every request to a rig is executed or rejected, its scans are numbers, its journal complete."""
     refused = 0
     rig = Rig(from_flat(RigConfig(), {"daq.rate_hz": 2000, "daq.block_scans": 20, "barriers.gap_m": 0.002}))
     for name, *arguments in operations:

@@ -56,7 +56,7 @@ class Column:
 
     @property
     def is_bounded(self) -> bool:
-        """Whether a bound restricts the column's numbers."""
+        """Restriction of the column's numbers: true if there is a bound or only integers are allowed."""
         return self.whole or self.least > -math.inf or self.most < math.inf
 
     def allowed(self) -> str:

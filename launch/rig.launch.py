@@ -11,9 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Start the rig, its analysis and its recorder under one namespace; on request its bodies in TF and RViz.
+"""Launch file of the rig, its analysis and its recorder under one namespace, optionally with TF and RViz.
 
-Examples:
+Examples of its use::
+
     ros2 launch impact_rig rig.launch.py
     ros2 launch impact_rig rig.launch.py mode:=free_running config:=/path/to/mine.yaml record:=false
     ros2 launch impact_rig rig.launch.py overrides:='{barriers.gap_m: 0.004, daq.seed: 7}' autostart:=false
@@ -82,7 +83,7 @@ def names_in(context: LaunchContext, name: str) -> list[str]:
 
 
 def parameters_of_rig(context: LaunchContext, file: RigConfig) -> dict[str, Any]:
-    """Return the rig's parameters that differ from its file: those that the arguments give."""
+    """Return the rig's parameters from the arguments that differ from its file."""
     given = overrides(context)
     if text(context, "mode"):
         given["time.mode"] = text(context, "mode")
@@ -98,7 +99,7 @@ def parameters_of_rig(context: LaunchContext, file: RigConfig) -> dict[str, Any]
     if peers:
         given["time.peers"] = peers
     elif not file.time.peers and "time.peers" not in given:
-        # scan 0 waits for these two, and not in real time every block, so that none is lost
+        # scan 0 waits for these two; unless in real time, every block does, so that none is lost
         given["time.peers"] = ["analysis", "recorder"]
     return given
 
@@ -115,7 +116,7 @@ def overrides(context: LaunchContext) -> dict[str, Any]:
 
 
 def configuration_file(context: LaunchContext) -> tuple[str, RigConfig]:
-    """Return the path of the configuration file and what it holds."""
+    """Return the path of the configuration file and its content."""
     path = text(context, "config")
     try:
         return path, load_config(path)
@@ -124,7 +125,7 @@ def configuration_file(context: LaunchContext) -> tuple[str, RigConfig]:
 
 
 def configured(context: LaunchContext, file: RigConfig, given: dict[str, Any]) -> RigConfig:
-    """Return the configuration of the rig; an error names the launch argument that has to change."""
+    """Return the configuration of the rig; an error names the launch argument to change."""
     try:
         return from_flat(file, given)
     except ConfigError as error:
@@ -135,12 +136,12 @@ def configured(context: LaunchContext, file: RigConfig, given: dict[str, Any]) -
 
 
 def namespace_of(context: LaunchContext) -> str:
-    """Return the namespace that the nodes get: the argument, below the groups that PushRosNamespace has made."""
+    """Return the namespace of the nodes: the argument, below the groups of PushRosNamespace."""
     return graph.resolve(text(context, "namespace"), context.launch_configurations.get("ros_namespace", ""))
 
 
 def required_nodes(context: LaunchContext) -> list[str]:
-    """Return the nodes whose end ends the others."""
+    """Return the nodes whose end also ends the others."""
     names = names_in(context, "required")
     unknown = sorted(set(names) - set(NODES))
     if unknown:
@@ -149,12 +150,12 @@ def required_nodes(context: LaunchContext) -> list[str]:
 
 
 def end_with(name: str) -> Callable[[Any, LaunchContext], Shutdown | None]:
-    """Return what ends all nodes after the end of one, unless they are ending already."""
+    """Make a handler that ends all nodes after the end of one, unless they are ending already."""
     return lambda _event, context: None if context.is_shutdown else Shutdown(reason=f"{name} has ended")
 
 
 def rviz_file(prefix: str) -> str:
-    """Return the path of the RViz configuration with the frames as they are called in this namespace."""
+    """Return the path of the RViz configuration with the names of the frames in this namespace."""
     text = (share_dir() / "rviz" / "impact_rig.rviz").read_text(encoding="utf-8")
     text = text.replace("FIXED_FRAME", f"{prefix}{ROOT}").replace("FRAME_PREFIX", prefix.rstrip("/") or '""')
     path = Path(tempfile.mkdtemp(prefix="impact_rig_")) / "impact_rig.rviz"
@@ -163,7 +164,7 @@ def rviz_file(prefix: str) -> str:
 
 
 def start_nodes(context: LaunchContext) -> list[Node]:
-    """Return the nodes; an impossible file or argument is refused before anything starts."""
+    """Return the nodes; an invalid file or argument is rejected before anything starts."""
     path, file = configuration_file(context)
     given = parameters_of_rig(context, file)
     config = configured(context, file, given)
@@ -234,55 +235,57 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "config",
                 default_value=PathJoinSubstitution([FindPackageShare("impact_rig"), "config", "nominal.yaml"]),
-                description="Configuration file of the rig; the arguments below go on top of it.",
+                description="Configuration file of the rig; the arguments below override its values.",
             ),
             DeclareLaunchArgument(
                 "overrides",
                 default_value="{}",
-                description="Parameters of the rig on top of the file, as YAML: '{barriers.gap_m: 0.004}'.",
+                description="Parameters of the rig that override the file, as YAML: '{barriers.gap_m: 0.004}'.",
             ),
             DeclareLaunchArgument(
                 "mode",
                 default_value="",
                 choices=["", "realtime", "free_running", "lockstep"],
-                description="Paced by the clock, as fast as the peers follow, or by ~/step; empty: as in the file.",
+                description="Pace: the clock, the peers' acknowledgements, or ~/step; empty: as in the file.",
             ),
             DeclareLaunchArgument(
-                "factor", default_value="", description="Speed of realtime, times real time; empty: as in the file."
+                "factor",
+                default_value="",
+                description="Speed of realtime as a multiple of real time; empty: as in the file.",
             ),
             DeclareLaunchArgument(
                 "peers",
                 default_value="",
-                description="Nodes that the rig waits for, with commas between: before scan 0, and for every block "
+                description="Nodes that the rig waits for, separated by commas: before scan 0, and for every block "
                 "when not in realtime; empty: as in the file, or else analysis,recorder.",
             ),
             DeclareLaunchArgument(
                 "start_wait",
                 default_value="",
-                description="How long scan 0 waits for them in realtime, in seconds; empty: as in the file.",
+                description="Longest wait for these nodes before scan 0 in realtime [s]; empty: as in the file.",
             ),
             DeclareLaunchArgument(
                 "autostart",
                 default_value="",
                 choices=["", "true", "false"],
-                description="Configure and activate all nodes at once; false: their lifecycle services do. Empty: as "
-                "in the file.",
+                description="Configure and activate all nodes at the start; false: wait for their lifecycle services. "
+                "Empty: as in the file.",
             ),
             DeclareLaunchArgument(
                 "required",
                 default_value="rig,analysis,recorder",
-                description="Nodes whose end ends the others, with commas between.",
+                description="Nodes whose end also ends the others, separated by commas.",
             ),
             DeclareLaunchArgument(
                 "clock",
                 default_value="clock",
-                description="Topic of rig time; relative: one per namespace, /clock: the one that everybody follows.",
+                description="Topic of rig time; relative: one per namespace, /clock: the global one.",
             ),
             DeclareLaunchArgument(
                 "record",
                 default_value="true",
                 choices=["true", "false"],
-                description="Record from the start; otherwise when the recorder's service ~/start is called.",
+                description="Record from the start; false: record when the recorder's service ~/start is called.",
             ),
             DeclareLaunchArgument(
                 "record_directory", default_value="runs", description="Directory in which run directories are created."
@@ -314,7 +317,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "frame_prefix",
                 default_value="auto",
-                description="Text in front of all frames; auto: the namespace of the nodes and a slash.",
+                description="Prefix of all frames; auto: the namespace of the nodes and a slash.",
             ),
             DeclareLaunchArgument(
                 "enclave",
@@ -325,16 +328,16 @@ def generate_launch_description() -> LaunchDescription:
                 "log_level",
                 default_value="info",
                 choices=["debug", "info", "warn", "error", "fatal"],
-                description="Least severity of messages that are shown.",
+                description="Least severity of the messages that are shown.",
             ),
             DeclareLaunchArgument(
                 "discovery",
                 default_value="LOCALHOST",
                 choices=["LOCALHOST", "SUBNET", "SYSTEM_DEFAULT"],
-                description="Who can see the rig: this machine, its network, or as the environment says.",
+                description="Range in which the rig is visible: this machine, its network, or that of the environment.",
             ),
             SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", LaunchConfiguration("discovery")),
-            # launch ends its nodes after Ctrl-C only, not when it is told or killed otherwise: they end with it
+            # launch ends its nodes after Ctrl-C only; if it is terminated or killed otherwise, they end with it
             SetEnvironmentVariable(PARENT_VARIABLE, str(os.getpid())),
             OpaqueFunction(function=start_nodes),
         ]

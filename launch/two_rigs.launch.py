@@ -11,9 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Start two rigs that do not know of each other: two namespaces, a clock each.
+"""Launch file of two independent rigs, each with its own namespace and clock.
 
-Examples:
+Examples of its use::
+
     ros2 launch impact_rig two_rigs.launch.py
     ros2 launch impact_rig two_rigs.launch.py first:=left second:=right mode:=free_running
     ros2 launch impact_rig two_rigs.launch.py second_overrides:='{barriers.gap_m: 0.01}' record:=false
@@ -26,7 +27,7 @@ from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.substitutions import FindPackageShare
 
 FORWARDED = ("mode", "factor", "record", "log_level", "discovery")
-"""Arguments of rig.launch.py that both rigs get alike."""
+"""Arguments of rig.launch.py that are passed to both rigs."""
 
 
 def rig(which: str) -> GroupAction:

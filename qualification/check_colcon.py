@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Build and test the package with colcon from nothing, look at what it installs, and start it: see `make colcon`.
+"""Test of the package with colcon: built and tested from nothing, then started as installed. See `make colcon`.
 
-Stands in for a workspace on an apt-installed Jazzy, whose colcon is the same program. The workspace holds a copy of
-what git knows, so nothing that `make` built can help. Arguments go to pytest, in addition to the names of some quick
-tests, which must run on the installed package and its library of kernels.
+It stands in for a workspace on a Jazzy installed by apt, whose colcon is the same program. The workspace contains a
+copy of the files that git tracks, so nothing that `make` built can help. Arguments are passed to pytest, in addition to
+the names of some quick tests. The tests must run on the installed package and its library of kernels.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT))  # not in the environment: what is started must find what is installed
+sys.path.insert(0, str(ROOT))  # not in the environment: started programs must find the installed package
 
 from impact_rig.client import Client, Processes, isolated_domain  # noqa: E402  # found by the line above
 from tools.release import tracked  # noqa: E402
 
 WORKSPACE = ROOT / "build" / "colcon"
 SOURCE = WORKSPACE / "src" / "impact_rig"
-"""Copy of what git knows: a checkout in which nothing was built."""
+"""Copy of the files that git tracks: a checkout in which nothing was built."""
 PREFIX = WORKSPACE / "install" / "impact_rig"
 SHARE = PREFIX / "share" / "impact_rig"
 PROGRAMS = PREFIX / "lib" / "impact_rig"
@@ -55,11 +55,11 @@ QUICK = (
 )
 BUILD_TYPE = "(ros.ament_python)"
 START_TIMEOUT_S = 120.0
-"""The first start imports all that was just installed."""
+"""Time limit of the first start, which imports everything that was just installed."""
 
 
 def run(*command: str | Path, where: Path, more: Mapping[str, str] | None = None) -> str:
-    """Run a program and return what it says.
+    """Run a program and return its output.
 
     Raises:
         SystemExit: it failed.
@@ -77,7 +77,7 @@ def colcon(verb: str, *arguments: str) -> str:
 
 
 def absent() -> Iterator[Path]:
-    """Yield what should be installed and is not, or not as it is here."""
+    """Yield the files that are not installed but should be, or differ from those here."""
     programs = [PROGRAMS / name for name in ("impact-rig", *(f"{node}_node" for node in NODES))]
     yield from (program for program in programs if not os.access(program, os.X_OK))
     if not MARKER.is_file():
@@ -91,14 +91,14 @@ def absent() -> Iterator[Path]:
 
 
 def sourced() -> dict[str, str]:
-    """Return what `. install/setup.bash` changes in the environment."""
+    """Return the environment variables that `. install/setup.bash` changes."""
     text = run("bash", "-c", '. "$0" && exec env -0', WORKSPACE / "install" / "setup.bash", where=ROOT)
     found = dict(line.split("=", 1) for line in text.split("\0") if line)
     return {key: value for key, value in found.items() if value != os.environ.get(key)}
 
 
 def start_everything() -> None:
-    """Start what `ros2 run impact_rig …` starts, and end it."""
+    """Start the nodes and programs that `ros2 run impact_rig …` starts, and end them."""
     ours, elsewhere = sourced(), Path("/")
     ask = "import impact_rig; print(impact_rig.__file__)"
     found = run(sys.executable, "-c", ask, where=elsewhere, more=ours)
@@ -119,7 +119,7 @@ def start_everything() -> None:
 
 
 def check_package_under_test() -> None:
-    """Look at what the tests imported.
+    """Check which package the tests imported.
 
     Raises:
         SystemExit: it was not the installed package with its library of kernels.
@@ -131,16 +131,16 @@ def check_package_under_test() -> None:
 
 
 def tests_run() -> int:
-    """Return how many tests `colcon test` has run."""
+    """Return the number of tests that `colcon test` has run."""
     (suite,) = ET.parse(WORKSPACE / "build" / "impact_rig" / "pytest.xml").getroot()  # noqa: S314  # pytest's own
     return int(suite.attrib["tests"]) - int(suite.attrib["skipped"])
 
 
 def check_changelog() -> None:
-    """Let catkin_pkg, which colcon needs too, read the changelog as a release does.
+    """Parse the changelog with catkin_pkg, as a release does; colcon needs catkin_pkg, too.
 
     Raises:
-        SystemExit: it finds neither a version nor what is to come.
+        SystemExit: it finds neither a version nor a section of upcoming changes.
     """
     read = (
         "from catkin_pkg import changelog, package_version; log = changelog.get_changelog_from_path('.'); "
@@ -151,7 +151,7 @@ def check_changelog() -> None:
 
 
 def main() -> None:
-    """Do it all, and say what was done."""
+    """Build, install, test and start the package, and print a summary."""
     check_changelog()
     shutil.rmtree(WORKSPACE, ignore_errors=True)
     for name in tracked():
@@ -159,15 +159,15 @@ def main() -> None:
         shutil.copy2(ROOT / name, SOURCE / name)
     listed = colcon("list", "--paths", str(SOURCE))
     if not listed.strip().endswith(BUILD_TYPE):
-        raise SystemExit(f"colcon takes the package for another kind than {BUILD_TYPE}: {listed}")
+        raise SystemExit(f"colcon does not recognise the package as {BUILD_TYPE}: {listed}")
     places = ("--paths", str(SOURCE), "--packages-select", "impact_rig", "--build-base", str(WORKSPACE / "build"))
     places = (*places, "--install-base", str(WORKSPACE / "install"))
     colcon("build", *places)
     missing = [str(path) for path in absent()]
     if missing:
-        raise SystemExit("not installed, or not as it is in the sources:\n" + "\n".join(missing))
+        raise SystemExit("not installed, or different from the sources:\n" + "\n".join(missing))
     start_everything()
-    chosen = [f" {argument}" for argument in (*sys.argv[1:], *QUICK)]  # the blank keeps colcon from reading options
+    chosen = [f" {argument}" for argument in (*sys.argv[1:], *QUICK)]  # the blank keeps colcon from parsing options
     colcon("test", *places, "--return-code-on-test-failure", "--pytest-args", *chosen)
     check_package_under_test()
     tests = tests_run()

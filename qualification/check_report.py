@@ -11,13 +11,13 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Look at a report as a browser shows it: no label over another, nothing too small, too wide, fetched or complained of.
+"""Test of a report's legibility in a browser: overlapping labels, small text, overflow, requests, accessibility.
 
     python -m qualification.check_report runs/campaign_paper/report.html [SCREENSHOTS]
 
-Needs a Chromium (`apt-get install chromium`), and axe looks for faults of access. Takes screenshots on 1280 and 400
-pixels, light and dark, and a PDF of the printed page, writes them to the second argument (default: beside the report),
-and exits with 1 if something is wrong.
+It needs Chromium (`apt-get install chromium`); axe checks accessibility. It takes screenshots 1280 and 400 pixels wide,
+light and dark, and a PDF of the printed page, and writes them to the second argument (default: next to the report). The
+exit code is 1 if a problem is found.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from kits.browser import Browser, Page, serious_faults
 
 VIEWS = ((1280, "light"), (1280, "dark"), (400, "light"), (400, "dark"))
 LEAST_TEXT_PX = 9.0
-LONGEST_PX = 16_000  # of a screenshot: longer ones cost gigabytes
+LONGEST_PX = 16_000  # longest screenshot: longer ones cost gigabytes
 
 TROUBLES = """
 (() => {
@@ -73,7 +73,7 @@ TROUBLES = """
 def shown(browser: Browser, file: Path, width: int, scheme: str) -> Iterator[Page]:
     """Show a file in a window of this width [px], light or dark."""
     page = browser.page(width, 900, prefers_color_scheme=scheme)
-    page.call("Emulation.setScrollbarsHidden", hidden=True)  # a phone's takes no room
+    page.call("Emulation.setScrollbarsHidden", hidden=True)  # scroll bars of a phone take no room
     page.goto(file.as_uri())
     try:
         yield page
@@ -82,7 +82,7 @@ def shown(browser: Browser, file: Path, width: int, scheme: str) -> Iterator[Pag
 
 
 def troubles(page: Page) -> list[str]:
-    """Return what is wrong with the page that is shown."""
+    """Return the problems of the page that is shown."""
     own = page.js("location.href")
     return [
         *page.js(TROUBLES),
@@ -93,7 +93,7 @@ def troubles(page: Page) -> list[str]:
 
 
 def main() -> int:
-    """Print what is wrong in every view, and keep the pictures."""
+    """Print the problems in every view, and keep the pictures."""
     if len(sys.argv) not in (2, 3):
         raise SystemExit(__doc__)
     file = Path(sys.argv[1]).resolve()
@@ -112,7 +112,7 @@ def main() -> int:
             printed = page.call("Page.printToPDF", printBackground=True, preferCSSPageSize=True)
             (folder / "report_printed.pdf").write_bytes(base64.b64decode(printed["data"]))
     sys.stdout.write("".join(f"{trouble}\n" for trouble in wrong))
-    sys.stdout.write(f"{len(wrong)} troubles; pictures in {folder}\n")
+    sys.stdout.write(f"{len(wrong)} problems; pictures in {folder}\n")
     return 1 if wrong else 0
 
 

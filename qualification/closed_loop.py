@@ -11,13 +11,16 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Hold what closed-loop tests must keep: `python -m qualification.closed_loop [hold] [lock] [backbone] [--draw]`.
+"""Acceptance of the closed-loop controllers: `python -m qualification.closed_loop [hold] [lock] [backbone] [--draw]`.
 
-hold: amplitudes on the linear rig within 0.5 %, DT as the closed form within 2u; base held at 60 µm with the sphere, DT
-as on a prescribed base within 1 % (25 points; what does not repeat is a mean over 200 cycles or more). lock: −90°
-within 0.5° and 0.003 Hz from 1 Hz away in 60 s; a gap of 6 mm opened to 10 while locked. backbone: a gap of 10 mm up
-and down from the wall and from the centre, beside a campaign. Exits with 1 if anything is not kept. `--draw` draws
-docs/images/backbone.png.
+- `hold`: on the linear rig, amplitudes within 0.5 % and DT within 2u of the closed form. With the sphere and the base
+  held at 60 µm, DT within 1 % of that on a prescribed base (25 points). A response that does not repeat is averaged
+  over 200 cycles or more.
+- `lock`: −90° within 0.5° and 0.003 Hz, starting 1 Hz away, within 60 s; and a gap opened from 6 mm to 10 mm while
+  locked.
+- `backbone`: a gap of 10 mm up and down, from the wall and from the centre, compared with a campaign.
+
+The exit code is 1 if a limit is exceeded. `--draw` draws docs/images/backbone.png.
 """
 
 from __future__ import annotations
@@ -59,7 +62,7 @@ from qualification.prediction import job, tell
 GAPS_MM, FREQUENCIES_HZ = (2, 4, 6, 8, 10), (8.8, 9.0, 9.1, 9.2, 9.4)
 BASE_M = 60e-6
 LONG, MANY = {"long_windows": 64, "wait_limit_s": 120.0}, 8
-"""Settings of the measurement, and measurements, of a response that does not repeat."""
+"""Settings of the measurement, and number of measurements, for a response that does not repeat."""
 CURRENTS_A = tuple(round(float(one), 3) for one in np.geomspace(0.13, 0.7, 12))
 SWEEP_GAP_M = 10e-3
 PICTURE = Path(__file__).parents[1] / "docs" / "images" / "backbone.png"
@@ -77,14 +80,14 @@ def main() -> int:
         for words, kept in PARTS[part](arguments.draw):
             tell(f"{'ok  ' if kept else 'BAD '} {words}")
             bad += not kept
-    tell(f"{bad} not kept")
+    tell(f"{bad} limits exceeded")
     return 1 if bad else 0
 
 
 def _held_pair(place: tuple[float, float]) -> tuple[float, float, float, float, float, str]:
     """Return error, DT held, its spread, DT prescribed, cycles and regime at (gap [m], frequency [Hz]).
 
-    Of what does not repeat, amplitude and DT are means of many measurements, thousands of cycles.
+    For a response that does not repeat, amplitude and DT are means of many measurements over thousands of cycles.
     """
     gap, frequency = place
     for repetitions in (1, MANY):
@@ -105,7 +108,7 @@ def _held_pair(place: tuple[float, float]) -> tuple[float, float, float, float, 
 
 
 def holding(_draw: bool) -> Iterator[Finding]:
-    """Yield the acceptance of controlled sine, place by place as they are done: they take the longest of all."""
+    """Yield the findings about controlled sine, place by place as they are measured; they take the longest."""
     linear = attrs.evolve(
         job(9.0, 6e-3), changes={"sphere.present": False}, gap_m=NO_SPHERE, frequencies_hz=FREQUENCIES_HZ
     )
@@ -128,7 +131,7 @@ def holding(_draw: bool) -> Iterator[Finding]:
 
 
 def locking(_draw: bool) -> list[Finding]:
-    """Acceptance of the phase lock."""
+    """Return the findings about the phase lock."""
     found = []
     config = from_flat(RigConfig(), {"sphere.present": False})
     true_hz = 9.105 / math.sqrt(1.0 - 4.0 * config.structure.damping_ratio**2)
@@ -173,7 +176,7 @@ def _backbone(start: str) -> list[AmplitudePoint]:
 
 
 def _from_reset(place: tuple[str, float, float]) -> float:
-    """Return DT of a campaign's point: from this start, at this frequency and current."""
+    """Return DT of a campaign's point, at this start, frequency and current."""
     start, frequency, current = place
     one = job(frequency, SWEEP_GAP_M, current)
     rows = execute(attrs.evolve(one, changes={**one.changes, "sphere.start": start})).rows
@@ -181,7 +184,7 @@ def _from_reset(place: tuple[str, float, float]) -> float:
 
 
 def backbones(draw: bool) -> list[Finding]:
-    """Acceptance of the backbone."""
+    """Return the findings about the backbone."""
     points = dict(in_parallel(_backbone, ("left", "centre")))
     for start, found in points.items():
         for one in found:

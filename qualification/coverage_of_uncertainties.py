@@ -11,23 +11,23 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Do the stated uncertainties cover the truth? `python -m qualification.coverage_of_uncertainties [TABLE]`.
+"""Coverage of the truth by the stated uncertainties: `python -m qualification.coverage_of_uncertainties [TABLE]`.
 
-A motion is simulated once. Every seed then draws the calibration errors and the noise of all instruments anew, and its
-chain of instruments reads that motion, as a rig of that seed would: instruments never act back on the mechanics. The
-tracker measures. Three tables:
+A motion is simulated once. Every seed then draws new calibration errors and noise of all instruments, and its chain of
+instruments reads that motion, as in a rig with that seed: instruments never act back on the mechanics. The tracker
+measures. There are three tables:
 
     small        prescribed base, no sphere: 2 to 50 µm, 12 to 16 bits, noise of the laser on and off, 6 to 100 Hz;
                  truth: displacements of the motion, without instruments, fitted over the scans of the row
-    irregular    gaps at which the motion never repeats; truth: the mean over ten hours; every
-                 seed reads another stretch of it
-    reductions   a session: the rig runs at 9.1 Hz without the sphere, then with each gap in turn, and goes on all the
-                 while; the reductions of `impact_rig_studies.reduction`, from one row per gap and from two
+    irregular    gaps at which the motion never repeats; truth: the mean over ten hours; every seed reads another
+                 stretch of it
+    reductions   a session: the rig runs at 9.1 Hz without the sphere, then with each gap in turn, without a pause;
+                 the reductions of `impact_rig_studies.reduction`, from one row per gap and from two
 
-A cell passes if 93 to 98 % of the rows lie within ±2u, chance at that number of seeds allowed for. More may, where
-the steps of a converter or sensor are the larger part of u and no noise blurs them: such an error is bounded, not
-scattered, and 2u bounds it ("bounded"). What is refused is counted by its status and covers nothing. Exit code 1 if a
-cell fails.
+A cell passes if 93 to 98 % of the rows are within ±2u, allowing for chance at that number of seeds. More rows may be
+within if the steps of a converter or sensor are the larger part of u and no noise averages them: such an error is
+bounded by 2u, not scattered ("bounded"). Rows without a number are counted by status and cover nothing. The exit code
+is 1 if a cell fails.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ RATE_HZ = 10_000
 PER_TICK = RATE_HZ // TICKS_PER_S
 LEAST, MOST = 0.93, 0.98
 CHANCE = 0.01
-"""A cell fails if a true share at the limit would give what was seen less often than this."""
+"""A cell fails if, with a true share at the limit, its result would occur less often than this."""
 HARMONICS = 5
 BATCH = 25
 """Seeds per task of a worker: the motion is simulated once for all of them."""
@@ -72,14 +72,14 @@ BATCH = 25
 class Case:
     """One motion, and the instruments that read it."""
 
-    table: str  # which of the three
-    changes: tuple[tuple[str, object], ...]  # of the default configuration
-    frequency_hz: float  # of the drive
-    amplitude: float  # of the drive [A or m]
-    gaps_m: tuple[float, ...]  # set one after the other, `span_s` each; 0 = no sphere
-    wait_s: float  # of the motion before anything is read
-    span_s: float  # read at each gap
-    label: tuple[str, ...]  # what the cell is called
+    table: str  # name of the table
+    changes: tuple[tuple[str, object], ...]  # differences from the default configuration
+    frequency_hz: float  # drive frequency
+    amplitude: float  # drive amplitude [A or m]
+    gaps_m: tuple[float, ...]  # gaps set in sequence, `span_s` each; 0 = no sphere
+    wait_s: float  # duration of the motion before anything is read
+    span_s: float  # duration read at each gap
+    label: tuple[str, ...]  # name of the cell
 
     def config(self, gap_m: float, seed: int = 1) -> RigConfig:
         """Return the rig with this gap, or without the sphere."""
@@ -90,7 +90,7 @@ class Case:
 
 @attrs.frozen
 class Deviation:
-    """A measured value against its truth; `bounded`: steps without noise are the larger part of its variance."""
+    """A measured value and its truth; `bounded` if steps without noise are the larger part of its variance."""
 
     error: float
     u: float
@@ -103,7 +103,7 @@ class Deviation:
 
 
 SETTLE_TIMES = 14
-"""Time constants of the structure that a prescribed motion is given before it is read: 1e-6 of the start is left."""
+"""Time constants of the structure that pass before a prescribed motion is read: 1e-6 of the start remains."""
 
 
 def small_cases(frequencies_hz=(6.0, 9.1, 20.0, 50.0, 100.0)) -> Iterator[Case]:
@@ -140,7 +140,7 @@ def reduction_cases() -> Iterator[Case]:
 
 
 def driven(case: Case) -> tuple[Simulation, FunctionGenerator]:
-    """Return the mechanics from rest and their drive, `wait_s` after its start."""
+    """Return the mechanics and their drive, `wait_s` after a start from rest."""
     config = case.config(case.gaps_m[0])
     drive = FunctionGenerator(config.drive, config.shaker, np.random.default_rng(1))
     drive.set_frequency(case.frequency_hz)
@@ -153,7 +153,7 @@ def driven(case: Case) -> tuple[Simulation, FunctionGenerator]:
 
 @cache
 def motions(case: Case) -> tuple[Motion, ...]:
-    """Return the motion at each gap, one after the other; nothing in it depends on instruments or seed."""
+    """Return the motion at each gap in sequence; it does not depend on instruments or seed."""
     simulation, drive = driven(case)
     found: list[Motion] = []
     for gap_m in case.gaps_m:
@@ -164,7 +164,7 @@ def motions(case: Case) -> tuple[Motion, ...]:
 
 
 def stretches(case: Case, numbers: range) -> Iterator[Motion]:
-    """Yield stretches of one irregular motion, the n-th n spans after the first: each is another draw of it."""
+    """Yield stretches of one irregular motion, each an independent sample: the n-th begins n spans after the first."""
     simulation, drive = driven(case)
     for number in range(numbers.stop):
         motion = simulation.advance(drive.segments(round(case.span_s * TICKS_PER_S)))
@@ -209,7 +209,7 @@ PER_CYCLE = 32
 
 @cache
 def long_run_ratio(case: Case) -> complex:
-    """Return X_1 / X_b of means over a long record: DT and phase of an irregular motion."""
+    """Return X_1 / X_b from means over a long record: DT and phase of an irregular motion."""
     simulation, drive = driven(case)
     total = np.zeros(2, np.complex128)
     chunk = round(CHUNK_S * TICKS_PER_S)
@@ -226,7 +226,7 @@ Found = tuple[str, dict[tuple[str, ...], list[Deviation]], Counter[str]]
 
 
 def judged(case: Case, seeds: range) -> Found:
-    """Return table, deviations by what they are of, and the statuses of what was refused."""
+    """Return the table, the deviations by quantity, and the statuses of rows without numbers."""
     cells: dict[tuple[str, ...], list[Deviation]] = {}
     refused: Counter[str] = Counter()
     irregular = case.table == "irregular"
@@ -261,7 +261,7 @@ def deviations(row: np.void, truth: complex) -> Iterator[tuple[str, Deviation]]:
 def reductions(
     case: Case, settled: list[Table], calibration: Calibration
 ) -> Iterator[tuple[tuple[str, str], Deviation]]:
-    """Yield what a session gives by (gap, rows per gap): its reduction against the truth."""
+    """Yield the results of a session by (gap, rows per gap): its reduction against the truth."""
     by_gap = {gap_m: [table for table in settled if table.rows["gap"][0] == gap_m] for gap_m in case.gaps_m}
     without = by_gap.pop(NO_SPHERE)
     for gap_m, tables in by_gap.items():
@@ -288,7 +288,7 @@ CASES = {"small": small_cases, "irregular": irregular_cases, "reductions": reduc
 
 
 def verdict(found: list[Deviation]) -> tuple[str, bool]:
-    """Return how a cell did and whether it passes."""
+    """Return a remark on a cell and whether it passes."""
     n, inside = len(found), sum(one.inside for one in found)
     bounded = sum(one.bounded for one in found) > 0.5 * n
     low = binom.cdf(inside, n, LEAST) < CHANCE
@@ -302,7 +302,7 @@ def main() -> int:
     parser.add_argument("tables", nargs="*", metavar="TABLE", help="small, irregular, reductions; default: all")
     parser.add_argument("--seeds", type=int, default=300, metavar="N", help="default: %(default)s")
     parser.add_argument("--first-seed", type=int, default=1, metavar="N", help="default: %(default)s")
-    parser.add_argument("--frequencies", type=float, nargs="+", metavar="HZ", help="of the small signals")
+    parser.add_argument("--frequencies", type=float, nargs="+", metavar="HZ", help="frequencies of small signals [Hz]")
     parser.add_argument("--processes", type=int, default=2, metavar="N", help="default: %(default)s")
     options = parser.parse_args()
     wanted = options.tables or list(CASES)

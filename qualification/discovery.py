@@ -11,12 +11,13 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""How long a new process needs to see who publishes already: `python -m qualification.discovery`, a minute or two.
+"""Time that a new process needs to discover existing publishers: `python -m qualification.discovery`, a minute or two.
 
-A publisher of `daq/scan` is there. New processes, one after another, each make a node as the rig does, and look at the
-graph until they see it; time counts from when the node begins to be made, as `nodes.process.DISCOVERY_S` does. That is
-done with the machine as it is, and with so many busy processes beside it that each of its cores has two of them. What
-takes longer than most was announced while the new one could not hear it yet, and is again every 3 s.
+A publisher of `daq/scan` is running. New processes, one after another, each create a node as the rig does, and query
+the graph until they see the publisher. The time counts from the creation of the node, as for
+`nodes.process.DISCOVERY_S`. This is done on the idle machine, and with enough busy processes for two per core.
+Discovery takes longer than usual if the announcement was sent before the new process could receive it; it is repeated
+every 3 s.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ BUSY = "while True: pass"
 
 
 def running(code: str, name: str) -> subprocess.Popen[str]:
-    """Start a Python process of this code."""
+    """Start a Python process that runs this code."""
     return subprocess.Popen(  # noqa: S603  # our own code
         [sys.executable, "-c", code, name], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
@@ -65,7 +66,7 @@ def running(code: str, name: str) -> subprocess.Popen[str]:
 
 @contextmanager
 def kept(code: str, name: str) -> Iterator[subprocess.Popen[str]]:
-    """Keep a process until the end of the block."""
+    """Run a process until the end of the block."""
     with running(code, name) as process:
         try:
             yield process
@@ -74,7 +75,7 @@ def kept(code: str, name: str) -> Iterator[subprocess.Popen[str]]:
 
 
 def measure(starts: int, busy: int) -> list[float]:
-    """Return how long so many new processes took [s], with `busy` others that never rest."""
+    """Return how long `starts` new processes took [s], next to `busy` processes that never pause."""
     with ExitStack() as stack:
         os.environ["ROS_DOMAIN_ID"] = str(stack.enter_context(isolated_domain()))
         publisher = stack.enter_context(kept(PUBLISHER, "there"))
@@ -86,7 +87,7 @@ def measure(starts: int, busy: int) -> list[float]:
 
 
 def main() -> int:
-    """Measure and print the table; 1 if somebody took longer than the rig waits."""
+    """Measure and print the table; return 1 if a process took longer than the rig waits."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--starts", type=int, default=STARTS, help="new processes for each row (default: %(default)s)")
     starts = parser.parse_args().starts

@@ -13,9 +13,9 @@
 # limitations under the License.
 """Time from a clone to the first result behind each door of the README: `python -m qualification.doors` (ten minutes).
 
-This repository's last commit is cloned into a temporary directory, with nothing installed and nothing
-compiled, and the README is followed there; what is printed are seconds. Downloads come through pip, so the network
-counts. `make bench ONLY=start` repeats what the demo from a clone took, and what is installed for it.
+The last commit of this repository is cloned into a temporary directory, with nothing installed and nothing compiled,
+and the README is followed there; the program prints seconds. Downloads through pip are included, so the network
+matters. `make bench ONLY=start` repeats the time of the demo from a clone, and the size of what is installed for it.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ sys.path.insert(0, str(ROOT / "test"))
 from kits.browser import Browser  # noqa: E402
 
 DOMAIN = "73"
-"""Not that of `make`, where somebody may be at work."""
+"""Not the domain of `make`, which another terminal may be using."""
 SETTLED = "window.lab && lab.now.dt.length && lab.now.dt.at(-1).settled"
 PATIENCE_S = 600.0
 
 
 @contextmanager
 def started(command: list[str], directory: Path, environment: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
-    """Run a program with its children, and end all of them."""
+    """Run a program with its children, and end all of them afterwards."""
     with subprocess.Popen(  # noqa: S603  # our own commands
         command, cwd=directory, env=environment, stdout=subprocess.PIPE, text=True, start_new_session=True
     ) as process:
@@ -55,10 +55,10 @@ def started(command: list[str], directory: Path, environment: dict[str, str]) ->
 
 
 def line_with(process: subprocess.Popen[str], word: str) -> str:
-    """Return the first line of a program's output that holds a word.
+    """Return the first line of a program's output that contains a word.
 
     Raises:
-        RuntimeError: it ended before.
+        RuntimeError: the program ended before.
     """
     assert process.stdout is not None
     found = next((line for line in process.stdout if word in line), None)
@@ -68,7 +68,7 @@ def line_with(process: subprocess.Popen[str], word: str) -> str:
 
 
 def measure(say: Callable[[str, float], None], directory: Path) -> None:
-    """Follow the README and say how long each part took [s]."""
+    """Follow the README and report the duration of each part [s]."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith(("ROS_", "AMENT_"))}
     environment |= {"ROS_DOMAIN_ID": DOMAIN, "PYTHONUNBUFFERED": "1"}
     checkout = directory / "impact_rig"
@@ -106,7 +106,7 @@ def measure(say: Callable[[str, float], None], directory: Path) -> None:
 
 
 def note(figure: str, value: float) -> None:
-    """Leave a figure to `make bench ONLY=start`."""
+    """Store a figure for `make bench ONLY=start`."""
     directory = ROOT / "build" / "start"
     directory.mkdir(parents=True, exist_ok=True)
     (directory / figure).write_text(f"{value:.1f}\n", encoding="utf-8")

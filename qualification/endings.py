@@ -11,14 +11,15 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""End every program at random instants: `python -m qualification.endings`, half an hour; `--times 2 verify`: a moment.
+"""Endings of every program at random instants: `python -m qualification.endings`; `--times 2 verify` is brief.
 
-Each program gets SIGINT, as Ctrl-C sends it to its whole group, and SIGTERM, alone, at random instants from when it
-takes signals (its first import) to its end, early ones more often; one that has ended by itself before is run again. It
-must answer with one line and 128 + the signal's number (nodes: no line and 0, or launch takes it for a crash), leave
-no process, and every file must be readable.
-`driven` ends rigs that are driven and recorded, half of them by a second SIGINT on top. The table is that of
-docs/explanation/reliability.md.
+Each program gets SIGINT, as Ctrl-C sends it to its whole group, and SIGTERM, sent to it alone. The instants are random
+between the first moment at which the program handles signals (its first import) and its end, early ones more often. A
+program that has ended by itself before is run again.
+
+A program must answer with one line and 128 + the signal's number. Nodes must end without a line and with 0, or launch
+takes it for a crash. No process may be left, and every file must be readable. `driven` ends rigs that are driven and
+recorded, half of them with a second SIGINT. The table is shown in docs/explanation/reliability.md.
 """
 
 from __future__ import annotations
@@ -56,43 +57,43 @@ WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 NODES = ("rig", "analysis", "recorder")
 PATIENCE_S, GRACE_S = 40.0, 3.0
 PROGRESS = re.compile(r"^.* \d+ of \d+: .*\n", re.MULTILINE)
-"""A line of progress, which comes every few seconds where nobody sees a bar."""
+"""A line of progress, printed every few seconds if there is no terminal for a bar."""
 LONGEST_S = {"demo": 15.0, "campaign": 8.0}
-"""Instants of programs that run for long are drawn from their first seconds, in which everything begins."""
+"""Instants for programs that run for long are drawn from their first seconds, in which everything starts."""
 MOST_DRAWS = 5
-"""Instants drawn for each ending that is asked for: a program that is never there to be told is not being ended."""
+"""Number of instants drawn per requested ending; a program that always ended before the signal is reported."""
 PLAN = "studies:\n  s:\n    frequencies_hz: [8.9, 9.1, 9.3, 9.5]\n    gaps_m: [none, 0.002, 0.004, 0.006]\n"
 FEW = "studies:\n  s:\n    frequencies_hz: [8.9, 9.1, 9.3]\n    gaps_m: [none]\n"
-"""What reports and identifications are made of."""
+"""Campaign for reports and identifications."""
 SCRIPT = "import sys; from impact_rig.cli import main; sys.exit(main())"
 
 
 @attrs.define
 class Tally:
-    """What came of the endings of one program."""
+    """Result of the endings of one program."""
 
-    endings: int = 0  # how many were told to end
-    done: int = 0  # how many had ended by themselves before, and do not count
+    endings: int = 0  # number of signals sent
+    done: int = 0  # number of runs that had ended by themselves before, which do not count
     slowest_s: float = 0.0  # longest time from the signal to the end [s]
-    faults: list[str] = attrs.field(factory=list)  # what was not as it must be
+    faults: list[str] = attrs.field(factory=list)  # deviations from the required behaviour
 
 
 # --- one ending ------------------------------------------------------------------------------------------------------
 
 
 def wait_until_taken(pid: int) -> None:
-    """Wait until a process takes SIGTERM: Python itself leaves it to the kernel."""
+    """Wait until a process handles SIGTERM; Python itself leaves it to the kernel."""
     deadline = time.monotonic() + PATIENCE_S
     while time.monotonic() < deadline:
         caught = re.search(r"SigCgt:\s*(\w+)", Path(f"/proc/{pid}/status").read_text())
         if caught and int(caught[1], 16) >> (signal.SIGTERM - 1) & 1:
             return
         time.sleep(0.001)
-    raise ImpactRigError(f"process {pid} takes no signals")
+    raise ImpactRigError(f"process {pid} does not handle signals")
 
 
 def start(words: Sequence[str | Path], folder: Path, error: IO[bytes]) -> subprocess.Popen[bytes]:
-    """Start `impact-rig` with these words, in a group of its own, and return when it takes signals."""
+    """Start `impact-rig` with these arguments in its own process group, and return when it handles signals."""
     process = subprocess.Popen(  # noqa: S603  # our own program
         [sys.executable, "-c", SCRIPT, *map(str, words)],
         stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=error, cwd=folder, start_new_session=True,
@@ -102,7 +103,7 @@ def start(words: Sequence[str | Path], folder: Path, error: IO[bytes]) -> subpro
 
 
 def lasts_s(words: Sequence[str | Path], folder: Path) -> float:
-    """Return how long `impact-rig` with these words takes from its first signal on [s]; it must succeed."""
+    """Return how long `impact-rig` with these arguments runs after it handles signals [s]; it must succeed."""
     with (folder / "stderr").open("w+b") as error:
         process = start(words, folder, error)
         began = time.monotonic()
@@ -113,7 +114,7 @@ def lasts_s(words: Sequence[str | Path], folder: Path) -> float:
 
 
 def end_program(words: Sequence[str | Path], number: int, instant_s: float, folder: Path, tally: Tally) -> None:
-    """Run `impact-rig` with these words, send it a signal and look at what is left."""
+    """Run `impact-rig` with these arguments, send it a signal, and check the result."""
     before = children()
     with (folder / "stderr").open("w+b") as error:
         process = start(words, folder, error)
@@ -139,14 +140,14 @@ def end_program(words: Sequence[str | Path], number: int, instant_s: float, fold
         said = error.read().decode(errors="replace")
     where = f"{words[0]}, {signal.Signals(number).name} after {instant_s:.3f} s"
     if code == 0 and not PROGRESS.sub("", said):
-        tally.endings, tally.done = tally.endings - 1, tally.done + 1  # it was done when the signal came
+        tally.endings, tally.done = tally.endings - 1, tally.done + 1  # it had ended when the signal came
     elif code != 128 + number or PROGRESS.sub("", said) != f"impact-rig {words[0]}: {WORDS[signal.Signals(number)]}\n":
         tally.faults.append(f"{where}: exit code {code}, {said[-600:]!r}")
     tally.faults += [f"{where}: {fault}" for fault in (*left_behind(before), *unreadable(folder))]
 
 
 def end_nodes(number: int, instant_s: float, folder: Path, tally: Tally) -> None:
-    """Start rig, analysis and recorder as a launch file does, and signal all of them."""
+    """Start rig, analysis and recorder as a launch file does, and send a signal to all of them."""
     with isolated_domain() as domain, Processes(domain, folder / "logs") as processes:
         processes.start("rig", {"time.mode": "free_running", "time.peers": ["analysis", "recorder"]})
         processes.start("analysis")
@@ -158,7 +159,7 @@ def end_nodes(number: int, instant_s: float, folder: Path, tally: Tally) -> None
 
 
 def end_driven(twice_s: float, drive_s: float, folder: Path, tally: Tally) -> None:
-    """End a rig that is driven and recorded by SIGINT, and once more `twice_s` later if that is not 0."""
+    """End a driven and recorded rig by SIGINT, and send a second one `twice_s` later if that is not 0."""
     with isolated_domain() as domain, Processes(domain, folder / "logs") as processes:
         processes.start("rig", {"time.mode": "realtime"})
         processes.start("analysis")
@@ -195,18 +196,18 @@ def _end_all(
 
 
 def adopt_orphans() -> None:
-    """Make this process the parent of orphaned descendants, so that a forgotten grandchild is seen as well."""
+    """Make this process the parent of orphaned descendants, so that a forgotten grandchild is found as well."""
     set_child_subreaper = 36  # <linux/prctl.h>
     ctypes.CDLL(None).prctl(set_child_subreaper, 1, 0, 0, 0)
 
 
 def children() -> set[int]:
-    """Return the processes whose parent this one is."""
+    """Return the child processes of this process."""
     return set(map(int, Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()))
 
 
 def left_behind(before: set[int]) -> Iterator[str]:
-    """Yield the processes that outlive their program, and end them; those of `before` are others'."""
+    """Yield the processes that outlive their program, and end them; those in `before` do not count."""
     deadline = time.monotonic() + GRACE_S
     for pid in children() - before:
         command = Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
@@ -220,7 +221,7 @@ def left_behind(before: set[int]) -> Iterator[str]:
 
 
 def unreadable(folder: Path) -> Iterator[str]:
-    """Yield the files in a folder that their readers do not take, or that nobody will ever read."""
+    """Yield the files in a folder that their readers reject, or that are left over and will never be read."""
     for path in sorted(folder.rglob("*")):
         if path.name.endswith((".partial", ".tail")):
             yield f"left: {path.name}"
@@ -258,13 +259,13 @@ READERS: dict[str, Callable[[Path], object]] = {
 
 
 class Bench:
-    """Programs, what they work on, and how long they take.
+    """Runner of the programs, with their input files and their running times.
 
     Args:
-        folder: empty; for everything.
-        times: how often each program gets each signal.
-        seed: of the instants.
-        longest_s: what instants are drawn from [s] by program; the others are run once to see how long they take.
+        folder: an empty folder for all files.
+        times: number of each signal per program.
+        seed: seed of the instants.
+        longest_s: range of the instants [s] by program; other programs are run once to measure how long they take.
     """
 
     def __init__(self, folder: Path, times: int, seed: int, longest_s: Mapping[str, float] = LONGEST_S) -> None:
@@ -282,7 +283,7 @@ class Bench:
         }
 
     def end(self, what: str) -> Tally:
-        """End one of the programs, `nodes` or `driven`, at its random instants."""
+        """End one of the programs, or `nodes` or `driven`, at its random instants."""
         tally = Tally()
         if what == "driven":
             for _ in range(self.times):
@@ -303,7 +304,7 @@ class Bench:
                     else:
                         end_program(self.programs[what](Path(name)), number, instant_s, Path(name), tally)
             else:
-                tally.faults.append(f"{what}: {tally.done} had ended before they were told")
+                tally.faults.append(f"{what}: {tally.done} had ended before the signal")
         return tally
 
     def _into(self) -> tempfile.TemporaryDirectory[str]:
@@ -311,7 +312,7 @@ class Bench:
 
     def _lasts_s(self, what: str) -> float:
         with self._into() as name:
-            words = self.programs[what](Path(name))  # makes what it works on
+            words = self.programs[what](Path(name))  # creates its input files
             return lasts_s(words, Path(name))
 
     def _campaign(self) -> Path:
@@ -335,16 +336,16 @@ class Bench:
 
 
 def main() -> int:
-    """End what was asked for, print the table and what was not as it must be; 1 if there is such a thing."""
+    """End the requested programs, and print the table and the deviations; return 1 if there are any."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("programs", nargs="*", help="demo, campaign, report, identify, verify, replay, nodes, driven")
-    parser.add_argument("--times", type=int, default=20, help="each signal for each program (default: 20)")
+    parser.add_argument("programs", nargs="*", help="programs, also nodes and driven (default: all)")
+    parser.add_argument("--times", type=int, default=20, help="number of each signal per program (default: 20)")
     parser.add_argument("--driven", type=int, default=100, help="endings of a driven rig (default: 100)")
-    parser.add_argument("--seed", type=int, default=1, help="of the instants")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the instants (default: 1)")
     arguments = parser.parse_args()
     adopt_orphans()
     table = TextTable(title="endings by SIGINT and SIGTERM at random instants")
-    for heading in ("program", "told to end", "done before", "slowest [s]", "not as it must be"):
+    for heading in ("program", "endings", "done before", "slowest [s]", "deviations"):
         table.add_column(heading, justify="right" if table.columns else "left")
     faults: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as name:

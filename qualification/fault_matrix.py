@@ -11,18 +11,18 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Hurt a running measurement and graph in every way: `python -m qualification.fault_matrix [sensors] [processes]`.
+"""Faults in every part of a measurement and of the graph: `python -m qualification.fault_matrix [sensors] [processes]`.
 
-Sensors: every fault, on each channel, in two sizes, read by three sets of instruments, begins in mid-measurement and
-lasts. Rows that look good are compared with the motion itself. None may be off by more than 3u, save by a gain error
-within the limits of the calibration, which no reading shows: the budget names it as `sensitivity`. What the lab's page
-says of rows, state of the analysis and faults in force is asked every second: `measured` neither in a fault nor over
-such a row. The table in docs/explanation/analysis.md is the last thing it prints.
+Sensors: every fault, on each channel, in two sizes, read by three sets of instruments, begins in the middle of a
+measurement and lasts. Rows that look good are compared with the motion itself. None may be off by more than 3u. The
+exception is a gain error within the limits of the calibration, which no reading shows: the budget names it as
+`sensitivity`. Every second the lab page's text about rows, state of the analysis and active faults is checked: it may
+not be `measured` during a fault or over a row that is off. Finally the table of docs/explanation/analysis.md is
+printed.
 
-Processes:
- Rig, analysis and recorder run as processes, free-running; a client is a peer as well, so what it misses is a loss.
-Each case hurts one of them, undoes it as an operator would, and measures the wall time until blocks flow again. At the
-end the recording is checked: every block that the recorder acknowledged must be in it.
+Processes: rig, analysis and recorder run as processes, free-running; a client is a peer as well, so a block that it
+misses is a loss. Each case disturbs one of them, undoes it as an operator would, and measures the wall time until
+blocks flow again. At the end the recording is checked: it must contain every block that the recorder acknowledged.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ SLOWED_S, SLICE_S = 2.0, 0.02
 TIMEOUT_S = 60.0
 AGAIN_S = 0.5
 SUSTAINED = 100
-"""Blocks; many more than the rig sends to a peer that never answers."""
+"""Number of blocks, many more than the rig sends to a peer that never answers."""
 
 
 class Graph:
@@ -103,7 +103,7 @@ class Graph:
         self.processes.start(node, parameters)
 
     def read(self) -> None:
-        """Read as a peer does, and what the recorder says it has."""
+        """Receive messages as a peer does, and collect the recorder's acknowledgements."""
         self.scans: Collector = self.client.collect(topics.SCAN.name, acknowledge=True)
         self.client.listen(topics.ACK.name, self._take_acknowledgement)
 
@@ -112,12 +112,12 @@ class Graph:
             self.acknowledged[-1][nanoseconds(message.data.stamp)] += 1
 
     def flows(self, blocks: int = 50) -> None:
-        """Wait until that many more blocks have come."""
+        """Wait for that many more blocks."""
         goal = len(self.scans) + blocks
         self.client.wait_until(lambda: len(self.scans) >= goal, "blocks to flow", TIMEOUT_S)
 
     def go_on(self) -> None:
-        """Tell the rig to go on without what a peer missed, again until it does: the peer may not be matched yet."""
+        """Call `~/pause` false, again until blocks flow: the peer may not be matched yet."""
         goal = len(self.scans) + SUSTAINED
         for _ in range(round(TIMEOUT_S / AGAIN_S)):
             self.client.pause(False)
@@ -131,13 +131,13 @@ class Graph:
         self.client.wait_until(lambda: peer in self.client.status("rig").message, f"the rig to name {peer}", TIMEOUT_S)
 
     def gaps(self, since: int) -> int:
-        """Return blocks missing among those that came since then; a rig that began again is no gap."""
+        """Return the number of blocks missing since then; a restarted rig does not count as a gap."""
         steps = np.diff([table.stamp_ns for table in self.scans.tables(since)])
         return int(sum(step // TICK_NS - 1 for step in steps if step > 0))
 
 
 def killed(graph: Graph, node: str) -> float:
-    """SIGKILL, and an operator who starts it again and lets the rig go on."""
+    """Kill a node by SIGKILL, start it again, and let the rig continue."""
     graph.processes.running[node].signal(signal.SIGKILL)
     graph.processes.running[node].process.wait()
     if node != "rig":
@@ -152,7 +152,7 @@ def killed(graph: Graph, node: str) -> float:
 
 
 def suspended(graph: Graph, node: str) -> float:
-    """SIGSTOP for a second."""
+    """Suspend a node by SIGSTOP for a second."""
     graph.processes.running[node].signal(signal.SIGSTOP)
     graph.client.spin_for(SUSPENDED_S)
     began = time.monotonic()
@@ -162,7 +162,7 @@ def suspended(graph: Graph, node: str) -> float:
 
 
 def slowed(graph: Graph, node: str) -> float:
-    """Half of the processor, in slices."""
+    """Give a node half of the processor, in slices."""
     end = time.monotonic() + SLOWED_S
     while time.monotonic() < end:
         graph.processes.running[node].signal(signal.SIGSTOP)
@@ -175,7 +175,7 @@ def slowed(graph: Graph, node: str) -> float:
 
 
 def participant(graph: Graph, _node: str) -> float:
-    """A peer's DDS participant goes and comes back under the same name."""
+    """Remove a peer's DDS participant and create it again under the same name."""
     graph.client.close()
     began = time.monotonic()
     graph.client = Client(graph.domain_id)
@@ -185,7 +185,7 @@ def participant(graph: Graph, _node: str) -> float:
 
 
 def late_joiner(graph: Graph, _node: str) -> float:
-    """Somebody comes late and gets calibration, command, journal and configuration."""
+    """Join late and receive calibration, command, journal and configuration."""
     began = time.monotonic()
     with Client(graph.domain_id, name="late") as late:
         wanted = [
@@ -199,7 +199,7 @@ def late_joiner(graph: Graph, _node: str) -> float:
 
 
 def second_rig(graph: Graph, _node: str) -> float:
-    """A rig in another namespace on the same domain comes and goes."""
+    """Start and end a rig in another namespace on the same domain."""
     began = time.monotonic()
     with Processes(graph.domain_id, graph.directory / "second", namespace="/other") as others:
         others.start("rig", {"daq.seed": 2})
@@ -240,13 +240,13 @@ def running() -> Iterator[Graph]:
 RATE_HZ, TICKS_PER_S = 10_000, 100
 DRIVE_HZ, DRIVE_A = 9.1, 0.52
 RUN_S, FAULT_S, FAULT_ENDS_S = 75.0, 27.3, 62.1
-"""A fault begins after some rows and within one, and ends before the run does."""
+"""Time between the start of a fault and the end of the run, in which it begins after some rows and within one."""
 WORST_U = 3.0
 SEEDS = (2, 3, 4)
 """Sets of instruments."""
 GAPS_M = (0.006, 0.0)
 FULL_SCALE = {"accelerometer": 20.0, "laser": 6e-3, "base": 1e-4, "current": 0.52}
-"""Sizes of the vibration [unit of the channel], which the faults are shares of."""
+"""Sizes of the vibration [unit of the channel], of which the faults are fractions."""
 NONE = "none"
 SENSOR_FAULTS: tuple[tuple[str, tuple[float, float]], ...] = (
     ("dropout", (0.0, 1.0)),  # the second lasts half a cycle
@@ -261,12 +261,12 @@ SENSOR_FAULTS: tuple[tuple[str, tuple[float, float]], ...] = (
 
 @attrs.frozen
 class Outcome:
-    """What a fault made of the rows that end in it or after it."""
+    """Effect of a fault on the rows that end in it or after it."""
 
-    worst: float  # largest error of a row that looks good, in its u; NaN where none does
-    words: Counter[str]  # statuses with channels, and how many of each
-    claims: int  # seconds in which the page said `measured` in the fault, or over a row off by more than `WORST_U`
-    within: bool  # whether the fault is a gain error that the calibration allows for
+    worst: float  # largest error of a row that looks good, in units of its u; NaN if there is none
+    words: Counter[str]  # statuses with channels, and their numbers
+    claims: int  # seconds in which the page showed `measured` in the fault, or over a row off by more than `WORST_U`
+    within: bool  # whether the fault is a gain error within the calibration's limits
 
     @property
     def passes(self) -> bool:
@@ -275,7 +275,7 @@ class Outcome:
 
     @property
     def cell(self) -> str:
-        """What the table of the docs says of it."""
+        """Entry in the table of the documentation."""
         good = f"good, {self.worst:.1f} u" if math.isfinite(self.worst) else ""
         words = {word.split()[0] for word in self.words} - {"ok"}
         return ", ".join([*([good] if good else []), *(f"`{word}`" for word in sorted(words))])
@@ -283,7 +283,7 @@ class Outcome:
 
 @functools.cache
 def steady_motion(gap_m: float) -> tuple[RigConfig, Motion]:
-    """Return the rig and its motion from rest on, after the drive has started."""
+    """Return the rig and its motion from rest, after the drive has started."""
     config = from_flat(RigConfig(), {**gap_values(gap_m), "daq.rate_hz": RATE_HZ})
     drive = FunctionGenerator(config.drive, config.shaker, np.random.default_rng(1))
     drive.set_frequency(DRIVE_HZ)
@@ -292,7 +292,7 @@ def steady_motion(gap_m: float) -> tuple[RigConfig, Motion]:
 
 
 def sensor_fault(kind: str, channel: str, size: float, gap_m: float, seeds: Sequence[int] = SEEDS) -> Outcome:
-    """Measure the motion with one fault, by every set of instruments; the worst of them counts."""
+    """Measure the motion with one fault by every set of instruments; return the worst outcome."""
     found = [_sensor_fault(kind, channel, size, gap_m, seed) for seed in seeds]
     words = sum((one.words for one in found), Counter[str]())
     worst, claims = float(np.fmax.reduce([one.worst for one in found])), sum(one.claims for one in found)
@@ -348,7 +348,7 @@ DRIVING = Seen("driving", age_s=0.0)
 
 
 def told(kind: str, channel: str, value: float, stamp_ns: int, active: int) -> Table:
-    """Return the row of `truth/faults` of a fault that begins, or ends."""
+    """Return the row of `truth/faults` for the start or the end of a fault."""
     row = np.zeros(1, FAULTS)
     row["id"], row["active"], row["value"] = 1, active, value
     row["kind"], row["channel"] = kind.encode(), channel.encode()
@@ -367,7 +367,7 @@ def true_ratio(gap_m: float, stamp_ns: int, cycles: int) -> complex:
 
 
 def sensors(console: Console) -> bool:
-    """Print the matrix of sensor faults; return whether all rows that look good are."""
+    """Print the matrix of sensor faults; return whether all rows that look good are correct."""
     good, cells = True, dict[tuple[str, str], list[str]]()
     for gap_m in GAPS_M:
         for kind, sizes in ((NONE, (0.0,)), *SENSOR_FAULTS):
@@ -389,7 +389,7 @@ def sensors(console: Console) -> bool:
 
 
 def main() -> int:
-    """Return 0 if no wrong row looked good, nothing was lost and everything recovered."""
+    """Return 0 if no wrong row looked good, no block was lost and everything recovered."""
     wanted = set(sys.argv[1:]) or {"sensors", "processes"}
     if not wanted <= {"sensors", "processes"}:
         raise SystemExit(__doc__)
@@ -399,7 +399,7 @@ def main() -> int:
 
 
 def processes(console: Console) -> bool:
-    """Print how the graph recovers; return whether nothing was lost."""
+    """Print the recovery of the graph; return whether no block was lost."""
     table, lost = TextTable(), 0
     for heading in ("case", "recovered after [s]", "blocks lost"):
         table.add_column(heading, justify="left" if heading == "case" else "right")
@@ -421,7 +421,7 @@ def processes(console: Console) -> bool:
             with open_run(path) as run:
                 stamps = [one.stamp_ns for one in run.tables(topics.SCAN.name, recorded_order=True)]
             missing = sum(int(step) // TICK_NS - 1 for step in np.diff(stamps) if step > TICK_NS)
-            # counted, as a rig that begins again has the same stamps; a recorder acknowledges before it records, too
+            # counted by number, as a restarted rig repeats stamps; a recorder acknowledges before it records, too
             acknowledged = Counter({at: n for at, n in graph.acknowledged[number].items() if at >= stamps[0]})
             broken = (acknowledged - Counter(stamps)).total()
             lost += missing + broken

@@ -15,10 +15,10 @@
 
     linear        no sphere, prescribed base of 2, 5 and 10 µm at 9.1 Hz, from rest: never modulated or chaotic, mean
                   error of DT at most 0.2 u, 92 to 98.5 % within 2u
-    intermittent  30 mm at 8.82 Hz: at least 92 % within 2u, none beyond 4.5u; a row without any impact says so, and a
-                  row that has not settled claims nothing: neither is judged
+    intermittent  30 mm at 8.82 Hz: at least 92 % within 2u, none beyond 4.5u; rows without impacts and rows that have
+                  not settled say so and are not judged
 
-Every seed draws the errors and the noise of all instruments. Results are kept in FOLDER, so a run can be continued.
+Every seed draws the errors and the noise of all instruments. Results are kept in FOLDER, so a run can be resumed.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ from qualification.results import Results
 
 BASES_UM, FREQUENCY_HZ, SECONDS = (2.0, 5.0, 10.0), 9.1, 80.0
 MEAN, LOW, HIGH, FAR = 0.2, 0.92, 0.985, 4.5
-TRUTH_S = 7200.0  # over which an irregular motion is averaged
+TRUTH_S = 7200.0  # duration over which an irregular motion is averaged
 
 
 def row_of(case: Case, seed: int, motion: Any, truth: complex) -> dict[str, object]:
-    """Return what the first row of a seed states, and how far it is off in units of its uncertainty."""
+    """Return the first row of a seed, and its error in units of its uncertainty."""
     tables = measured(case, seed, motion)[0]
-    if not tables:  # the record ends before one was due
+    if not tables:  # the record ends before the first row
         return {"seed": seed, "status": "none", "regime": ""}
     row = tables[0].rows[0]
     return {
@@ -71,7 +71,7 @@ def averaged(case: Case) -> complex:
 
 
 def report(name: str, done: list[dict[str, Any]], *, linear: bool) -> bool:
-    """Print how the rows of a case are off; return whether they hold."""
+    """Print the errors of the rows of a case; return whether they are within the limits."""
     rows = [one for one in done if one["status"] == "ok"]
     dt, phase = (np.array([one[key] for one in rows]) for key in ("dt", "phase"))
     irregular = sum(one["regime"] in ("modulated", "chaotic") for one in done)
@@ -87,9 +87,9 @@ def report(name: str, done: list[dict[str, Any]], *, linear: bool) -> bool:
 
 
 def main() -> int:
-    """Measure what is not kept yet; return the exit code."""
+    """Measure the results that are missing; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("folder", type=Path, help="folder that keeps the results")
     parser.add_argument("--seeds", type=int, default=300, help="number of seeds of each case (default: 300)")
     arguments = parser.parse_args()
     sound = True

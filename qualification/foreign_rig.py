@@ -11,13 +11,13 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Coverage of the constants that import, identify and compare find of rigs that are known only as CSV files.
+"""Coverage of the constants that import, identify and compare determine for rigs that are known only as CSV files.
 
     python -m qualification.foreign_rig --rigs 400 --seed 2026 build/foreign
     python -m qualification.foreign_rig --draw build/foreign      # the picture of docs/tutorials/own_measurement.md
 
 Everything that varies between rigs is drawn: masses (± 25 %), damping, stiffness, gaps, the coefficient of restitution
-(standard deviation 0.02 about the value that is taken as known), and the errors of all sensors within their
+(standard deviation 0.02 about the value that is assumed as known), and the errors of all sensors within their
 certificates. In addition the gain of the base sensor is wrong by 3 % (standard deviation), as its certificate states.
 The rig is sampled at 1 kS/s without an accelerometer. A free decay, a stepped sine without sphere and two gaps are
 written as CSV files with headings and units of their own, imported, and given to `identify` and `compare`. Where a
@@ -55,7 +55,7 @@ DETUNING = (0.82, 0.93, 0.985, 1.0, 1.015, 1.07, 1.15)
 """Frequencies of the stepped sine over that of the structure."""
 SECONDS, DECAY_S, AMPLITUDE_M = 16.0, 25.0, 5.5e-3
 ATTEMPTS, LONGER = 3, 1.5
-"""Of measuring a rig, each longer by this factor than the one before."""
+"""Durations of the measurement of a rig, each longer by this factor than the one before."""
 MAPPING = "channels: {laser: {column: tip}, base: {column: table}, current: {column: coil}}\n"
 NAMES = ("f_n", "ζ", "m_1", "K_f", "k_f", "M", "c_f")
 U_E = 0.02
@@ -65,7 +65,7 @@ FAR = 4.5  # standard uncertainties by which no constant may be off without an a
 
 
 def drawn(seed: int, number: int) -> tuple[dict[str, float], float, tuple[float, ...], np.random.Generator]:
-    """Return a rig: configuration, gain of its base sensor, gaps [m], and what draws further."""
+    """Return a rig: configuration, gain of its base sensor, gaps [m], and its random generator."""
     rng = np.random.default_rng([seed, number])
     around = lambda value, share: float(value * math.exp(rng.uniform(-share, share)))  # noqa: E731  # seven times
     rig = {
@@ -88,7 +88,7 @@ def plucked(config: RigConfig) -> np.ndarray:
 
 
 def driven(one: Rig, gap_m: float, frequency_hz: float, current_a: float, seconds: float) -> np.ndarray:
-    """Return scans of a rig that comes to rest, is given a gap, and is driven then."""
+    """Return scans of a rig that comes to rest, gets a gap, and is then driven."""
     one.accept(frequency_hz, 0.0)
     one.advance(one.frontier_ns + round(REST_S * NS_PER_S))
     one.configure(gap_values(gap_m))
@@ -97,7 +97,7 @@ def driven(one: Rig, gap_m: float, frequency_hz: float, current_a: float, second
 
 
 def write_certificate(path: Path, config: RigConfig) -> None:
-    """Write what the sensors' certificates say, as a table: the base sensor's states the wrong gain."""
+    """Write the sensors' certificates as a table; that of the base sensor states the wrong gain."""
     rows = Rig(config).info().rows
     names = [name for name in rows.dtype.names or () if name not in ("unit", "rate", "since_start")]
     rows["sensitivity_uncertainty"][rows["name"] == b"base"] = GAIN
@@ -106,7 +106,7 @@ def write_certificate(path: Path, config: RigConfig) -> None:
 
 
 def write_csv(path: Path, rows: np.ndarray, gain: float) -> None:
-    """Write scans as somebody else's program would: its own headings, millimetres, no accelerometer."""
+    """Write scans as a foreign program would: its own headings, millimetres, no accelerometer."""
     columns = np.stack(
         [np.arange(len(rows)) / RATE_HZ, 1e3 * rows["laser"], 1e3 * gain * rows["base"], rows["current"]], axis=1
     )
@@ -114,14 +114,14 @@ def write_csv(path: Path, rows: np.ndarray, gain: float) -> None:
 
 
 def run_command(*words: object) -> dict[str, object]:
-    """Return what a command of the package prints as JSON; nothing if it refuses, which it says itself."""
+    """Return the JSON output of a command of the package; empty if the command fails, which it reports itself."""
     with contextlib.redirect_stdout(io.StringIO()) as output:
         code = impact_rig([str(word) for word in words])
     return {} if code else dict(json.loads(output.getvalue()))
 
 
 def measure(seed: int, number: int, place: Path, attempt: int = 0) -> None:
-    """Measure a rig as its owner would, and import what was measured."""
+    """Measure a rig as its owner would, and import the measurement."""
     rig, gain, gaps, rng = drawn(seed, number)
     gaps = (*gaps, *(round(float(gap), 4) for gap in rng.uniform(0.003, 0.008, 2 * attempt)))
     seconds = SECONDS * LONGER**attempt
@@ -131,7 +131,7 @@ def measure(seed: int, number: int, place: Path, attempt: int = 0) -> None:
     (place / "mapping.yaml").write_text(MAPPING, encoding="utf-8")
     (place / "known.yaml").write_text(dump(RigConfig()), encoding="utf-8")
     stiffness = rig["structure.mass_kg"] * (2.0 * math.pi * f_n) ** 2
-    current = AMPLITUDE_M * stiffness / rig["shaker.force_factor_n_a"]  # what moves x_1 by about that much at resonance
+    current = AMPLITUDE_M * stiffness / rig["shaker.force_factor_n_a"]  # moves x_1 about that far at resonance
     config = from_flat(RigConfig(), rig)
     one = Rig(config)
     for gap in (0.0, *gaps):
@@ -151,7 +151,7 @@ def measure(seed: int, number: int, place: Path, attempt: int = 0) -> None:
 
 
 def judged(seed: int, number: int, place: Path, *, compares: bool) -> dict[str, object]:
-    """Return the truth of a rig, and what the commands find of it."""
+    """Return the truth of a rig, and the results of the commands for it."""
     rig, gain, _, _ = drawn(seed, number)
     truth = dict(zip(NAMES, (
         rig["structure.natural_frequency_hz"], rig["structure.damping_ratio"], rig["structure.mass_kg"],
@@ -183,7 +183,7 @@ def judged(seed: int, number: int, place: Path, *, compares: bool) -> dict[str, 
 
 
 def draw(place: Path) -> None:
-    """Import one run of five frequencies, and draw it beside a model whose structure is 0.2 % off."""
+    """Import one run of five frequencies, and draw it with a model whose structure is 0.2 % off."""
     shutil.rmtree(place, ignore_errors=True)
     place.mkdir(parents=True)
     own = {"daq.rate_hz": RATE_HZ, "daq.block_scans": RATE_HZ, "sphere.present": False}
@@ -211,9 +211,9 @@ def draw(place: Path) -> None:
 
 
 def main() -> int:
-    """Return 0."""
+    """Run the rigs that are missing, print the summary and return 0."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("folder", type=Path, help="folder that keeps the results")
     parser.add_argument("--rigs", type=int, default=100, help="number of rigs (default: 100)")
     parser.add_argument("--seed", type=int, default=2026, help="seed of what is drawn (default: 2026)")
     parser.add_argument("--no-compare", action="store_true", help="leave out `impact-rig compare`")
@@ -237,7 +237,7 @@ def summary(done: list[dict[str, Any]]) -> bool:
     again = sum(each["attempts"] > 1 for each in done)
     print(f"{len(done)} rigs, {again} measured again; {sum(alarms)} alarms, {sum(ambiguous)} ambiguous")  # noqa: T201  # the result
     sound = True
-    for name in (*NAMES, "e", "compare f_n", "compare ζ"):  # of one frequency without a sphere, no more is determined
+    for name in (*NAMES, "e", "compare f_n", "compare ζ"):  # one frequency without a sphere determines no more
         rows = [each["constants"].get(name, [0, None, None]) for each in done]
         found = [(row, alarm) for row, alarm in zip(rows, alarms, strict=True) if row[1] is not None]
         if not found:

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Hostile recordings and campaigns: made, measured under every command: `python -m qualification.hostile`, a minute.
+"""Hostile recordings and campaigns, generated and run under every command: `python -m qualification.hostile`, a minute.
 
-Each command must end within 5 s of CPU time (wall time, which other work on the machine stretches, is shown beside it),
-with a peak memory of at most 300 MB, the right exit code and one line of error at most; it must touch no file of
-others and send no control character to the terminal. The table is that of docs/explanation/reliability.md.
+Each command must end within 5 s of CPU time, with a peak memory of at most 300 MB, the right exit code and at most one
+line of error. (Wall time is printed as well; other work on the machine stretches it.) The command must touch no other
+file and send no control character to the terminal. The table is shown in docs/explanation/reliability.md.
 """
 
 from __future__ import annotations
@@ -84,14 +84,14 @@ def message(log_time_ns: int, data: bytes) -> bytes:
 
 
 def zeros(size: int) -> Iterator[bytes]:
-    """Yield a message of so many zeros."""
+    """Yield a message of `size` zeros."""
     yield struct.pack("<BQ", MESSAGE, 22 + size) + struct.pack("<HIQQ", 1, 0, 0, 0)
     yield from (bytes(MIB) for _ in range(size // MIB))
     yield bytes(size % MIB)
 
 
 def scans(blocks: int = 3, at_ns: Callable[[int], int] = lambda number: number * 10_000_000) -> Iterator[bytes]:
-    """Return blocks of daq/scan, as an honest rig publishes them."""
+    """Yield blocks of daq/scan as a real rig publishes them."""
     rows = np.zeros(100, SCAN)
     rows["time"] = np.arange(100) * 1e-4
     return (message(at_ns(i), codec.encode(Table(i * 10_000_000, rows))) for i in range(blocks))
@@ -108,9 +108,9 @@ def recording(
     end_ns: int = 20_000_000,
     channels: int = 1,
 ) -> Path:
-    """Write a recording with one chunk, given in pieces, which its index lists as often as one likes.
+    """Write a recording with one chunk, given in pieces, that its index lists `listed` times.
 
-    More than one channel is defined in the chunk as well, where only a recovery looks for them.
+    If there is more than one channel, the channels are defined in the chunk only, where only a recovery looks for them.
     """
     offered = text("offered_qos_profiles") + text(qos)
     schema = record(SCHEMA, struct.pack("<H", 1) + text(POINT_CLOUD) + text("ros2msg") + text(schema_text(POINT_CLOUD)))
@@ -145,13 +145,13 @@ def recording(
 
 
 def escapes(folder: Path) -> Path:
-    """Markup, colours and a new title for the window, in the names of file and topic."""
+    """Write a recording with markup, colours and a window title in the names of file and topic."""
     tricks = "[/red]\x1b[31m\x1b]0;title\x07"
     return recording(folder / f"run [gap=2mm] {tricks} x" / "run.mcap", scans(), topic=f"/{tricks}/daq/scan")
 
 
 def fifo(folder: Path) -> Path:
-    """A recording that nobody will ever write."""
+    """Create a named pipe in place of a recording, which never gets a writer."""
     run = folder / "fifo"
     run.mkdir()
     os.mkfifo(run / "fifo.mcap")
@@ -159,7 +159,7 @@ def fifo(folder: Path) -> Path:
 
 
 def endless(folder: Path) -> Path:
-    """A link to a device without end."""
+    """Create a link to a device without end."""
     run = folder / "endless"
     run.mkdir()
     (run / "endless.mcap").symlink_to("/dev/zero")
@@ -167,7 +167,7 @@ def endless(folder: Path) -> Path:
 
 
 def large_metadata(folder: Path) -> Path:
-    """A `metadata.yaml` of 9 MB."""
+    """Write a `metadata.yaml` of 9 MB."""
     path = recording(folder / "metadata" / "metadata.mcap", scans())
     lines = "".join(f"    - {{path: x, message_count: {i}}}\n" for i in range(240_000))
     path.with_name("metadata.yaml").write_text(f"rosbag2_bagfile_information:\n  files:\n{lines}")
@@ -175,7 +175,7 @@ def large_metadata(folder: Path) -> Path:
 
 
 def huge_plan(folder: Path) -> Path:
-    """A campaign of 81 million points."""
+    """Write a campaign of 81 million points."""
     path = folder / "plan.yaml"
     axis = "{from: %s, to: %s, step: %s}"
     gaps, frequencies = axis % ("0.001", "0.01", "0.000001"), axis % ("8.0", "10.0", "0.000222")
@@ -223,14 +223,14 @@ LEGIBLE = {
     "invalid topic name": ("info", "recover", "export"),
     "escape sequences and markup": ("info", "recover", "export"),
 }
-"""The recordings that are read for all that is wrong with them, by these commands; everything else is refused."""
+"""Recordings that these commands read despite everything that is wrong with them; other commands reject them."""
 
 
 def expected_code(command: str, what: str) -> int:
-    """Return the exit code that is right for a command on one of these.
+    """Return the correct exit code of a command for one of these inputs.
 
-    None of the recordings holds a calibration or a journal, so nothing can be analysed or verified. Recovery does
-    without a `metadata.yaml`, but then cannot say whether there were more files.
+    None of the recordings contains a calibration or a journal, so nothing can be analysed or verified. A recovery does
+    not need `metadata.yaml`, but without it cannot know whether there were more files.
     """
     if command == "recover" and what == "9 MB metadata.yaml":
         return INCOMPLETE
@@ -242,17 +242,17 @@ def expected_code(command: str, what: str) -> int:
 
 @attrs.frozen
 class Cost:
-    """What a command took."""
+    """Resources used by a command, and its result."""
 
     code: int  # exit code; negative: the signal that ended it
     wall_s: float  # wall time [s]
-    cpu_s: float  # CPU time of its own [s]
-    peak_mb: float  # largest memory it had [MB]
-    output: str  # all it wrote
-    error: str  # what of it went to stderr
+    cpu_s: float  # CPU time of the command alone [s]
+    peak_mb: float  # peak memory [MB]
+    output: str  # all output
+    error: str  # output on stderr
 
     def faults(self, expected: int) -> list[str]:
-        """Say what is not as it must be, apart from cost; `expected` is the exit code."""
+        """Return deviations from the required behaviour apart from resources; `expected` is the exit code."""
         found = []
         if self.code != expected:
             found.append(f"exit code {self.code}, not {expected}")
@@ -290,12 +290,13 @@ for line in sys.stdin:
     wall_s, cpu_s = time.monotonic() - began, usage.ru_utime + usage.ru_stime
     print(json.dumps([code, wall_s, cpu_s, usage.ru_maxrss * 1024 / 1e6]), flush=True)
 """
-"""Imports once what all programs import, forks for each of them and measures it. The peak of memory begins with that of
-the imports."""
+"""Server that imports the common modules once, forks for each program and measures it. The peak memory includes that of
+the imports.
+"""
 
 
 class Programs:
-    """Runs `impact-rig` again and again; a context manager."""
+    """Runner of `impact-rig` for many calls; a context manager."""
 
     def __init__(self) -> None:
         self._server = subprocess.Popen(  # noqa: S603  # our own program
@@ -310,7 +311,7 @@ class Programs:
         self._server.communicate()
 
     def cost(self, arguments: Sequence[str | Path], folder: Path) -> Cost:
-        """Run it with these arguments in a folder and return what it took."""
+        """Run the command with these arguments in a folder and return the resources it used."""
         assert self._server.stdin is not None
         assert self._server.stdout is not None
         self._server.stdin.write(json.dumps([str(folder), *map(str, arguments)]).encode() + b"\n")
@@ -321,7 +322,7 @@ class Programs:
 
 
 def words(command: str, path: Path, folder: Path) -> list[str | Path]:
-    """Return the arguments of a command on a recording; where it writes first, links to the victim lie."""
+    """Return the arguments of a command on a recording; links to the victim are placed where it writes first."""
     out = folder / f"{command}_{path.name.encode().hex()[:20]}"
     if command == "recover":
         out.mkdir()
@@ -337,7 +338,7 @@ def words(command: str, path: Path, folder: Path) -> list[str | Path]:
 
 
 def main() -> int:
-    """Make everything, measure everything and print the table; 1 if anything is not as it must be."""
+    """Generate all inputs, measure all commands and print the table; return 1 if there is a deviation."""
     table = TextTable(title="peak memory [MB] / CPU time [s] / wall time [s] / exit code")
     for heading in ("", *COMMANDS):
         table.add_column(heading, justify="left" if not heading else "right")
@@ -356,10 +357,10 @@ def main() -> int:
             for arguments, one in zip(asked, costs, strict=True):
                 found = one.faults(expected_code(str(arguments[0]), what))
                 if one.peak_mb > MEMORY_LIMIT_MB or one.cpu_s > TIME_LIMIT_S:
-                    found.append("too much")
+                    found.append("too many resources")
                 troubles += [f"{arguments[0]}, {what}: {fault}: {one.output[-500:]!r}" for fault in found]
         if (folder / "victim").read_bytes() != VICTIM:
-            troubles.append("a file of somebody else was written")
+            troubles.append("a foreign file was written")
     Console(width=190, markup=False).print(table)
     print(*troubles, sep="\n")  # noqa: T201  # a tool talks
     return 1 if troubles else 0

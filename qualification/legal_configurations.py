@@ -11,17 +11,19 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Random legal configurations, none may hang, abort or lose energy: `python -m qualification.legal_configurations`.
+"""Random legal configurations that must not hang, abort or lose energy: `python -m qualification.legal_configurations`.
 
-Every value of the configuration is drawn over its whole legal range, half of the time all of them, else a few beside
-their defaults; numbers evenly over their logarithm, now and then an end of their range. The rig runs with its
-instruments, ten ticks at a time, and its amplitude is commanded anew, up to the shaker's limit, at a third of the time.
-What the rig itself refuses at its start counts as refused. A run may take `--limit` seconds of the processor: a rig
-that is slower hangs. At most 1e-8 may be unaccounted for of the largest of work, losses, stored energy, and what the
-sphere has at a thousandth of the floored approach speed: slower than that a contact is not resolved relatively.
+Values are drawn from their complete allowed ranges: in half of the configurations all values, in the others a few, with
+the rest at their defaults. Numbers are uniform in their logarithm, and sometimes an end of the range. The rig runs with
+its instruments, ten ticks at a time. In a third of the steps it gets a new amplitude command, up to the shaker's limit.
+A configuration that the rig rejects at its start counts as refused.
 
-Each failure is printed as a configuration file with its number, which `--only` runs again. Exit status 1 if there is
-one.
+A run that takes more than `--limit` seconds of CPU time counts as hanging. The unaccounted energy may be at most 1e-8
+of the largest of: work, losses, stored energy, and the sphere's energy at a thousandth of the least approach speed. A
+slower contact is not resolved relatively.
+
+Each failure is printed as a configuration file with its number, which `--only` repeats. The exit status is 1 if there
+is a failure.
 """
 
 from __future__ import annotations
@@ -53,19 +55,20 @@ from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S
 UNACCOUNTED = 1e-8
 STEP_NS = 10 * COMMAND_GRID_NS
 FEW, AT_AN_END = 0.1, 0.02
-"""Probabilities: that a value differs where few do, and that a number is an end of its range."""
+"""Probabilities that a value differs if only a few do, and that a number is an end of its range."""
 NOT_DRAWN = ("time.", "step.", "pluck.", "output.", "instruments.faults.", "daq.block_scans")
-"""What decides neither mechanics nor instruments; the length of a block changes nothing, see
-test/impact_rig/rig/test_time_base.py."""
+"""Fields that affect neither mechanics nor instruments; for the length of a block see
+test/impact_rig/rig/test_time_base.py.
+"""
 FASTEST_NOISE_HZ = 44.0
-"""What the grid of ticks carries at every clock error."""
+"""Highest frequency that the grid of ticks supports at every clock error."""
 OK, REFUSED, ABORTED, HANGS, NOT_FINITE, ENERGY = "ok", "refused", "aborted", "hangs", "not finite", "energy"
 FAILURES = (ABORTED, HANGS, NOT_FINITE, ENERGY)
 
 
 @attrs.frozen
 class Result:
-    """How a run ended: one of the words above, the part of the energy unaccounted for, impacts, and what was said."""
+    """Result of a run: one of the words above, unaccounted part of the energy, number of impacts, and a message."""
 
     ended: str
     unaccounted: float = 0.0
@@ -74,7 +77,7 @@ class Result:
 
 
 def unaccounted(simulation: Simulation) -> float:
-    """Return the part of the energy that is unaccounted for."""
+    """Return the unaccounted part of the energy."""
     energy, p = simulation.energy(), simulation.parameters
     lost = energy.columns + energy.shaker + energy.contact + energy.friction
     unresolved = 0.5 * float(p["m"]) * (1e-3 * float(p["speed_floor"])) ** 2
@@ -82,7 +85,7 @@ def unaccounted(simulation: Simulation) -> float:
 
 
 def number(about: FieldInfo, default: float, random: np.random.Generator) -> float:
-    """Return a number of a field's range: evenly over the logarithm, or over the range where it has both signs."""
+    """Return a number from a field's range: uniform in the logarithm, or in the range if that contains both signs."""
     low = LEAST if about.low is None else float(about.low)
     high = MOST if about.high is None else float(about.high)
     at_end = random.random() < AT_AN_END
@@ -96,12 +99,12 @@ def number(about: FieldInfo, default: float, random: np.random.Generator) -> flo
         if not (about.low_open if low_end else about.high_open):
             return low if low_end else high
     if about.low == 0.0 and not about.low_open and default > 0.0:
-        low = max(low, 1e-6 * min(default, high))  # of a range from 0 on the lower decades are all the same
+        low = max(low, 1e-6 * min(default, high))  # in a range from 0 on, all lower decades are equivalent
     return math.exp(random.uniform(math.log(low), math.log(high) - 1e-12))
 
 
 def value(name: str, about: FieldInfo, default: object, random: np.random.Generator) -> object:
-    """Return a legal value of a field."""
+    """Return an allowed value of a field."""
     if name.endswith("adc_range_v"):
         return float(random.choice(ADC_RANGES_V))
     if about.choices:
@@ -117,7 +120,7 @@ def value(name: str, about: FieldInfo, default: object, random: np.random.Genera
 
 
 def drawn(seed: int, index: int) -> tuple[dict[str, object], float]:
-    """Return the values of configuration `index` that differ from the defaults, and its amplitude over the limit."""
+    """Return the non-default values of configuration `index`, and its amplitude relative to the limit."""
     random = np.random.default_rng((seed, index))
     every = random.random() < 0.5
     values = {
@@ -130,10 +133,10 @@ def drawn(seed: int, index: int) -> tuple[dict[str, object], float]:
 
 
 def legal(values: dict[str, object]) -> RigConfig:
-    """Return their configuration, what contradicts each other (limits, bands, rates) put in order.
+    """Return a configuration with these values, with contradictory ones (limits, bands, rates) corrected.
 
     Raises:
-        ConfigError: they are none together.
+        ConfigError: the values are jointly invalid.
     """
     flat = {name: default for name, _, default in fields()} | values
 
@@ -155,7 +158,7 @@ def legal(values: dict[str, object]) -> RigConfig:
 
 
 def feed(rig: Rig, amplitude: float) -> None:
-    """Give a rig the next samples of its stream, a sine of the drive's frequency: two ticks, or one sample, ahead."""
+    """Send a rig the next samples of its stream, a sine of the drive's frequency: two ticks, or one sample, ahead."""
     drive, now_s = rig.config.drive, rig.frontier_ns / NS_PER_S
     ahead_s = min(drive.stream_buffer_s, max(2.0 * COMMAND_GRID_S, 1.1 / drive.stream_rate_hz))
     numbers = np.arange(math.ceil(now_s * drive.stream_rate_hz), int((now_s + ahead_s) * drive.stream_rate_hz))
@@ -165,7 +168,7 @@ def feed(rig: Rig, amplitude: float) -> None:
 
 
 def run(config: RigConfig, loudness: float, seconds: float) -> Result:
-    """Run a rig and judge it."""
+    """Run a rig and evaluate it."""
     limit = amplitude_limit(config.drive, config.shaker)[2]
     amplitude = loudness * limit
     impacts = 0
@@ -178,7 +181,7 @@ def run(config: RigConfig, loudness: float, seconds: float) -> Result:
         while rig.frontier_ns < end_ns:
             step_ns = STEP_NS
             if rig.latched is None and config.drive.waveform == "stream":
-                step_ns = COMMAND_GRID_NS  # a stream takes as few as two ticks ahead
+                step_ns = COMMAND_GRID_NS  # a stream buffers as few as two ticks
                 feed(rig, limit if rig.frontier_ns >= end_ns / 3 else amplitude)
             elif not commanded and rig.frontier_ns >= end_ns / 3 and rig.latched is None:
                 rig.accept(amplitude=min(2.0 * amplitude, limit))
@@ -194,7 +197,7 @@ def run(config: RigConfig, loudness: float, seconds: float) -> Result:
 
 
 def work(connection: Connection, seed: int, seconds: float, limit_s: float) -> None:
-    """Run the configurations whose numbers come; a run beyond the limit ends the process."""
+    """Run the configurations with the received numbers; a run beyond the limit ends the process."""
     while True:
         values, loudness = drawn(seed, connection.recv())
         _, hard = resource.getrlimit(resource.RLIMIT_CPU)
@@ -208,7 +211,7 @@ def work(connection: Connection, seed: int, seconds: float, limit_s: float) -> N
 
 
 def results(indices: Sequence[int], seed: int, seconds: float, limit_s: float) -> Iterator[tuple[int, Result]]:
-    """Yield how each configuration ended, run in a process of its own that a hanging run takes with it."""
+    """Yield the result of each configuration; each run has a process, which a hanging run takes with it."""
     context = multiprocessing.get_context("fork")
     worker = None
     for index in indices:
@@ -230,7 +233,7 @@ def results(indices: Sequence[int], seed: int, seconds: float, limit_s: float) -
 
 
 def report(index: int, seed: int, result: Result) -> str:
-    """Return a failed configuration as a file, with what happened above it."""
+    """Return a failed configuration as a file, with the result as a comment above it."""
     values, loudness = drawn(seed, index)
     config = legal(values)
     config = from_flat(config, {"drive.amplitude": loudness * amplitude_limit(config.drive, config.shaker)[2]})
@@ -239,14 +242,14 @@ def report(index: int, seed: int, result: Result) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the tool; return the exit status."""
+    """Run the program; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--count", type=int, default=4000)
-    parser.add_argument("--first", type=int, default=0, help="number of the first configuration")
-    parser.add_argument("--only", type=int, nargs="*", help="these numbers alone")
-    parser.add_argument("--seconds", type=float, default=5.0, help="of rig time")
-    parser.add_argument("--limit", type=float, default=60.0, help="seconds of the processor a run may take")
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--count", type=int, default=4000, help="number of configurations (default: %(default)s)")
+    parser.add_argument("--first", type=int, default=0, help="number of the first configuration (default: 0)")
+    parser.add_argument("--only", type=int, nargs="*", help="numbers of the only configurations to run")
+    parser.add_argument("--seconds", type=float, default=5.0, help="seconds of rig time (default: 5)")
+    parser.add_argument("--limit", type=float, default=60.0, help="largest CPU time of a run [s] (default: 60)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the configurations (default: 1)")
     told = parser.parse_args(arguments)
     indices = told.only or range(told.first, told.first + told.count)
     say = Console(soft_wrap=True, markup=False, highlight=False).print

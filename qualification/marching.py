@@ -11,11 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Does a map say what a longer motion does? `python -m qualification.marching`: 680 places, 2 to 40 mm, 8.6 to 9.6 Hz.
+"""Maps compared with longer motions: `python -m qualification.marching`, 680 places, 2 to 40 mm, 8.6 to 9.6 Hz.
 
-At each place the map measures, and from the same start the motion goes on for 1,200 cycles, is sampled 64 times in each
-of the last 200 and judged over these. What differs is printed. Exit code 1 if DT differs by more than
-`settle_tolerance` where both repeat alike, or a place that repeats is called otherwise by more than one in a hundred.
+At each place the map measures. From the same start the motion then continues for 1,200 cycles, and its last 200 are
+evaluated from 64 samples per cycle. Differences are printed. The exit code is 1 if DT differs by more than
+`settle_tolerance` although both motions repeat alike, or if more than one in a hundred of the places that repeat is
+classified differently.
 """
 
 from __future__ import annotations
@@ -61,7 +62,7 @@ def marched(rig: MapRig, frequency_hz: float, amplitude: float) -> tuple[str, fl
 
 
 def compared(line: MapLine) -> list[tuple[str, str, float]]:
-    """Return what the map says of each place, what the long motion does, and the relative difference of DT."""
+    """Return for each place the map's regime, that of the long motion, and the relative difference of DT."""
     rows, base = [], from_flat(RigConfig(), line.changes)
     for value in line.values:
         changes, frequency, current, sphere = line.place(value)
@@ -90,7 +91,7 @@ def main() -> int:
         f"{alike.max():.1e} (99 % within {np.quantile(alike, 0.99):.1e}, half within {np.median(alike):.1e})"
     )
     for (said, does), number in other.most_common():
-        console.print(f"  {number}: the map says {said}, it does {does}")
+        console.print(f"  {number}: map {said}, long motion {does}")
     return int(alike.max() > Settings().settle_tolerance or len(alike) < 0.99 * len(repeats))
 
 

@@ -11,10 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Predict two symmetric impacts per cycle, measure beside it, print the table: `python -m qualification.prediction`.
+"""Two symmetric impacts per cycle, predicted and measured, as a table: `python -m qualification.prediction`.
 
-Every 2 mm at 8.8, 9.1 and 9.4 Hz, through instruments and analysis (a minute of two cores). Exits with 1 where a stable
-symmetric motion is predicted and the measurement is another, or further away than 1 % in DT or 2° in phase.
+The places are every 2 mm at 8.8, 9.1 and 9.4 Hz, measured through instruments and analysis (a minute of two cores). The
+exit code is 1 if a stable symmetric motion is predicted and the measured motion is another, or more than 1 % in DT or
+2° in phase away.
 `--draw` draws docs/images/prediction.png.
 """
 
@@ -45,23 +46,23 @@ FREQUENCIES_HZ = (8.8, 9.1, 9.4)
 GAPS_MM = (6, 8, 10, 11, 12, *range(14, 41, 2), 27, 29, 31)
 FROM_MM, TO_MM = 5.0, 41.0
 CONTINUED_MM = (6, 8, 10, 11)
-"""Where motions with other numbers of impacts are continued from."""
+"""Starting points for the continuation of motions with other numbers of impacts."""
 WITHIN, WITHIN_DEGREES = 0.01, 2.0
 PICTURE = Path(__file__).parents[1] / "docs" / "images" / "prediction.png"
 
 
 @attrs.frozen(kw_only=True)
 class Compared:
-    """One place, measured and predicted; NaN where there is no measurement, or no such motion."""
+    """One place, measured and predicted; NaN without a measurement, or without such a motion."""
 
-    frequency_hz: float  # of the drive
+    frequency_hz: float  # drive frequency
     gap_m: float  # gap
     dt: float  # measured
-    phase_rad: float  # measured, superior base to base
+    phase_rad: float  # measured phase of the superior base relative to the base
     impacts_per_cycle: float  # measured
-    regime: str  # the word for the response; empty where nothing was measured
-    period: float  # cycles after which it repeats
-    predicted_dt: float  # of the stable motion with two symmetric impacts per cycle
+    regime: str  # measured regime; empty if nothing was measured
+    period: float  # cycles after which the response repeats
+    predicted_dt: float  # DT of the stable motion with two symmetric impacts per cycle
     predicted_phase_rad: float  # its phase
 
     @property
@@ -82,7 +83,7 @@ def job(frequency_hz: float, gap_m: float, current_a: float = CURRENT_A) -> Job:
 
 
 def compared(one: Job, outcome: Outcome) -> Compared:
-    """Return a job's measurement beside its prediction."""
+    """Return a job's measurement together with its prediction."""
     frequency, rows = one.frequencies_hz[0], outcome.rows
     predicted = prediction.at(one.config(), frequency, one.gap_m, current_a=one.current_a)
     stable = np.flatnonzero(predicted.stable)
@@ -101,7 +102,7 @@ def compared(one: Job, outcome: Outcome) -> Compared:
 
 
 def main() -> int:
-    """Measure, print, perhaps draw; return the exit code."""
+    """Measure, print and, if requested, draw; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--draw", action="store_true", help="draw docs/images/prediction.png")
     arguments = parser.parse_args()
@@ -118,7 +119,7 @@ def main() -> int:
         )
     if arguments.draw:
         draw(found)
-    tell(f"{bad} points are further from their prediction than {WITHIN:.0%} or {WITHIN_DEGREES:g}°")
+    tell(f"{bad} points differ from their prediction by more than {WITHIN:.0%} or {WITHIN_DEGREES:g}°")
     return 1 if bad else 0
 
 
@@ -173,7 +174,7 @@ def draw(found: Sequence[Compared]) -> None:
 
 
 def continued() -> list[tuple[NDArray[np.generic], ...]]:
-    """Return gap [mm], DT, phase [°], and whether stable, along motions that strike otherwise than twice a cycle."""
+    """Return gap [mm], DT, phase [°] and stability along motions that do not strike twice per cycle."""
     what = {"over": GAP, "low": FROM_MM * 1e-3, "high": TO_MM * 1e-3, "start": "left", "points": 200}
     tasks = [
         StudyTask(

@@ -11,13 +11,13 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Stability as predicted against that of the model: `python -m qualification.prediction_stability FOLDER [--places N]`.
+"""Stability as predicted and as found in the model: `python -m qualification.prediction_stability FOLDER [--places N]`.
 
-Each place has a mass ratio of sphere to structure up to 0.03, a current, a frequency, a gap and a contact law of its
-own. The predicted motion starts Newton's method on the model's stroboscopic map. The model's motion is stable if its
-multipliers lie within the unit circle and 500 cycles of integration from a small error stay on it. No motion that is
-predicted as stable may be left, and of the model's stable motions 90 % must be predicted as stable. Results are kept in
-FOLDER, so a run can be continued. Exit code 1 otherwise.
+Each place has its own mass ratio of sphere to structure up to 0.03, current, frequency, gap and contact law. The
+predicted motion is the start of Newton's method on the model's stroboscopic map. The model's motion is stable if its
+multipliers are within the unit circle and an integration over 500 cycles from a small error stays on it. The model must
+not leave a motion that is predicted as stable, and 90 % of the model's stable motions must be predicted as stable;
+otherwise the exit code is 1. Results are kept in FOLDER, so a run can be resumed.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ MOST_MASS_RATIO, SHARE, CYCLES, ERROR = 0.03, 0.9, 500, 1e-4
 
 
 def drawn(seed: int, number: int) -> tuple[Place, int]:
-    """Return a place on a predicted branch, and which motion of it."""
+    """Return a place on a predicted branch, and the index of its motion."""
     rng = np.random.default_rng([seed, number])
     while True:
         ratio = math.exp(rng.uniform(math.log(0.004), math.log(MOST_MASS_RATIO)))
@@ -55,7 +55,7 @@ def drawn(seed: int, number: int) -> tuple[Place, int]:
         )
         try:
             branch = prediction.branch(config, frequency, current_a=current)
-        except ConfigError:  # a law that loses nothing
+        except ConfigError:  # a law without losses
             continue
         gap = float(prediction.widest_gap_m(branch) * rng.uniform(0.25, 1.0))
         place = Place(from_flat(config, {"barriers.gap_m": gap}), frequency, current)
@@ -65,7 +65,7 @@ def drawn(seed: int, number: int) -> tuple[Place, int]:
 
 
 def start(place: Place, which: int) -> tuple[Real, float]:
-    """Return the state of a predicted motion midway between two impacts, and the turn of the drive there."""
+    """Return the state of a predicted motion midway between two impacts, and the phase of the drive there."""
     found = prediction.at(place.config, place.frequency_hz, place.config.barriers.gap_m, current_a=place.amplitude)
     theta = found.theta[which : which + 1]
     rig = prediction.LinearRig.of(place.config)
@@ -92,7 +92,7 @@ def continued(place: Place, which: int) -> tuple[Stroboscope, orbits.Orbit | Non
 
 
 def judged(seed: int, number: int) -> dict[str, object]:
-    """Return what is predicted of a place, and what the model does."""
+    """Return the predicted stability of a place, and that of the model."""
     place, which = drawn(seed, number)
     gap = place.config.barriers.gap_m
     found = prediction.at(place.config, place.frequency_hz, gap, current_a=place.amplitude)
@@ -112,9 +112,9 @@ def judged(seed: int, number: int) -> dict[str, object]:
 
 
 def main() -> int:
-    """Judge what is not kept yet; return the exit code."""
+    """Evaluate the places that are missing; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("folder", type=Path, help="folder that keeps the results")
     parser.add_argument("--places", type=int, default=60, help="number of places (default: 60)")
     parser.add_argument("--seed", type=int, default=60, help="seed of the places (default: 60)")
     arguments = parser.parse_args()

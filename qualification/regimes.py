@@ -13,10 +13,10 @@
 # limitations under the License.
 """Regimes of a map against the sign of an exponent: `python -m qualification.regimes FOLDER [--places N]`.
 
-Each place has a gap, a frequency, a current and a coefficient of restitution of its own. A map calls its motion
-periodic, modulated or chaotic; then the largest exponent is measured over 2,000 cycles more. Chaotic motions have a
-positive one, periodic ones a negative one, and modulated ones none that is positive. At most 5 % of the places may
-disagree by more than 2u, none by more than 4u. Results are kept in FOLDER, so a run can be continued.
+Each place has its own gap, frequency, current and coefficient of restitution. A map classifies its motion as periodic,
+modulated or chaotic; then the largest exponent is measured over another 2,000 cycles. It must be positive for chaotic
+motions, negative for periodic ones, and not positive for modulated ones. At most 5 % of the places may disagree by more
+than 2u, and none by more than 4u. Results are kept in FOLDER, so a run can be resumed.
 """
 
 from __future__ import annotations
@@ -74,9 +74,9 @@ def off(one: dict[str, float | str]) -> float:
 
 
 def main() -> int:
-    """Judge what is not kept yet; return the exit code."""
+    """Evaluate the places that are missing; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("folder", type=Path, help="folder that keeps the results")
     parser.add_argument("--places", type=int, default=200, help="number of places (default: 200)")
     parser.add_argument("--seed", type=int, default=2, help="seed of the places (default: 2)")
     arguments = parser.parse_args()

@@ -11,11 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Does a resting sphere strike again? `python -m qualification.resting_places`: 544 places of a map, 16 to 40 mm.
+"""Spheres at rest that strike again: `python -m qualification.resting_places`, 544 places of a map, 16 to 40 mm.
 
-Between walls that the structure does not reach the sphere may stand still, or drift to one of them for minutes. At each
-place a map and the tracker, which sees instruments only, measure; the motion itself then goes on for a minute. Wrong is
-a reading that is called settled, has no impact, and is followed by one. Exit code 1 if there is any.
+Between walls that the structure does not reach, the sphere may be at rest, or drift to one of them for minutes. At each
+place a map measures, and so does the tracker, which sees only instruments; the motion itself then continues for a
+minute. A reading is wrong if it is called settled, has no impact, and is followed by an impact. The exit code is 1 if
+there is such a reading.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ TICKS_PER_S, RATE_HZ = 100, 10_000
 WATCHED_S = 300.0
 AFTER_S = 60.0
 FAST = 0.01
-"""Approach speed of an impact that the accelerometer shows [m/s]."""
+"""Least approach speed of an impact that the accelerometer shows [m/s]."""
 
 
 def configuration(gap_mm: float) -> RigConfig:
@@ -54,12 +55,12 @@ def configuration(gap_mm: float) -> RigConfig:
 
 
 def map_errs(config: RigConfig, frequency_hz: float) -> tuple[bool, bool]:
-    """Return whether a map says that the sphere rests here, and whether it strikes nevertheless."""
+    """Return whether a map classifies the sphere as at rest here, and whether it strikes nevertheless."""
     rig = MapRig(config, Settings())
     found = rig.measure(frequency_hz, CURRENT_A)
     if found.regime in (Regime.INTERMITTENT, FAILED) or found.impacts_per_cycle > 0.0:
         return False, False
-    after = rig._run(frequency_hz, CURRENT_A, round(AFTER_S * frequency_hz))  # the same motion goes on
+    after = rig._run(frequency_hz, CURRENT_A, round(AFTER_S * frequency_hz))  # the same motion continues
     return True, len(after.speed) > 0
 
 
@@ -79,7 +80,7 @@ def strikes(motions: list[Motion]) -> tuple[Array, Array]:
 
 
 def ends_of_rest(config: RigConfig, frequency_hz: float, motion: Motion, settings: TrackerSettings) -> list[float]:
-    """Return where the settled rows without impacts end that the tracker gives of a motion [s]."""
+    """Return the ends of the tracker's settled rows without impacts in a motion [s]."""
     chain, tracker = Chain(config), Tracker(settings)
     tracker.configure(Table(0, chain.info()))
     command = np.zeros(1, APPLIED)
@@ -95,7 +96,7 @@ def ends_of_rest(config: RigConfig, frequency_hz: float, motion: Motion, setting
 
 
 def tracker_errs(config: RigConfig, frequency_hz: float) -> tuple[int, int]:
-    """Return how many settled rows without impacts the tracker gives, and after how many the sphere strikes."""
+    """Return the number of settled rows without impacts, and after how many of them the sphere strikes."""
     settings, motions = TrackerSettings(), driven(config, frequency_hz, WATCHED_S, AFTER_S)
     struck, speed = strikes(motions)
     heard = struck[(struck < WATCHED_S) & (speed > FAST)]
@@ -106,10 +107,10 @@ def tracker_errs(config: RigConfig, frequency_hz: float) -> tuple[int, int]:
 
 
 def main() -> int:
-    """Print the places that are wrong and the sums; return the exit code."""
+    """Print the wrong places and the sums; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--some", type=int, metavar="N", help="as many places, drawn by the seed")
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--some", type=int, metavar="N", help="number of places to draw by the seed (default: all)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the places (default: 1)")
     options = parser.parse_args()
     console = Console()
     sums = np.zeros(4, int)

@@ -25,7 +25,7 @@ class Results(list[dict[str, Any]]):
     """Results of this run of a program and of earlier ones.
 
     Args:
-        path: of the file; its folder is made.
+        path: path of the file; its folder is created if needed.
     """
 
     def __init__(self, path: Path) -> None:

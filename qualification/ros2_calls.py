@@ -11,12 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Call what the `ros2` command line calls, through rclpy, and say what did not answer as documented.
+"""Calls of the `ros2` command line, made through rclpy, and their deviations from the documentation.
 
-`python -m qualification.ros2_calls` (a minute): two rigs in two namespaces as processes, one free-running, one at half
-of real time, each with a clock of its own; then a rig all of whose topics are renamed. Each line names the command it
-stands for. The wheels have no ros2cli, but list, info, echo, hz, param, lifecycle and service are few lines above
-rclpy.
+`python -m qualification.ros2_calls` (a minute) starts two rigs in two namespaces as processes, one free-running and one
+at half of real time, each with its own clock. It then starts a rig with all topics renamed. Each line names the command
+that it replaces. The wheels contain no ros2cli, but list, info, echo, hz, param, lifecycle and service are only a few
+lines on top of rclpy.
 """
 
 from __future__ import annotations
@@ -58,14 +58,14 @@ ECHOED = (
     "rig/configuration",
 )
 HZ = {"daq/scan": 100.0, "laser": 50.0, "truth/joint_states": 50.0, "plot/envelope/laser": 50.0}
-"""Messages per second of rig time."""
+"""Rate of messages per second of rig time."""
 
 
 class Calls:
-    """Counts calls, and keeps those that did not answer as documented.
+    """Counter of calls, with a list of those that did not answer as documented.
 
     Args:
-        say: told of every call.
+        say: function that receives a line for every call.
     """
 
     def __init__(self, say: Callable[[str], None] = lambda _line: None) -> None:
@@ -74,7 +74,7 @@ class Calls:
         self._say = say
 
     def hold(self, command: str, as_documented: object, found: object = "") -> None:
-        """Count one call; `as_documented` says whether it answered as it should."""
+        """Count one call; `as_documented` is true if it answered as documented."""
         self.count += 1
         line = f"{'ok   ' if as_documented else 'WRONG'} {command}{f': {found}' if not as_documented else ''}"
         self._say(line)
@@ -83,7 +83,7 @@ class Calls:
 
 
 def topics(calls: Calls, client: Client, renamed: str = "") -> None:
-    """`ros2 topic list` and `info` of everything that rig and analysis publish, perhaps under other names."""
+    """Check `ros2 topic list` and `info` for every topic that rig and analysis publish, possibly under other names."""
     for topic in TOPICS:
         if topic.publisher not in ("rig", "analysis", "plot") or topic.name.startswith("/"):
             continue
@@ -94,7 +94,7 @@ def topics(calls: Calls, client: Client, renamed: str = "") -> None:
 
 
 def echo_and_hz(calls: Calls, client: Client) -> None:
-    """`ros2 topic echo --once` and `hz`, the latter by stamps: rig time is what has a rate."""
+    """Check `ros2 topic echo --once` and `hz`, the latter by stamps, because the rate is one in rig time."""
     for name in ECHOED:
         heard = client.collect(name)
         client.wait_until(lambda heard=heard: heard.received, f"a message of {name}")
@@ -109,7 +109,7 @@ def echo_and_hz(calls: Calls, client: Client) -> None:
 
 
 def parameters(calls: Calls, client: Client, node: str, directory: Path) -> None:
-    """`ros2 param list`, `describe`, `get`, `dump`, `load` and `dump` again, and `set` of what cannot be."""
+    """Check `ros2 param list`, `describe`, `get`, `dump`, `load` and `dump` again, and `set` of an unknown name."""
     names = client.call(ListParameters, f"{node}/list_parameters", ListParameters.Request()).result.names
     calls.hold(f"ros2 param list {node}", names)
     request = DescribeParameters.Request(names=names)
@@ -139,7 +139,7 @@ def _dump(client: Client, node: str, names: list[str], path: Path) -> None:
 
 
 def services(calls: Calls, client: Client, nodes: tuple[str, ...] = NODES) -> None:
-    """`ros2 service list -t`: ours, on each node."""
+    """Check `ros2 service list -t` for our services on each node."""
     expected = {
         client.node.resolve_topic_name(f"{row.node}/{row.name[2:]}"): (row.node, row.type_name)
         for row in SERVICES
@@ -149,7 +149,7 @@ def services(calls: Calls, client: Client, nodes: tuple[str, ...] = NODES) -> No
     def known(node: str) -> dict[str, list[str]]:
         return dict(client.node.get_service_names_and_types_by_node(node, client.node.get_namespace()))
 
-    with contextlib.suppress(WaitTimeoutError):  # what is new in the graph is known by and by
+    with contextlib.suppress(WaitTimeoutError):  # new parts of the graph become known after some time
         client.wait_until(lambda: expected.keys() <= {name for node in nodes for name in known(node)}, "services")
     for name, (node, type_name) in expected.items():
         found = known(node).get(name)
@@ -157,7 +157,7 @@ def services(calls: Calls, client: Client, nodes: tuple[str, ...] = NODES) -> No
 
 
 def lifecycle(calls: Calls, client: Client, node: str) -> None:
-    """`ros2 lifecycle get` and `list`."""
+    """Check `ros2 lifecycle get` and `list`."""
     state = client.call(GetState, f"{node}/get_state", GetState.Request()).current_state.label
     calls.hold(f"ros2 lifecycle get {node}", state == "active", state)
     request = GetAvailableTransitions.Request()
@@ -167,7 +167,7 @@ def lifecycle(calls: Calls, client: Client, node: str) -> None:
 
 
 def operation(calls: Calls, client: Client) -> None:
-    """`ros2 service call` of what an operator does, `ros2 param set`, `ros2 lifecycle set`."""
+    """Check `ros2 service call` for an operator's actions, `ros2 param set` and `ros2 lifecycle set`."""
     client.command(frequency_hz=9.2, current_a=0.2)
     calls.hold("ros2 topic pub shaker/current", True)
     client.pause()
@@ -192,7 +192,7 @@ def operation(calls: Calls, client: Client) -> None:
 
 
 def clocks(calls: Calls, clients: dict[str, Client]) -> None:
-    """Two rigs have two clocks, and nobody publishes the global one."""
+    """Check that two rigs have two clocks, and that the global one has no publisher."""
     for namespace, client in clients.items():
         found = client.node.get_publishers_info_by_topic(f"{namespace}/clock")
         owners = [f"{one.node_namespace}/{one.node_name}" for one in found]
@@ -202,7 +202,7 @@ def clocks(calls: Calls, clients: dict[str, Client]) -> None:
 
 
 def renamed(calls: Calls) -> None:
-    """`--ros-args -r TOPIC:=renamed/TOPIC` for every topic of rig and analysis."""
+    """Check `--ros-args -r TOPIC:=renamed/TOPIC` for every topic of rig and analysis."""
     rules = [f"{topic.name}:=renamed/{topic.name}" for topic in TOPICS if not topic.name.startswith("/")]
     arguments = ["--ros-args", *itertools.chain.from_iterable(("-r", rule) for rule in rules)]
     with isolated_domain() as domain_id, Client(domain_id) as client:
@@ -215,7 +215,7 @@ def renamed(calls: Calls) -> None:
 
 
 def two_rigs(calls: Calls, directory: Path) -> None:
-    """Everything, of two rigs at once."""
+    """Make all calls for two rigs at once."""
     with isolated_domain() as domain_id:
         started = {name: Processes(domain_id, directory / name.strip("/"), name) for name in MODES}
         clients: dict[str, Client] = {}
@@ -253,7 +253,7 @@ def two_rigs(calls: Calls, directory: Path) -> None:
 
 
 def main() -> int:
-    """Make every call; 0 if all answered as documented."""
+    """Make every call; return 0 if all answered as documented."""
     calls = Calls(print)
     with tempfile.TemporaryDirectory() as directory:
         two_rigs(calls, Path(directory))

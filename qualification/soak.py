@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Run for hours, watch memory, files and losses: `make soak`, `python -m qualification.soak --part live --minutes 3`.
+"""Runs over hours with checks of memory, files and losses: `make soak`, `… soak.py --part live --minutes 3`.
 
 Two parts, each with the rig, the analysis and the recorder as processes, as a user has them:
 
@@ -57,7 +57,7 @@ class Watched:
     descriptors: list[int] = attrs.field(factory=list)
 
     def read(self, pid: int) -> None:
-        """Take one sample."""
+        """Take one sample of a process."""
         pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
         self.times.append(time.monotonic())
         self.memory.append(pages * 4096 / 1e6)
@@ -71,7 +71,7 @@ class Watched:
 
 
 def soak(part: str, duration_s: float, directory: Path, console: Console) -> bool:
-    """Run one part for a duration: rig time in free_running, real time live; return whether all was well."""
+    """Run one part for a duration: rig time in free_running, real time live; return whether all checks passed."""
     rate, mode = RATES[part], "free_running" if part == "free_running" else "realtime"
     with isolated_domain() as domain_id, Processes(domain_id, directory / "logs") as processes:
         processes.start(
@@ -125,7 +125,7 @@ def soak(part: str, duration_s: float, directory: Path, console: Console) -> boo
 
 
 def _rig_time_s(client: Client) -> float:
-    """Return the rig's newest stamp, which its diagnostics carry."""
+    """Return the rig's newest stamp from its diagnostics."""
     client.wait_until(lambda: "rig_time_s" in client.figures("rig"), "the rig's diagnostics")
     return float(client.figures("rig")["rig_time_s"])
 
@@ -133,10 +133,10 @@ def _rig_time_s(client: Client) -> float:
 def main() -> int:
     """Return 0 if memory and descriptors were flat and nothing was lost."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--part", choices=tuple(RATES), help="only this one; default: both")
-    parser.add_argument("--hours", type=float, default=2.0, help="of rig time free-running (default 2)")
-    parser.add_argument("--minutes", type=float, default=10.0, help="of real time live (default 10)")
-    parser.add_argument("--keep", type=Path, help="keep runs and logs in this directory; default: removed")
+    parser.add_argument("--part", choices=tuple(RATES), help="the only part to run (default: both)")
+    parser.add_argument("--hours", type=float, default=2.0, help="hours of rig time free-running (default: 2)")
+    parser.add_argument("--minutes", type=float, default=10.0, help="minutes of real time live (default: 10)")
+    parser.add_argument("--keep", type=Path, help="directory that keeps runs and logs (default: they are removed)")
     arguments = parser.parse_args()
     console = Console()
     directory = arguments.keep or Path(tempfile.mkdtemp(prefix="impact_rig_soak_"))

@@ -72,13 +72,13 @@ from impact_rig.simtime import NS_PER_S
 
 BY_NAME = {topic.name: topic for topic in TOPICS}
 SCAN = topics.SCAN.name
-MOST_BLOCKS = 2_000  # of a recording
+MOST_BLOCKS = 2_000  # largest number of blocks of a recording
 START_NS = 1_780_000_000 * NS_PER_S  # system time of scan 0, as in real time
 
 
 @attrs.frozen
 class Sent:
-    """A message as its publisher sent it."""
+    """A message as sent by its publisher."""
 
     topic: str
     data: bytes
@@ -94,8 +94,8 @@ class Kind:
     rate_hz: int = 10_000
     block_scans: int = 100
     seconds: float = 4.0
-    deeds: tuple[str, ...] = ()  # what happens, spread evenly over the recording
-    values: tuple[tuple[str, object], ...] = ()  # configuration beside the default
+    deeds: tuple[str, ...] = ()  # actions during the recording, evenly spaced
+    values: tuple[tuple[str, object], ...] = ()  # differences from the default configuration
     in_real_time: bool = False  # whether stamps are system times; otherwise they begin at 0
     recorder: str = "plain"  # see `RECORDERS`
 
@@ -121,7 +121,7 @@ class Stage:
         self._tracker = Tracker()
         self._monitors: Monitors | None = None
         self._published: dict[str, bytes] = {}
-        self._wave = 0  # samples of the stream sent so far
+        self._wave = 0  # number of samples of the stream sent so far
         self._streams = bool(dict(kind.values).get("drive.waveform") == "stream")
         self._is_fed = True
         self._tracker.label(0.002, 0)
@@ -232,7 +232,7 @@ class Stage:
         self.command(round(float(self.random.uniform(8.8, 9.4)), 3), round(float(self.random.uniform(0.3, 0.6)), 3))
 
     def refused(self) -> None:
-        """Command what the rig refuses: the topic has it, the journal does not."""
+        """Send a command that the rig rejects: the topic contains it, the journal does not."""
         self.send(topics.CURRENT.name, serialize_message(Float64(data=1e6)))
 
     def reset(self) -> None:
@@ -240,7 +240,7 @@ class Stage:
         self.rig.reset()
 
     def reset_off_grid(self) -> None:
-        """Simulate a part of a block first."""
+        """Reset the rig after a part of a block."""
         part_ns = round(self._kind.block_scans / self._kind.rate_hz * NS_PER_S * self.random.uniform(0.1, 0.9))
         for block in self.rig.advance(self.rig.next_block_ns + part_ns):
             self._publish(block)
@@ -286,7 +286,7 @@ class Stage:
         self._now_ns += 7 * NS_PER_S
 
     def note(self) -> None:
-        """Note something."""
+        """Publish a remark."""
         self.send(topics.NOTES.name, serialize_message(String(data="äöü \u2603 " * int(self.random.integers(1, 40)))))
 
     def starve(self) -> None:
@@ -294,7 +294,7 @@ class Stage:
         self._is_fed = False
 
     def feed_again(self) -> None:
-        """Send samples again, from the next one wanted on."""
+        """Send samples again, from the next one needed on."""
         self._is_fed = True
         self._wave = max(self._wave, self.rig.stream.played)
 
@@ -342,12 +342,12 @@ def joined_late(sent: Sequence[Sent], random: np.random.Generator, late: float) 
         elif qos.transient_local:
             history.setdefault(one.topic, []).append(one)
     kept = [one for name, found in history.items() for one in found[-BY_NAME[name].qos.depth :]]
-    results = {topics.TRANSMISSIBILITY_TABLE.name}  # measured before: left out by the recorder
+    results = {topics.TRANSMISSIBILITY_TABLE.name}  # measured before: the recorder leaves it out
     return [*(one for one in kept if one.topic not in results), *rest]
 
 
 def slow(sent: Sequence[Sent], random: np.random.Generator, lag_s: float) -> list[Sent]:
-    """Return messages as they reach a slow machine: topics overtake each other, within a topic the order stays."""
+    """Return messages as they reach a slow machine: topics overtake each other, but a topic stays in order."""
     lags = {name: random.uniform(0.0, lag_s) for name in sorted({one.topic for one in sent})}
     lags[SCAN] = 0.0
     newest: dict[str, float] = {}
@@ -408,7 +408,7 @@ def recordings(kind: Kind, seed: int, folder: Path) -> list[Recording]:
         return record(folder / name, {"/rig": heard_by}, **options), None
 
     def recovered(name: str, heard_by: Sequence[Sent], part: float) -> Recording:
-        """Kill a recorder when a part of all has reached it, or cut a finished file."""
+        """Kill a recorder after it has received a part of all messages, or truncate a finished file."""
         count = max(2, round(part * len(heard_by)))
         record(folder / name, {"/rig": heard_by[:count]}, finish=False)
         recover(folder / name, folder / f"{name}_recovered")
@@ -450,7 +450,7 @@ def recordings(kind: Kind, seed: int, folder: Path) -> list[Recording]:
 
 
 def problems(recording: Recording, kind: Kind) -> list[str]:
-    """Return what the commands find wrong in a recording, which is sound; blocks that a fault withholds are missing."""
+    """Return the problems that the commands find in a sound recording; blocks withheld by a fault are missing."""
     path, rig = recording
     found = []
     summary = info(path)
@@ -582,7 +582,7 @@ class Record:
 
 @attrs.define
 class Contents:
-    """What a file holds, to be edited."""
+    """Contents of a file, for editing."""
 
     topics: dict[str, TopicDescription]
     messages: list[Record]
@@ -625,12 +625,12 @@ class Contents:
         return path
 
     def of_topic(self, topic: str) -> list[int]:
-        """Return the places of the messages of a topic."""
+        """Return the indices of the messages of a topic."""
         return [number for number, one in enumerate(self.messages) if one.topic == topic]
 
 
 Edit = Callable[[Contents, str, np.random.Generator], bool]
-"""Edits contents, at a topic where it needs one; False: there is nothing to edit."""
+"""Edit of contents, at a topic if it needs one; returns False if there is nothing to edit."""
 
 
 def _some(found: Contents, topic: str, random: np.random.Generator) -> Record:
@@ -638,7 +638,7 @@ def _some(found: Contents, topic: str, random: np.random.Generator) -> Record:
 
 
 def alter_payload(found: Contents, topic: str, random: np.random.Generator) -> bool:
-    """Flip a bit of a message behind its encapsulation."""
+    """Flip a bit of a message after its encapsulation."""
     one = _some(found, topic, random)
     data = bytearray(one.data)
     if len(data) <= 4:
@@ -792,7 +792,7 @@ def edits(found: Contents, count: int, seed: int) -> Iterator[tuple[str, Edit, s
 
 
 def verdict_of(path: Path) -> Verification | RecordingError:
-    """Return what `verify` says of a file."""
+    """Return the result of `verify` for a file."""
     try:
         with open_run(path) as run:
             return verify(run)
@@ -801,7 +801,7 @@ def verdict_of(path: Path) -> Verification | RecordingError:
 
 
 def missed(path: Path, count: int, seed: int, folder: Path) -> Iterator[tuple[str, str]]:
-    """Make edits of a recording one by one; yield each with how it was missed, or an empty text."""
+    """Make edits of a recording one by one; yield each with how it was missed, or with an empty text."""
     original = Contents.of(path)
     assert getattr(verdict_of(original.write(folder / "same.mcap")), "identical", False), "a rewritten file is sound"
     random = np.random.default_rng(seed)
@@ -815,7 +815,7 @@ def missed(path: Path, count: int, seed: int, folder: Path) -> Iterator[tuple[st
 
 
 def main() -> int:
-    """Make recordings and edits, print what is refused or missed, and return the exit status."""
+    """Make recordings and edits, print which are rejected or missed, and return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0] if __doc__ else None)
     parser.add_argument("--seed", type=int, default=1, help="seed of everything random (default: 1)")
     parser.add_argument("--only", default="", help="make only recordings whose name contains this text")

@@ -11,17 +11,17 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Truth against what replication, shock and frequency response state: `python -m qualification.true_motion FOLDER`.
+"""Results of replication, shock and frequency response against the truth: `python -m qualification.true_motion FOLDER`.
 
-A rig in this process publishes its true motion besides its readings. Each case is driven, and what the command states
-is compared with the truth of the same trial:
+A rig in this process publishes its true motion in addition to its readings. Each case is driven, and the results of the
+command are compared with the truth of the same trial:
 
-    replicate  base and superior base, with and without sphere: the true error is at most the stated error and the
-               stated floor together, and the stated error at most 0.5 %
+    replicate  base and superior base, with and without sphere: the true error is at most the sum of the stated error
+               and the stated floor, and the stated error at most 0.5 %
     shock      every stated figure is within its floor of the true one
-    frf        accelerometer over current, by all kinds of excitation: 92 % of the coherent lines within 2u
+    frf        accelerometer over current, with all kinds of excitation: 92 % of the coherent lines within 2u
 
-Results are kept in FOLDER, so a run can be continued. Exit code 1 if a case fails.
+Results are kept in FOLDER, so a run can be resumed. The exit code is 1 if a case fails.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class TrueHardware(Hardware):
     """A rig in this process that remembers its true motion.
 
     Attributes:
-        truth: rows of `truth/scan` of the latest trial, a row a sample.
+        truth: rows of `truth/scan` of the latest trial, one row per sample.
     """
 
     truth: NDArray[np.void]
@@ -78,7 +78,7 @@ class TrueHardware(Hardware):
         super().__init__(self.watched)
 
     def respond(self, samples: Real, rest: int = 0) -> NDArray[np.void]:  # type: ignore[override]  # of arrays only
-        """Play samples, as `Hardware.respond`."""
+        """Play samples, as `Hardware.respond` does."""
         rows = super().respond(samples, rest)
         end = self.acquisition.next_scan
         assert end is not None
@@ -87,7 +87,7 @@ class TrueHardware(Hardware):
 
 
 def history(band_hz: tuple[float, float], rms_m: float, seed: int) -> Real:
-    """Return four seconds of noise in a band; beyond it there is nothing that a plan for this band could not reach."""
+    """Return four seconds of noise in a band, without content that a plan for this band could not reach."""
     sections = signal.butter(8, band_hz, "bandpass", fs=RATE_HZ, output="sos")
     asked = signal.sosfilt(sections, np.random.default_rng(seed).standard_normal(6 * RATE_HZ))[2 * RATE_HZ :]
     asked *= signal.windows.hann(len(asked))
@@ -95,7 +95,7 @@ def history(band_hz: tuple[float, float], rms_m: float, seed: int) -> Real:
 
 
 def replicated(response: Response, *, sphere: bool, seed: int) -> tuple[Replicated, float]:
-    """Replicate a history; return what is stated, and the true error."""
+    """Replicate a history; return the stated result and the true error."""
     superior = response is Response.SUPERIOR
     asked = history((6.0, 14.0) if superior else (6.0, 40.0), 1.5e-3 if superior else 3e-4, seed)
     plan = ReplicatePlan(response=response, identify_rms=0.15 if superior else 2.0, high_hz=25.0 if superior else 150.0)
@@ -110,7 +110,7 @@ def replicated(response: Response, *, sphere: bool, seed: int) -> tuple[Replicat
 
 
 def shocked(seed: int) -> tuple[Shocked, dict[str, float]]:
-    """Make a shock; return what is stated, and the true figures."""
+    """Make a shock; return the stated figures and the true ones."""
     hardware, pulse = TrueHardware(SHOCK_HZ, sphere__present=False, daq__seed=seed), Pulse()
     best, true = None, {}
     corner_hz = 3.0 / pulse.duration_s
@@ -149,7 +149,7 @@ def accelerometer(kind: str, seed: int) -> tuple[float, int]:
 
 
 def judged(case: str, seed: int) -> dict[str, object]:
-    """Return what a case states, the truth, and whether they go together."""
+    """Return the stated results of a case, the truth, and whether they agree."""
     what, *how = case.split()
     if what == "replicate":
         stated, error = replicated(Response(how[0]), sphere=how[1] == "sphere", seed=seed)
@@ -172,9 +172,9 @@ CASES = (
 
 
 def main() -> int:
-    """Run what is not kept yet; return the exit code."""
+    """Run the cases that are missing; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("folder", type=Path, help="folder that keeps the results")
     parser.add_argument("--seeds", type=int, default=5, help="number of seeds of the instruments (default: 5)")
     arguments = parser.parse_args()
     done = Results(arguments.folder / "true_motion.jsonl")

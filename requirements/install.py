@@ -11,12 +11,13 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Install what is missing of the locked versions, and say how far it is.
+"""Installer of the missing locked versions, with progress.
 
     install.py wheels|sourced|kilted run [test] [docs]
 
-Run by the environment that is to be completed; with the standard library alone. A distribution counts as there when pip
-has written the last line about it: what an interrupted run has left half done is installed again, the rest is kept.
+It is run by the environment to be completed, with the standard library alone. A distribution counts as installed when
+pip has written its last line about it. What an interrupted run has left incomplete is installed again; the rest is
+kept.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ HERE = Path(__file__).parent
 LOG = Path(sys.prefix) / "install.log"
 SITE = sysconfig.get_path("purelib")
 ON_DISK_MB = {"run": 250, "wheels": 170, "kilted": 170, "sourced": 60, "kernels": 190, "test": 760, "docs": 180}
-"""What each part takes, rounded up; a test compares it with what is installed. Downloads are a third of it."""
+"""Size of each part, rounded up; a test compares it with what is installed. Downloads are a third of it."""
 TELL_S = 3.0
 _PIN = re.compile(r"(?P<name>[\w.-]+)==(?P<version>[\w.]+)(?: ; python_version in \"(?P<pythons>[\d. ]+)\")?")
 _FETCHED = re.compile(
@@ -47,7 +48,7 @@ _UNITS_MB = {"bytes": 1e-6, "kB": 1e-3, "MB": 1.0, "GB": 1e3}
 
 
 def pins(part: str) -> dict[str, str]:
-    """Return name -> version of what a part of the lock has for this Python."""
+    """Return name -> version of a part of the lock for this Python."""
     text = (HERE / f"{part}.txt").read_text(encoding="utf-8")
     here = ".".join(platform.python_version_tuple()[:2])
     found = [match for match in map(_PIN.match, text.splitlines()) if match]
@@ -55,19 +56,19 @@ def pins(part: str) -> dict[str, str]:
 
 
 def installed() -> dict[str, Distribution]:
-    """Return what is completely there in this environment, by name."""
+    """Return the complete distributions in this environment, by name."""
     found = distributions(path=[SITE, sysconfig.get_path("platlib")])
     complete = (one for one in found if one.name and "INSTALLER," in (one.read_text("RECORD") or ""))
     return {re.sub(r"[-_.]+", "-", one.name).lower(): one for one in complete}
 
 
 def size_mb(distribution: Distribution) -> float:
-    """Return what its files take."""
+    """Return the size of a distribution's files."""
     return sum(file.size or 0 for file in distribution.files or ()) / 1e6
 
 
 def forget_halves() -> None:
-    """Let pip install again what it was interrupted in: it takes a directory of metadata for the whole."""
+    """Let pip install interrupted distributions again: it takes a directory of metadata for a complete one."""
     for metadata in Path(SITE).glob("*.dist-info"):
         record = metadata / "RECORD"
         if not record.exists() or "INSTALLER," not in record.read_text(encoding="utf-8"):
@@ -75,12 +76,12 @@ def forget_halves() -> None:
 
 
 def say(text: str) -> None:
-    """Print a line at once."""
+    """Print a line immediately."""
     print(text, flush=True)  # noqa: T201  # a program
 
 
 def progress(asked: dict[str, str]) -> str:
-    """Return how far pip is, by its own words and by what is there."""
+    """Return the progress of pip, from its output and from the installed distributions."""
     text = LOG.read_text(encoding="utf-8", errors="replace")
     fetched = _FETCHED.findall(text)
     if "Installing collected packages" not in text:
@@ -94,11 +95,11 @@ def progress(asked: dict[str, str]) -> str:
 
 
 def install(asked: dict[str, str]) -> int:
-    """Run pip, tell every few seconds how far it is, and return its exit code."""
+    """Run pip, report the progress every few seconds, and return its exit code."""
     requirements = LOG.with_suffix(".txt")
     lines = [f"{name}=={version}" for name, version in asked.items()]
     requirements.write_text("\n".join(["--only-binary :all:", "--no-binary empy", *lines, ""]), encoding="utf-8")
-    # Python compiles what it imports: compiling all of it here would take half a minute
+    # Python compiles modules at import: compiling all of them here would take half a minute
     options = ["--no-deps", "--no-compile", "--no-input", "--disable-pip-version-check", "--progress-bar", "off"]
     command = [sys.executable, "-u", "-m", "pip", "install", *options, "--requirement", str(requirements)]
     with LOG.open("w") as log, subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT) as pip:  # noqa: S603  # own arguments
@@ -110,9 +111,9 @@ def install(asked: dict[str, str]) -> int:
 
 
 def link_equal_files() -> None:
-    """Keep files of equal content once: a wheel cannot hold links, and the ROS libraries come under up to eight names.
+    """Store files of equal content once: wheels contain no links, and ROS libraries have up to eight names each.
 
-    What pip installs later replaces a file, it does not write into it.
+    A later installation by pip replaces a file; it does not write into it.
     """
     sizes: dict[int, list[Path]] = {}
     for path in Path(sys.prefix).rglob("*.so*"):
@@ -123,13 +124,13 @@ def link_equal_files() -> None:
         for path in same_size if len(same_size) > 1 else ():
             kept = first.setdefault(hashlib.sha256(path.read_bytes()).digest(), path)
             if not kept.samefile(path):
-                with contextlib.suppress(OSError):  # a file system without links keeps them all
+                with contextlib.suppress(OSError):  # without support for links, all copies are kept
                     path.with_name(f"{path.name}.link").hardlink_to(kept)
                     path.with_name(f"{path.name}.link").replace(path)
 
 
 def main() -> int:
-    """Install the parts that are named; return the exit code."""
+    """Install the requested parts; return the exit code."""
     ros, *tiers = sys.argv[1:]
     parts = [part for tier in tiers for part in {"run": ("run", ros), "test": ("test", "kernels")}.get(tier, (tier,))]
     wanted = {name: version for part in parts for name, version in pins(part).items()}
@@ -137,7 +138,7 @@ def main() -> int:
     there = installed()
     missing = {name: version for name, version in wanted.items() if name not in there or there[name].version != version}
     if not missing:
-        link_equal_files()  # unless an interrupted run has
+        link_equal_files()  # unless an interrupted run has done so
         return 0
     begin = time.monotonic()
     cost = sum(ON_DISK_MB[part] for part in parts if not pins(part).keys() <= there.keys())

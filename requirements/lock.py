@@ -11,14 +11,14 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Choose exact versions that serve every supported Python, and write them down: `make lock`, then run the tests.
+"""Choice of exact versions that serve every supported Python: `make lock`, then run the tests.
 
-    python requirements/lock.py             resolve direct.txt, write a file for each of its sections, check them
+        python requirements/lock.py             resolve direct.txt, write a file for each of its sections, check them
     python requirements/lock.py --check     only check, with the package index, that every pin can be installed
 
 pip chooses for the lowest supported Python (`--python-version`), because versions that exist for it exist for later
-ones. It evaluates environment markers for the Python that runs it, though; so requirements are followed here once
-more, for every supported Python, and pip is asked again with those it has left out.
+ones. However, it evaluates environment markers for the Python that runs it. So the requirements are followed here
+again, for every supported Python, and pip is run again with those that it has left out.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ PYTHONS = ("3.11.0", "3.11.2", "3.12.0", "3.12.3", "3.13.0", "3.14.0")
 """The first patch release of each supported Python, and the ones of Debian 12 and Ubuntu 24.04."""
 SECTIONS = ("run", "wheels", "kernels", "test", "docs")
 KILTED = "kilted"
-"""Section that takes the place of `wheels` in an environment with ROS 2 Kilted."""
+"""Section that replaces `wheels` in an environment with ROS 2 Kilted."""
 SOURCE_ONLY = "empy"  # pure Python
 OF_ROS = {"empy", "lark", "lark-parser", "numpy"}
-"""An apt-installed Jazzy brings its own of these: its message classes are compiled against numpy 1.26."""
+"""Distributions that an apt-installed Jazzy brings itself: its message classes are compiled against numpy 1.26."""
 UNUSED_REQUIREMENTS_OF = ("uplot-python", "fmpy")
-"""They are left out: uplot-python asks for IPython (40 MB), and only its JavaScript is used; fmpy for CMake."""
+"""Requirements that are left out: uplot-python's IPython (40 MB), as only its JavaScript is used, and fmpy's CMake."""
 HEADER = f"""\
 # Written by lock.py from direct.txt: exact versions, dependencies of dependencies too, and the Pythons they ask for.
 --only-binary :all:
@@ -54,7 +54,7 @@ HEADER = f"""\
 
 
 def direct() -> dict[str, list[Requirement]]:
-    """Return what direct.txt names in each section."""
+    """Return the requirements of direct.txt by section."""
     found: dict[str, list[Requirement]] = {}
     for line in (HERE / "direct.txt").read_text(encoding="utf-8").splitlines():
         if line.startswith("["):
@@ -65,7 +65,7 @@ def direct() -> dict[str, list[Requirement]]:
 
 
 def environment(python: str) -> dict[str, str]:
-    """Return what markers are evaluated with on a supported machine."""
+    """Return the values of environment markers on a supported machine."""
     return {
         "python_full_version": python,
         "python_version": python.rpartition(".")[0],
@@ -80,12 +80,12 @@ def environment(python: str) -> dict[str, str]:
 
 
 def needed(asked: list[Requirement], known: dict[str, list[Requirement]], python: str) -> dict[str, Requirement]:
-    """Return everything that `asked` needs on one Python: by name, a requirement that asked for it.
+    """Return all requirements of `asked` on one Python: by name, a requirement that asked for it.
 
     Args:
-        asked: where to begin.
-        known: what each distribution requires; one that is missing here is named, and followed no further.
-        python: its full version.
+        asked: requirements to start from.
+        known: requirements of each distribution; one that is missing here is listed, but not followed.
+        python: full version of Python.
     """
     found: dict[str, Requirement] = {}
     seen: set[tuple[str, str]] = set()
@@ -104,20 +104,20 @@ def needed(asked: list[Requirement], known: dict[str, list[Requirement]], python
 
 
 def pip(*arguments: str) -> str:
-    """Return what pip prints; its errors go to the terminal."""
+    """Run pip and return its output; its errors go to the terminal."""
     command = [sys.executable, "-m", "pip", "--disable-pip-version-check", *arguments]
     return subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout  # noqa: S603  # own arguments
 
 
 def try_for(python: str, *arguments: str) -> str:
-    """Let pip look for what it would install on another Python, into an empty directory."""
+    """Let pip resolve an installation for another Python, into an empty directory."""
     with tempfile.TemporaryDirectory() as directory:
         options = ["--quiet", "--dry-run", "--ignore-installed", "--target", directory, "--python-version", python]
         return pip("install", *options, *arguments)
 
 
 def resolve(asked: list[Requirement], directory: Path) -> dict[str, dict[str, Any]]:
-    """Return name -> metadata of what pip chooses for the lowest supported Python, into an empty environment."""
+    """Return name -> metadata of pip's choice for the lowest supported Python, in an empty environment."""
     pip("wheel", "--quiet", "--no-deps", "--no-binary", SOURCE_ONLY, "--wheel-dir", str(directory), SOURCE_ONLY)
     options = ["--report", "-", "--only-binary", ":all:", "--find-links", str(directory)]
     report = json.loads(try_for(PYTHONS[0], *options, *map(str, asked)))
@@ -125,7 +125,7 @@ def resolve(asked: list[Requirement], directory: Path) -> dict[str, dict[str, An
 
 
 def unconditional(requirement: Requirement) -> Requirement:
-    """Return it without its marker."""
+    """Return a requirement without its marker."""
     extras = f"[{','.join(sorted(requirement.extras))}]" if requirement.extras else ""
     return Requirement(f"{requirement.name}{extras}{requirement.specifier}")
 
@@ -159,7 +159,7 @@ def choose(ros: str = "wheels") -> dict[str, dict[str, str]]:
 
 
 def pin(name: str, metadata: dict[str, Any]) -> str:
-    """Return the line of a lock: what is pinned, on which Pythons if not on all, and which Pythons it asks for."""
+    """Return a line of a lock: the pinned version, its Pythons if not all, and the Pythons that it requires."""
     asked = SpecifierSet(metadata.get("requires_python") or "")
     served = [python for python in PYTHONS if asked.contains(python)]
     minors = " ".join(dict.fromkeys(python.rpartition(".")[0] for python in served))
@@ -168,10 +168,10 @@ def pin(name: str, metadata: dict[str, Any]) -> str:
 
 
 def check(parts: Sequence[str]) -> None:
-    """Ask the package index for every pin of some parts, for every supported Python.
+    """Query the package index for every pin of some parts, for every supported Python.
 
     Raises:
-        SystemExit: a pin cannot be installed on one of them; pip has said which.
+        SystemExit: a pin cannot be installed on one of them; pip has printed which.
     """
     lines = [line for part in parts for line in (HERE / f"{part}.txt").read_text(encoding="utf-8").splitlines()]
     pins = [Requirement(line.partition("  #")[0]) for line in lines if "==" in line]

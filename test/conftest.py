@@ -205,7 +205,7 @@ def _claim_domain() -> tuple[int, IO[str]]:
 
 @pytest.fixture(scope="session", autouse=True)
 def _no_process_in_a_check(request: pytest.FixtureRequest) -> None:
-    """Skip whatever starts a process, when it does: no marker that somebody could forget."""
+    """Skip every test that starts a process, when it does so: a marker could be forgotten."""
     if request.config.getoption("--check"):
         with contextlib.suppress(ImportError):
             importlib.import_module("matplotlib.font_manager")  # asks a program for fonts, once on a machine
@@ -285,7 +285,7 @@ def _command(process: int) -> str:
 
 
 def _ended(process: int, deadline: float) -> bool:
-    """Wait until `process` has ended; an ended one that nobody waited for still counts as ended."""
+    """Wait until `process` has ended; an ended process counts even if its parent has not waited for it."""
     try:
         descriptor = os.pidfd_open(process)
     except ProcessLookupError:

@@ -89,7 +89,7 @@ def symbols_in(text: str) -> set[str]:
 
 
 def known_symbols() -> list[str]:
-    """Every symbol of both tables, as often as it stands there."""
+    """Return every symbol of both tables, as often as it occurs."""
     rows = symbol_rows("reference/symbols.md") + symbol_rows("explanation/physics.md")
     assert all(len(row) == 3 and all(row) for row in rows)
     return [symbol for row in rows for symbol in row[0].split(", ")]
@@ -164,11 +164,11 @@ def test_a_test_that_runs_a_page_reads_it():
     ("text", "fault"),
     [
         ("    make test\n", "1: a code block without a language"),
-        ("\n```ruby\nputs 1\n```\n", "2: nobody runs this block of 'ruby'"),
-        ("```python not run: \nx\n```\n", "nobody runs this block"),
+        ("\n```ruby\nputs 1\n```\n", "2: no program runs this block of 'ruby'"),
+        ("```python not run: \nx\n```\n", "no program runs this block"),
         ("```sh\nimpact-rig analyse RUN\n```\n", "impact-rig analyse RUN: no such subcommand"),
         ("```sh\nmake lint && impact-rig info\n```\n", "impact-rig info: the following arguments are required: RUN"),
-        ("```sh\ncurl x\n```\n", "curl is no program that can be checked"),
+        ("```sh\ncurl x\n```\n", "curl is not a program that can be checked"),
         ("```sh not run: so\nFOO=1 make tset  # x\n```\n", "make tset: the Makefile has no target tset"),
         ("`impact-rig info RUN --fig x`", "unrecognized arguments: --fig x"),
         ("`impact-rig replay --rate fast`", "argument --rate"),
@@ -195,10 +195,10 @@ def test_a_test_that_runs_a_page_reads_it():
         ("```sh not run: so\nros2 run impact_rig\n```\n", "ros2 run impact_rig: words are missing"),
         ("in `test/test_nothing.py`", "there is no test/test_nothing.py"),
         ("in `config/none/`", "there is no config/none/"),
-        ("It takes 3.5 s.\n", "no command prints and no test holds figures such as '3.5'"),
+        ("It takes 3.5 s.\n", "no command prints and no test checks figures such as '3.5'"),
         ("# A\n## B\n<!-- figures: make test -->\n9 %\n\n## C\n| a |\n|---|\n| 7 % |\n", "docs/page.md:6: no command"),
         ("<!-- figures: make tset -->\n", "make tset: the Makefile has no target tset"),
-        ("<!-- figures: test/test_nothing.py -->\n", "there is no test/test_nothing.py, which is to answer"),
+        ("<!-- figures: test/test_nothing.py -->\n", "test/test_nothing.py, the owner of figures, does not exist"),
         ("<!-- figures: make test; test/test_docs.py::test_none -->\n", "test/test_docs.py has no test_none"),
         ("`analysis.tracker.Trackers`", "the package has no analysis.tracker.Trackers"),
         ("`codec.decode_all()`", "the package has no codec.decode_all()"),
@@ -248,7 +248,7 @@ def test_shell_is_shell(block):
 
 @pytest.mark.parametrize("block", [block for block in OURS if block.language == "python"], ids=by_place)
 def test_python_runs(block, monkeypatch, tmp_path):
-    """A session, `>>>`, shows what stands there; other code runs to its end."""
+    """A session, `>>>`, prints what the page shows; other code runs to its end."""
     if ">>>" in block.content:
         monkeypatch.chdir(tmp_path)  # it may write
         session = doctest.DocTestParser().get_doctest(block.content, {}, by_place(block), block.page, block.line)

@@ -117,7 +117,7 @@ def test_a_requirement_under_a_marker_is_followed_for_each_python() -> None:
 
 
 def test_the_smallest_part_has_what_the_package_imports_and_no_more() -> None:
-    """Whoever only runs the rig pays for nothing else."""
+    """An installation that only runs the rig has no other costs."""
     imported = set()
     for path in ROOT.glob("impact_rig*/**/*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -150,7 +150,7 @@ def test_the_cost_that_is_said_is_what_is_paid(part: str) -> None:
 def test_what_the_commands_of_the_readme_took_is_among_the_figures(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whoever runs them leaves a file; what nobody has run lately is absent, never zero."""
+    """Each run leaves a file; a part that was not run lately is absent, never zero."""
     from benchmarks import start
 
     monkeypatch.chdir(tmp_path)
@@ -163,7 +163,7 @@ def test_what_the_commands_of_the_readme_took_is_among_the_figures(
 
 @pytest.mark.ros
 def test_every_benchmark_can_begin() -> None:
-    """One once imported what had got another name; nobody saw it before a whole bench was run."""
+    """Before, one imported a renamed module, which only a complete bench run revealed."""
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     from benchmarks.__main__ import PARTS
 

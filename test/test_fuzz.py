@@ -196,7 +196,7 @@ def test_an_integer_beyond_all_floats_is_refused_by_name(tmp_path: Path, digits:
 
 @pytest.mark.parametrize("text", ["a: 2024-13-45", "&a [*a]", "[" * 1500, "a: &a {b: *a}"])
 def test_yaml_inside_a_recording_is_not_believed(tmp_path: Path, text: str) -> None:
-    """A date that is none ended in ValueError, deep nesting in RecursionError."""
+    """An invalid date ended in ValueError, deep nesting in RecursionError."""
     (tmp_path / "run.mcap").write_bytes(decoders.FILES[0])
     (tmp_path / "metadata.yaml").write_text(text)
     with pytest.raises(RecordingError, match="cannot parse"):

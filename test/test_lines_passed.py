@@ -62,4 +62,4 @@ def test_lines_that_a_process_passed_are_noted_and_no_others(program: str, noted
         found.update(part)
     lines = set(found.lines(inspect.getfile(simtime)) or ())
     assert lines & {DEFINED, PASSED} == noted
-    assert set(found.lines(str(Path(simtime.__file__).with_name("blocks.py"))) or ()) == set(), "nobody imported it"
+    assert set(found.lines(str(Path(simtime.__file__).with_name("blocks.py"))) or ()) == set(), "it was not imported"

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Programs that are told to end, at any instant from their first import on: one line, a code, no process, whole files.
+"""Programs that get a signal at any instant from their first import on: one line, a code, no process, intact files.
 
 `qualification/endings.py` does it twenty times for each program and signal; here every program gets each signal once.
 """
@@ -53,7 +53,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Any:
 def test_a_program_that_is_told_to_end_ends_in_order(bench: Any, program: str) -> None:
     tally = bench.end(program)
     assert tally.faults == []
-    assert tally.endings == len(SIGNALS), "each was told while it ran"
+    assert tally.endings == len(SIGNALS), "each got its signal while it ran"
 
 
 def test_a_rig_that_is_driven_and_recorded_ends_in_order_however_often_it_is_told(tmp_path: Path) -> None:
@@ -107,7 +107,7 @@ sys.exit(ending.run(work))
 SLEEP = "ready(); time.sleep(100)"
 WORK = {
     "waiting": ("ready(); threading.Event().wait()", ""),
-    "an exception that somebody swallows": (f"try: {SLEEP}\n    except BaseException: pass\n    time.sleep(100)", ""),
+    "an exception that is swallowed": (f"try: {SLEEP}\n    except BaseException: pass\n    time.sleep(100)", ""),
     "an exception that becomes another": (
         f"try: {SLEEP}\n    except BaseException as error: raise ImportError from error",
         "",

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Build the rig in a browser: `python -m tools.browser_page [DIRECTORY]` (build/rig).
+"""Build of the rig in a browser: `python -m tools.browser_page [DIRECTORY]` (default: build/rig).
 
-`DIRECTORY/index.html` holds everything and opens from disk. `DIRECTORY/served` holds the module, the snapshots and the
-scripts as files of their own, for pages that put the rig into something else.
+`DIRECTORY/index.html` contains everything and opens from disk. `DIRECTORY/served` contains the module, the snapshots
+and the scripts as separate files, for pages that embed the rig.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def presets() -> dict[str, bytes]:
 
 
 def modules() -> Iterator[tuple[str, str]]:
-    """Yield name and text of each script; the lab's and the site's import each other by these names."""
+    """Yield name and text of each script; the scripts of the lab and the site import each other by these names."""
     for prefix, folder in (("lab", LAB), ("site", SITE)):
         for path in sorted(folder.glob("*.js")):
             text = re.sub(r'from "\./(\w+\.js)"', rf'from "{prefix}/\1"', path.read_text(encoding="utf-8"))
@@ -59,12 +59,12 @@ def modules() -> Iterator[tuple[str, str]]:
 
 
 def page(module: bytes, snapshots: dict[str, bytes]) -> str:
-    """Return the page with everything in it."""
+    """Return the page with all its parts."""
     scripts = dict(modules())
     wanted = ("lab/format.js", "lab/motion.js", "lab/page.js", "lab/paper.js", "lab/rigview.js", "lab/scopeview.js")
     wanted += ("lab/spectrumview.js", "site/signals.js")
     urls = {name: f"data:text/javascript,{quote(scripts[name])}" for name in wanted}
-    # a worker knows no import map: its two scripts become one
+    # workers do not support import maps: the two scripts of the worker become one
     worker = re.sub(r"^export ", "", scripts["site/rig.js"], flags=re.MULTILINE)
     worker += re.sub(r"^import .*\n", "", scripts["site/worker.js"], flags=re.MULTILINE)
     given = {
@@ -111,7 +111,7 @@ def build(directory: Path) -> Path:
     found = directory / "index.html"
     found.write_text(page((served / "rig.wasm").read_bytes(), snapshots), encoding="utf-8")
     if found.stat().st_size > MOST_BYTES:
-        raise SystemExit(f"{found} has {found.stat().st_size} bytes, at most {MOST_BYTES} are meant")
+        raise SystemExit(f"{found} has {found.stat().st_size} bytes, more than {MOST_BYTES}")
     return found
 
 

@@ -11,25 +11,26 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Hold README and docs against the repository: `python -m tools.check_docs` names every line that is wrong.
+"""Comparison of README and docs with the repository: `python -m tools.check_docs` lists every line that is wrong.
 
-Every code block has an owner, known by its page and the words behind its fence:
+Every code block has an owner, determined by its page and the words after the fence:
 
 - a test that runs it (`RUN_BY`);
-- `test/test_docs.py`, which runs the Python and reads the YAML of all other pages;
-- this script, for `sh`: each command goes through the program's own parser, and none is there that it does not know;
-  `make journeys` runs them;
-- nobody, for a reason that stands behind its language: `sh not run: needs an apt-installed Jazzy`.
+- `test/test_docs.py`, which runs the Python and parses the YAML of all other pages;
+- this script, for `sh`: it passes each command to the program's own parser, which must know it; `make journeys` runs
+  the commands;
+- none, with a reason after the language: `sh not run: needs an apt-installed Jazzy`.
 
-Blocks of `text` are formulas, trees and output. Commands, paths and links are checked in running text, too.
+Blocks of `text` are formulas, trees and output. Commands, paths and links in running text are checked, too.
 
-Figures, too, have an owner. A section of README or docs that holds one in its text or tables (a decimal fraction, or a
-number with a unit) begins with a comment that says who answers for it, or the page does before its first section:
+Figures have an owner, too. A figure is a decimal fraction, or a number with a unit. A section of README or docs with a
+figure in its text or tables begins with a comment that names the figures' owners, or its page does before its first
+section:
 
     <!-- figures: make bench ONLY=analysis; test/impact_rig/analysis/test_x.py::test_y; config/nominal.yaml -->
 
-that is, commands that print it, tests that hold it, or the file that defines it. What is named must exist; whether it
-says the same is for the reader to try, and that is what the name is for.
+The owners are commands that print a figure, tests that check it, or the file that defines it. They must exist. This
+script does not compare the values; the reader can do so with the owner.
 """
 
 from __future__ import annotations
@@ -76,7 +77,7 @@ _FIGURE = re.compile(
 
 @attrs.frozen
 class Block:
-    """A code block: what stands behind its fence, split at the first blank, and what is in it."""
+    """A code block: the words after its fence, split at the first blank, and its content."""
 
     page: str
     line: int
@@ -86,17 +87,17 @@ class Block:
 
     @property
     def kind(self) -> str:
-        """Language and the first word behind it, a title without its value."""
+        """Language and the first word after it, a title without its value."""
         return f"{self.language} {self.info.partition('=')[0]}".strip()
 
     def quotes(self, name: str) -> bool:
-        """Say whether these words, without a language, stand in a file."""
+        """Return whether this block, without a language, is a part of a file."""
         text = (ROOT / name).read_text(encoding="utf-8")
         return not self.language and " ".join(self.content.split()) in " ".join(text.split())
 
     @property
     def owner(self) -> str | None:
-        """Who runs it, or why nobody does; None: that is not known."""
+        """The program that runs the block, or the reason why none does; None if that is unknown."""
         if self.info.startswith(NOT_RUN):
             return self.info if len(self.info) > len(NOT_RUN) else None
         if (self.page, self.kind) in RUN_BY:
@@ -108,7 +109,7 @@ class Block:
 
 @attrs.frozen
 class Section:
-    """Text under one heading: where it is, its first figure if it has one, and who answers for its figures."""
+    """Text under one heading: its line, its first figure if there is one, and the owners of its figures."""
 
     line: int
     figure: str | None
@@ -117,7 +118,7 @@ class Section:
 
 @attrs.frozen
 class Page:
-    """What is in a page: code blocks, pieces of code in running text, links, anchors of its headings, sections."""
+    """Contents of a page: code blocks, code in running text, links, anchors of its headings, sections."""
 
     name: str
     blocks: tuple[Block, ...]
@@ -128,7 +129,7 @@ class Page:
 
     @classmethod
     def parse(cls, name: str, text: str) -> Page:
-        """Read Markdown."""
+        """Parse Markdown."""
         blocks, words, links, anchors, line, heading = [], [], [], set(), 0, False
         tokens = MarkdownIt("commonmark").enable("table").parse(text)
         for token in tokens:
@@ -149,7 +150,7 @@ class Page:
 
 
 def _sections(tokens: list[Token]) -> Iterator[Section]:
-    """Yield the sections of a page, what stands before the second heading as the first of them."""
+    """Yield the sections of a page; the first one includes the text before the second heading."""
     headings = [i for i, token in enumerate(tokens) if token.type == "heading_open"]
     for begin, end in itertools.pairwise([0, *headings[1:], len(tokens)]):
         own = tokens[begin:end]
@@ -169,22 +170,22 @@ def pages() -> dict[str, Page]:
 
 
 def faults(page: Page) -> Iterator[str]:
-    """Yield what is wrong in a page."""
+    """Yield the mistakes in a page."""
     for block in page.blocks:
         where = f"{page.name}:{block.line}"
-        if block.quotes("LICENSE"):  # word for word, fence and all
+        if block.quotes("LICENSE"):  # literally, including the fence
             continue
         if not block.language:
             yield f"{where}: a code block without a language"
         elif block.owner is None:
-            yield f"{where}: nobody runs this block of {block.kind!r}, and no reason is given"
+            yield f"{where}: no program runs this block of {block.kind!r}, and no reason is given"
         elif block.owner.startswith("test/") and not (ROOT / block.owner).exists():
-            yield f"{where}: {block.owner}, which runs it, is not there"
+            yield f"{where}: {block.owner}, which runs it, does not exist"
         if block.language == "sh":
             for command in commands(block.content):
                 known = command[0] in PROGRAMS
                 if not known and not block.info.startswith(NOT_RUN):
-                    yield f"{where}: {command[0]} is no program that can be checked"
+                    yield f"{where}: {command[0]} is not a program that can be checked"
                 yield from (f"{where}: {fault}" for fault in command_faults(command, whole=True))
     if page.name == "README.md" or page.name.startswith("docs/"):
         yield from figure_faults(page)
@@ -210,18 +211,18 @@ def faults(page: Page) -> Iterator[str]:
 
 # --- Figures ----------------------------------------------------------------------------------------------------------
 def figure_faults(page: Page) -> Iterator[str]:
-    """Yield the sections whose figures nobody answers for, and owners that are not there."""
+    """Yield the sections whose figures have no owner, and owners that do not exist."""
     for section in page.sections:
         where = f"{page.name}:{section.line}"
         if section.figure and not (section.owners or page.sections[0].owners):
-            yield f"{where}: no command prints and no test holds figures such as {section.figure!r}"
+            yield f"{where}: no command prints and no test checks figures such as {section.figure!r}"
         for owner in section.owners:
             path, _, test = owner.partition("::")
             if owner.split(" ")[0] in PROGRAMS:
                 for words in commands(owner):
                     yield from (f"{where}: {fault}" for fault in command_faults(words, whole=True))
             elif not (ROOT / path).exists():
-                yield f"{where}: there is no {path}, which is to answer for figures"
+                yield f"{where}: {path}, the owner of figures, does not exist"
             elif test and f"def {test}(" not in (ROOT / path).read_text(encoding="utf-8"):
                 yield f"{where}: {path} has no {test}"
 

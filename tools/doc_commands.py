@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Commands in documents, each held against the program's own parser: none is there that it does not know."""
+"""Commands in documents, checked by the program's own parser."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from tools.doc_paths import ROOT, exists
 
 
 def commands(text: str) -> Iterator[list[str]]:
-    """Yield the words of each command in lines of shell, without assignments in front and words of loops."""
+    """Yield the words of each shell command, without preceding assignments and words of loops."""
     for line in text.replace("\\\n", " ").splitlines():
         words: list[str] = []
         lexer = shlex.shlex(line, posix=True, punctuation_chars=";&|")
@@ -43,7 +43,7 @@ def commands(text: str) -> Iterator[list[str]]:
 
 
 def command_faults(words: list[str], *, whole: bool) -> Iterator[str]:
-    """Yield what is wrong with a command; one in running text need not be `whole`."""
+    """Yield the mistakes in a command; a command in running text need not be complete (`whole`)."""
     check = PROGRAMS.get(words[0])
     try:
         fault = check(words[1:], whole) if check else None
@@ -94,7 +94,7 @@ def _make(words: list[str], whole: bool) -> str | None:
 
 
 def _options(recipe: str, words: list[str], whole: bool) -> str | None:
-    """Hold the words of ARGS against the program that a target starts with them."""
+    """Check the words of ARGS with the parser of the program that a target starts with them."""
     line = next((line for line in recipe.splitlines() if "$(ARGS)" in line), "")
     if command := re.search(r"bin/impact-rig (.*?)\$\(ARGS\)", line):
         return _impact_rig([*command[1].split(), *words], whole)

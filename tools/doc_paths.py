@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Paths of the repository and names of its code in its documents: which words are one, and whether it is there."""
+"""Paths of the repository and names of its code in its documents: recognition of them, and checks that they exist."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("impact_rig", "impact_rig_studies", "impact_rig_lab")
 MADE = {"build", "install", "log", "runs", "failed_runs"}
-"""Folders that a checkout may have and the repository has not."""
+"""Folders that a checkout may have and the repository does not."""
 NO_PATHS = {"impact_rig/topic", "impact_rig/losses", "impact_rig/recovered", "impact_rig/continues"}  # names of records
 _PATH = re.compile(r"[\w.-]+(?:/[\w.-]+)*/?")
 _ENDINGS = (".py", ".md", ".yaml", ".xml", ".json", ".toml", ".txt", ".rst", ".sh", ".c")
@@ -30,14 +30,14 @@ _ENDINGS = (".py", ".md", ".yaml", ".xml", ".json", ".toml", ".txt", ".rst", ".s
 
 @cache
 def files() -> tuple[str, ...]:
-    """Return every file of the repository, relative to it."""
+    """Return the paths of all files of the repository, relative to it."""
     folders = [path for path in ROOT.iterdir() if path.is_dir() and path.name not in MADE and path.name[0] != "."]
     found = [*(path for folder in folders for path in folder.rglob("*")), *ROOT.iterdir()]
     return tuple(path.relative_to(ROOT).as_posix() for path in found if path.is_file())
 
 
 def is_path(text: str) -> bool:
-    """Whether a word claims to be a file or folder of the repository."""
+    """Return whether a word looks like a file or folder of the repository."""
     if text in NO_PATHS or not _PATH.fullmatch(text):
         return False
     top, slash, _ = text.partition("/")
@@ -46,14 +46,14 @@ def is_path(text: str) -> bool:
 
 
 def exists(text: str) -> bool:
-    """Whether there is such a file or folder; `nodes/topics.py` may stand for `impact_rig/topics.py`."""
+    """Return whether such a file or folder exists; `nodes/topics.py` may stand for `impact_rig/topics.py`."""
     return (ROOT / text).exists() or any(name.endswith(f"/{text}") for name in files())
 
 
 def is_dangling(text: str) -> bool:
-    """Whether a word is a dotted name of this package, module or parameter first, whose last part is nowhere there.
+    """Return whether a word is a dotted name of this package, module or parameter whose last part does not exist.
 
-    `rig.save`, of a variable, is looked for in the whole package.
+    A name such as `rig.save`, of a variable, is searched in the complete package.
     """
     name = re.match(r"([a-z_]\w*(?:\.\w+)+)(?:\(.*\))?$", text)
     if not name:
@@ -61,7 +61,7 @@ def is_dangling(text: str) -> bool:
     first, _, below = name[1].partition(".")
     package = ROOT / (first if first in PACKAGES else PACKAGES[0])
     top, *rest = (below if first in PACKAGES else name[1]).split(".")
-    if not rest:  # of the package itself: a module, or what it has for a first look
+    if not rest:  # of the package itself: a module, or a public name
         return not (
             (package / top).exists() or (package / f"{top}.py").exists() or top in _words(package / "__init__.py")
         )

@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Draw the figures of docs/how-to/drive.md from rigs driven through their stream: `python -m tools.drive_pictures`.
+"""Figures of docs/how-to/drive.md, from rigs driven through their stream: `python -m tools.drive_pictures`.
 
-Some ten minutes of rig time, a minute of one core.
+They take some ten minutes of rig time, and a minute of one core.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ PLANS = ROOT / "config" / "excitation"
 
 
 def results() -> Iterator[tuple[object, str]]:
-    """Yield what each test reached, and the unit of its response."""
+    """Yield the results of each test, and the unit of its response."""
     plan = load(PLANS / "random_superior.yaml", RandomPlan)
     *_, found = control(hardware(2_000, **{"barriers.gap_m": 0.006}), plan)
     yield found, plan.response.unit

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Virtual environments made of what this one has installed, without a network and within seconds."""
+"""Virtual environments made from the installed distributions of this one, without a network and within seconds."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ def pinned(part: str) -> list[str]:
 
 
 def canonical(name: str) -> str:
-    """Return the name of a distribution as package indexes compare it."""
+    """Return the name of a distribution in the form in which package indexes compare it."""
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
 def closure(requirements: Iterable[str]) -> set[str]:
-    """Return the canonical names of distributions with what they require, of those that are installed here."""
+    """Return the canonical names of distributions and of their requirements, as far as they are installed here."""
     found: dict[str, set[str]] = {}
     waiting = [Requirement(one) for one in requirements]
     while waiting:
@@ -53,7 +53,7 @@ def closure(requirements: Iterable[str]) -> set[str]:
         found[name] = extras | found.get(name, set())
         try:
             requires = distribution(name).requires or ()
-        except PackageNotFoundError:  # of another Python or platform
+        except PackageNotFoundError:  # needed on another Python or platform only
             del found[name]
             continue
         for text in requires:
@@ -64,7 +64,7 @@ def closure(requirements: Iterable[str]) -> set[str]:
 
 
 def assemble(venv: Path, names: Iterable[str]) -> None:
-    """Make a virtual environment with links to the files of some installed distributions, and to no others."""
+    """Make a virtual environment with links to the files of some installed distributions only."""
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(venv)], check=True)  # noqa: S603  # ours
     site = Path(*Path(distribution("attrs").locate_file("")).relative_to(sys.prefix).parts)
     for name in names:
@@ -90,6 +90,6 @@ def _link(target: Path, source: Path) -> None:
 
 
 def install(venv: Path, wheel: Path) -> None:
-    """Install a wheel, and nothing that it requires."""
+    """Install a wheel without its requirements."""
     command = [sys.executable, "-m", "pip", "--python", str(venv / "bin" / "python"), "install", "--quiet"]
     subprocess.run([*command, "--no-deps", "--no-index", "--no-compile", str(wheel)], check=True)  # noqa: S603  # ours

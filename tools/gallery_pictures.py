@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Measure both campaigns of the gallery where runs/ has not got them, and keep its pictures: a quarter of an hour."""
+"""Pictures of the gallery: both campaigns are measured if runs/ lacks them, a quarter of an hour."""
 
 from __future__ import annotations
 

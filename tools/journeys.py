@@ -11,12 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Run what README and docs show, each command in the environment that its page names: `make journeys`.
+"""Commands of README and docs, each run in the environment that its page names: `make journeys`.
 
-The table is `test/journeys/journeys.yaml`. Every environment begins as a reader's does: a fresh clone of the last
-commit or an empty directory, an empty home, virtual environments of its own. What the commands print is kept in
-`build/journeys.txt`; a result that is not a number is a failure. `test/journeys` holds the table against the pages and
-runs the cheap journeys of the working tree, in environments that are made of what the tests have installed.
+The table is `test/journeys/journeys.yaml`. Every environment is that of a new reader: a fresh clone of the last commit
+or an empty directory, an empty home, and its own virtual environments. The output of the commands is kept in
+`build/journeys.txt`; a result that is not a number is a failure. `test/journeys` compares the table with the pages and
+runs the cheap journeys of the working tree, in environments made from what the tests have installed.
 """
 
 from __future__ import annotations
@@ -52,14 +52,14 @@ ENVIRONMENTS = {
     "wheel[import]": "Environment: the installed package with the extra `[import]`; ROS 2 is not needed.",
     "wheel[wheels,strategies]": "Environment: the installed package with the extras `[wheels,strategies]`",
 }
-"""Environments of the table, each with the words by which a page names it."""
+"""Environments of the table, each with the phrase by which a page names it."""
 OUTPUT = ROOT / "build" / "journeys.txt"
 NOT_A_NUMBER = re.compile(r'^(?!\s*"doc":).*\b(nan|inf)\b', re.IGNORECASE)
-"""A line that gives a result as nan or inf; the interface's own description may speak of them."""
+"""A line with a result of nan or inf; the interface's own description may mention them."""
 PLACEHOLDER = re.compile(r"(?<![\w=])(?!(ARGS|ONLY|SHUFFLE|ROS|SECONDS|MEMORY_S|IMPACT_RIG_HOSTILE)=)\[?[A-Z]{2,}\b|…")
-"""Words that a reader replaces: a command in running text with one of them cannot be run as it stands."""
+"""Words that a reader replaces: a command in running text with one of them cannot be run literally."""
 DOMAIN = "75"
-"""ROS domain of the journeys: not that of `make`, where somebody may be at work."""
+"""ROS domain of the journeys, different from that of `make`, which another terminal may be using."""
 LIMIT_S = 1200.0
 HOST = ("ROS_", "AMENT_", "PYTHON", "VIRTUAL_ENV", "XDG_", "MPL", "IMPACT_RIG", "OPENBLAS", "MAKE", "MFLAGS")
 
@@ -71,8 +71,8 @@ class Journey:
     page: str
     run: str
     environment: str
-    before: Sequence[str] = ()  # commands of the page that make what it takes as given
-    instead: str = ""  # what is run in its place: the same at its smallest setting
+    before: Sequence[str] = ()  # commands of the page whose results it needs
+    instead: str = ""  # command that is run in its place: the same with its smallest setting
     exit: int = 0
     leaves: Sequence[str] = ()
     cheap: bool = False
@@ -100,7 +100,7 @@ def journeys() -> list[Journey]:
 
 
 def commands_of(block: Block) -> Iterator[str]:
-    """Give the commands of a block as they stand there, without remarks."""
+    """Yield the commands of a block literally, without comments."""
     for line in block.content.replace("\\\n", " ").splitlines():
         words = line.partition(" #")[0].strip()
         if words and not words.startswith("#"):
@@ -108,7 +108,7 @@ def commands_of(block: Block) -> Iterator[str]:
 
 
 def in_text(page: Page) -> Iterator[str]:
-    """Yield the commands in a page's running text that can be run as they stand."""
+    """Yield the commands in a page's running text that can be run literally."""
     for _, text in page.words:
         if set(text.split()).isdisjoint(PROGRAMS) or PLACEHOLDER.search(text):
             continue
@@ -124,12 +124,12 @@ def faults() -> list[str]:
     known = {one.run for one in table}
     found = []
     for name, page in pages().items():
-        if name.startswith("docs/decisions/"):  # they say what was run, not what to run
+        if name.startswith("docs/decisions/"):  # they report what was run, and give no instructions
             continue
         shown = [command for block in page.blocks if block.language == "sh" for command in commands_of(block)]
         own = [one.run for one in table if one.page == name]
-        found += [f"{name}: {command}: it has no journey in {TABLE.name}" for command in shown if command not in own]
-        found += [f"{name}: {text}: it has no journey in {TABLE.name}" for text in in_text(page) if text not in known]
+        found += [f"{name}: {command}: no journey in {TABLE.name}" for command in shown if command not in own]
+        found += [f"{name}: {text}: no journey in {TABLE.name}" for text in in_text(page) if text not in known]
         shown += in_text(page)
         found += [f"{name}: {run}: the page has no such command" for run in own if run not in shown]
         text = " ".join((ROOT / name).read_text(encoding="utf-8").split())
@@ -142,11 +142,11 @@ def faults() -> list[str]:
 
 
 class Places:
-    """Environments, each made once.
+    """Runner of environments, each of which is made once.
 
     Args:
-        folder: holds them, with an empty home.
-        is_offline: whether they are made of the working tree and what this environment has installed, in seconds.
+        folder: folder for the environments, with an empty home.
+        is_offline: whether they are made from the working tree and this environment's distributions, in seconds.
     """
 
     def __init__(self, folder: Path, *, is_offline: bool = False) -> None:
@@ -157,7 +157,7 @@ class Places:
         self._built: Path | None = None
 
     def environment(self, name: str) -> tuple[Path, dict[str, str]]:
-        """Return working directory and variables of an environment, made if it is not there."""
+        """Return working directory and variables of an environment, made if it does not exist."""
         if name not in self._made:
             make = self._clone if name in (CLONE, TEST) else self._wheel
             directory, programs = make(name)
@@ -209,7 +209,7 @@ def call(command: Sequence[str], directory: Path, environment: dict[str, str] | 
     """Run a command.
 
     Raises:
-        RuntimeError: it failed; with its last words.
+        RuntimeError: it failed; the message contains the end of its output.
     """
     done = subprocess.run(  # noqa: S603  # our own commands
         command, cwd=directory, env=environment, capture_output=True, text=True, check=False
@@ -219,7 +219,7 @@ def call(command: Sequence[str], directory: Path, environment: dict[str, str] | 
 
 
 def prepare(journey: Journey, place: tuple[Path, dict[str, str]]) -> None:
-    """Make what a page takes as given in its environment: the files that it shows, and what its commands need."""
+    """Prepare an environment as a page assumes it: the files that the page shows, and the inputs of its commands."""
     directory, environment = place
     for block in pages()[journey.page].blocks:
         title = block.info.removeprefix("title=")
@@ -230,7 +230,7 @@ def prepare(journey: Journey, place: tuple[Path, dict[str, str]]) -> None:
 
 
 def travel(journey: Journey, place: tuple[Path, dict[str, str]]) -> tuple[str, str]:
-    """Run a journey; return what was wrong, or nothing, and what it printed."""
+    """Run a journey; return the fault, empty if there is none, and the output."""
     directory, environment = place
     try:
         done = subprocess.run(  # noqa: S603  # our own pages
@@ -250,7 +250,7 @@ def travel(journey: Journey, place: tuple[Path, dict[str, str]]) -> tuple[str, s
 
 
 def main() -> int:
-    """Run all journeys from nothing and print a line for each."""
+    """Run all journeys in new environments and print a line for each."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cheap", action="store_true", help="run only the cheap journeys, with what is installed")
     parser.add_argument("pages", nargs="*", metavar="PAGE", help="pages whose journeys are run (default: all)")

@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Take the pictures of docs/how-to/lab.md with Chromium: `python -m tools.lab_pictures` (two minutes).
+"""Pictures of docs/how-to/lab.md, taken with Chromium: `python -m tools.lab_pictures` (two minutes).
 
-The animation is drawn by the page itself; Pillow, which comes with matplotlib, puts its frames together.
+The page itself draws the animation; Pillow, which is installed with matplotlib, combines its frames.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ FRAMES, FRAME_MS = 24, 60
 
 
 def main() -> None:
-    """Take all of them."""
+    """Take all pictures."""
     IMAGES.mkdir(parents=True, exist_ok=True)
     with contextlib.closing(Browser()) as browser, tempfile.TemporaryDirectory() as directory:
         live(browser, Path(directory))
@@ -51,7 +51,7 @@ def main() -> None:
 
 
 def live(browser: Browser, directory: Path) -> None:
-    """A rig at 9.1 Hz, a curve, a trip."""
+    """Take the pictures of a live rig: 9.1 Hz, a curve, a trip."""
     parameters = {
         "rig": {"time.peers": ["analysis", "recorder"]},
         "analysis": {"gap_m": 0.006},
@@ -92,7 +92,7 @@ def live(browser: Browser, directory: Path) -> None:
 
 
 def playback(browser: Browser, directory: Path) -> None:
-    """The sample, held at an impact."""
+    """Take the pictures of the sample run, paused at an impact."""
     source = PlaybackSource([make_sample(directory / "sample")])
     with Server(source, port=0) as server, source:
         page = browser.page(1280, 800, prefers_color_scheme="light")
@@ -107,7 +107,7 @@ def playback(browser: Browser, directory: Path) -> None:
 
 
 def picture(page: Page, name: str) -> None:
-    """Take a picture when everything has been drawn."""
+    """Take a picture after everything has been drawn."""
     page.js("document.activeElement.blur()")
     page.js("new Promise(done => setTimeout(done, 400))")
     file = IMAGES / f"{name}.png"
@@ -117,7 +117,7 @@ def picture(page: Page, name: str) -> None:
 
 
 def animation(page: Page) -> None:
-    """Put pictures of the rig in slow motion together."""
+    """Combine pictures of the rig in slow motion."""
     page.click("[data-slow='0.02']")
     corners = "const b = document.getElementById('rig').getBoundingClientRect(); return [b.x, b.y, b.right, b.bottom];"
     box = page.js(f"(() => {{ {corners} }})()")

@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Measure the maps and the dynamics that the docs show, on the mechanics, and keep their pictures: some minutes.
+"""Pictures of the maps and the dynamics in the docs: measured on the mechanics and drawn, some minutes.
 
-`python -m tools.map_picture dynamics` does so for those whose page is named only.
+With the argument `dynamics` the program makes only the pictures of the page of that name.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ PICTURES = {
     },
     ("dynamics", "continue", "dynamics/current"): ("dynamics_continue", "dynamics_current"),
 }
-"""Command and file in config/ -> the picture that it draws, and its name in docs/images."""
+"""Command and file in config/ -> the picture that it draws, and the picture's name in docs/images."""
 
 
 def draw(page: str) -> int:

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Write the files of all recipes of docs/how-to/extending.md into this checkout: `python -m tools.recipes`."""
+"""Installer of all recipes of docs/how-to/extending.md into this checkout: `python -m tools.recipes`."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ PAGE = ROOT / "docs" / "how-to" / "extending.md"
 
 
 def notice() -> str:
-    """Return the lines of the licence with which every Python file begins, which the page leaves out."""
+    """Return the lines of the licence at the start of every Python file, which the page leaves out."""
     return (ROOT / "setup.py").read_text(encoding="utf-8").partition('"""')[0]
 
 
 def files(section: str) -> dict[str, str]:
-    """Return what a section of the page writes, by path."""
+    """Return the files that a section of the page describes: content by path."""
     return {
         path: notice() + content for path, content in re.findall(r"```\w+ title=(\S+)\n(.*?)```", section, re.DOTALL)
     }

@@ -11,12 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Build what is released, look into it, and try it: `python -m tools.release [DIRECTORY] [--try]` (build/release).
+"""Build and check of a release: `python -m tools.release [DIRECTORY] [--try]` (default: build/release).
 
-The source distribution is made from the files that git knows, and the wheel from the unpacked source distribution, as
-a package index does it. Both must hold what the repository holds, and nothing else. `--try` installs the wheel, with
-what it asks of the package index, into an empty environment in an empty directory, and uses it there: demo, page of the
-lab, pytest plugin; then it runs tests of the source distribution on the installed package.
+The source distribution is made from the files that git tracks, and the wheel from the unpacked source distribution, as
+a package index does it. Both must contain what the repository contains, and nothing else. `--try` installs the wheel
+and its requirements from the package index into an empty environment in an empty directory. There it uses the demo, the
+lab's page and the pytest plugin, and runs tests of the source distribution on the installed package.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from impact_rig.kernels.build import ASSEMBLY, HEADER, OBJECT, OUTPUT, write_ass
 ROOT = Path(__file__).parents[1]
 NOT_RELEASED = (".github", ".ci", ".gitignore")
 IN_WHEEL = ("config", "launch", "resource", "rviz", "urdf", "package.xml")
-"""Beside the packages themselves; of examples only what is in its folder and its golden values."""
+"""Paths of a release besides the packages; of examples only its files and their golden values."""
 PACKAGES = ("impact_rig/", "impact_rig_studies/", "impact_rig_lab/")
 EXTRAS = "[wheels,lab]"
 TRIED = (
@@ -49,16 +49,16 @@ TRIED = (
     "test/impact_rig/analysis",
     "test/impact_rig/test_codec.py",
 )
-"""Tests that look at the installed package, not at the repository around them."""
+"""Tests of the installed package that need no repository around them."""
 PLACEHOLDER = "example.org"
 PATIENCE_S = 600.0
 END_S = 60.0
 DOMAIN = "74"
-"""Not that of `make`, where somebody may be at work."""
+"""Not the domain of `make`, which another terminal may be using."""
 
 
 def tracked() -> list[str]:
-    """Return the files of a release, as git knows them."""
+    """Return the files of a release that git tracks."""
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True).stdout  # noqa: S607  # git
     return [
         name for name in listed.split("\0") if name and not name.startswith(NOT_RELEASED) and (ROOT / name).exists()
@@ -66,12 +66,12 @@ def tracked() -> list[str]:
 
 
 def build(directory: Path, kernels: Path | None = None) -> tuple[Path, Path]:
-    """Return a new source distribution and a new wheel made from it.
+    """Make a source distribution and a wheel from it, and return both.
 
     Args:
-        directory: where they are put.
-        kernels: folder of a library of these sources, which the wheel then holds; None: the source distribution
-            carries their assembly, from which the wheel is built as anybody without Numba does.
+        directory: folder for both.
+        kernels: folder with a library of these sources, which is put into the wheel; with None, the source distribution
+            contains its assembly, from which the wheel is built, as on a machine without Numba.
     """
     directory.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as name:
@@ -91,15 +91,15 @@ def build(directory: Path, kernels: Path | None = None) -> tuple[Path, Path]:
 
 
 def unpack(sdist: Path, directory: Path) -> Path:
-    """Unpack it there and return its one directory."""
+    """Unpack a source distribution into a directory and return its single folder."""
     with tarfile.open(sdist) as archive:
-        archive.extraction_filter = getattr(tarfile, "data_filter", None)  # not in the first releases of 3.11
+        archive.extraction_filter = getattr(tarfile, "data_filter", None)  # missing in the first releases of 3.11
         archive.extractall(directory)  # noqa: S202  # our own
     return directory / sdist.name.removesuffix(".tar.gz")
 
 
 def _backend(hook: str, source: Path, directory: Path) -> str:
-    """Call the build backend as pip does, without fetching another one; returns the name of what it made."""
+    """Call the build backend as pip does, without fetching another one; return the name of its result."""
     code = f"import sys\nfrom setuptools import build_meta\nsys.stderr.write(build_meta.{hook}({str(directory)!r}))"
     command = [sys.executable, "-W", "ignore", "-c", code]
     done = subprocess.run(command, cwd=source, check=True, capture_output=True, text=True)  # noqa: S603  # our own code
@@ -107,7 +107,7 @@ def _backend(hook: str, source: Path, directory: Path) -> str:
 
 
 def differences(sdist: Path, wheel: Path) -> list[str]:
-    """Return what is missing in one of the two, or is there and should not be."""
+    """List the files that are missing in one of the two, or should not be there."""
     files = set(tracked())
     with tarfile.open(sdist) as archive:
         found = {member.name.partition("/")[2] for member in archive if member.isfile()}
@@ -158,10 +158,10 @@ def page(command: list[str | Path], directory: Path, environment: Mapping[str, s
 
 
 def use(sdist: Path, wheel: Path) -> None:
-    """Install the wheel where nothing is, and use it.
+    """Install the wheel in an empty environment, and use it.
 
     Raises:
-        CalledProcessError: something of it does not work.
+        CalledProcessError: a part of it does not work.
     """
     ours = ("ROS_", "AMENT_", "PYTHON", "VIRTUAL_ENV", "_ROS_WHEELS", "LD_LIBRARY_PATH")
     with tempfile.TemporaryDirectory() as name:
@@ -182,12 +182,12 @@ def use(sdist: Path, wheel: Path) -> None:
         run(programs / "impact-rig", "demo", "--output", empty / "demo")
         with page([programs / "impact-rig"], empty, environment) as served:
             if b"impact_rig" not in served:
-                raise SystemExit("the lab's page is not there")
+                raise SystemExit("the lab's page is missing")
         examples = programs.parent / "share" / "impact_rig" / "examples"
         run(programs / "python", "-m", "pytest", "-q", "-p", "no:cacheprovider", examples / "test_first_node.py")
         unpacked = unpack(sdist, Path(name))
         for package in PACKAGES:
-            shutil.rmtree(unpacked / package)  # the tests see what is installed
+            shutil.rmtree(unpacked / package)  # so that the tests import the installed package
         pins = [line.partition(" ")[0] for line in (unpacked / "requirements" / "test.txt").read_text().splitlines()]
         runner = [
             pin for pin in pins if pin.startswith(("pytest", "hypothesis", "mpmath", "sortedcontainers", "coverage"))
@@ -197,13 +197,13 @@ def use(sdist: Path, wheel: Path) -> None:
 
 
 def main() -> None:
-    """Do what is asked, and say where it is."""
+    """Build, check and, if requested, try the release, and print its files."""
     arguments = [argument for argument in sys.argv[1:] if argument != "--try"]
     sdist, wheel = build(Path(arguments[0] if arguments else ROOT / "build" / "release").absolute())
     wrong = differences(sdist, wheel)
     if wrong:
         raise SystemExit("\n".join(wrong))
-    print(f"{sdist}\n{wheel}: they hold what the repository holds", flush=True)  # noqa: T201  # a program
+    print(f"{sdist}\n{wheel}: they contain what the repository contains", flush=True)  # noqa: T201  # a program
     if "--try" in sys.argv:
         use(sdist, wheel)
         print("the wheel works in an empty environment")  # noqa: T201  # as above

@@ -36,14 +36,14 @@ CLOCK = "clock"
 """Defaults of `rig.launch.py`."""
 OPERATOR = "operator"
 OPERATOR_TOPICS = (topics.FREQUENCY.name, topics.CURRENT.name, topics.NOTES.name, topics.ACK.name)
-"""What a person's own node may publish; it may read everything and call every service of the nodes."""
+"""Topics that a user's own node may publish; it may read everything and call every service of the nodes."""
 FILE = Path(__file__).parents[1] / "config" / "sros2" / "policy.xml"
 Rights = dict[tuple[str, str], set[str]]
 """Full names by kind and expression, such as `("topics", "publish")`."""
 
 
 def rights(namespace: str = NAMESPACE, clock: str = CLOCK) -> dict[str, Rights]:
-    """Return what each node may open.
+    """Return the permissions of each node.
 
     Args:
         namespace: namespace of all nodes.

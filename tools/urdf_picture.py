@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Draw docs/images/urdf.png from urdf/impact_rig.urdf: `python -m tools.urdf_picture`.
+"""Drawing of docs/images/urdf.png from urdf/impact_rig.urdf: `python -m tools.urdf_picture`.
 
-pytransform3d reads the file and says where things are, so what is seen is what another program makes of it; the bases
-and the sphere are displaced by what a run at 6 mm shows, twelve times enlarged.
+pytransform3d reads the file and computes the positions, so the picture shows how another program understands it. The
+bases and the sphere are displaced by the values of a run at 6 mm, enlarged twelve times.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from pytransform3d.urdf import UrdfTransformManager
 
 mpl.use("agg")
-import matplotlib.pyplot as plt  # behind the choice of the backend
+import matplotlib.pyplot as plt  # after the choice of the backend
 
 ROOT = Path(__file__).parents[1]
 URDF = ROOT / "urdf" / "impact_rig.urdf"

@@ -13,9 +13,9 @@
 # limitations under the License.
 """The rig as hardware of Rattlesnake, in its acquisition and output processes.
 
-Call `replace_state_space()` before Rattlesnake starts, and choose the hardware "State Space Integration": its hardware
-file is the namespace of a rig that runs in real time with `drive.waveform: stream`, and `physical_channel` of a channel
-is one of accelerometer, laser, base or current.
+Call `replace_state_space()` before Rattlesnake starts, and choose the hardware "State Space Integration". Its hardware
+file is the namespace of a rig that runs in real time with `drive.waveform: stream`. `physical_channel` of a channel is
+one of accelerometer, laser, base or current.
 """
 
 import sys

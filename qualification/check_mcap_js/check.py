@@ -11,12 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Check that the JavaScript reader @mcap/core reads a run as this package wrote it: same bytes, same values.
+"""Check of the JavaScript reader @mcap/core: it must read the same bytes and values from a run as were written.
 
     python -m qualification.check_mcap_js.check [RUN]
 
-Needs node >= 18 and npm; installs the pinned npm packages into build/check_mcap_js on first use. Without RUN it records
-a small one with every message type the rig publishes. Values are compared with those of rosbags.
+It needs node >= 18 and npm, and installs the pinned npm packages into build/check_mcap_js on first use. Without RUN it
+records a small run with every message type that the rig publishes. Values are compared with those of rosbags.
 """
 
 # ruff: noqa: S603, S607, T201  (a developer's script: it runs node and npm from the path and prints)
@@ -69,7 +69,7 @@ TYPES = {
 
 
 def sample(store: Typestore, type_name: str, rng: np.random.Generator) -> object:
-    """Return a message of a type with something in every field."""
+    """Return a message of a type with a value in every field."""
     values = []
     for _, (kind, detail) in store.fielddefs[type_name][1]:
         if kind == Nodetype.BASE:
@@ -132,7 +132,7 @@ def record(directory: Path, store: Typestore) -> None:
 
 
 def expected(run: Run, store: Typestore) -> dict[str, dict[str, object]]:
-    """Return per topic what `read.mjs` must find."""
+    """Return the contents that `read.mjs` must find, by topic."""
     hashes = {name: hashlib.sha256() for name in run.topics}
     decoded: dict[str, list[object]] = defaultdict(list)
     for message in run.messages():
@@ -176,7 +176,7 @@ def install() -> None:
 
 
 def main() -> None:
-    """Record or open a run, read it with both, compare."""
+    """Record or open a run, read it with both readers, and compare."""
     install()
     store = get_typestore(Stores.ROS2_JAZZY)
     with tempfile.TemporaryDirectory() as scratch:

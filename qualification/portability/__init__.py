@@ -11,4 +11,4 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Proves that every machine gives the same bits: fixed runs, their digests, and masks that make one CPU look older."""
+"""Proof that every machine gives the same bits: fixed runs, their digests, and masks that make one CPU look older."""

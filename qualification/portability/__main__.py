@@ -11,14 +11,14 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Run the fixed runs under every mask, compare their bits with the committed ones: `make portability`.
+"""Comparison of the bits of fixed runs, under every mask, with the committed ones: `make portability`.
 
-    make portability                           every mask, and other CPUs where qemu-x86_64 (qemu-user) is installed
-    make portability ARGS=--write              take this machine's bits as the ones to compare with
+    make portability                           every mask, and other CPUs if qemu-x86_64 (qemu-user) is installed
+    make portability ARGS=--write              commit this machine's bits as the reference
     make portability ARGS='--only all'         one mask, or one emulated CPU
 
-Writes `portable_bits` into build/bench.json: 1 if every digest agrees everywhere, else 0. Where masks change what Numba
-compiles, they have caches of their own: the first time, each compiles everything.
+It writes `portable_bits` into build/bench.json: 1 if every digest agrees everywhere, else 0. Masks that change Numba's
+code have separate caches, so the first run with each compiles everything.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from qualification.portability.runs import INTERPRETED_ELSEWHERE, LONG, SHORT, R
 
 FIGURES = Path("build", "bench.json")
 WORK = Path("build", "portability")
-"""Caches of compiled code, and what the processes complained of."""
+"""Caches of compiled code, and error output of the processes."""
 EMULATOR = "qemu-x86_64"
 WASM = "wasm32"
 EMULATED = ("Nehalem", "EPYC")
@@ -57,26 +57,26 @@ ALL_RUNS = known((*LONG, *SHORT))
 
 @attrs.frozen
 class Outcome:
-    """What one mask or CPU gave."""
+    """Result of one mask or CPU."""
 
-    name: str  # of the mask or the CPU
-    held: str  # whether the mask took hold
-    equal: int  # runs whose every topic has the committed digest
-    different: dict[str, str]  # those that have not, with the first topic that differs
-    first: str = ""  # where the first of them parts from the unmasked run of this machine
+    name: str  # name of the mask or the CPU
+    held: str  # whether the mask took effect
+    equal: int  # number of runs whose topics all have the committed digest
+    different: dict[str, str]  # the other runs, each with the first topic that differs
+    first: str = ""  # where the first of them deviates from the unmasked run of this machine
 
     @property
     def well(self) -> bool:
-        """Return whether this is a proof, and a good one."""
+        """Return whether the mask took effect and all runs are equal."""
         return self.equal > 0 and not self.different and self.held != "NO"
 
 
 def main() -> int:
-    """Return 0 if all bits are the committed ones."""
+    """Run the comparison; return 0 if all bits are the committed ones."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--write", action="store_true", help="rewrite the committed digests with this machine's")
     names = [mask.name for mask in MASKS] + [*EMULATED, WASM]
-    parser.add_argument("--only", choices=names, help="this mask or emulated CPU")
+    parser.add_argument("--only", choices=names, help="only mask or emulated CPU to run (default: all)")
     arguments = parser.parse_args()
     console = Console()
     with tempfile.TemporaryDirectory(prefix="impact_rig_bits_") as scratch:
@@ -99,7 +99,7 @@ def main() -> int:
 
 
 class Bench:
-    """Starts a process for each mask and compares what it recorded."""
+    """Runner of one process per mask, which compares the recorded runs."""
 
     def __init__(self, console: Console, scratch: Path) -> None:
         self._console = console
@@ -108,7 +108,7 @@ class Bench:
         self._said: list[str] = []
 
     def machine(self, environment: dict[str, str], prefix: tuple[str, ...] = ()) -> Machine:
-        """Return what a process with this environment runs on."""
+        """Return the machine as a process with this environment sees it."""
         command = [*prefix, sys.executable, "-m", "qualification.portability.machine"]
         done = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
         return Machine(**json.loads(done.stdout))
@@ -122,7 +122,7 @@ class Bench:
     def emulated(self, cpu: str, bare: Machine) -> Outcome:
         """Record two short runs on another CPU, as plain Python."""
         emulator = (EMULATOR, "-cpu", cpu)
-        # else it starts itself anew, bare
+        # otherwise it would restart itself without a mask
         environment = full_environment(BARE) | {"_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}
         seen = self.machine(environment, emulator)
         held = "NO" if seen == bare else f"LLVM sees {seen.llvm[0]}"
@@ -151,7 +151,7 @@ class Bench:
         save: bool = False,
         program: tuple[str, ...] = ("qualification.portability.child",),
     ) -> digests.Digests:
-        """Record runs in a process of its own, show how it gets on, and return their digests; none if it failed."""
+        """Record runs in a separate process, show its progress, and return the digests; none if it failed."""
         output = self._scratch / "digests.txt"
         output.unlink(missing_ok=True)
         keep = "--save" if save else "--against"
@@ -172,7 +172,7 @@ class Bench:
         return digests.read(output) if output.exists() else {}
 
     def judged(self, name: str, held: str, runs: Sequence[Run], found: digests.Digests) -> Outcome:
-        """Compare with the committed digests; a run that could not be recorded is different in everything."""
+        """Compare with the committed digests; all topics of a run that could not be recorded count as different."""
         different = digests.different(digests.read() if digests.FILE.exists() else {}, found)
         recorded = {run for run, _ in found}
         different |= {run.name: "failed" for run in runs if run.name not in recorded}
@@ -181,7 +181,7 @@ class Bench:
 
 
 def report(console: Console, outcomes: list[Outcome], complete: bool) -> int:
-    """Print the table, write the figure, return the exit code."""
+    """Print the table, write the figure and return the exit code."""
     table = Table(title=f"{len(ALL_RUNS)} runs against {digests.FILE.name}")
     for heading in ("machine", "took hold", "equal", "different", "first difference from this machine"):
         table.add_column(heading, overflow="fold")

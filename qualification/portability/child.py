@@ -11,14 +11,14 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Record runs in this process and write their digests: one process, one mask.
+"""Recording of runs in this process, and their digests: one process, one mask.
 
     python -m qualification.portability.child OUTPUT RUN... [--save DIRECTORY | --against DIRECTORY]
 
-OUTPUT gets one line per topic; `--save` keeps the rows, `--against` says on stdout where they differ from kept ones.
-Where nothing is compiled, the tables of outcomes are kept ones too: they are made of hundreds of contacts, some of
-which are a run of their own (`short_contacts`). Nor is a rig tried there before it begins, which takes longer than the
-run: the compiled run has been.
+OUTPUT gets one line per topic. `--save` stores the rows, and `--against` prints where they differ from stored ones.
+Without compilation, the tables of outcomes are stored ones, too: they are made of hundreds of contacts, some of which
+are a separate run (`short_contacts`). A rig is not tried either before it begins, which would take longer than the run;
+the compiled run was tried.
 """
 
 from __future__ import annotations
@@ -44,12 +44,12 @@ TABLES = "tables.npz"
 
 
 def main() -> int:
-    """Return 0 if every run could be recorded, whatever its bits."""
+    """Record the runs; return 0 if all could be recorded, whatever their bits."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("output", type=Path)
-    parser.add_argument("runs", nargs="+", help="names, or long, short, quick")
-    parser.add_argument("--save", type=Path)
-    parser.add_argument("--against", type=Path)
+    parser.add_argument("output", type=Path, help="file for the digests")
+    parser.add_argument("runs", nargs="+", help="names of runs, or long, short, quick")
+    parser.add_argument("--save", type=Path, help="folder that stores the rows")
+    parser.add_argument("--against", type=Path, help="folder with stored rows to compare with")
     arguments = parser.parse_args()
     tables = Tables(arguments.against if kernels.MODE == "plain" else None)
     if kernels.MODE == "plain":
@@ -82,10 +82,10 @@ def main() -> int:
 
 
 class Tables:
-    """The tables of outcomes that models asked for, by the numbers of their law; from then on models ask here.
+    """Tables of outcomes requested by models, by the numbers of their law; from then on models take them from here.
 
     Args:
-        directory: where tables were kept, if they are not to be made again.
+        directory: folder with stored tables, if they are not to be computed again.
     """
 
     def __init__(self, directory: Path | None) -> None:
@@ -103,7 +103,7 @@ class Tables:
         return self._known[law].view(np.recarray)
 
     def keep(self, directory: Path) -> None:
-        """Write them into `directory`."""
+        """Store the tables in `directory`."""
         np.savez(directory / TABLES, **self._known)
 
 

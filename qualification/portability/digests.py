@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Digests of runs: made, written, read, compared; and where two recordings of one run first differ."""
+"""Digests of runs: computing, writing, reading and comparing them, and the first difference of two recordings."""
 
 from __future__ import annotations
 
@@ -37,30 +37,30 @@ HEADER = f"""\
 
 @attrs.frozen
 class Digest:
-    """Of one topic of one run."""
+    """Digest of one topic of one run."""
 
     rows: int
     sha256: str
 
 
 Digests = dict[tuple[str, str], Digest]
-"""By run and topic."""
+"""Digests by run and topic."""
 
 
 def digest(rows: NDArray[np.void]) -> Digest:
-    """Return the digest of rows that have no gaps between their columns."""
+    """Return the digest of rows without gaps between their columns."""
     return Digest(len(rows), hashlib.sha256(rows.tobytes()).hexdigest())
 
 
 def write(digests: Digests, path: Path = FILE) -> None:
-    """Replace the committed digests, a line for each."""
+    """Replace the committed digests, one line each."""
     path.parent.mkdir(parents=True, exist_ok=True)
     lines = (f"{run:19}{topic:15}{one.rows:>7} {one.sha256}\n" for (run, topic), one in sorted(digests.items()))
     path.write_text(HEADER + "".join(lines), encoding="utf-8")
 
 
 def read(path: Path = FILE) -> Digests:
-    """Return what `write` wrote."""
+    """Read a file of digests that `write` wrote."""
     found: Digests = {}
     for line in path.read_text(encoding="utf-8").splitlines():
         if not line.startswith("#"):
@@ -70,7 +70,7 @@ def read(path: Path = FILE) -> Digests:
 
 
 def different(expected: Digests, found: Digests) -> dict[str, str]:
-    """Return the runs of which a topic is not as expected, with the first such topic; runs not found do not count."""
+    """Return the runs with a topic that differs, with the first such topic of each; missing runs do not count."""
     runs = {run for run, _ in found}
     result: dict[str, str] = {}
     for key in sorted(expected.keys() | found.keys()):
@@ -80,7 +80,7 @@ def different(expected: Digests, found: Digests) -> dict[str, str]:
 
 
 def first_difference(expected: Mapping[str, NDArray[np.void]], found: Mapping[str, NDArray[np.void]]) -> str:
-    """Return topic, row, column and both values where two recordings of one run part, the earliest row; or nothing."""
+    """Return topic, row, column and both values of the earliest difference of two recordings; empty if none."""
     firsts = []
     for topic in sorted(expected.keys() | found.keys()):
         if topic not in expected or topic not in found:
@@ -99,5 +99,5 @@ def first_difference(expected: Mapping[str, NDArray[np.void]], found: Mapping[st
 
 
 def _bits(column: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Return numbers as integers, so that NaN equals NaN and 0.0 differs from -0.0; text as it is."""
+    """Return numbers as integers, so that NaN equals NaN and 0.0 differs from -0.0; text stays unchanged."""
     return np.ascontiguousarray(column).view(f"u{column.dtype.itemsize}") if column.dtype.kind in "fiu" else column

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What a process believes its CPU to be, as the four that choose code by it say: NumPy, LLVM, OpenBLAS, glibc.
+"""CPU as seen by the four libraries that choose code by it: NumPy, LLVM, OpenBLAS and glibc.
 
 python -m qualification.portability.machine     print it as JSON
 """
@@ -34,24 +34,24 @@ _CORE_NAMES = tuple(
     f"{prefix}openblas_get_corename{suffix}" for prefix in ("scipy_", "") for suffix in ("64_", "", "_64")
 )
 _VISIBLE = ("sin", "cos", "tan", "atan")
-"""The loader chooses these themselves; exp, log and pow are wrappers around what it chose: only their values tell."""
+"""Functions chosen by the loader. exp, log and pow are wrappers, so only their values show which variant was chosen."""
 _HIDDEN = {"exp": math.exp, "log": math.log, "pow": functools.partial(math.pow, math.pi)}
 
 
 @attrs.frozen
 class Machine:
-    """What this process runs on, so far as libraries choose code by it."""
+    """Properties of the machine by which libraries choose code."""
 
     numpy: list[str]  # dispatched CPU features that NumPy uses
     llvm: list[str]  # the CPU and the features Numba compiles for
     vectors: bool  # whether compiled arithmetic uses AVX instructions: seen in the machine code itself
     openblas: dict[str, str]  # core that each loaded OpenBLAS chose, by file name
     glibc: dict[str, int]
-    """Which variants of its functions libm chose: addresses within the library, or a checksum of values."""
+    """Variants of its functions that libm chose: addresses within the library, or a checksum of values."""
 
 
 def numpy_features() -> list[str]:
-    """Return the dispatched features that NumPy has found and uses."""
+    """Return the dispatched features that NumPy found and uses."""
     import numpy as np  # noqa: PLC0415
 
     core = "_core" if int(np.__version__.split(".", 1)[0]) >= 2 else "core"
@@ -61,8 +61,8 @@ def numpy_features() -> list[str]:
 
 
 def this() -> Machine:
-    """Return what this process has chosen; loads and compiles what is needed to know."""
-    import numba  # noqa: PLC0415  # seconds, which whoever asks for a part only need not wait
+    """Inspect this process; this loads and compiles what is needed."""
+    import numba  # noqa: PLC0415  # takes seconds, and callers of single functions do not need it
     import numpy as np  # noqa: PLC0415
     import scipy.linalg  # noqa: F401, PLC0415  # brings an OpenBLAS of its own
     from numba.core.registry import cpu_target  # noqa: PLC0415
@@ -81,7 +81,7 @@ def this() -> Machine:
 
 
 def _loaded() -> dict[str, int]:
-    """Return the files that are mapped into this process, with the lowest address of each."""
+    """Return the files mapped into this process, with the lowest address of each."""
     found: dict[str, int] = {}
     for line in Path("/proc/self/maps").read_text(encoding="utf-8").splitlines():
         addresses, *_, path = line.split(maxsplit=5)
@@ -106,7 +106,7 @@ def _openblas_cores() -> dict[str, str]:
 
 
 def _libm_variants() -> dict[str, int]:
-    """Return where in libm each function is that the loader chose for this CPU."""
+    """Return the addresses in libm of the functions that the loader chose for this CPU."""
     libm = ctypes.CDLL("libm.so.6")
     (base,) = (start for path, start in _loaded().items() if Path(path).name.startswith(("libm.so", "libm-2.")))
     variants = {name: (ctypes.cast(libm[name], ctypes.c_void_p).value or 0) - base for name in _VISIBLE}

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Environments that make the libraries believe in an older CPU, and how to see that they do."""
+"""Environments in which the libraries assume an older CPU, and the means to verify that they do."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ import attrs
 
 from qualification.portability.machine import Machine, numpy_features
 
-NUMPY = {"NPY_DISABLE_CPU_FEATURES": " ".join(numpy_features())}  # those the CPU lacks are refused
+NUMPY = {"NPY_DISABLE_CPU_FEATURES": " ".join(numpy_features())}  # only those of the CPU: NumPy rejects others
 GLIBC = {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2_Usable,-FMA_Usable,-AVX2,-FMA,-AVX512F"}
 LLVM = {"IMPACT_RIG_KERNELS": "jit", "NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
 
 
 @attrs.frozen
 class Mask:
-    """An environment, and whether a machine (masked, unmasked) shows it; `recompiles`: Numba makes other code."""
+    """An environment, and whether it shows in a machine (masked, unmasked); `recompiles` if Numba's code changes."""
 
     name: str
     environment: dict[str, str]
@@ -37,7 +37,7 @@ class Mask:
     recompiles: bool = False
 
     def verdict(self, masked: Machine, bare: Machine) -> str:
-        """Return `yes`, `NO`, or that this CPU has nothing to hide."""
+        """Return `yes`, `NO`, or that this CPU has no such feature."""
         if not self.held(masked, bare):
             return "NO"
         return "nothing to mask" if attrs.evolve(masked, llvm=bare.llvm) == bare and not self.recompiles else "yes"
@@ -54,7 +54,7 @@ def _openblas(*names: str) -> Callable[[Machine, Machine], bool]:
 
 
 def _glibc(masked: Machine, bare: Machine) -> bool:
-    """See other functions in use; without FMA, AVX2 or FMA4 there is one variant only, and nothing to see."""
+    """Compare the functions in use; without FMA, AVX2 or FMA4 there is only one variant and no difference."""
     return masked.glibc != bare.glibc or not bare.vectors
 
 
@@ -72,7 +72,7 @@ LIBRARIES = Mask(
     PRESCOTT.environment | NUMPY | GLIBC,
     lambda masked, bare: all(one.held(masked, bare) for one in (PRESCOTT, NUMPY_BASELINE, GLIBC_BASELINE)),
 )
-"""All that need no other compiled code: quick enough for every test run."""
+"""All masks that need no other compiled code, quick enough for every test run."""
 ALL = Mask(
     "all",
     LIBRARIES.environment | LLVM,

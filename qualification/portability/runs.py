@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The runs whose bits are fixed, and what of them is compared. Their one definition: the command and the tests use it.
+"""The runs whose bits are fixed, and the rows of them that are compared, for the command and the tests.
 
-Each is a rig driven directly, without ROS. The short ones are for interpreters and emulated CPUs, which are slow.
+Each is a rig driven directly, without ROS. The short runs are for interpreters and emulated CPUs, which are slow.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ Streams = dict[str, NDArray[np.void]]
 """Rows by topic, in their order."""
 
 MONITOR, MONITOR_HZ = "output.monitor_rate_hz", 100.0
-"""How often truth and readings are kept for their digests; what a rig does by default may change."""
-MONITORS = "monitors"  # where the readings of all channels at that rate stand among the topics
+"""Rate at which truth and readings are kept for their digests, fixed because the rig's default may change."""
+MONITORS = "monitors"  # topic name for the readings of all channels at that rate
 BLOCK = "daq.block_scans"
 PAPER = {"drive.amplitude": 0.52}
 FAULTS = (
@@ -62,16 +62,16 @@ SHORT_FAULTS = (
     "dropout channel=accelerometer start_s=0.15 duration_s=0.01",
 )
 HARD = {"drive.kind": "prescribed", "drive.amplitude": 0.003, "barriers.gap_m": 0.002, "output.truth_scan": True}
-"""A base whose motion is given hits the sphere within the first cycle."""
+"""A base with prescribed motion hits the sphere within the first cycle."""
 
 
 @attrs.frozen
 class Run:
     """One fixed run."""
 
-    name: str  # in the file of digests
-    seconds: float  # of rig time
-    values: Mapping[str, object]  # what differs from the default configuration
+    name: str  # name in the file of digests
+    seconds: float  # duration in rig time
+    values: Mapping[str, object]  # differences from the default configuration
     commands: Mapping[float, tuple[float, float]] = attrs.field(factory=dict)
     """(Frequency [Hz], amplitude) by the second at which they are commanded."""
     # returns everything that its topics would have carried
@@ -117,8 +117,9 @@ SHORT = (
 )
 
 SOONER = {"drive.frequency_hz": 160.0, "shaker.ramp_s": 0.0, "barriers.gap_m": 5e-5, BLOCK: 100}
-"""A sphere that lies on its wall, leaves it and hits the other one in a tenth of the time: lying there is what takes
-an interpreter long."""
+"""A sphere that rests on its wall, leaves it and hits the other one in a tenth of the time; the rest is what takes an
+interpreter long.
+"""
 SLOW: dict[str, dict[str, object]] = {
     "short_hertzian": SOONER,
     "short_linear": SOONER,
@@ -134,15 +135,16 @@ QUICK = (
     ),
     Run("quick_hits", 0.02, {**HARD, **SOONER, "sphere.start": "centre", "drive.frequency_hz": 9.1}),
 )
-"""What every run of the tests interprets, the last of them with hits that are taken from the table of outcomes. Those
-that are not among the short ones have no committed digest: they are compared with the same run, compiled."""
+"""Runs that every test run interprets; the hits of the last one are taken from the table of outcomes. Those that are
+not among the short ones have no committed digest: they are compared with the same run, compiled.
+"""
 
 INTERPRETED_ELSEWHERE = ("short_contacts", "short_hertzian")
-"""What an emulated CPU runs, interpreted: contacts alone, and a rig with all its instruments."""
+"""Runs for an emulated CPU, interpreted: contacts alone, and a rig with all its instruments."""
 
 
 def known(runs: tuple[Run, ...]) -> tuple[Run, ...]:
-    """Return those of the runs whose contact law there is."""
+    """Return the runs whose contact law exists in this version."""
     return tuple(run for run in runs if run.values.get("contact.law", "flores") in LAWS)
 
 
@@ -175,7 +177,7 @@ def _rig(run: Run) -> Streams:
 
 
 def _contacts() -> NDArray[np.void]:
-    """Return some of the contacts that the table of outcomes is made of, and what follows from their differences."""
+    """Return some of the contacts from which the table of outcomes is computed, and their differences."""
     force = contact_laws.from_config(RigConfig().contact).force(ContactPair(1.0, 1.0))
     parameters = unit_parameters(force)
     parameters[0].rtol = outcome.RTOL

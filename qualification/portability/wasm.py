@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Record runs whose kernels are WebAssembly, in wasmtime.
+"""Recording of runs whose kernels are WebAssembly, in wasmtime.
 
     python -m qualification.portability.wasm MODULE STAMPS OUTPUT RUN...
 
-Only the kernels run there. They take the place of the shared library, with its calls; arrays are copied in and out.
+Only the kernels run there. They replace the shared library with the same calls; arrays are copied in and out.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ WORD = 2**64 - 1
 
 
 class Library(types.ModuleType):
-    """What the shared library offers to Python.
+    """The shared library's interface for Python, on WebAssembly.
 
     Args:
         module: the WebAssembly module.
@@ -57,7 +57,7 @@ class Library(types.ModuleType):
         instance = linker.instantiate(self._store, wasmtime.Module.from_file(engine, str(module)))
         self._exports = instance.exports(self._store)
         self._stamps = stamps.read_text(encoding="utf-8")
-        self._room: dict[int, tuple[int, int]] = {}  # place and size of what has been allocated for an array of a call
+        self._room: dict[int, tuple[int, int]] = {}  # address and size of the memory allocated for an array of a call
         self._in, self._out = self._allocate(8 * MOST_SLOTS), self._allocate(8 * MOST_RESULTS)
 
     def sources(self) -> str:
@@ -65,7 +65,7 @@ class Library(types.ModuleType):
         return self._stamps
 
     def address(self, name: str) -> int:
-        """Return the place of a function in the table, 0 where there is none of that name."""
+        """Return the index of a function in the table, 0 if there is no such function."""
         text = name.encode() + b"\0"
         at = self._place(-1, len(text))
         self._memory()[at : at + len(text)] = np.frombuffer(text, np.uint8)
@@ -81,7 +81,7 @@ class Library(types.ModuleType):
             letters = iter(plan)
             for value in arguments:
                 words += self._piece(letters, value, arrays)
-            memory = self._memory()  # after all room is made: memory that grows moves
+            memory = self._memory()  # after all allocations: memory that grows moves
             for value, at in arrays:
                 memory[at : at + value.nbytes] = np.frombuffer(value, np.uint8) if value.nbytes else 0
             memory[self._in : self._in + 8 * len(words)] = np.array(words, np.uint64).view(np.uint8)

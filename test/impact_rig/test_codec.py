@@ -271,7 +271,7 @@ def test_every_truncation_is_refused(name):
 
 @pytest.mark.parametrize("name", ["IMPACTS", "FAULTS"])
 def test_no_flipped_bit_crashes(name):
-    """A flip in the data or a name gives another table; any other is refused; nothing else may happen."""
+    """A flipped bit in the data or a name gives another table; any other flip is rejected."""
     data = bytearray(encode(Table(1, np.zeros(2, TABLE_DTYPES[name]))))
     for position in range(len(data)):
         for bit in range(8):
@@ -378,7 +378,7 @@ def changed(table, name=None, value=None, drop=(), kinds=None):
 
 
 def one_of(topic):
-    """A table of a topic that nobody refuses."""
+    """Return a table of a topic, with only allowed values."""
     rows = np.zeros(2, SCAN if topic is topics.SCAN else topic.columns)
     if topic is topics.INFO:
         rows["rate"] = 1e4

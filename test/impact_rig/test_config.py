@@ -288,5 +288,5 @@ def test_no_file_crashes_the_loader(content, tmp_path_factory):
 def test_time_modes_of_the_version_before_are_read(formerly: str, now: str) -> None:
     """Recordings hold them, in their configurations."""
     assert from_flat(RigConfig(), {"time.peers": ["analysis"], "time.mode": formerly}).time.mode == now
-    with pytest.raises(ConfigError, match="one of realtime, free_running, lockstep, got 'freewheeling'"):
-        from_flat(RigConfig(), {"time.mode": "freewheeling"})
+    with pytest.raises(ConfigError, match="one of realtime, free_running, lockstep, got 'flying'"):
+        from_flat(RigConfig(), {"time.mode": "flying"})

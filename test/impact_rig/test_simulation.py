@@ -61,7 +61,7 @@ def test_scans_are_the_rigs_and_impacts_found_are_the_true_ones():
     ids=["time-out", "trip"],
 )
 def test_the_analysis_hears_of_a_drive_that_was_stopped(parameters):
-    """It once heard of the initial drive alone, and went on at a current that was none any more."""
+    """Before, it knew only the initial drive, and continued with a current that did not exist."""
     record = simulate(3.0, {**parameters, "sphere.present": False})
     assert (record.state.word, record.state.reason) == (AnalysisWord.AT_REST, "")
 

@@ -37,7 +37,7 @@ pytestmark = pytest.mark.ros
 
 
 def test_the_lab_hears_every_topic_once() -> None:
-    """It once kept a second list of all that was applied, read by nobody, for as long as it ran."""
+    """Before, it kept a second list of everything applied, which grew for as long as it ran and had no reader."""
     with isolated_domain() as domain_id, Client(domain_id, "rig", name="observer") as observer:
 
         def times(topic: topics.Topic) -> int:
@@ -50,7 +50,7 @@ def test_the_lab_hears_every_topic_once() -> None:
 
 
 def test_a_rig_of_others_is_sent_nothing_sooner_than_our_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody knows whether the process of another's rig has ended; ours may be late on a busy machine."""
+    """Whether another user's rig has ended is unknown; our own may be late on a busy machine."""
     with (
         isolated_domain() as domain_id,
         Client(domain_id, "rig") as client,

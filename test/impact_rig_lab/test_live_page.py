@@ -65,7 +65,7 @@ USUAL = {
 
 @attrs.define
 class Lab:
-    """What a test works with: the page's address, and the graph seen by somebody else."""
+    """Fixtures of a test: the page's address, and a second view of the graph."""
 
     server: Server
     source: LiveSource
@@ -142,7 +142,7 @@ def ending(lab: Lab, node: str) -> Iterator[None]:
 
 
 def test_from_r_to_a_settled_transmissibility(lab: Lab, page: Page) -> None:
-    """Nothing else is touched; progress is shown until ± 2u stands there."""
+    """Nothing else is changed, and progress is shown until ± 2u appears."""
     word(page, "at rest")
     page.key("r")
     lab.applied("frequency", 9.1)
@@ -301,7 +301,7 @@ def no_number() -> tuple[str, Any]:
 
 @pytest.mark.parametrize("hostile", [no_accelerometer, no_wall, no_number])
 def test_stop_works_whatever_others_publish(lab: Lab, page: Page, hostile: Callable[[], tuple[str, Any]]) -> None:
-    """One bad message costs that message: it is counted, shown, and the current goes to zero when it is told to."""
+    """A bad message costs only that message: it is counted and shown, and a current of zero still takes effect."""
     page.write("#knob-current", "0.2")
     lab.applied("current", 0.2)
     name, content = hostile()
@@ -318,9 +318,7 @@ def test_stop_works_whatever_others_publish(lab: Lab, page: Page, hostile: Calla
         publisher = client.publisher(by_name(name))
         counted = f"lab.now.refused['{name}']?.[0] > 0 && !document.getElementById('refused-box').hidden"
 
-        def published_and_counted() -> (
-            bool
-        ):  # of what is drawn only as long as somebody can follow it, none may be heard
+        def published_and_counted() -> bool:  # data drawn only while the page can follow it must not be received
             publisher.publish(codec.encode(content))
             return bool(page.js(counted))
 
@@ -417,7 +415,7 @@ def test_faults_and_remarks(lab: Lab, page: Page) -> None:
         page.js(f"document.getElementById('{field}').value = {value}")
     page.click("#fault-start")
     lab.until(lambda: len(lab.topics["truth/faults"].rows()) > 0, "the fault in truth/faults")
-    page.wait("document.getElementById('faults').textContent === 'gain error laser (0.003)'", "that it is in force")
+    page.wait("document.getElementById('faults').textContent === 'gain error laser (0.003)'", "that it is active")
     assert page.js("document.querySelector('#bar dt:has(+ #faults) .badge').textContent") == "truth"
     page.js("document.activeElement.blur()")
     page.key("r")
@@ -583,7 +581,7 @@ def test_motion_that_nobody_can_follow_is_not_drawn(lab: Lab, page: Page) -> Non
     lab.client.set_parameters("rig", {"time.factor": 6.0})
     page.wait("document.getElementById('rig-note').textContent.includes('not drawn')", "the page to say so", 60)
     assert page.js("lab.motion.states.length") == 0
-    lab.until(lambda: lab.client.node.count_subscribers("truth/joint_states") == 0, "nobody to receive it")
+    lab.until(lambda: lab.client.node.count_subscribers("truth/joint_states") == 0, "the end of the last subscription")
     begin = lab.source.now_s
     for here in (0, -1, 0):
         lab.until(lambda here=here: lab.client.node.count_subscribers("daq/scan") == listeners + here, "another peek")

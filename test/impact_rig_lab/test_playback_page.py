@@ -354,7 +354,7 @@ def test_a_run_that_was_cut_short(
     (broken / "run.mcap").write_bytes(whole.read_bytes()[: whole.stat().st_size * 2 // 3])
     page = open_page(shown(broken).address)
     page.wait("window.lab && lab.now.rig?.text.includes('truncated')", "the words about it")
-    page.wait("lab.drawn.pictures > 2", "what is whole")
+    page.wait("lab.drawn.pictures > 2", "the intact part")
     assert 5.0 < page.js("lab.now.playback.end") < 20.0
 
 

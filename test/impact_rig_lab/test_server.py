@@ -107,7 +107,7 @@ def test_the_page_needs_the_token_and_carries_a_strict_policy(server: Server) ->
     ],
 )
 def test_whoever_is_refused_is_not_held_on_to(server: Server, request_line: str, host: str | None, status: int) -> None:
-    """They were held open for a minute: sixty-four of them, of anybody, and no page came in any more."""
+    """Before, they stayed open for a minute: sixty-four of them, from any client, blocked every page."""
     here = f"{LOOPBACK}:{server.port}"
     lines = [f"{request_line.format(token=server.token)} HTTP/1.1", f"Host: {host or here}"]
     lines += [f"Origin: http://{here}"] if host is None else []
@@ -132,7 +132,7 @@ def test_files_are_those_of_the_package_and_no_others(server: Server) -> None:
 
 
 def test_another_name_and_another_page_are_refused(server: Server) -> None:
-    """A page of somebody else, and a name of his that leads here (DNS rebinding)."""
+    """A foreign page, and a foreign name that resolves to this machine (DNS rebinding)."""
     path = f"/?token={server.token}"
     assert get(server, path, Host="evil.example")[0] == 403
     assert get(server, path, Origin="http://evil.example")[0] == 403
@@ -296,13 +296,13 @@ def test_more_connections_than_there_may_be_are_turned_away_and_the_page_goes_on
 def test_a_knob_without_a_told_value_shows_none(
     server: Server, source: FakeSource, open_page: Callable[..., Page]
 ) -> None:
-    """A slider stands somewhere always: in the middle, where nobody has said so, or where the rig before had it."""
+    """A slider always has a position: the middle by default, or the value of the rig before."""
     page = open_page(server.address)
     slider = "document.querySelector('.knob:has(#knob-gap) input[type=range]')"
     seen = f"[document.getElementById('knob-gap').value, getComputedStyle({slider}).visibility].join()"
     page.wait(f"{seen} === ',hidden'", "no gap")
     source.snapshot.put(knobs={"sphere.present": True, "barriers.gap_m": 0.004})
-    page.wait(f"{seen} === '4,visible'", "the gap that was told")
+    page.wait(f"{seen} === '4,visible'", "the new gap")
     source.snapshot.put(knobs=None)
     page.wait(f"{seen} === ',hidden'", "no gap of another rig")
 
@@ -378,7 +378,7 @@ def test_the_address_of_an_ipv6_lab_is_one(source: FakeSource) -> None:
 
 @pytest.mark.parametrize("host", [LOOPBACK, "localhost", "127.0.0.2", "::1"])
 def test_no_other_name_leads_to_a_lab_of_this_machine(source: FakeSource, host: str) -> None:
-    """Only of 127.0.0.1 names were looked at: a page of somebody else could have his own name lead to `localhost`."""
+    """Before, only names of 127.0.0.1 were checked: a foreign page could let its own name resolve to `localhost`."""
     with Server(source, host, 0) as server:
         own = server.address.removeprefix("http://").partition("/")[0]
         for name, status in ((own, 200), (f"localhost:{server.port}", 200), ("evil.example", 403)):

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What pages are told: states from keys, requests, joint states, the journal's lines, the speed of rig time."""
+"""Messages for pages: states from keys, requests, joint states, the journal's lines, the speed of rig time."""
 
 from __future__ import annotations
 
@@ -205,7 +205,7 @@ def test_what_a_rig_before_applied_is_not_in_force() -> None:
 
 
 def test_a_measurement_holds_until_the_rig_is_changed_and_again_from_a_row_that_began_after_that() -> None:
-    """A fault is told as such, not as a change; a row of scans from before and after says nothing of the rig now."""
+    """A fault is shown as a fault, not as a change; a row with scans from before and after is not current."""
     record, row = RigView(), np.zeros(1, topics.TRANSMISSIBILITY_TABLE.columns)
     row["status"], row["frequency"], row["cycles"], row["gap"] = b"ok", 10.0, 40.0, 0.006
 
@@ -440,7 +440,7 @@ def test_a_snapshot_tells_each_reader_what_is_new() -> None:
     snapshot.put(a=1, b=2, c=3)
     version, found = snapshot.since(version)
     assert found == {"b": 2, "c": 3}
-    assert snapshot.since(version - 1)[1] == found, "parts that were put together are told together"
+    assert snapshot.since(version - 1)[1] == found, "parts that were set together are sent together"
 
 
 @pytest.fixture

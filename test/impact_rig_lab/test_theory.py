@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What theory says on the page: computed aside for the knobs in force, drawn whole, dashed, or not at all."""
+"""Theory on the page: computed in the background for the active knobs, and drawn solid, dashed, or not at all."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@
     same(motion.flash(0.004, -1, 0.1), null);
     same(motion.at(0.02, gap), null);
   });
-  test("motion is kept for a while, and begins anew when time jumps back", () => {
+  test("motion is kept for a while, and restarts when time jumps back", () => {
     const motion = new Motion(1);
     for (let i = 0; i < 300; i++) motion.add("states", table([[i / 100, 0, 0, 0, 0, 0, 0]]));
     near(motion.newest - motion.oldest, 1, 0.011);

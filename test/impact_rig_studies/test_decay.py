@@ -77,7 +77,7 @@ def test_acceptance_on_a_locked_base_decay(method):
 @METHODS
 @pytest.mark.repeats
 def test_uncertainties_cover_the_truth(method):
-    """300 decays, noise, gain, offset, drift and clock drawn anew."""
+    """300 decays with different noise, gain, offset, drift and clock."""
     rng = np.random.default_rng(2)
     clock_u = 2e-6
     deviations = []
@@ -105,7 +105,7 @@ def scans(y):
 @METHODS
 @pytest.mark.repeats
 def test_the_curve_of_the_sensor_is_in_the_uncertainty_of_the_damping(method):
-    """300 rigs: gain and curve (Legendre, |c_2| + |c_3| <= 1) drawn anew; noise alone would be 10 times too sure."""
+    """300 rigs with different gain and curve (Legendre, |c_2| + |c_3| <= 1); noise alone would be 10 times too sure."""
     rng = np.random.default_rng(6)
     rate = 190
     info = info_rows(rate, gain_u=2e-3)
@@ -212,7 +212,7 @@ def test_drop_test_closed_form(h0, e, u):
 
 @pytest.mark.parametrize("drops", [1, 10])
 def test_drop_test_uncertainty_covers_the_truth(drops):
-    """1500 tests of e = 0.35 from 0.2 m; heights read to 0.5 mm, drawn anew."""
+    """1500 tests of e = 0.35 from 0.2 m, with different readings of the heights to 0.5 mm."""
     rng = np.random.default_rng(5)
     inside = []
     for _ in range(1500):

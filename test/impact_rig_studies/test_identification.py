@@ -232,7 +232,7 @@ def test_a_motion_that_does_not_repeat_has_a_mean_with_an_uncertainty():
 
 
 def test_stated_uncertainties_cover_the_truth():
-    """Over 150 experiments, every combination that is said to be known is off by its standard uncertainty."""
+    """Over 150 experiments, every combination reported as known is off by its standard uncertainty."""
     rng, truth = np.random.default_rng(1), logarithms(TRUTH)
     off = []
     for _ in range(150):

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Measurements of other rigs: every format gives back what was measured; what is wrong with a file is said."""
+"""Measurements of other rigs: every format returns what was measured, and mistakes in a file are reported."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ def test_a_free_decay_is_identified_alike(tmp_path: Path) -> None:
 
 
 def test_a_wav_file_gives_the_transmissibility_within_its_resolution(recorded: Path, tmp_path: Path) -> None:
-    """16 bits full scale: steps of 0.3 and 0.4 µm; three channels, so nothing is said about impacts."""
+    """16 bits full scale: steps of 0.3 and 0.4 µm; with three channels there are no statements about impacts."""
     write_wav(tmp_path / "sound.wav", scans(recorded))
     source = readers.read(tmp_path / "sound.wav")
     mapping = Mapping(
@@ -188,7 +188,7 @@ def semicolons(k: int) -> str:
     [
         (lines(lambda k: f"{k / 100},{k},{2 * k}"), "gap_4mm_9.1Hz.csv", 1e-3, 0.004),
         (lines(semicolons, "time;laser (µm);base (µm)"), "no_sphere.csv", 1e-6, 0.0),
-        # numbers in quotes, and a first row without decimals: neither was once understood
+        # numbers in quotes, and a first row without decimals
         (lines(lambda k: f'"{k / 100}","{k}","{2 * k}"', '"t","x1 [mm]","xb [mm]"'), "quoted.csv", 1e-3, None),
         (lines(lambda k: f"{k / 100:g};{k};{2 * k}".replace(".", ","), "t;x1 (mm);xb (mm)"), "own.csv", 1e-3, None),
         (lines(lambda k: f"{10 * k}\t{k}\t{k}", "t\tresponse\ttable\n[ms]\t[cm]\t[cm]"), "own.txt", 1e-2, None),
@@ -206,7 +206,7 @@ def test_headings_units_and_file_names_are_understood(
 
 
 def test_a_mapping_says_what_headings_do_not(tmp_path: Path) -> None:
-    """Voltages with a sensitivity, sign and offset; frequency and gap by columns; a uniform rate given."""
+    """Voltages with a sensitivity, sign and offset, frequency and gap from columns, and a given uniform rate."""
     head = "ai0,ai1,f,g"
     source = table(tmp_path, lines(lambda k: f"{k},{k},{9 if k < 20 else 10},{0 if k < 30 else 0.004}", head))
     text = """

@@ -58,9 +58,7 @@ def test_a_new_command_without_a_journey_is_found(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(
         table, "pages", lambda: {"docs/reference/instruments.md": Page.parse("docs/reference/instruments.md", text)}
     )
-    assert table.faults() == [
-        "docs/reference/instruments.md: impact-rig check new.yaml: it has no journey in journeys.yaml"
-    ]
+    assert table.faults() == ["docs/reference/instruments.md: impact-rig check new.yaml: no journey in journeys.yaml"]
 
 
 def test_what_is_run_instead_of_a_command_exists() -> None:

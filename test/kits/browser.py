@@ -188,7 +188,7 @@ class Browser:
 class Page:
     """One page; `errors` are what its console complained of, `fetched` where it asked for something.
 
-    A complaint that holds `expected` is none: a test that takes the server away says so, as they come late.
+    A complaint that contains `expected` does not count: a test that stops the server expects some, which come late.
     """
 
     def __init__(self, browser: Browser, session: str, context: str) -> None:

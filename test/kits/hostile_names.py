@@ -36,7 +36,7 @@ FREQUENCIES_HZ = (9.0, 9.1, 10.5)
 
 
 def hostile_campaign(directory: Path, title: str = HOSTILE_NAMES[0]) -> Path:
-    """Make the directory of a campaign whose title and studies have hostile names, with points that nobody measured."""
+    """Make the directory of a campaign whose title and studies have hostile names, with unmeasured points."""
     names = [name for name in HOSTILE_NAMES if "\0" not in name and len(name) < 1000]  # keys that YAML takes
     study = {"frequencies_hz": list(FREQUENCIES_HZ), "gaps_m": ["none", 0.006], "seeds": [7]}
     text = json.dumps({

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Which tests a change can reach: from `git diff`, along what each Python file says of others.
+"""Tests that a change can reach, from `git diff`, along the references of each Python file to others.
 
-A file reaches whoever names it: by import, by module name in a string (`python -m impact_rig.nodes`), by file name
-(`"hostile.py"`, `"nominal.yaml"`) or, where it is no module, by a folder of its path. That is more than is executed,
-never less; whatever nobody names reaches everything.
+A file reaches every file that names it: by import, by module name in a string (`python -m impact_rig.nodes`), by file
+name (`"hostile.py"`, `"nominal.yaml"`) or, if it is no module, by a folder of its path. That is more than is executed,
+never less; a file that is not named anywhere reaches everything.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ class Reach:
     def _uses(self, path: str) -> set[str]:
         """Return the files that a Python file names."""
         if path == "impact_rig/__init__.py":
-            return set()  # everybody imports it, and it imports the first look only for who asks
+            return set()  # all modules import it, and it imports the public names only on request
         names, strings = set[str](), list[str]()
         tree = ast.parse(self._texts[path])
         said = {node.value for node in ast.walk(tree) if isinstance(node, ast.Expr)}  # docstrings

@@ -75,7 +75,7 @@ def edited(found: Messages, topic: str, change: Callable[[Any], Any]) -> Message
 
 
 def messages(seconds: int = 12, again: tuple[int, ...] = (), **values: object) -> Messages:
-    """A rig whose operator does a little of everything, and its analysis; `again`: blocks at which he commands anew."""
+    """Rig whose operator does a little of everything, with its analysis; `again`: blocks with a new command."""
     rig = Rig(from_flat(RigConfig(), {"daq.seed": 5, "sphere.present": False, **values}))
     tracker = Tracker()
     found: Messages = [("daq/info", rig.info())]

@@ -54,7 +54,7 @@ def info_rows(rate_hz=10_000, *, gain_u=1e-3, ideal=False, since_start=0.0):
 
 
 def channel_response(info, channel, frequency_hz):
-    """What lag and skew do to a phasor, written down anew from their definitions."""
+    """Return the effect of lag and skew on a phasor, written independently from their definitions."""
     row = info[CHANNELS.index(channel)]
     omega = 2 * np.pi * frequency_hz
     lag = 1 / (1 + 1j * omega * row["lag"]) if row["lag_order"] == 1 else np.exp(-1j * omega * row["lag"])

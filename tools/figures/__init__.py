@@ -14,9 +14,9 @@
 """Every figure of README and docs: drawn by one command, in one style, from the code and from real simulations.
 
 `make figures` writes them to docs/images. Drawings are SVG with the colours of light and dark in one file: an image
-takes those of the page that shows it. `test/test_figures.py` draws them anew and compares, coordinates within 1e-3 of
-the canvas. Drawings that `make generate` makes too, as of the layers, are exact; pictures of the lab are taken from
-its page, in a browser.
+takes those of the page that shows it. `test/test_figures.py` draws them again and compares, with coordinates within
+1e-3 of the canvas. Drawings that `make generate` makes too, such as that of the layers, must be equal. Pictures of the
+lab are taken from its page, in a browser.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ BY_TOOLS: Mapping[str, tuple[str, ...]] = {
     "qualification/prediction.py --draw": ("prediction.png",),
     "tools/urdf_picture.py": ("urdf.png",),
 }  # fmt: skip
-"""Command of a tool to the pictures that it makes, of pages or of minutes of measurement; absent tools make none."""
+"""Command of a tool to its pictures, of pages or of minutes of measurement; tools that do not exist make none."""
 DRAWN: Mapping[str, Callable[[], str]] = {
     "animation.svg": animation.draw,
     "contact_laws.svg": contacts.draw_laws,
@@ -64,9 +64,9 @@ DRAWN: Mapping[str, Callable[[], str]] = {
     "rig.svg": rig.draw,
     "transmissibility.svg": transmissibility.draw,
 }
-"""Name of a drawing to what draws it."""
+"""Name of a drawing to the function that draws it."""
 
 
 def there() -> dict[str, tuple[str, ...]]:
-    """Return the part of `BY_TOOLS` whose tools are in this repository."""
+    """Return the part of `BY_TOOLS` whose tools exist in this repository."""
     return {tool: pictures for tool, pictures in BY_TOOLS.items() if (ROOT / tool.split()[0]).exists()}

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`python -m tools.figures`: draw every figure; pictures of the lab only where there is a Chromium."""
+"""`python -m tools.figures`: drawing of every figure; pictures of the lab only if there is a Chromium."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ from tools.figures.same import difference
 from tools.generate import generated
 
 UNCHANGED = 1e-5
-"""Of the canvas: what differs by a rounding stays as it is committed."""
+"""Tolerance, as a part of the canvas: a figure that differs only by rounding stays as it is committed."""
 NEEDS = {"tools/lab_pictures.py": "chromium"}
 
 
 def write(path: Path, text: str) -> None:
-    """Write a drawing that is not as it was, and say so."""
+    """Write a drawing that has changed, and report it."""
     if not path.exists() or difference(path.read_text(encoding="utf-8"), text, UNCHANGED):
         path.write_text(text, encoding="utf-8")
         sys.stdout.write(f"{path.relative_to(ROOT)}\n")
 
 
 def main() -> None:
-    """Draw all, or what is named on the command line: pictures, or tools by the stem of their file."""
+    """Draw all figures, or those on the command line: pictures, or tools by the stem of their file."""
     parser = argparse.ArgumentParser(prog="python -m tools.figures", description=__doc__)
     stems = {tool: Path(tool.split()[0]).stem for tool in there()}
     known = ", ".join(dict.fromkeys((*DRAWN, *stems.values())))
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"only these: {known}")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"figures to draw (default: all): {known}")
     names = parser.parse_args().names
     for name, draw in DRAWN.items():
         if not names or name in names:
@@ -55,7 +55,7 @@ def main() -> None:
         if names and stem not in names:
             continue
         if program and not shutil.which(program):
-            sys.stdout.write(f"{tool}: its pictures stay as they are, there is no {program}\n")
+            sys.stdout.write(f"{tool}: its pictures are kept, because there is no {program}\n")
             continue
         module = tool.split()[0].removesuffix(".py").replace("/", ".")
         subprocess.run([sys.executable, "-m", module, *tool.split()[1:]], cwd=ROOT, check=True)  # noqa: S603  # our own

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The rig in slow motion, drawn from a simulation: two cycles of the steady motion at 9.1 Hz and 6 mm, for ever.
+"""The rig in slow motion, drawn from a simulation: two cycles of the steady motion at 9.1 Hz and 6 mm, repeated.
 
-Everything moves by keyframes of style sheets, so the picture needs no script, and stands still where the
-reader's system asks for that.
+Keyframes of style sheets move everything, so the picture needs no script. It does not move if the reader's system
+requests reduced motion.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ Real = NDArray[np.float64]
 HEIGHT = 400
 GAP_M, DIAMETER_M = 6e-3, 6.35e-3
 SLOWER = 30
-"""Times slower than the rig."""
+"""Factor by which the picture is slower than the rig."""
 FRAMES = 48
 PX_PER_M, MAGNIFIED = 15e3, 20
-"""Scale; the base moves so little that its motion is enlarged."""
+"""Scale factor of the base's motion, which is too small to see."""
 CENTRE, FLOOR, DECK, THICK = 320.0, 236.0, 146.0, 22.0
 COLUMN_X, COLUMN = (-90.0, 90.0), 54.0
 PLOT_TOP, PLOT_MIDDLE, PLOT_SCALE, PLOT_LEFT, PLOT_RIGHT = 290.0, 336.0, 4e3, 100.0, 620.0
@@ -46,7 +46,7 @@ def draw() -> str:
     period = 1.0 / FREQUENCY_HZ
     hits = steady.impact_times() / period
     hits = hits[(hits > 0.0) & (hits < 1.0)]
-    # an instant at every impact: what is straight between frames turns there
+    # an instant at every impact, where the straight lines between frames change direction
     places = np.unique(np.concatenate((np.linspace(0.0, 1.0, FRAMES + 1), hits)))
     x_b, x_1, x_2 = steady.at(("x_b", "x_1", "x_2"), places * period)
     moved = {"base": x_b * PX_PER_M * MAGNIFIED, "deck": x_1 * PX_PER_M, "ball": x_2 * PX_PER_M}
@@ -84,7 +84,7 @@ def _flash(name: str, place: float) -> str:
 
 
 def _scene(walls: list[int]) -> list[str]:
-    """Return the bodies; groups move."""
+    """Return the bodies; the groups move."""
     inner = 0.5e0 * (GAP_M + DIAMETER_M) * PX_PER_M
     radius = 0.5 * DIAMETER_M * PX_PER_M
     top, thick = DECK - 2.0 * radius - 8.0, 26.0
@@ -126,7 +126,7 @@ def _scene(walls: list[int]) -> list[str]:
 
 
 def _traces(steady: simulated.Steady, hits: Real) -> list[str]:
-    """Return places over two cycles, and a mark that runs along."""
+    """Return the positions over two cycles, and a mark that moves along."""
     period = 1.0 / FREQUENCY_HZ
     cycles = np.unique(np.concatenate((np.linspace(0.0, 2.0, 97), hits, hits + 1.0)))
     x_1, x_2 = steady.at(("x_1", "x_2"), cycles * period)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""One contact: force over indentation for every law, and how the error falls with the number of steps."""
+"""One contact: force over indentation for every law, and the error as a function of the number of steps."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ SPEED_M_S, GAP_M = 0.3, 1e-3
 HEAVY_KG = 100.0  # a wall that hardly moves
 POINTS = 161
 COLOURS, DASHES = (*SERIES[:5], SERIES[6]), ("-", "--", ":")
-"""Neither is needed twice."""
+"""Pairs of colour and dashes, each used once."""
 EXACT_STEPS, COLLOCATION_STEPS, RK4_STEPS = 96, (4, 5, 6, 8, 10, 12, 14, 16), (10, 20, 40, 80, 160, 320, 640, 1280)
 
 
 def draw_laws() -> str:
-    """Return force over indentation of every compliant law, each in a pair of colour and dashes of its own."""
+    """Draw force over indentation of every compliant law, each with its own pair of colour and dashes."""
     with style():
         figure = new_figure(HEIGHT)
         axes = figure.subplots()
@@ -72,7 +72,7 @@ def draw_laws() -> str:
 
 
 def draw_order() -> str:
-    """Return the error over the number of equal steps: our collocation, and RK4 on the equations as written."""
+    """Draw the error over the number of equal steps: our collocation, and RK4 on the original equations."""
     factor = LAWS["flores"](0.35).hysteresis_factor()
     model = build(from_flat(RigConfig(), {"drive.kind": "prescribed"}))
     exact = _by_collocation(model, EXACT_STEPS)
@@ -94,11 +94,11 @@ def draw_order() -> str:
 
 
 def _by_collocation(model: Model, steps: int) -> Real:
-    """Return √δ and δ' after a given way in the regularised variable, from the touch on, shape (2,)."""
+    """Return √δ and δ' at a given value of the regularised variable after the touch, shape (2,)."""
     p, s, k = model.parameters[0], record(STATE)[0], record(CONTACT_STEP)[0]
     p.rtol = 1e-16
     deepest = (p.m_eff * SPEED_M_S**2 / p.stiffness) ** 0.4
-    step = 3.0 * math.sqrt(deepest) / SPEED_M_S / steps  # in all: until the sphere is on its way out again
+    step = 3.0 * math.sqrt(deepest) / SPEED_M_S / steps  # in total: until the sphere is on its way out again
     s.side, s.speed, s.per_v0 = 1.0, SPEED_M_S, 1.0 / SPEED_M_S
     k.terms = 1  # a structure at rest
     for _ in range(steps):

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Impact damping: one cycle of the sphere between the barriers, and what each impact takes away."""
+"""Impact damping: one cycle of the sphere between the barriers, and the energy lost at each impact."""
 
 from __future__ import annotations
 

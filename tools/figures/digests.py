@@ -11,13 +11,13 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Digests of what the pictures show that take a browser or minutes of measurement to make.
+"""Digests of the pictures that take a browser or minutes of measurement to make.
 
 `make figures` writes them, and `test/test_figures.py` computes them again in seconds: a picture whose digest has
-changed must be made again. A drawn picture has the digest of a miniature, the same command with a few points: its
-numbers to six digits and the texts of its drawing, with the file that asks for the whole one. Where there is no
-miniature, it has the syntax tree of the function that draws it and a few numbers of those it draws. A screenshot has
-the elements, styles and texts of the page.
+changed must be made again. The digest of a drawn picture is that of a miniature, the same command with a few points:
+its numbers to six digits and the texts of its drawing, together with the file of the full command. If there is no
+miniature, the digest is that of the drawing function's syntax tree and of a few of its numbers. The digest of a
+screenshot is that of the page's elements, styles and texts.
 """
 
 from __future__ import annotations
@@ -90,13 +90,13 @@ COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 
 
 def written() -> dict[str, dict[str, str]]:
-    """Return the digests of the last `make figures`: by picture, of what it shows and of its file."""
+    """Return the digests of the last `make figures`: by picture, of its contents and of its file."""
     found: dict[str, dict[str, str]] = json.loads(FILE.read_text(encoding="utf-8"))
     return found
 
 
 def write(names: tuple[str, ...]) -> None:
-    """Write the digests of pictures that have been made."""
+    """Write the digests of new pictures."""
     found = written() if FILE.exists() else {}
     found |= {name: {"shows": shown(name), "file": of_file(IMAGES / name)} for name in names}
     FILE.write_text(json.dumps(dict(sorted(found.items())), indent=1) + "\n", encoding="utf-8")
@@ -108,17 +108,17 @@ def of_file(path: Path) -> str:
 
 
 def shown(name: str) -> str:
-    """Return the digest of what a picture shows.
+    """Return the digest of a picture's contents.
 
     Raises:
-        KeyError: nothing says what it shows.
+        KeyError: there is no function for its contents.
     """
     return hashlib.sha256(json.dumps(_subjects()[name]()).encode()).hexdigest()[:16]
 
 
 @functools.cache
 def _subjects() -> dict[str, Callable[[], object]]:
-    """Return by picture what computes what it shows."""
+    """Return by picture the function that computes its contents."""
     found: dict[str, Callable[[], object]] = {}
     for words, (figure, name) in map_picture.PICTURES.items():
         found[f"{name}.png"] = functools.partial(_study, words[:-1], ROOT / "config" / f"{words[-1]}.yaml", figure)
@@ -162,15 +162,19 @@ def _numbers(*columns: np.ndarray) -> list[list[str]]:
 
 
 def _tree(function: Callable[..., object]) -> str:
-    """Return the syntax tree of a function: comments and layout do not count."""
-    return ast.dump(ast.parse(textwrap.dedent(inspect.getsource(function))))
+    """Return the syntax tree of a function; docstrings, comments and layout do not count."""
+    tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef) and ast.get_docstring(node) is not None:
+            del node.body[0]
+    return ast.dump(tree)
 
 
 def _run(*words: str) -> None:
     """Run a command silently.
 
     Raises:
-        RuntimeError: it failed.
+        RuntimeError: the command failed.
     """
     said = io.StringIO()
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
@@ -188,7 +192,7 @@ def _texts(svg: str) -> list[str]:
 
 
 def _study(command: tuple[str, ...], file: Path, figure: str) -> list[object]:
-    """Return what a miniature of a map or of a study shows, and the file that asks for the whole."""
+    """Compute the contents of a miniature of a map or of a study, with the file of the full command."""
     return [_plan(file), *_miniature(command, figure)]
 
 
@@ -210,7 +214,7 @@ def _miniature(command: tuple[str, ...], figure: str) -> list[object]:
 
 @functools.cache
 def _report() -> Mapping[str, list[object]]:
-    """Return by figure what the report of a miniature campaign shows."""
+    """Return by figure the contents of a miniature campaign's report."""
     with tempfile.TemporaryDirectory() as folder:
         plan, out = Path(folder, "miniature.yaml"), Path(folder, "out")
         plan.write_text(CAMPAIGN, encoding="utf-8")
@@ -227,7 +231,7 @@ def _gallery(file: Path, figure: str) -> list[object]:
 
 
 def _excitation(name: str) -> list[object]:
-    """Return what a short test through the stream shows, and the plan of the whole one."""
+    """Compute the contents of a short test through the stream, with the plan of the full test."""
     linear = {"sphere.present": False}
     plan: object = ""
     if name == "random":
@@ -278,10 +282,10 @@ class _Elements(HTMLParser):
         self.found: list[object] = []
 
     def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
-        """Note an element."""
+        """Store an element."""
         self.found.append([tag, *map(list, attributes)])
 
     def handle_data(self, data: str) -> None:
-        """Note a text."""
+        """Store a text."""
         if data.strip():
             self.found.append(" ".join(data.split()))

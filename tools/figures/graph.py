@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The nodes of the rig and the topics between them; names are held against the table of topics."""
+"""The nodes of the rig and the topics between them; the names are checked against the table of topics."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from tools.figures.style import BASE, INK, MUTED, SPHERE, STRUCTURE, arrow, box,
 
 HEIGHT = 430
 LEFT, RIGHT = 160.0, 470.0
-"""Edges of the rig's box and of the others."""
+"""Edges of the box of the rig and of the others."""
 
 
 def known(name: str) -> str:
     """Return a topic's name.
 
     Raises:
-        LookupError: there is none of that name.
+        LookupError: there is no such topic.
     """
     if name not in {topic.name for topic in topics.COMMON}:
         raise LookupError(f"no topic {name}")
@@ -50,7 +50,7 @@ def draw() -> str:
         *_told(324, f"{scan}, {known('truth/joint_states')}, …", INK), *_asked(358, f"{frequency}  {current}", SPHERE),
         arrow(545, 150, 545, 179, colour=STRUCTURE),
         text(537, 169, f"{known('transmissibility')}, {known('impacts')}", anchor="end", colour=STRUCTURE, px=12),
-        text(20, 416, "every node: /diagnostics; the analysis never hears truth/…", colour=MUTED, px=12),
+        text(20, 416, "every node: /diagnostics; the analysis never subscribes to truth/…", colour=MUTED, px=12),
     ]  # fmt: skip
     return sheet(
         HEIGHT,
@@ -61,7 +61,7 @@ def draw() -> str:
 
 
 def _node(x: float, y: float, width: float, height: float, name: str, words: tuple[str, ...], colour: str) -> list[str]:
-    """Return a node: its name and what it does."""
+    """Return a node: its name and its purpose."""
     lines = [
         text(x + width / 2, y + 50 + 18 * row, what, anchor="middle", px=12, symbols=False)
         for row, what in enumerate(words)

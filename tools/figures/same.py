@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Whether two drawings are the same: texts and elements exactly, coordinates within a share of the canvas.
+"""Comparison of two drawings: texts and elements exactly, coordinates within a part of the canvas.
 
-The last digits of a plot are those of the CPU and the libraries that drew it.
+The last digits of a plot depend on the CPU and the libraries that drew it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from __future__ import annotations
 import re
 
 TOLERANCE = 1e-3
-"""Of the canvas' width."""
+"""Part of the canvas' width."""
 
 _TEXTS = re.compile(r"<text.*?</text>|<title>.*?</title>", re.DOTALL)
 _TAGS = re.compile(r"<[^>]*>")
@@ -31,7 +31,7 @@ _WIDTH = re.compile(r'viewBox="0 0 ([\d.]+) ')
 
 
 def difference(one: str, other: str, tolerance: float = TOLERANCE) -> str | None:
-    """Return in words what is different, or None."""
+    """Return a description of the first difference, or None."""
     if written(one) != written(other):
         return "the texts differ"
     if _COLOURS.findall(one) != _COLOURS.findall(other):
@@ -48,7 +48,7 @@ def difference(one: str, other: str, tolerance: float = TOLERANCE) -> str | None
 
 
 def written(svg: str) -> list[str]:
-    """Return the words in a drawing."""
+    """Return the texts of a drawing."""
     return [_TAGS.sub("", found) for found in _TEXTS.findall(svg)]
 
 

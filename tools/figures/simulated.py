@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Motions of the rig's mechanics for figures: no ROS, the same bits on every machine; and the first look."""
+"""Motions of the rig's mechanics for figures, with the same bits on every machine; and the first figure."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ Real = NDArray[np.float64]
 
 @attrs.frozen(eq=False)
 class Steady:
-    """The rig when its transient has died."""
+    """The rig after its transient has decayed."""
 
-    motion: Motion  # of the last part
-    frequency_hz: float  # of the drive
-    begin_s: float  # where whole cycles begin, in rig time: the current passes zero upwards
+    motion: Motion  # motion of the last part
+    frequency_hz: float  # drive frequency
+    begin_s: float  # start of complete cycles in rig time: the current passes zero upwards
 
     def at(self, names: tuple[str, ...], time_s: Real) -> Real:
         """Return quantities at instants after `begin_s` [s], SI, shape (names, n)."""
@@ -51,7 +51,7 @@ class Steady:
         return self.motion.quantities(names, segment, (ticks - segment) * TICK_S)
 
     def impact_times(self) -> Real:
-        """Return when contacts began, after `begin_s` [s], shape (k,)."""
+        """Return the starts of the contacts, after `begin_s` [s], shape (k,)."""
         hits = self.motion.impacts
         return np.asarray(hits["tick"] * TICK_S + hits["offset"] - self.begin_s)
 
@@ -59,7 +59,7 @@ class Steady:
 def steady(
     gap_m: float, frequency_hz: float = FREQUENCY_HZ, cycles: int = AVERAGED_CYCLES, settle_s: float = SETTLE_S
 ) -> Steady:
-    """Return the steady motion at the paper's current; gap 0: without the sphere."""
+    """Return the steady motion at the paper's current; with gap 0 that without the sphere."""
     simulation = Simulation(from_flat(RigConfig(), gap_values(gap_m)))
     begin = math.ceil(settle_s * frequency_hz) / frequency_hz
     first = int(begin / TICK_S)
@@ -78,7 +78,7 @@ def transmissibility(gap_m: float, frequency_hz: float = FREQUENCY_HZ, settle_s:
 
 
 def draw_first_look() -> str:
-    """Return as SVG what the five lines of docs/index.md draw."""
+    """Return the drawing of the five lines in docs/index.md, as SVG."""
     driven = {"drive.frequency_hz": 9.1, "drive.amplitude": 0.52, "barriers.gap_m": 0.006}
     words = "Half a second of base, structure and acceleration, with the impacts that the analysis found."
     return finished(simulate(20.0, driven).plot(), words)

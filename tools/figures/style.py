@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The one style of the docs' figures: size, type, colours by meaning, light and dark in one file.
+"""Common style of the docs' figures: size, type, colours by meaning, light and dark in one file.
 
-The colours are those of the report (`impact_rig.drawing`). What moves has one colour everywhere: the inferior
-base blue, the superior base green, the sphere orange; red is the paper's.
+The colours are those of the report (`impact_rig.drawing`). Each body has one colour everywhere: the inferior base is
+blue, the superior base green, the sphere orange. Red is for the paper's data.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ if TYPE_CHECKING:
 
 BASE, STRUCTURE, SPHERE, PAPER = SERIES[0], SERIES[1], SERIES[2], PAPER_RED
 WIDTH = 640
-"""Of every figure [px]: half a wide page, and legible on a telephone."""
+"""Width of every figure [px]: half a wide page, and legible on a phone."""
 FONT = "system-ui, 'DejaVu Sans', sans-serif"
 TEXT_PX = 13
-"""In drawings and plots."""
+"""Width of lines in drawings and plots."""
 MARGIN = 10.0
-"""About plots [px]."""
+"""Margin about plots [px]."""
 DECIMALS = 2
-"""Of coordinates: a hundredth of a pixel."""
+"""Digits of coordinates: a hundredth of a pixel."""
 
 _SHEETS = {False: "--sheet: #ffffff; --card: #f4f6f8;", True: "--sheet: #151a20; --card: #1f262e;"}
 _NUMBER = re.compile(r"-?\d+\.\d{3,}")
@@ -50,13 +50,13 @@ __all__ = ["BASE", "DARK", "GRID", "INK", "MUTED", "PAPER", "SERIES", "SPHERE", 
 
 
 def sheet(height: float, title: str, body: str, css: str = "") -> str:
-    """Return a whole SVG file.
+    """Return a complete SVG file.
 
     Args:
-        height: of the canvas, which is `WIDTH` wide [px].
-        title: what is to be seen, for those who do not see it.
+        height: height of the canvas [px], which is `WIDTH` wide.
+        title: description of the figure for readers who cannot see it.
         body: elements, in the light colours of the palette.
-        css: rules of its own.
+        css: additional rules.
     """
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" width="{WIDTH}"'
@@ -79,7 +79,7 @@ def style() -> Iterator[None]:
     own: dict[str, object] = {
         "font.size": TEXT_PX, "axes.titlesize": TEXT_PX, "legend.fontsize": TEXT_PX - 1, "axes.titleweight": "bold",
         "axes.titlelocation": "left", "lines.linewidth": 2.0, "lines.markersize": 6.0, "figure.dpi": 72,
-        "path.simplify": False,  # which points it would leave out is a matter of last digits
+        "path.simplify": False,  # which points would be left out depends on last digits
         "svg.hashsalt": "impact_rig",
     }  # fmt: skip
     with rc_context(STYLE | own):  # type: ignore[arg-type]  # its key type is a literal of all settings
@@ -98,7 +98,7 @@ def new_figure(height: float) -> Figure:
 
 
 def direct_label(axis: Axes, x: float, y: float, text: str, colour: str, **more: object) -> None:
-    """Write a name beside what it names, in its colour."""
+    """Write a label next to the thing that it names, in the same colour."""
     axis.annotate(text, (x, y), (4, 0), textcoords="offset points", color=colour, va="center", **more)  # type: ignore[arg-type]
 
 
@@ -115,7 +115,9 @@ def finished(figure: Figure, title: str) -> str:
     names = dict(zip(used, (f"n{number}" for number in itertools.count()), strict=False))
     body = re.sub(r' id="([\w-]+)"', lambda found: f' id="{names[found[1]]}"' if found[1] in names else "", body)
     body = re.sub(r"(url\(#|href=\"#)([\w-]+)", lambda found: f"{found[1]}{names[found[2]]}", body)
-    body = re.sub(r"<[^>]*>", lambda found: _NUMBER.sub(_rounded, found[0]), body)  # numbers that are read stay
+    body = re.sub(
+        r"<[^>]*>", lambda found: _NUMBER.sub(_rounded, found[0]), body
+    )  # the numbers that readers see stay unchanged
     return sheet(round(figure.get_figheight() * 72.0, 3), title, body)
 
 
@@ -135,10 +137,10 @@ def text(
     px: float = TEXT_PX,
     symbols: bool = True,
 ) -> str:
-    """Return words at a place; in `symbols` what follows `_` is set low: `x_1`."""
+    """Return a text at a position; with `symbols`, a character after `_` is a subscript: `x_1`."""
     weight = ' font-weight="600"' if bold else ""
     parts, low = escape(words), f'<tspan dy="{0.25 * px:g}" font-size="75%">'
-    if symbols:  # `baseline-shift` is not for all browsers
+    if symbols:  # not all browsers support `baseline-shift`
         parts = re.sub(r"_(\w)", rf'{low}\1</tspan><tspan dy="{-0.25 * px:g}">&#8203;</tspan>', parts)
     size = f' font-size="{px:g}"' if px != TEXT_PX else ""
     return f'<text x="{x:g}" y="{y:g}" text-anchor="{anchor}" fill="{colour}"{weight}{size}>{parts}</text>'

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What DT is: two motions, their ratio, and the ratio over frequency."""
+"""Definition of DT: two motions, their ratio, and the ratio over frequency."""
 
 from __future__ import annotations
 

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Write every page and file that is made from the code: `make generate` rewrites them, a test compares them.
+"""Generator of every page and file that is made from the code: `make generate` rewrites them, a test compares them.
 
 In the pages of docs/ the parts between `<!-- generated: NAME -->` and `<!-- end -->` are generated, each by the
-function that `TABLES` names; `config/nominal.yaml`, `interface.json`, the texts of the messages, the SROS2 policy, the
-URDF and the pictures of layers and nodes are generated whole.
+function in `TABLES`. Some files are generated completely: `config/nominal.yaml`, `interface.json`, the texts of the
+messages, the SROS2 policy, the URDF, and the pictures of layers and nodes.
 """
 
 from __future__ import annotations
@@ -49,22 +49,22 @@ TABLES: dict[str, Callable[[], str]] = {
     "contact laws": _laws,
     "commands": commands.reference,
 }
-"""Name in a page's markers -> its text."""
+"""Name in a page's markers -> function that returns the text."""
 
 _SECTION = re.compile(r"(<!-- generated: (?P<name>[\w ]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
 def rewritten(text: str) -> str:
-    """Return a page with its generated parts as the code has them.
+    """Return a page with its generated parts renewed from the code.
 
     Raises:
-        KeyError: a marker names no table.
+        KeyError: a marker names an unknown table.
     """
     return _SECTION.sub(lambda found: f"{found[1]}\n{TABLES[found['name']]()}\n{found[3]}", text)
 
 
 def generated() -> dict[Path, str]:
-    """Return every file that is generated, in whole or in part, with the text the code wants it to have."""
+    """Return every file that is generated, completely or in part, with its text according to the code."""
     texts = {page: page.read_text(encoding="utf-8") for page in sorted((ROOT / "docs").rglob("*.md"))}
     pages = {page: rewritten(text) for page, text in texts.items() if _SECTION.search(text)}
     description = robot_description(RigConfig())

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`python -m tools.generate`: rewrite what is not as the code has it, and say which files those were."""
+"""`python -m tools.generate`: rewriting of the files that differ from the code, and a list of them."""
 
 from __future__ import annotations
 

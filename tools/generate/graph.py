@@ -30,7 +30,7 @@ NODES = {
     "analysis": (600, 150),
     "recorder": (600, 460),
 }
-"""Where the boxes are, left upper corner."""
+"""Positions of the boxes, upper left corner."""
 SIZE = (240, 64)
 SAYS = {
     "stepped_sine": "sweeps, as an operator would",
@@ -48,7 +48,7 @@ LABELS = {
     ("analysis", "stepped_sine"): (420, 95),
     ("rig", "stepped_sine"): (162, 190),
 }
-"""Where what passes from one to the other is written; what the recorder hears of the sweep is left to the text."""
+"""Positions of the texts at the arrows; the sweep's topics to the recorder are left out."""
 MOST = 5
 _HEAD = """\
 <svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 900 560" font-family="system-ui, sans-serif" font-size="12"
@@ -67,7 +67,7 @@ _HEAD = """\
 
 
 def edges() -> dict[tuple[str, str], list[str]]:
-    """Return the topics that pass from one node to another, by the names of both; `/clock` and `/diagnostics` not."""
+    """Return the topics from one node to another, by the names of both, without `/clock` and `/diagnostics`."""
     nodes = {node.name: node for node in graph.NODES}
     found: dict[tuple[str, str], list[str]] = {}
     for source, sink in itertools.permutations(NODES, 2):
@@ -100,7 +100,7 @@ def picture() -> str:
 
 
 def _arrow(source: str, sink: str) -> str:
-    """Return a line between two boxes; the two ways between a pair lie beside each other."""
+    """Return a line between two boxes; the two directions of a pair are next to each other."""
     (x0, y0), (x1, y1) = NODES[source], NODES[sink]
     width, height = SIZE
     side = 14 if source < sink else -14

@@ -111,11 +111,11 @@ def _kind(code: str) -> str:
 
 def _services() -> str:
     rows = ((f"`{s.node}{s.name[1:]}`", s.type_name.split("/")[-1], s.doc) for s in graph.SERVICES)
-    return table(("service", "type", "what it does"), rows)
+    return table(("service", "type", "effect"), rows)
 
 
 def _nodes() -> str:
-    """Return what each node subscribes to; what it publishes is in the table of topics."""
+    """Return the table of each node's subscriptions; its publications are in the table of topics."""
 
     def listed(names: list[str]) -> str:
         return ", ".join(f"`{name}`" for name in names) or "-"
@@ -160,7 +160,7 @@ def _figures() -> str:
 
 
 def document() -> str:
-    """Return topics, services and parameters as JSON, a row a line, without what a row has none of."""
+    """Return topics, services and parameters as JSON, one row per line, without empty members."""
     content = {
         "topics": {topic.name: _topic(topic) for topic in TOPICS},
         "services": {f"{s.node}{s.name[1:]}": {"type": s.type_name, "doc": s.doc} for s in graph.SERVICES},
@@ -213,13 +213,13 @@ def _parameter(about: FieldInfo, default: Value) -> dict[str, object]:
 
 
 def _said(**row: object) -> dict[str, object]:
-    """Leave out what does not hold: no text, no bound, false."""
+    """Leave out members without meaning: empty text, missing bound, false."""
     nothing = ("", "-", None, [], math.inf, -math.inf)
     return {key: value for key, value in row.items() if value is not False and value not in nothing}
 
 
 def _text(tree: dict[str, Any], depth: int = 0) -> str:
-    """Return a tree as JSON, a row without further rows in one line."""
+    """Return a tree as JSON, with a row that has no further rows in one line."""
     if not any(isinstance(value, dict) for value in tree.values()):
         return json.dumps(tree, ensure_ascii=False)
     inner = (
@@ -251,4 +251,4 @@ TABLES: dict[str, Callable[[], str]] = {
         ((node, f"`{word.value}`", f"{word.doc}.") for node, words in states.BY_NODE.items() for word in words),
     ),
 }
-"""Name in the page's markers -> its text."""
+"""Name in the page's markers -> function that returns the text."""

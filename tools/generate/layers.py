@@ -30,10 +30,10 @@ PICTURE = ROOT / "docs" / "images" / "layers.svg"
 ON_TOP = [["impact_rig_lab"], ["impact_rig_studies"]]
 """Packages above the rooms of the rig."""
 WITH_ROS = ("impact_rig_lab", "impact_rig_studies", "testing", "driver", "client", "nodes")
-"""Packages that may import rclpy, as a contract of its own says."""
+"""Packages that may import rclpy, according to a separate contract."""
 
 _WIDTH, _MARGIN, _GAP, _PAD, _LINE = 980, 20, 12, 10, 15
-_CHARACTER = 6.3  # of the text in a box, in the widest usual font
+_CHARACTER = 6.3  # width of a character in a box, in the widest usual font
 _HEAD = """\
 <svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" viewBox="0 0 {width} {height}"
  font-family="system-ui, sans-serif" font-size="12" role="img"
@@ -50,7 +50,7 @@ _HEAD = """\
 
 
 def layers(root: Path = ROOT) -> list[list[str]]:
-    """Return packages and rooms of the rig from the top to the bottom, as the import contract has them."""
+    """Return packages and rooms of the rig from top to bottom, according to the import contract."""
     settings = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))
     contracts = settings["tool"]["importlinter"]["contracts"]
     lines = next(contract["layers"] for contract in contracts if contract["name"] == "Layers")
@@ -66,7 +66,7 @@ def sentence(package: str, root: Path = ROOT) -> str:
 
 
 def picture() -> str:
-    """Return the layers as SVG: a row a layer, green where rclpy may be imported."""
+    """Return the layers as SVG: one row per layer, green where rclpy may be imported."""
     y, boxes = _MARGIN, []
     for packages in layers():
         width = (_WIDTH - 2 * _MARGIN - (len(packages) - 1) * _GAP) / len(packages)
@@ -96,7 +96,7 @@ def _box(package: str, lines: list[str], place: tuple[float, float, float, float
 
 def _packages() -> str:
     return table(
-        ("package", "what is in it"),
+        ("package", "content"),
         ((f"`{package}`", sentence(package)) for packages in layers() for package in packages),
     )
 

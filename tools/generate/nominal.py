@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Write the complete default configuration as a commented ROS 2 parameter file: what `config/nominal.yaml` is."""
+"""The complete default configuration as a commented ROS 2 parameter file: the content of `config/nominal.yaml`."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def _indent(depth: int) -> str:
 
 
 def scalar(value: Value | tuple[float, ...]) -> str:
-    """Return a value as YAML and ROS both read it: floats with a dot, `on` quoted, no empty list."""
+    """Return a value in the form that YAML and ROS both read: floats with a dot, `on` quoted, no empty list."""
     plain = list(value or ("",)) if isinstance(value, tuple) else value
     text: str = yaml.safe_dump(plain, default_flow_style=True, width=float("inf"))
     return text.removesuffix("...\n").strip()

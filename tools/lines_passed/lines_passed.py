@@ -11,10 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Note which lines of the package a process passes, from before it imports any of them to its end.
+"""Record of the lines of the package that a process executes, from before the first import to its end.
 
-SlipCover costs next to nothing, where coverage.py's tracer makes a Python before 3.12 nearly twice as slow. What it
-finds is kept as coverage.py's data, which combines and reports it. `kits.measured` chooses which programs are measured.
+SlipCover costs next to nothing, whereas coverage.py's tracer makes a Python before 3.12 nearly twice as slow. The
+result is stored as data of coverage.py, which combines and reports it. `kits.measured` selects the programs that are
+measured.
 """
 
 import atexit
@@ -30,14 +31,14 @@ PACKAGES = [ROOT / name for name in ("impact_rig", "impact_rig_studies", "impact
 
 
 def note(data: str) -> None:
-    """Begin; at the end, a file whose name begins with `data` has the lines."""
+    """Start recording; at the end, a file whose name begins with `data` contains the lines."""
     passed, ours = Slipcover(), FileMatcher(PACKAGES)
     ImportManager(passed, ours).__enter__()
-    wrap_pytest(passed, ours)  # which imports by itself what comes with one of its plugins: all of the package
+    wrap_pytest(passed, ours)  # it imports by itself what comes with one of its plugins: the complete package
 
     def keep() -> None:
-        os.chdir(ROOT)  # SlipCover names files as seen from where it is
-        # what nobody imports, too
+        os.chdir(ROOT)  # SlipCover names files relative to the working directory
+        # including files that no program imports
         lines: dict[str, list[int]] = {str(file): [] for package in PACKAGES for file in package.rglob("*.py")}
         for file, found in passed.get_coverage()["files"].items():
             lines[str(Path(file).absolute())] = found["executed_lines"]

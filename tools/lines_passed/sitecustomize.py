@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Python runs this first of all where this folder is on PYTHONPATH: `make test` notes which lines a process passes."""
+"""Start-up hook of Python if this folder is on PYTHONPATH: `make test` records the lines that a process executes."""
 
 import os
 

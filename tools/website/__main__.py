@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`python -m tools.website`: build the website into build/site; a warning is an error."""
+"""`python -m tools.website`: build of the website in build/site; a warning is an error."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def build(site: Path = ROOT / "build" / "site") -> Path:
 
 
 def main() -> None:
-    """Build, say where, and exit 1 after a warning."""
+    """Build the site, print its directory, and exit with 1 after a warning."""
     parser = argparse.ArgumentParser(prog="python -m tools.website", description=__doc__)
     parser.add_argument("--site", type=Path, default=ROOT / "build" / "site", help="directory (default: build/site)")
     arguments = parser.parse_args()

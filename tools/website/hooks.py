@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What MkDocs is told about our pages: the words behind a fence, the icon of the lab."""
+"""Hooks of MkDocs for our pages: the words after a fence, and the icon of the lab."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Show titles of files above their blocks; drop what only our checks read."""
+    """Show titles of files above their blocks, and remove comments for our checks."""
     markdown = markdown.replace(
         _RIG_HERE, "[Run the rig in this browser](images/impact_rig.html)" if RIG.exists() else ""
     )
@@ -48,7 +48,7 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
 
 
 def on_post_page(output: str, **_: Any) -> str:
-    """Name the theme's search, which has the role of a dialog and no name."""
+    """Give a name to the theme's search, which has the role of a dialog but no name."""
     return output.replace(_SEARCH, f'{_SEARCH} aria-label="Search"')
 
 

@@ -126,7 +126,7 @@ def test_noisier_sensors_raise_the_threshold_by_themselves():
 
 
 def test_a_sensor_exchanged_in_mid_run_is_timed_and_judged_by_its_own_calibration():
-    """Lag and noise of the first accelerometer once stayed in force after a calibration."""
+    """Before, lag and noise of the first accelerometer stayed in effect after a calibration."""
     acceleration = background(1.0, FAST)
     add_impacts(acceleration, FAST, [0.3, 0.8], [0.3, 0.3], [1, 1])
     known, exchanged = detector(), detector()

@@ -84,7 +84,7 @@ def test_a_transient_is_waited_for_no_longer_than_needed(frequency_hz, tau_s):
 )
 @pytest.mark.repeats
 def test_the_first_row_after_a_change_is_as_good_as_any_other(frequency_hz, tau_s):
-    """Over 120 draws of noise its mean error is none: at most 3.3 standard errors of that mean, 0.3 of a row's u."""
+    """Over 120 draws of noise its mean error is at most 3.3 standard errors of that mean, 0.3 of a row's u."""
     truth, info = linear_transmissibility(frequency_hz), info_rows(RATE, gain_u=0.0)
     off = []
     for seed in range(120):
@@ -243,7 +243,7 @@ def test_at_rest_is_a_state_and_no_trouble():
 
 
 def test_a_value_is_called_measured_no_longer_when_the_next_row_is_overdue():
-    """The sphere's wall has become softer, say: nobody told the analysis, but what it hears is what it said no more."""
+    """The wall has become softer, say: no message says so, but the response disagrees with its last row."""
     made, rows = tracker(), record(seconds=20.0)
     growth = 1.0 + 0.1 * np.maximum(np.arange(len(rows)) / RATE - 12.0, 0.0)
     for channel in ("laser", "accelerometer"):

@@ -53,7 +53,7 @@ def test_a_spoiled_stream_gets_a_name_and_no_number(spoil, status):
     measurements, _ = feed_all(tracker(), blocks(rows, RATE, 20))
     assert measurements
     assert set(words(measurements)) == {status}
-    assert len(measurements) <= 5, "a lasting fault is told about once per measurement, not once per window"
+    assert len(measurements) <= 5, "a lasting fault is reported once per measurement, not once per window"
     assert all(np.isnan(table.rows[0]["transmissibility"]) for table in measurements)
 
 

@@ -89,7 +89,7 @@ def test_noise_that_does_not_scatter_the_cycles_counts_as_white():
 
 
 def test_clock_error_does_not_smear_the_ratio():
-    """A DAQ clock off by 500 ppm turns the phase by a third of a cycle in 75 s: DT stays, the deviation is told."""
+    """A DAQ clock off by 500 ppm turns the phase by a third of a cycle in 75 s: DT stays, the deviation is reported."""
     true_hz = 9.1 * (1 + 500e-6)
     rng = np.random.default_rng(1)
     rows = steady_record(true_hz, 75.0, rate_hz=1000, rng=rng)
@@ -115,7 +115,7 @@ def test_any_ratio_comes_back(ratio, phase, base_um, frequency_hz):
 
 
 def _deviations(gain_u, noise, colour, count, seed=2, lag_u=0.02):
-    """Return (DT − truth)/u and (phase − truth)/u with noise, gains and lags drawn anew each time."""
+    """Return (DT − truth)/u and (phase − truth)/u with new noise, gains and lags for each draw."""
     rng = np.random.default_rng(seed)
     rate, frequency = 1000, 9.1
     truth = linear_transmissibility(frequency)
@@ -159,7 +159,7 @@ def _deviations(gain_u, noise, colour, count, seed=2, lag_u=0.02):
 )
 @pytest.mark.repeats
 def test_reported_uncertainty_covers_the_truth(gain_u, noise, colour, lag_u):
-    """Noise and calibration drawn anew 300 times: the truth is as far off as is said."""
+    """Noise and calibration are drawn 300 times: the errors are as large as stated."""
     assert_covers(_deviations(gain_u, noise, colour, 300, lag_u=lag_u))
 
 
@@ -339,7 +339,7 @@ def rounded(values, rng, step, noise):
 )
 @pytest.mark.parametrize("amplitude", [6e-6, 50e-6, 1e-3, 5.8e-3])
 def test_what_steps_do_to_a_sine_is_within_two_uncertainties(r, q, noise_r, noise_q, amplitude):
-    """Amplitudes and places between the steps drawn anew: hardly any error above 2u, the largest not far below."""
+    """Amplitudes and positions between the steps are random: hardly any error exceeds 2u, and some come close."""
     info = info_rows()
     names = ("output_step", "output_noise", "converter_step", "converter_noise")
     info[list(names)][LASER] = 0.0

@@ -62,11 +62,11 @@ ALLOWED = {
     "physics/linear.py: np.linalg": "where the refinement of eigenvalues starts; they do not depend on it",
     **dict.fromkeys(
         (f"physics/contact/springs.py: math.{name}" for name in ("log", "exp", "sin", "cos", "atan2")),
-        "what kelvin_voigt returns when it lets go early is told to people",
+        "only shown to people: the restitution of kelvin_voigt with early release",
     ),
     "physics/linear_response.py": "what simulation and analysis are held against",
-    "instruments/sensor.py: np.prod": "the frequency response, for whoever judges readings",
-    "physics/function_generator.py: np.cumsum": "counts ticks, which are whole numbers",
+    "instruments/sensor.py: np.prod": "the frequency response, used to judge readings",
+    "physics/function_generator.py: np.cumsum": "counts ticks, which are integers",
     "instruments/checks.py": "judges readings and feeds none",
     "arithmetic/precise.py: sum": "of Decimals",
     "instruments/sensor.py: sum": "of Decimals",
@@ -147,7 +147,7 @@ def test_nothing_on_the_way_to_a_sample_is_left_to_the_machine() -> None:
             if reason is None:
                 found.append(f"{name}:{line}: {what}")
     assert not found, "\n".join(found)
-    assert used - {None} == set(ALLOWED), "an exception that nobody needs any more"
+    assert used - {None} == set(ALLOWED), "an exception without a use"
 
 
 @pytest.mark.skipif(kernels.MODE != "library", reason="kernels run otherwise here")

@@ -106,7 +106,7 @@ def test_the_name_of_a_file_is_printed_whole(
 
 
 def test_there_is_one_way_to_the_terminal() -> None:
-    """Whoever imports rich's own console, or its columns that read markup, has found a second one."""
+    """A module that imports rich's own console, or its columns that parse markup, bypasses ours."""
     for path in CLI.glob("*.py"):
         if path.name == "terminal.py":
             continue

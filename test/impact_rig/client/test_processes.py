@@ -141,7 +141,7 @@ def test_a_name_is_used_once(module: Path) -> None:
 
 @pytest.mark.ros
 def test_a_node_ends_when_the_process_that_started_it_is_killed(tmp_path: Path) -> None:
-    """Even by SIGKILL, after which nobody can tell the nodes."""
+    """This holds even for SIGKILL, after which no process can end the nodes."""
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     starter = tmp_path / "starter.py"
     starter.write_text(

@@ -81,7 +81,7 @@ def test_what_was_given_to_a_rig_is_over_when_it_is_silent_or_another_one_has_be
     rig = Activation(lambda: now)
     unknown = rig.given("a command")
     now = 100.0
-    unknown()  # nobody was ever heard: it may still be starting
+    unknown()  # no message yet: it may still be starting
     rig.heard("one")
     unknown()
     check = rig.given("a command")
@@ -146,7 +146,7 @@ def test_a_command_given_at_once_belongs_to_the_rig_that_is_there() -> None:
 
 @pytest.mark.ros
 def test_a_rig_outside_of_the_namespace_is_another_one() -> None:
-    """`/rig` was taken for `/here/rig`: what was given to that was said to be lost with a rig that is gone."""
+    """Before, `/rig` was mistaken for `/here/rig`, and its commands were reported as lost with a rig that is gone."""
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 

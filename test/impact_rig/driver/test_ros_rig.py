@@ -46,7 +46,7 @@ LOST = Fault(kind="lost_block", start_sample=1500, samples=250)
 
 
 class Counter(Node):
-    """A node as anybody writes it: no keyword arguments, a queue of ten, no acknowledgement."""
+    """Node as a user writes it: no keyword arguments, a queue of ten, no acknowledgement."""
 
     def __init__(self) -> None:
         super().__init__("counter")
@@ -55,7 +55,7 @@ class Counter(Node):
 
 
 class Answerer(Node):
-    """Answers every block without saying which, and can be told to fall silent."""
+    """Node that answers every block without naming it, and can be silenced."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("answerer", **kwargs)

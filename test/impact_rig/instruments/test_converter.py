@@ -87,7 +87,7 @@ def test_beyond_the_range_it_clips_and_says_so(channel, quantity, peak, limit):
     assert np.max(np.abs(scans[channel])) == pytest.approx(limit, rel=1e-5)
     np.testing.assert_array_equal(flagged, np.abs(scans[channel]) >= limit * (1 - 1e-6))
     assert 0.1 < np.mean(flagged) < 0.6
-    assert not np.any(scans["status"] & ~np.uint8(BIT[channel]))  # nobody else's bit
+    assert not np.any(scans["status"] & ~np.uint8(BIT[channel]))  # and no other channel's bit
     assert sensor.measuring_range()[1] == pytest.approx(limit, rel=1e-6)
 
 

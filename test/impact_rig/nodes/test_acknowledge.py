@@ -33,7 +33,7 @@ pytestmark = pytest.mark.ros
 
 
 def _told(client: Client, blocks: int, may_send: bool = True) -> list[Header]:
-    """Return what is heard of blocks processed in one go."""
+    """Return the acknowledgements received for blocks processed in one go."""
     node = host_rig(client, time__peers=[])
     node.offer(topics.ACK)
     acknowledgements = Acknowledgements(node, lambda: may_send)
@@ -74,7 +74,7 @@ def test_blocks_of_real_time_are_acknowledged_together_and_the_last_one_without_
     client.wait_until(lambda: len(heard.messages) > 0, "an acknowledgement")
     assert caught_up
     assert acknowledgements.is_timed
-    acknowledgements.processed(1)  # of a rig that no longer runs in real time: it may wait for us
+    acknowledgements.processed(1)  # of a rig that has left real time: it may wait for us
     assert not acknowledgements.is_timed
     client.wait_until(lambda: len(heard.messages) > 1, "another one")
     acknowledgements.flush()

@@ -116,7 +116,7 @@ def test_labels_come_as_remarks_or_as_a_parameter(client: Client) -> None:
         client.step(100)  # a label acts when scans are measured, and remarks may arrive after them
         return bool(np.any(measured.rows()["gap"] == 0.008))
 
-    client.wait_until(labelled, "the label to be in force")
+    client.wait_until(labelled, "the label to take effect")
     with pytest.raises(ConfigError, match="deactivate"):
         client.set_parameters("analysis", {"windows": 16})
     with pytest.raises(ConfigError, match="-1 for unknown"):

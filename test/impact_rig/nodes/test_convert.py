@@ -226,7 +226,7 @@ def beside_scans(
     return found
 
 
-@pytest.mark.parametrize("since", [0, 63], ids=["from the beginning", "since somebody listens"])
+@pytest.mark.parametrize("since", [0, 63], ids=["from the beginning", "since a subscription"])
 @pytest.mark.parametrize(
     ("name", "form", "at", "what"),
     [
@@ -279,7 +279,7 @@ def test_verify_accuses_no_monitor_of_scans_that_a_recorder_no_longer_heard(
 
 
 def test_scans_over_range_are_counted_when_they_are_asked_for() -> None:
-    """They are looked through in lots; none of them is told late."""
+    """They are searched in lots, and none of them is reported late."""
     rig = Rig(from_flat(RigConfig(), {"drive.amplitude": 0.52, "instruments.laser.half_range_m": 1e-4}))
     blocks, counts = rig.advance(400_000_000), Counts()
     expected = 0

@@ -65,7 +65,7 @@ def test_a_running_rig_reports_rates_energy_faults_and_over_ranges(client: Clien
 
 
 def test_a_slow_reader_is_named_in_real_time_and_one_that_leaves_forgotten(client: Client) -> None:
-    """Nobody waits for it, so the rig can only say so."""
+    """No node waits for it, so the rig can only report it."""
     host_rig(client, "realtime", time__factor=4.0)
     client.wait_active("rig")
     silent = False

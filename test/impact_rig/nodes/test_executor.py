@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What came before an executor listened, and was never told to it, is handed over all the same.
+"""Delivery of messages that arrived before an executor listened and were never announced to it.
 
-The middleware has a hole of a microsecond: see `impact_rig.nodes.rclpy_internals`. Here it is as wide as it must be:
-all is told to one executor, which never runs again, and another one takes the node over.
+The middleware has a gap of a microsecond, see `impact_rig.nodes.rclpy_internals`. Here the gap is made wide: everything
+is announced to one executor, which never runs again, and another executor takes the node over.
 """
 
 from __future__ import annotations

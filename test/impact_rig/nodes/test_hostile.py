@@ -106,7 +106,7 @@ def test_commands_of_any_value(attacked: Attacked, topic: topics.Topic, low: flo
 
 
 def test_ten_thousand_commands_a_second(attacked: Attacked) -> None:
-    """The newest is in force in the end, the order is kept, and not a block of real time is lost."""
+    """The newest value is active in the end, the order is kept, and no block of real time is lost."""
     client = attacked.client
     client.command(frequency_hz=10.0)
     attacked.scans.clear()
@@ -275,7 +275,7 @@ def recorded(attacked: Attacked) -> Attacked:
     "topic", [t for t in TOPICS if t.recorded and not t.name.startswith("/")], ids=lambda topic: topic.name
 )
 def test_bytes_that_are_no_message(recorded: Attacked, topic: topics.Topic) -> None:
-    """The middleware hands anything on; whoever subscribes must live with it."""
+    """The middleware forwards anything, and every subscriber must cope with it."""
     client = recorded.client
     publisher = client.node.create_publisher(messages.class_of(topic), topic.name, messages.profile(topic.qos))
     client.wait_until(publisher.get_subscription_count, f"a subscriber of {topic.name}")
@@ -300,7 +300,7 @@ def test_the_nodes_are_sound_after_all_those_bytes(recorded: Attacked) -> None:
 
 
 def test_acknowledgements_of_any_stamp_in_any_name(attacked: Attacked) -> None:
-    """Of the future: refused and counted. In the name of nobody who listens: counted apart. Neither moves the rig."""
+    """A future stamp is rejected and counted, an unknown name is counted separately; neither moves the rig."""
     client = attacked.client
     attacked.quiet()
     expected = attacked.refused("rig", "daq/ack") + int(client.figures("rig")["other_acks"])

@@ -137,9 +137,9 @@ def test_a_node_that_is_told_to_end_has_no_more_news(user: Client) -> None:
     user.wait_until(lambda: reports.messages, "a report")
     node.is_ending = lambda: True
     ticks = node.ticks
-    node.health = lambda: (Level.ERROR, "somebody has gone")  # would be reported within 0.1 s
+    node.health = lambda: (Level.ERROR, "a peer has ended")  # would be reported within 0.1 s
     user.wait_until(lambda: node.ticks > ticks + 100, "a second of its timer")
-    assert not any("somebody has gone" in report.status[0].message for report in reports.messages)
+    assert not any("a peer has ended" in report.status[0].message for report in reports.messages)
 
 
 def test_a_service_may_answer_later_on_every_executor(user: Client) -> None:

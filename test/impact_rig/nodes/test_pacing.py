@@ -200,7 +200,7 @@ def test_a_reader_that_nobody_waits_for_is_counted_too() -> None:
     for stamp in range(10):
         window.published(stamp)
     window.acknowledge("peer", 9)
-    assert not window.acknowledge("plotter", 3), "nobody watches it yet"
+    assert not window.acknowledge("plotter", 3), "it is not followed yet"
     window.watch("plotter")
     for stamp in (3, 4, 7, 6, 7):
         assert window.acknowledge("plotter", stamp)

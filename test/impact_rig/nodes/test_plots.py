@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The plot topics: what a plotter gets on them, and that nothing is made while nobody listens."""
+"""The plot topics: their contents for a plotter, and no work without a subscriber."""
 
 from __future__ import annotations
 

@@ -86,7 +86,7 @@ def test_a_run_holds_every_message_and_the_configuration(client: Client, tmp_pat
 
 @pytest.mark.parametrize("seed", ["abc", ".inf", "null", "[1]"])
 def test_a_seed_that_is_no_number_keeps_nobody_from_recording(client: Client, tmp_path: Path, seed: str) -> None:
-    """It is heard from anybody; the recorder was idle ever after, acknowledged nothing, and did not tell why."""
+    """Any node may send it. Before, the recorder stayed idle, acknowledged nothing, and gave no reason."""
     host_recorder(client, tmp_path)
     client.wait_active("recorder")
     client.publish(topics.CONFIGURATION, String(data=f"daq: {{seed: {seed}}}"), listener="recorder")

@@ -68,7 +68,7 @@ def test_a_late_subscriber_gets_calibration_configuration_journal_and_present_co
     client.command(frequency_hz=8.0, current_a=0.2)
     client.step(3)
     late = {name: client.collect(name) for name in ("daq/info", "rig/configuration", "rig/journal", "shaker/applied")}
-    # step() changes a parameter: the configuration before it comes as well, and then the one in force
+    # step() changes a parameter: the configuration before it arrives as well, and then the active one
     expected = {"daq/info": 1, "rig/configuration": 2, "rig/journal": 3, "shaker/applied": 3}
     client.wait_until(lambda: {n: len(c) for n, c in late.items()} == expected, "what was published before")
     assert late["daq/info"].rows()["name"].tolist() == [b"accelerometer", b"laser", b"base", b"current"]

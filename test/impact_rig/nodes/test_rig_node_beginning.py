@@ -38,7 +38,7 @@ LEVELS = {"ok": b"\0", "warn": b"\1", "error": b"\2"}
 
 
 def test_a_realtime_recording_begins_with_scan_0(client: Client, tmp_path) -> None:
-    """However late recorder and analysis come: they are what the rig was told to wait for."""
+    """The rig waits for recorder and analysis, which are its peers, however late they start."""
     host_rig(client, "realtime", time__peers=["analysis", "recorder"], time__start_wait_s=3600.0)
     client.wait_active("rig")
     client.wait_until(lambda: "waiting for peer analysis, recorder" in client.status("rig").message, "the diagnostic")
@@ -63,11 +63,11 @@ def test_a_realtime_recording_begins_with_scan_0(client: Client, tmp_path) -> No
 
 
 def test_realtime_goes_on_without_a_peer_that_does_not_come(client: Client) -> None:
-    host_rig(client, "realtime", time__peers=["nobody"], time__start_wait_s=0.3)
+    host_rig(client, "realtime", time__peers=["absent"], time__start_wait_s=0.3)
     client.wait_active("rig")
     scans = client.collect("daq/scan")
     client.wait_until(lambda: len(scans) > 5, "blocks all the same")
-    client.wait_until(lambda: "running without peer nobody" in client.status("rig").message, "the diagnostic")
+    client.wait_until(lambda: "running without peer absent" in client.status("rig").message, "the diagnostic")
     assert client.status("rig").level == LEVELS["warn"]
 
 
@@ -106,7 +106,7 @@ def test_a_second_rig_waits_until_the_first_is_gone(client: Client, mode: str) -
     scans = client.collect("daq/scan")
     journal = client.collect("rig/journal")
     client.wait_until(lambda: len(scans) > 3, "blocks of the first")
-    client.wait_until(lambda: starts(journal) == 1, "its start, which is handed over again to whoever comes late")
+    client.wait_until(lambda: starts(journal) == 1, "its start, which late subscribers receive again")
     second: RigNode = client.host(
         RigNode,
         parameter_overrides=ros_parameters({"time.mode": mode, "daq.seed": 2, "output.autostart": False}),

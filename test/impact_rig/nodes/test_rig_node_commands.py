@@ -49,7 +49,7 @@ def test_hostile_commands_are_refused_counted_and_change_nothing(client: Client)
     assert node.refusals.counts == {"shaker/frequency": len(bad), "shaker/current": 3}
     assert "200.1" in node.refusals.last["shaker/frequency"]
     told = ("refused.shaker/frequency", str(len(bad)))
-    client.wait_until(lambda: told in client.figures("rig").items(), "what was refused to be told")
+    client.wait_until(lambda: told in client.figures("rig").items(), "the rejection in the diagnostics")
     row = client.command(frequency_hz=9.2)
     assert (row["frequency"], row["current"]) == (9.2, 0.3)
     client.wait_until(lambda: len(applied) >= 4, "the row")

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The rig waits for those it is told to wait for, names who is silent, and lets nobody else hold it up."""
+"""The rig waits for its configured peers, names a silent one, and is held up by no other node."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_senseless_acknowledgements_are_counted_and_harmless(client: Client) -> 
         header = Header(frame_id="client")
         header.stamp.sec, header.stamp.nanosec = divmod(stamp, 10**9)
         client.publish(topics.ACK, header)
-    client.publish(topics.ACK, Header(frame_id="nobody"))
+    client.publish(topics.ACK, Header(frame_id="absent"))
     client.wait_until(lambda: node.refusals.counts["daq/ack"] == 2, "the refusals")
     client.step(2)
     assert len(scans) == 4
@@ -92,12 +92,12 @@ def test_a_reader_that_cannot_match_holds_nobody_up(client: Client) -> None:
 
 
 def test_a_step_without_its_peer_is_refused_by_name(client: Client) -> None:
-    host_rig(client, time__peers=["nobody"], time__peer_timeout_s=0.3)
+    host_rig(client, time__peers=["absent"], time__peer_timeout_s=0.3)
     client.wait_active("rig")
-    with pytest.raises(ServiceFailedError, match="peer nobody is absent"):
+    with pytest.raises(ServiceFailedError, match="peer absent is absent"):
         client.step(1)
     client.wait_until(lambda: client.status("rig").level == b"\x02", "an error in the diagnostics")
-    assert "waiting for peer nobody" in client.status("rig").message
+    assert "waiting for peer absent" in client.status("rig").message
 
 
 def test_free_running_without_anybody_to_follow_is_refused(client: Client) -> None:
@@ -126,7 +126,7 @@ def test_a_rig_told_to_go_on_goes_on_without_the_one_that_is_silent(client: Clie
         client.wait_until(lambda: "other silent" in client.status("rig").message, "the diagnostic")
         client.pause(False)
         client.wait_until(lambda: len(scans) > 40, "many more than a window")
-        client.wait_until(lambda: "running without peer other" in client.status("rig").message, "to be told so")
+        client.wait_until(lambda: "running without peer other" in client.status("rig").message, "the diagnostic")
 
 
 def test_peers_that_were_refused_together_with_something_else_are_not_waited_for(client: Client) -> None:

@@ -59,7 +59,7 @@ def test_stepped_publishes_exactly_what_the_rig_computes(client: Client) -> None
 
 
 def test_only_another_speed_gives_the_work_another_rhythm(client: Client) -> None:
-    """Every parameter that was set, a gap, once began the period of the blocks anew."""
+    """Before, every parameter that was set, such as a gap, restarted the period of the blocks."""
     node = host_rig(client, "realtime")
     client.wait_active("rig")
     scans = client.collect("daq/scan")
@@ -184,7 +184,7 @@ def test_a_pause_holds_the_rest_of_a_step(client: Client) -> None:
 
 
 def test_a_reset_ends_a_step_that_waits(client: Client) -> None:
-    """A bug once: what was left of the step was taken by the rig that had begun anew."""
+    """Before, the restarted rig continued the remainder of the step."""
     host_rig(client, time__peers=["client"])
     scans = client.collect("daq/scan")
     client.wait_active("rig")
@@ -237,7 +237,7 @@ def test_a_rig_slower_than_real_time_says_so_and_still_answers(client: Client) -
     client.wait_active("rig")
     client.wait_until(lambda: "could not keep real time" in client.status("rig").message, "the diagnostic")
     for _ in range(2):
-        client.trigger("rig/clear_trip")  # raises if nobody answers
+        client.trigger("rig/clear_trip")  # raises if there is no answer
     assert "could not keep real time" in client.status("rig").message, "it was late all the while"
 
 
@@ -273,7 +273,7 @@ def test_a_pause_and_another_speed_keep_what_there_is_of_a_block(client: Client)
 
 
 def test_going_on_while_running_gives_up_no_time(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is due stays due when it was: time is taken up anew only after a pause."""
+    """Blocks that are due keep their time: only a pause restarts the time base."""
     pacers = []
     made = Pacer.__init__
     monkeypatch.setattr(Pacer, "__init__", lambda self, *given: (pacers.append(self), made(self, *given))[1])

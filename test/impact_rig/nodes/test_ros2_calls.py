@@ -58,5 +58,5 @@ def test_topics_services_parameters_and_states_answer_as_documented(client: Clie
 def test_a_call_that_does_not_answer_as_documented_is_told() -> None:
     said: list[str] = []
     calls = Calls(said.append)
-    calls.hold("ros2 topic info /nowhere", as_documented=False, found="nobody")
-    assert calls.wrong == said == ["WRONG ros2 topic info /nowhere: nobody"]
+    calls.hold("ros2 topic info /nowhere", as_documented=False, found="none")
+    assert calls.wrong == said == ["WRONG ros2 topic info /nowhere: none"]

@@ -290,7 +290,7 @@ def test_a_pause_is_answered_when_the_peers_are_done(user: User) -> None:
     host_rig(client, "free_running", time__peers=["client"])
     scans = client.collect("daq/scan")
     client.wait_active("rig")
-    client.wait_until(lambda: len(scans) > 3, "blocks nobody acknowledges")
+    client.wait_until(lambda: len(scans) > 3, "blocks without an acknowledgement")
     answers = user.begin("set_simulation_state", SetRequest(SimulationState(PAUSED)))
     assert (answers, user.state) == ([], PAUSED)
     client.acknowledge_for("client", scans.tables()[-1].stamp_ns)

@@ -29,7 +29,7 @@ PERIOD_S = 0.01
 
 
 class Node:
-    """Timers in a time of their own; whoever waits for them moves it on."""
+    """Timers with a time of their own, which the waiting test advances."""
 
     def __init__(self) -> None:
         self.now_s = 0.0
@@ -53,7 +53,7 @@ class Node:
 
 
 def instants(wait_s: float, count: int, next_waits_s: Sequence[float] = ()) -> list[float]:
-    """When a work timer calls back; after each call it is told how long the next one should wait."""
+    """Instants at which a work timer calls back; each call sets the wait until the next one."""
     node, found = Node(), list[float]()
 
     def work() -> None:

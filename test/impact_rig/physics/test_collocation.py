@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The tables of the integrator, computed anew to 40 digits."""
+"""The integrator's tables, recomputed to 40 digits."""
 
 from __future__ import annotations
 

@@ -129,7 +129,7 @@ def test_free_decay_of_the_locked_rig(zeta):
 def test_a_locked_rig_goes_on_with_another_configuration():
     """It decays as the new structure does, and its sphere begins at the new wall.
 
-    Once only `config` told of the change: structure, gap and law in force were those of the pluck until the reset.
+    Before, only `config` showed the change: structure, gap and law stayed those of the pluck until the reset.
     """
     simulation = Simulation(rig(sphere={"present": False}))
     simulation.pluck(5e-3)

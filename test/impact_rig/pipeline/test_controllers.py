@@ -93,7 +93,7 @@ class Bench:
         return float(tables[0].rows[name][0]) if tables else 0.0
 
     def told(self, key: str) -> int:
-        """How often the journal has told of the stream's `begin` or `end`."""
+        """Return how often the journal contains the stream's `begin` or `end`."""
         return sum(entry.kind is InputKind.STREAM and entry.name == key for entry in self._journal.entries())
 
     def wait(self, condition, what: str) -> None:
@@ -101,7 +101,7 @@ class Bench:
 
     @contextlib.contextmanager
     def controller(self, name: str) -> Iterator[None]:
-        """Start one, wait until its samples are in force, and in the end kill it and wait until they no longer are."""
+        """Start a controller, wait until its samples take effect, and finally kill it and wait until they end."""
         begun, ended = self.told("begin"), self.told("end")
         environment = {"PYTHONPATH": str(EXAMPLES)}
         self.processes.start(name, command=[sys.executable, "-c", CONTROLLER, name], environment=environment)
@@ -119,7 +119,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
     with isolated_domain() as domain_id, Processes(domain_id, directory / "logs") as processes:
         processes.start("rig", {"drive.waveform": "stream"})
         processes.start("recorder", {"directory": str(directory), "name": "run"})
-        with Client(domain_id) as client:  # which is not told of the processes: controllers are killed
+        with Client(domain_id) as client:  # without knowledge of the processes: controllers are killed
             client.wait_active("rig", "recorder")
             client.wait_until(lambda: client.status("recorder").message == "recording", "the recorder")
             yield Bench(client, processes, directory, domain_id)

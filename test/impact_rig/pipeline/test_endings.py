@@ -57,13 +57,13 @@ def blocks(run: Path) -> list[tuple[int, int]]:
 
 
 def shared_memory(processes: Processes) -> set[Path]:
-    """Return the shared-memory segments of DDS that the processes have open; ports are shared by everybody."""
+    """Return the shared-memory segments of DDS that the processes have open; all processes share the ports."""
     maps = [Path(f"/proc/{process.pid}/maps").read_text() for process in processes.running.values()]
     return {Path(name) for name in re.findall(r"/dev/shm/fastrtps_[0-9a-f]{16}\b", "\n".join(maps))}
 
 
 def patient() -> int:
-    """Return the policy that threads of DDS have here: whoever starts the tests, or a container, may decide it."""
+    """Return the scheduling policy of DDS threads here, which the parent process or a container may set."""
     if OWN != os.SCHED_OTHER:
         return OWN
     try:
@@ -117,7 +117,7 @@ def test_killed_processes_leave_a_readable_file_and_do_not_hinder_the_next_start
         assert used
         processes.running["rig"].signal(signal.SIGINT)
         processes.running["analysis"].signal(signal.SIGTERM)
-        for _ in range(2):  # Ctrl-C reaches a group directly and again through whoever started it
+        for _ in range(2):  # Ctrl-C reaches a group directly, and again through its parent
             processes.running["recorder"].signal(signal.SIGINT)
         codes = {name: processes.running[name].wait(10.0) for name in ALL}
     assert codes == dict.fromkeys(ALL, 0)
@@ -129,7 +129,7 @@ def test_killed_processes_leave_a_readable_file_and_do_not_hinder_the_next_start
 
 
 def test_a_suspended_rig_and_a_suspended_peer_go_on_without_a_lost_block(processes: Processes, tmp_path: Path) -> None:
-    """Free-running mode: the rig waits for a stopped peer and names it; its own stop is nobody's silence."""
+    """In free-running mode the rig waits for a stopped peer and names it; its own stop does not count."""
     start_all(
         processes, tmp_path / "run", "free_running",
         time__peers=("analysis", "recorder"), time__peer_timeout_s=0.5, time__ack_window=8,

@@ -44,7 +44,7 @@ def driven(tmp_path: Path) -> Iterator[tuple[Client, Processes]]:
     """A rig in real time that was driven, and has been killed."""
     with isolated_domain() as domain_id, Processes(domain_id, tmp_path / "logs") as processes:
         processes.start("rig")
-        with Client(domain_id) as client:  # which is not told of the processes: it knows the graph alone
+        with Client(domain_id) as client:  # without knowledge of the processes: it knows the graph alone
             client.wait_active("rig")
             client.wait_until(lambda: client.figures("rig").get("state") == "at_rest", "the rig")
             drive(client, 0.3)
@@ -91,7 +91,7 @@ def test_who_waits_while_another_rig_begins_is_told(driven: tuple[Client, Proces
 
 
 def test_what_was_given_to_a_suspended_rig_is_not_done_when_it_goes_on(tmp_path: Path) -> None:
-    """It waits in the rig's queues, while who gave it is told that the rig is gone. STOP is done however late."""
+    """The command waits in the rig's queues, while its sender learns that the rig is gone. STOP works however late."""
     with isolated_domain() as domain_id, Processes(domain_id, tmp_path / "logs") as processes:
         processes.start("rig")
         with Client(domain_id) as client:

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A replayed run is, for whoever listens, the run itself."""
+"""A replayed run is equal to the run itself for every subscriber."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A clock that is told the time, and a recording to fill."""
+"""A clock set by the test, and a recording to fill."""
 
 from kits.recording import clock, record
 

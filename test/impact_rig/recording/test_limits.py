@@ -257,7 +257,7 @@ def test_recording_stops_before_the_file_size_limit_and_is_finished(tmp_path):
 
 
 def test_a_write_that_fails_unforeseen_leaves_whole_records(tmp_path):
-    """As when the disk fills between two looks at it: the check is told there is room, the system call fails."""
+    """The disk fills between two checks: the check finds room, and the system call fails."""
     limit = (
         "resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, resource.RLIM_INFINITY)); "
         "import impact_rig.recording.writer as m; m.McapFile.shortage = lambda self: ''"

@@ -34,7 +34,7 @@ TOPIC = "/rig/shaker/applied"
     order=st.randoms(use_true_random=False),
 )
 def test_publishers_that_speak_in_turn_lose_nothing(lengths, starts, order):
-    """Whoever they are, whenever they began to count, and in whichever order their messages come."""
+    """This holds for any publisher, any start of its counting, and any order of arrival."""
     waiting = [list(range(start, start + length)) for start, length in zip(starts, lengths, strict=False)]
     account = Account(lambda _: {str(number): f"/node{number}" for number in range(len(lengths))})
     while any(waiting):

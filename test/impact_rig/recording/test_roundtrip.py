@@ -120,7 +120,7 @@ def test_closing_a_run_ends_what_still_reads_from_it(record, chunk_bytes):
 def test_selected_topics_and_times(record):
     with record(chunk_bytes=20_000) as writer:
         sent = fill(writer, 50)
-    begin, end = START_NS + 109_900_000, START_NS + 309_900_000  # two instants at which something was said
+    begin, end = START_NS + 109_900_000, START_NS + 309_900_000  # two instants with a message
     with open_run(writer.directory) as run:
         got = [as_sent(m) for m in run.messages(["notes", "/rig/daq/ack"], start_ns=begin, end_ns=end)]
     wanted = [s for s in sent if s.topic in {"/rig/notes", "/rig/daq/ack"} and begin <= s.log_time < end]

@@ -238,7 +238,7 @@ def test_one_flipped_bit_in_the_tail_costs_at_most_one_of_its_chunks(record, tmp
         assert report.complete == (report.messages == len(sent) and not report.damages), place
         if report.messages < len(sent):
             assert report.damages[0].file == "run.mcap.tail", place
-    for size in (len(whole) - 1, 100, 40, 9, 3):  # cut: what is left is given back, what is not is told
+    for size in (len(whole) - 1, 100, 40, 9, 3):  # truncated: the rest is recovered, the loss is reported
         tail.write_bytes(whole[:size])
         with contextlib.suppress(RecordingError):
             assert not recover(kept, tmp_path / "out").complete

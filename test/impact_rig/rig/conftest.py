@@ -23,7 +23,7 @@ from impact_rig.rig import Block, Rig
 
 @pytest.fixture(scope="session")
 def reference() -> list[Block]:
-    """The first 60 blocks of the rig that hits its walls; nobody writes into them."""
+    """Return the first 60 blocks of the rig that hits its walls; no test may modify them."""
     return Rig(config()).advance(60 * TICK)
 
 

@@ -66,7 +66,7 @@ def test_to_which_block_a_contact_belongs_is_decided_by_when_it_ends(rate_hz: in
         ends = np.array(
             [row["time"] + row["duration"] for block in blocks if block.impacts for row in block.impacts.rows]
         )
-        assert ends.max() < block_scans / rate_hz, "none is told before it has ended"
+        assert ends.max() < block_scans / rate_hz, "no impact is reported before it has ended"
         if step_ns == 500_000:
             assert len(ends) > 20
     assert all(one == found[0] for one in found)
@@ -92,7 +92,7 @@ def test_a_block_holds_the_instants_of_the_rate_at_its_end(then: dict[str, objec
     for block in (first, second):
         assert np.array_equal(block.monitor_scans, np.arange(0, 2_000, step))
         assert np.array_equal(block.monitor_states["time"], block.monitor_scans / 10_000)
-    assert first.truth is None, "the truth of a part of its scans is none"
+    assert first.truth is None, "the truth of a part of its scans does not count"
     assert (second.truth is None) == ("output.truth_scan" not in then)
 
 

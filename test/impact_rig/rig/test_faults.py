@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Planned faults come and go with their lines; a lost block is told as one."""
+"""Planned faults start and end with their lines; a lost block is reported as one."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_a_planned_fault_of_two_lines_is_one_in_the_journal() -> None:
 
 
 def test_a_planned_fault_that_would_start_too_late_changes_nothing() -> None:
-    """A bug once: it was refused when all else of the change was in force and in the journal."""
+    """Before, it was rejected after the rest of the change was active and in the journal."""
     rig = Rig(config())
     rig.advance(5 * TICK)
     before = rig.config

@@ -29,7 +29,7 @@ from impact_rig.rig import Rig
 from impact_rig.rig.interlock import LOOKS_PER_TICK, largest_travel, mean_square
 from impact_rig.rig.journal import InputKind
 
-LOOK_S = 1e-2 / LOOKS_PER_TICK
+SAMPLE_S = 1e-2 / LOOKS_PER_TICK
 FINE_HZ = 50_000
 AT_RESONANCE = {"drive__frequency_hz": 9.105, "shaker__travel_limit_m": 1e-3}
 BELOW_IT = {"drive__frequency_hz": 8.0}  # where the table moves most
@@ -143,7 +143,7 @@ def test_the_largest_current_that_is_accepted_does_not_trip() -> None:
 
 
 def test_clearing_what_is_not_latched_forgets_no_current() -> None:
-    """A bug once: `~/clear_trip` on a free rig began the average anew, so whoever called it often was never stopped."""
+    """Before, `~/clear_trip` on a free rig restarted the average, so that frequent calls disabled the interlock."""
     trips = []
     for clears in (False, True):
         rig = Rig(paper_rig(drive__frequency_hz=5.0, shaker__travel_limit_m=1.0))
@@ -166,12 +166,12 @@ def test_the_current_is_averaged_over_a_tick_without_its_beginning() -> None:
 def test_an_extreme_between_two_looks_is_found(frequency_hz: float, phase: float, offset: float) -> None:
     """To h⁴ ω⁴ / 384 of the amplitude, which is 3e-6 at 30 Hz."""
     omega = 2 * math.pi * frequency_hz
-    instants, fine = np.arange(LOOKS_PER_TICK + 1) * LOOK_S, np.linspace(0.0, LOOKS_PER_TICK * LOOK_S, 100_001)
+    instants, fine = np.arange(LOOKS_PER_TICK + 1) * SAMPLE_S, np.linspace(0.0, LOOKS_PER_TICK * SAMPLE_S, 100_001)
     position = offset + np.sin(omega * instants + phase)
     velocity = omega * np.cos(omega * instants + phase)
-    found = largest_travel(position, velocity, LOOK_S)
+    found = largest_travel(position, velocity, SAMPLE_S)
     true = np.abs(offset + np.sin(omega * fine + phase)).max()
-    assert found == pytest.approx(true, abs=(omega * LOOK_S) ** 4 / 384 + 1e-9)
+    assert found == pytest.approx(true, abs=(omega * SAMPLE_S) ** 4 / 384 + 1e-9)
 
 
 def test_a_saddle_at_a_look_is_no_root_of_a_negative_number() -> None:

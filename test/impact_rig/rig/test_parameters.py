@@ -83,7 +83,7 @@ def test_a_gap_change_rests_the_sphere_at_its_start() -> None:
 
 
 def test_limits_and_ramp_leave_the_motion_as_it_is(reference: list[Block]) -> None:
-    """They once put the sphere back to its start, and began the energy account anew."""
+    """Before, they put the sphere back to its start, and restarted the energy account."""
     rig = Rig(config())
     blocks = rig.advance(40 * TICK)
     work = rig.simulation.energy().work
@@ -160,7 +160,7 @@ def test_instruments_know_the_mechanics_as_they_are(chosen: dict, then: dict[str
 
 
 def test_a_drive_faster_than_a_new_limit_is_still_read_as_it_is() -> None:
-    """The limit holds for the next command; the instruments must not take it for what is in force."""
+    """The limit applies to the next command; the instruments must not confuse it with the active amplitude."""
     read = []
     for then in ({}, {"shaker.frequency_max_hz": 200.0, "instruments.laser.lag_s": 1e-3}):
         rig = Rig(config(sphere__present=False, shaker__frequency_max_hz=1000.0))

@@ -156,7 +156,7 @@ def test_what_an_underrun_does_can_be_chosen():
 
 
 def test_an_underrun_hides_no_trip_of_the_interlock_in_the_same_tick():
-    """A bug once: the row said underrun, and of the over-travel nothing was told."""
+    """Before, the row said underrun, and the over-travel was not reported."""
     limits = {"drive__on_underrun": "trip", "shaker__travel_limit_m": 1e-3}
     whole, cut = stream_rig(**limits), stream_rig(**limits)
     whole.feed(0, 10.0 * WAVE[:RATE_HZ])
@@ -212,7 +212,7 @@ def test_a_stop_drops_what_is_buffered_and_refuses_more():
     blocks = rig.advance(NS_PER_S // 2)
     assert blocks[-1].scan.rows["current"] == pytest.approx(0.0, abs=0.02)
     assert [text for key, _, text in rows(rig, []) if key == "end"] == ["stopped"]
-    assert rig.blocks_with_samples(7) == 7, "a stopped rig waits for nobody"
+    assert rig.blocks_with_samples(7) == 7, "a stopped rig waits for no samples"
 
 
 def test_the_interlock_sees_what_lies_between_its_looks():

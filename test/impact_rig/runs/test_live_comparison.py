@@ -63,7 +63,7 @@ def live_rows(found: Messages) -> int:
 
 
 def measured_live(found: Messages, hears: Callable[[int], bool]) -> Messages:
-    """The same run with a live analysis that knows what is latched, and hears the blocks of some instants."""
+    """Record the run again with a live analysis that knows the latched messages and receives some of the blocks."""
     tracker, result = Tracker(), []
     tracker.label(0.0, 0)
     for name, table in found:
@@ -234,7 +234,7 @@ def test_a_machine_that_computes_as_another_has_another_number(monkeypatch: pyte
 def test_calibration_and_drive_that_come_some_blocks_late_are_those_of_the_first_block(
     tmp_path: Path, late: int, begun: int
 ) -> None:
-    """A recorder that is told to start in mid-run hears the scans before what is latched; live knew it all along."""
+    """A recorder started in mid-run receives scans before latched messages; the live analysis knew these all along."""
     data = messages(again=AGAIN)
     part = [(name, one) for name, one in data if name not in ("daq/scan", TABLE) or one.stamp_ns >= begun * TICK]
     known = [one for one in part if one[0] in ("daq/info", "shaker/applied") and one[1].stamp_ns <= begun * TICK]

@@ -243,7 +243,7 @@ def test_a_block_lost_before_a_reset_is_missing(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("start_ns", [0, 10**10], ids=["lockstep", "realtime"])
 def test_a_rig_that_was_started_again_begins_a_new_journal(tmp_path: Path, start_ns: int) -> None:
-    """In simulated time its stamps begin at zero again; in real time nobody knows when the first has ended."""
+    """In simulated time its stamps start at zero again; in real time the end of the first run is unknown."""
     first, _, _ = reset_rig()
     again = published(Rig(from_flat(RigConfig(), {"daq.seed": 9}), start_ns), 20)
     assert verdict(tmp_path, [*first, *again]) == Verification(True, 50 * 100)

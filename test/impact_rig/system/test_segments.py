@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What a killed process leaves half made of shared memory stops nobody."""
+"""Incomplete shared memory of a killed process, which must not stop another process."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_the_watch_ends_with_its_context(tmp_path: Path) -> None:
 @pytest.mark.ros
 @pytest.mark.pipeline
 def test_a_rig_begins_where_a_killed_process_was_about_to_listen(tmp_path: Path) -> None:
-    """The ports of the first participants of a domain, as somebody leaves them who is killed: nobody began before."""
+    """Leave the ports of the first participants of a domain as a killed process does, with no older process."""
     pytest.importorskip("rclpy")
     from impact_rig.client import Client, Processes, isolated_domain
 

@@ -40,7 +40,7 @@ def test_loading_it_loads_neither_ros_nor_compiled_code() -> None:
 
 
 def test_setup_py_registers_it_under_its_own_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With any other name, a pytest that is told to load the module (`-p`) would load it twice and fail."""
+    """With any other name, a pytest with `-p` for the module would load it twice and fail."""
     found: dict[str, Any] = {}
     monkeypatch.setattr("setuptools.setup", lambda **kwargs: found.update(kwargs))
     monkeypatch.chdir(ROOT)

@@ -118,7 +118,7 @@ def test_what_has_settled_is_what_a_long_motion_does(gap_m, frequency_hz, period
     x_b, x_1 = samples @ np.exp(-2j * math.pi * turn)
     assert found.dt == pytest.approx(abs(x_1.mean() / x_b.mean()), rel=Settings().settle_tolerance)
     assert (found.regime, found.period) == ("periodic", period)
-    assert (found.impacts_per_cycle * period) % 1.0 == pytest.approx(0.0, abs=1e-9), "of an orbit they are whole"
+    assert (found.impacts_per_cycle * period) % 1.0 == pytest.approx(0.0, abs=1e-9), "impacts per orbit are an integer"
     assert np.abs(x_1[period:] - x_1[:-period]).max() < 1e-6 * np.abs(x_1).mean(), "the long motion does not repeat"
     assert period == 1 or np.abs(x_1[1:] - x_1[:-1]).max() > 1e-4 * np.abs(x_1).mean()
 
@@ -237,7 +237,7 @@ def test_the_best_gap_agrees_with_the_prediction(small):
 def test_what_an_optimum_hangs_on_is_told_at_the_end_of_a_range_too(tmp_path):
     """Of e = 1 there is no more: the difference to less of it.
 
-    Once an elastic contact's optimum was refused when all was measured, because e = 1.005 is none.
+    Before, an elastic contact's optimum failed after all measurements, because e = 1.005 is not allowed.
     """
     search = "optimum: {over: gap_m, from: 0.0279, to: 0.0281, points: 5}\nset: {contact.restitution: 1.0}"
     plan = load_map(written(tmp_path, f"{search}\naxes: {{gap_m: [0.01, 0.02], current_a: [0.4, 0.5]}}"))

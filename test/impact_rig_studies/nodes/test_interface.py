@@ -254,7 +254,7 @@ def test_a_parameter_can_be_set_in_every_situation(situated, situation: Situatio
 
 
 def test_readers_are_told_apart_by_their_acknowledgements(client: Client) -> None:
-    """How far behind each is, and that names nobody has are ignored."""
+    """The rig publishes how far behind each peer is, and ignores unknown names."""
     node = host_rig(client, time__peers=[])
     client.wait_active("rig")
     scans = client.collect("daq/scan")

@@ -62,7 +62,7 @@ def wait_for(client: Client, node: str, word: str, reason: str = "") -> dict[str
 
 
 def test_a_rig_says_what_it_does(client: Client) -> None:
-    """Each change is told by the message that comes next, not by one of the regular reports."""
+    """Each change is reported in the next message, not in one of the regular reports."""
     host_rig(client, "free_running", time__peers=["client"], output__autostart=False)
     inactive = wait_for(client, "rig", "inactive", "unconfigured")
     assert inactive["since_ns"] == ""
@@ -222,7 +222,7 @@ def test_a_recorder_says_whether_it_records(client: Client, tmp_path: Path, monk
 
 
 def intruder(client: Client, topic: topics.Topic) -> Callable[[Any], None]:
-    """Return what publishes on one of the rig's topics from another node, once it is heard."""
+    """Return a publisher of another node on one of the rig's topics, once it is discovered."""
     node = client.host(Node, node_name="intruder")
     publisher = node.create_publisher(messages.class_of(topic), topic.name, messages.profile(topic.qos))
     client.wait_until(publisher.get_subscription_count, "a listener")

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A controller over topics: the bits of the rig in process; one that is slow, hostile or gone is told by name."""
+"""A controller over topics: the same bits as in process; a slow, hostile or missing controller is reported by name."""
 
 from __future__ import annotations
 
@@ -311,7 +311,7 @@ def test_a_controllers_hardware_reads_over_topics_what_it_reads_in_process():
 
 
 def test_a_controller_whose_rig_has_died_is_told_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It once waited on, as hard as it could, until its time was over, and was told that no scans came."""
+    """Before, it waited actively until its time was over, and then reported that no scans had arrived."""
     with RosRig({**FLAT, "time.mode": "free_running"}, hosted=True) as rig:
 
         class Died:

@@ -74,7 +74,7 @@ def test_it_finds_the_resonance_though_scans_are_lost_and_rests_after_the_dwell(
     assert running.lock.describe() == "seeking at 8.9 Hz"
     running.run(1.0)
     running.block(lost=True)
-    assert running.lock.measured == 0, "the stretch begins anew"
+    assert running.lock.measured == 0, "the stretch restarts"
     running.run()
     assert (running.lock.state, running.rested) == (SweepState.FINISHED, True)
     rows = running.lock.rows
@@ -96,7 +96,7 @@ def test_a_stretch_begins_where_the_setpoint_is_in_force() -> None:
     running.block(accepted=False)
     running.rig.take_applied()
     running.run(3.0)
-    assert running.lock.measured == 0, "nobody has said that the command was accepted"
+    assert running.lock.measured == 0, "the command has not been confirmed"
     assert running.operator.busy
     running.run(3.0)
     assert running.lock.reason == "8.9 Hz was not accepted within 5 s"

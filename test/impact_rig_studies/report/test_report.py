@@ -393,7 +393,7 @@ def test_where_nobody_counted_impacts_the_map_does_not_say_that_there_are_none(m
 
 
 def test_a_phase_on_either_side_of_half_a_turn_is_in_the_figure(monkeypatch):
-    """One that noise had turned into a lead of 179° was once above the axis, where nobody saw it."""
+    """Before, a point that noise had turned into a lead of 179° was invisible above the axis."""
     monkeypatch.setattr(dt, "Drawn", lambda _, figure, *__: figure)
     for figure in dt.by_frequency(drawable(phase=np.pi - 0.01), RigConfig()):
         axis = figure.axes[2]
