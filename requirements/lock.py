@@ -13,7 +13,7 @@
 # limitations under the License.
 """Choice of exact versions that serve every supported Python: `make lock`, then run the tests.
 
-        python requirements/lock.py             resolve direct.txt, write a file for each of its sections, check them
+    python requirements/lock.py             resolve direct.txt, write a file for each of its sections, check them
     python requirements/lock.py --check     only check, with the package index, that every pin can be installed
 
 pip chooses for the lowest supported Python (`--python-version`), because versions that exist for it exist for later

@@ -22,7 +22,7 @@ high-pass of a sensor that does not measure down to 0 Hz, with its corner ω_h; 
 
 `lag` is the sensor's group delay at low frequency; `lag_order` names its model:
 
-        0    pure delay, for unknown poles                           L = e^{−iω·lag}
+    0    pure delay, for unknown poles                           L = e^{−iω·lag}
     1    first order with the time constant lag                  L = 1 / (1 + iω·lag)
     2    two-pole Butterworth of that group delay                L = 1 / (1 + i√2 Ω − Ω²),  Ω = ω·lag/√2
 

@@ -22,9 +22,9 @@ Its rms is that of the specification at every scan rate, and its spectrum is a L
 range and Legendre's polynomials,
 
     value = clean + linearity_2 (3 x² − 1)/2 + linearity_3 (5 x³ − 3 x)/2 + noise,
-                        rounded to the output's own resolution, limited to its range
+            rounded to the output's own resolution, limited to its range
     volts = gain value + offset
-        code  = round((adc_gain (volts + adc_noise white) + adc_offset) / lsb), limited to the converter's codes
+    code  = round((adc_gain (volts + adc_noise white) + adc_offset) / lsb), limited to the converter's codes
     reading = code scale + zero
 
 The arithmetic runs over short stretches that stay in the first cache, in one simple loop after another; the compiler

@@ -23,8 +23,7 @@ the mode is the sum of a particular answer to it and a free response:
 
     size < 1     ψ_{k+1} = (λ half ψ_k + half S_k) / (k + 1),      ψ_0 = 0    upwards: SERIES_TERMS of a power series
 
-    with size = |Re λ half| + |Im λ half|. The polynomials of all modes of a channel are added once per piece. A
-    conversion
+with size = |Re λ half| + |Im λ half|. The polynomials of all modes of a channel are added once per piece. A conversion
 then costs one polynomial, and one multiplication for each mode that still rings. The result does not depend on the
 alignment of conversions and pieces, and no pulse is missed between two scans.
 """

@@ -15,7 +15,7 @@
 
 δ is the indentation, w = √δ, and a step has a length in χ, with dt = w dχ (see `contact_step`, which solves the step):
 
-        dw/dχ = δ'/2,    dt/dχ = w,    dδ'/dχ = w δ'',    F: the law's force, elastic and lossy part together
+    dw/dχ = δ'/2,    dt/dχ = w,    dδ'/dχ = w δ'',    F: the law's force, elastic and lossy part together
 
 The state y holds the centre of mass of structure and sphere, x_1* = x_1 + side σ δ. The functions share some argument
 names: p are the parameters, law is the contact law's force, f the drive, s the state, and step the step with its
@@ -283,7 +283,6 @@ def find_peaks(p, law, s, step):  # type: ignore[no-untyped-def]
     For a maximum between stages, a step is solved that ends where the polynomial predicts it; the remaining error is of
     second order. If all stages are well below an earlier peak, so is the step. The steps of a law with a memory end at
     their deepest point.
-    stages are well below an earlier peak, so is the step. A law with a memory ends its steps where it is deepest.
     """
     w, speed, slope = step.w[LAST], step.speed[LAST], step.speed_slope[LAST]
     _, start_slope = _force_and_slope(p, law, s, step, (s.w, s.speed, step.start_speed_slope))

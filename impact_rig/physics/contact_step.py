@@ -15,8 +15,8 @@
 
 x_1 and x_2 are superior base (mass m_1, with the walls) and sphere (mass m), x_b the inferior base that the columns
 k_1, c_1 stand on (mass m_a + m_b, on k_f, c_f), i the current of its coil. The sphere indents the wall on `side` by δ,
-beyond the residual indentation δ_r (the state's `dent`, not 0 only after a contact has let go at δ > 0):
-x_2 − x_1 = side (g/2 + δ_r + δ). In a contact the structural state y holds the centre of mass of both, measured as the
+beyond the residual indentation `dent` of the state (not 0 only after a contact has let go at δ > 0):
+x_2 − x_1 = side (g/2 + `dent` + δ). In a contact the structural state y holds the centre of mass of both, given as the
 position that x_1 has at δ = 0:
 
     x_1* = x_1 + side σ δ,   v_1* = v_1 + side σ δ',   σ = m / (m_1 + m)

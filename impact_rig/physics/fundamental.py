@@ -28,7 +28,7 @@ The complex amplitude of x, for x = Im(X exp(jωt)), is 2j/T times its integral.
     in flight       that of the guide's friction, which is constant
     in a contact    that of a straight line with the changes of velocity and position of each step: it leaves out the
                     curvature of the force, (ω τ)² / 24 with τ the length of the step
-        ATTACHED        that of x_1'' in closed form
+    ATTACHED        that of x_1'' in closed form
 """
 
 from __future__ import annotations

@@ -16,9 +16,9 @@
 In flight the closed form is expanded into short Taylor polynomials anchored at fixed places of the flight. A sample
 then costs a dozen multiplications and does not depend on which other samples are requested. Inside a contact the step
 is solved again up to the instant; a contact whose outcome was tabulated is integrated here first. With F the contact
-force, F_c that of the columns and δ_r the residual indentation (`dent` of the state),
+force, F_c that of the columns and `dent` the residual indentation,
 
-        x_1 = x_1* − side σ δ,    x_2 = x_1 + side (g/2 + δ_r + δ),    a_1 = (F_c + side F) / m_1,    a_2 = −side F / m
+    x_1 = x_1* − side σ δ,    x_2 = x_1 + side (g/2 + `dent` + δ),    a_1 = (F_c + side F) / m_1,    a_2 = −side F / m
 
 In the functions, s is the state at the event or step from which the motion continues, and t the time since the start of
 the segment. `since` is the time since the start of the flight, step or contact, and τ that since a polynomial's anchor.
