@@ -43,7 +43,7 @@ from numpy.typing import NDArray
 
 from impact_rig.analysis.calibration import Complex, Real
 from impact_rig.arithmetic.elementary import TWO_PI, sincos
-from impact_rig.kernels import BYTES, INTEGERS, REALS, REALS_2D, REALS_3D, entry, kernel
+from impact_rig.kernels import BYTES, INTEGERS, REALS, REALS_2D, REALS_3D, Reals, entry, kernel
 
 RANGE_BIT = 256
 """Bit in a cycle's flags for channel 0 outside its range or not finite; channel j uses RANGE_BIT << j."""
@@ -256,7 +256,7 @@ def _places(harmonics: int) -> tuple[NDArray[np.int64], ...]:
 
 
 @kernel
-def _outside(values, count, low, high):  # type: ignore[no-untyped-def]
+def _outside(values: Reals, count: int, low: float, high: float) -> int:
     """Return how many of the first `count` values are not strictly between two limits; NaN counts as outside."""
     inside = 0
     for q in range(count):
@@ -265,7 +265,7 @@ def _outside(values, count, low, high):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _largest_change(values, count, before, largest):  # type: ignore[no-untyped-def]
+def _largest_change(values: Reals, count: int, before: float, largest: float) -> float:
     """Return the largest change between successive values of the first `count`, or `largest` if that is larger."""
     largest = _larger(abs(values[0] - before), largest)
     for q in range(1, count):
@@ -274,13 +274,13 @@ def _largest_change(values, count, before, largest):  # type: ignore[no-untyped-
 
 
 @kernel
-def _larger(change, largest):  # type: ignore[no-untyped-def]
+def _larger(change: float, largest: float) -> float:
     """Return the larger of two numbers, or `largest` if `change` is NaN, as for the first scan of all."""
     return change if change > largest else largest
 
 
 @kernel
-def _fold(folded, stretch, half, plain, square):  # type: ignore[no-untyped-def]
+def _fold(folded: Reals, stretch: Reals, half: int, plain: Reals, square: Reals) -> None:
     """Add values, shape (4, 2 half), and their squares to two sums, shape (4,), and fold the values about their middle.
 
     folded[0, q, j] is the sum of the values of channel j at q + ½ after and before the middle, folded[1, q, j] their
@@ -299,7 +299,9 @@ def _fold(folded, stretch, half, plain, square):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _add_wave(at_cosine, at_sine, folded, wave, half, cosine, sine):  # type: ignore[no-untyped-def]
+def _add_wave(
+    at_cosine: Reals, at_sine: Reals, folded: Reals, wave: Reals, half: int, cosine: float, sine: float
+) -> None:
     """Add folded values times a wave to two sums, shape (4,).
 
     `wave` holds its cosines and sines after the middle for phase 0 there; `cosine` and `sine` are those of its real
@@ -320,14 +322,14 @@ def _add_wave(at_cosine, at_sine, folded, wave, half, cosine, sine):  # type: ig
 
 
 @kernel
-def _add_turned(at_cosine, at_sine, j, even, odd, cosine, sine):  # type: ignore[no-untyped-def]
+def _add_turned(at_cosine: Reals, at_sine: Reals, j: int, even: float, odd: float, cosine: float, sine: float) -> None:
     """Add a channel's sums about the middle to those of the cycle."""
     at_cosine[j] += even * cosine - odd * sine
     at_sine[j] += even * sine + odd * cosine
 
 
 @kernel
-def _add_stretch(sums, stretch, filled, angle, waves, folded):  # type: ignore[no-untyped-def]
+def _add_stretch(sums: Reals, stretch: Reals, filled: int, angle: float, waves: Reals, folded: Reals) -> None:
     """Add the first `filled` scans of a stretch to the sums; `angle` is the phase of their middle."""
     half = (filled + 1) // 2
     if 2 * half > filled:

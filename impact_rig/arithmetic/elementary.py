@@ -58,13 +58,13 @@ _ROUND = 6755399441055744.0  # 1.5 · 2^52: adding and subtracting it rounds to 
 
 
 @kernel
-def nearest(x):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def nearest(x: float) -> float:
     """Return the integer nearest to x, the even one of two, |x| < 2^51."""
     return (x + _ROUND) - _ROUND
 
 
 @kernel
-def sincos(x):  # type: ignore[no-untyped-def]
+def sincos(x: float) -> tuple[float, float]:
     """Return (sin x, cos x), x in radians.
 
     The error is within 1 ulp up to |x| = 1.6e6; beyond, the reduction adds about the spacing of numbers at x itself.
@@ -93,7 +93,7 @@ def sincos(x):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def exp(x):  # type: ignore[no-untyped-def]
+def exp(x: float) -> float:
     """Return e^x; 0 below −708, infinity above 709."""
     if not x < _LARGEST_EXPONENT:
         return x if x != x else math.inf  # noqa: PLR0124  # only a NaN differs from itself
@@ -109,7 +109,7 @@ def exp(x):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def log(x):  # type: ignore[no-untyped-def]
+def log(x: float) -> float:
     """Return the natural logarithm of a finite x > 0."""
     mantissa, exponent = math.frexp(x)
     if mantissa < _HALF_SQRT_2:
@@ -124,12 +124,12 @@ def log(x):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def power(x, y):  # type: ignore[no-untyped-def]
+def power(x: float, y: float) -> float:
     """Return x^y for a finite x > 0, to (1 + 3 |y ln x|) ulp; 0 for x = 0 and y > 0."""
     return exp(y * log(x)) if x > 0.0 else 0.0
 
 
 @kernel
-def modulus(z):  # type: ignore[no-untyped-def]
+def modulus(z: complex) -> float:
     """Return |z| of a complex number; the squares may overflow."""
     return math.sqrt(z.real * z.real + z.imag * z.imag)

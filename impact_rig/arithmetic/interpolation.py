@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.precise import ONE, ZERO, dot, pi, precise, unit
-from impact_rig.kernels import INTEGERS, REALS, REALS_2D, entry, kernel
+from impact_rig.kernels import INTEGERS, REALS, REALS_2D, Integers, Reals, entry, kernel
 
 NODES = 8
 PIECE_TERMS = 14
@@ -57,7 +57,7 @@ NODE_AT, TO_MONOMIALS, _SHORTENED = _chebyshev()
 
 
 @kernel
-def through_nodes(values, coefficients):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def through_nodes(values: Reals, coefficients: Reals) -> None:
     """Fill in the coefficients of the polynomial through values at the nodes, both shape (NODES,)."""
     for j in range(NODES):
         total = 0.0
@@ -67,7 +67,7 @@ def through_nodes(values, coefficients):  # type: ignore[no-untyped-def]  # comp
 
 
 @kernel
-def shorten(series, coefficients):  # type: ignore[no-untyped-def]
+def shorten(series: Reals, coefficients: Reals) -> None:
     """Fill in the polynomial that agrees with a power series of PIECE_TERMS terms at the nodes."""
     for j in range(NODES):
         total = series[j]
@@ -99,7 +99,7 @@ def polynomials(
 
 
 @entry(REALS, REALS, INTEGERS, INTEGERS, REALS)
-def _nodes(start, end, tick, ticks, offsets):  # type: ignore[no-untyped-def]
+def _nodes(start: Reals, end: Reals, tick: Integers, ticks: Integers, offsets: Reals) -> None:
     for i in range(start.shape[0]):
         centre, half = 0.5 * (start[i] + end[i]), 0.5 * (end[i] - start[i])
         for j in range(NODES):
@@ -108,6 +108,6 @@ def _nodes(start, end, tick, ticks, offsets):  # type: ignore[no-untyped-def]
 
 
 @entry(REALS_2D, REALS_2D)
-def _to_monomials(values, coefficients):  # type: ignore[no-untyped-def]
+def _to_monomials(values: Reals, coefficients: Reals) -> None:
     for i in range(values.shape[0]):
         through_nodes(values[i], coefficients[i])

@@ -42,7 +42,7 @@ from numpy.typing import NDArray
 
 from impact_rig.arithmetic.elementary import exp, log
 from impact_rig.arithmetic.precise import ONE, TWO, ZERO, Complex, pi, precise, product, square_root, unit
-from impact_rig.kernels import MODE, REALS, WORDS, entry, kernel, records
+from impact_rig.kernels import MODE, REALS, WORDS, Reals, Records, Words, entry, kernel, records
 
 _LAYERS = 256
 _TAIL = 3.6541528853610088  # right end of the lowest layer, where the tail begins
@@ -81,7 +81,7 @@ class Random:
 
     def __init__(self, seed: np.random.SeedSequence | int) -> None:
         sequence = np.random.SeedSequence(seed) if isinstance(seed, int) else seed
-        self.state = sequence.generate_state(4, np.uint64)
+        self.state: Words = sequence.generate_state(4, np.uint64)  # type: ignore[assignment]  # NumPy's types know no dtype
 
     def normal(self, count: int) -> NDArray[np.float64]:
         """Return the next `count` standard normal numbers."""
@@ -103,7 +103,9 @@ class Random:
 
 
 @kernel
-def _next(s0, s1, s2, s3):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def _next(
+    s0: np.uint64, s1: np.uint64, s2: np.uint64, s3: np.uint64
+) -> tuple[np.uint64, np.uint64, np.uint64, np.uint64, np.uint64]:
     """Return 64 random bits and the next state."""
     mixed = s0 + s3
     bits = ((mixed << _23) | (mixed >> _41)) + s0
@@ -118,7 +120,9 @@ def _next(s0, s1, s2, s3):  # type: ignore[no-untyped-def]  # compiled: types ar
 
 
 @kernel
-def _beyond(s0, s1, s2, s3):  # type: ignore[no-untyped-def]
+def _beyond(
+    s0: np.uint64, s1: np.uint64, s2: np.uint64, s3: np.uint64
+) -> tuple[float, np.uint64, np.uint64, np.uint64, np.uint64]:
     """Return a number of the tail (Marsaglia 1964) and the next state."""
     while True:
         bits, s0, s1, s2, s3 = _next(s0, s1, s2, s3)
@@ -129,7 +133,9 @@ def _beyond(s0, s1, s2, s3):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _rejected(bits, x, s0, s1, s2, s3):  # type: ignore[no-untyped-def]
+def _rejected(
+    bits: np.uint64, x: float, s0: np.uint64, s1: np.uint64, s2: np.uint64, s3: np.uint64
+) -> tuple[np.uint64, float, np.uint64, np.uint64, np.uint64, np.uint64]:
     """Decide about a number x beyond the next layer and draw again if it is rejected; return bits, x and next state."""
     while True:
         layer = np.int64(bits & _BYTE)
@@ -149,7 +155,7 @@ def _rejected(bits, x, s0, s1, s2, s3):  # type: ignore[no-untyped-def]
 
 
 @entry(WORDS, REALS)
-def fill_normal(state, out):  # type: ignore[no-untyped-def]
+def fill_normal(state: Words, out: Reals) -> None:
     """Fill an array with the next standard normal numbers."""
     s0, s1, s2, s3 = state[0], state[1], state[2], state[3]
     for i in range(out.shape[0]):
@@ -163,7 +169,7 @@ def fill_normal(state, out):  # type: ignore[no-untyped-def]
 
 
 @entry(WORDS, REALS)
-def fill_uniform(state, out):  # type: ignore[no-untyped-def]
+def fill_uniform(state: Words, out: Reals) -> None:
     """Fill an array with the next uniformly distributed numbers, 0 <= x < 1."""
     s0, s1, s2, s3 = state[0], state[1], state[2], state[3]
     for i in range(out.shape[0]):
@@ -284,7 +290,7 @@ class BandNoise:
 
 
 @entry(_SECTION, _FILTER_STATE, REALS)
-def filter_in_place(sections, states, samples):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def filter_in_place(sections: Records, states: Records, samples: Reals) -> None:
     """Filter samples in place by sections in series, transposed direct form II, each with its own state."""
     for i in range(samples.shape[0]):
         value = samples[i]

@@ -41,7 +41,19 @@ from impact_rig.instruments.response import (
     through_piece,
 )
 from impact_rig.instruments.section import InstrumentSetup
-from impact_rig.kernels import INTEGERS, REALS, REALS_2D, REALS_3D, Fields, entry, kernel
+from impact_rig.kernels import (
+    INTEGERS,
+    REALS,
+    REALS_2D,
+    REALS_3D,
+    Fields,
+    Integers,
+    Reals,
+    Record,
+    Records,
+    entry,
+    kernel,
+)
 from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S
 
 
@@ -122,7 +134,7 @@ def new_buffers(channels: int, room: int) -> Buffers:
 
 
 @kernel
-def _conversions(clock, due, tick_s, end):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def _conversions(clock: Clock, due: int, tick_s: float, end: float) -> int:
     """Return the number of conversions from `due` on until the time `end` of this tick."""
     if due >= clock.tick or tick_s * (due / clock.tick) > end:
         return 0
@@ -137,7 +149,16 @@ def _conversions(clock, due, tick_s, end):  # type: ignore[no-untyped-def]  # co
 
 
 @kernel
-def _respond(channel, modes, clock, pieces, coefficients, kicks, values, buffers):  # type: ignore[no-untyped-def]
+def _respond(
+    channel: Record,
+    modes: Records,
+    clock: Clock,
+    pieces: Pieces,
+    coefficients: Reals,
+    kicks: Reals,
+    values: Reals,
+    buffers: Buffers,
+) -> None:
     """Compute one channel's dynamics over the pieces and store its newest conversions in `values`."""
     tick_s, first_and_spacing = pieces.tick_s, buffers.first_and_spacing
     first_and_spacing[1] = tick_s * (clock.period / clock.tick)
@@ -167,7 +188,9 @@ def _respond(channel, modes, clock, pieces, coefficients, kicks, values, buffers
 
 
 @entry(SENSOR_MODE, CHANNEL, CLOCK, PIECES, REALS_3D, REALS_2D, BUFFERS)
-def respond(modes, channels, clock, pieces, coefficients, kicks, buffers):  # type: ignore[no-untyped-def]
+def respond(
+    modes: Records, channels: Records, clock: Clock, pieces: Pieces, coefficients: Reals, kicks: Reals, buffers: Buffers
+) -> None:
     """Compute the output of all channels up to the volts on their cables.
 
     Args:
@@ -189,7 +212,7 @@ def respond(modes, channels, clock, pieces, coefficients, kicks, buffers):  # ty
 
 
 @entry(CHANNEL, BUFFERS)
-def digitise(channels, buffers):  # type: ignore[no-untyped-def]
+def digitise(channels: Records, buffers: Buffers) -> None:
     """Convert the newest volts of all channels into readings."""
     for j in range(channels.shape[0]):
         channel = channels[j]
@@ -202,7 +225,7 @@ def digitise(channels, buffers):  # type: ignore[no-untyped-def]
 
 
 @entry(CHANNEL, CLOCK, int, float, INTEGERS, REALS, returns=int)
-def instants(channels, clock, ticks, tick_s, tick_of, offset):  # type: ignore[no-untyped-def]
+def instants(channels: Records, clock: Clock, ticks: int, tick_s: float, tick_of: Integers, offset: Reals) -> int:
     """Fill in the instants of the next conversions of all channels without skew: tick, and offset into it [s].
 
     Returns the number of instants; they count as converted. A channel whose skew has just been removed may be one scan
@@ -266,7 +289,9 @@ class Sine:
 
 
 @entry(INTEGERS, REALS, float, float, float, float, REALS)
-def _sine(tick, offset, tick_s, anchor_s, omega, amplitude, values):  # type: ignore[no-untyped-def]
+def _sine(
+    tick: Integers, offset: Reals, tick_s: float, anchor_s: float, omega: float, amplitude: float, values: Reals
+) -> None:
     """Fill in a sine at `offset` [s] into ticks, counted from the tick at which it had been on for `anchor_s` [s]."""
     for i in range(values.shape[0]):
         sine, _ = sincos(omega * (anchor_s + (tick[i] * tick_s + offset[i])))

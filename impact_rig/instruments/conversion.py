@@ -43,7 +43,20 @@ from impact_rig.arithmetic.random import fill_normal
 from impact_rig.instruments import calibration
 from impact_rig.instruments.calibration import BoardErrors, ChannelErrors
 from impact_rig.instruments.sensor import Adc, Sensor
-from impact_rig.kernels import BYTES, INTEGERS, Array, entry, kernel
+from impact_rig.kernels import (
+    BYTES,
+    INTEGERS,
+    Array,
+    Bytes,
+    Flags,
+    Integers,
+    Reals,
+    Record,
+    Records,
+    Words,
+    entry,
+    kernel,
+)
 
 CHANNEL = np.dtype(
     [
@@ -113,14 +126,14 @@ def set_converter(channel: NDArray[np.void], sensor: Sensor, adc: Adc, errors: B
 
 
 @kernel
-def clamped(value, low, high):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def clamped(value: float, low: float, high: float) -> float:
     """Return the value limited to low … high."""
     value = low if value < low else value
     return high if value > high else value
 
 
 @kernel
-def to_volts(channel, values, clipped, white):  # type: ignore[no-untyped-def]
+def to_volts(channel: Record, values: Reals, clipped: Flags, white: Reals) -> None:
     """Turn the output of the dynamics [unit] into volts on the cable, at most STRETCH values, in place.
 
     Marks in `clipped` where the sensor was at an end of its range; `white` is scratch and finally holds the noise
@@ -154,7 +167,7 @@ def to_volts(channel, values, clipped, white):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def to_units(channel, values, clipped, white):  # type: ignore[no-untyped-def]
+def to_units(channel: Record, values: Reals, clipped: Flags, white: Reals) -> None:
     """Turn volts into readings [unit], at most STRETCH of them, in place.
 
     Also marks in `clipped` where the converter was at an end of its range.
@@ -173,7 +186,7 @@ def to_units(channel, values, clipped, white):  # type: ignore[no-untyped-def]
 
 
 @entry(CHANNEL, TWO_D_WORDS, TWO_D_FLAGS, BYTES, INTEGERS, returns=int)
-def take_rows(channels, readings, clipped, rows, layout):  # type: ignore[no-untyped-def]
+def take_rows(channels: Records, readings: Words, clipped: Flags, rows: Bytes, layout: Integers) -> int:
     """Fill in the rows of all scans that every channel has finished, remove these scans, and return their number.
 
     Args:

@@ -26,7 +26,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.kernels import INTEGERS, REALS, Fields, entry, kernel
+from impact_rig.kernels import INTEGERS, REALS, Fields, Integers, Reals, entry, kernel
 
 PIECES_PER_PERIOD = 2.0
 """Least number of pieces in a period of the fastest drive."""
@@ -114,7 +114,7 @@ def cut(
 
 
 @entry(INTEGERS, REALS, int, LIMITS, PIECES, returns=int)
-def _cut(tick, offset, motion_tick, limits, pieces):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def _cut(tick: Integers, offset: Reals, motion_tick: int, limits: Limits, pieces: Pieces) -> int:
     """Fill `pieces`, which must have room; return the number of pieces."""
     tick_s, longest_s = limits.tick_s, limits.longest_s
     first, start, end, piece_tick = pieces.first_piece, pieces.start, pieces.end, pieces.tick
@@ -144,7 +144,7 @@ def _cut(tick, offset, motion_tick, limits, pieces):  # type: ignore[no-untyped-
 
 
 @kernel
-def _next_break(offset, next_break, breaks_end, from_s, limits):  # type: ignore[no-untyped-def]
+def _next_break(offset: Reals, next_break: int, breaks_end: int, from_s: float, limits: Limits) -> tuple[int, float]:
     """Return the first breakpoint not yet reached, and the end of the (joined) pieces from `from_s` to it."""
     tick_s, joined_s = limits.tick_s, limits.joined_s
     while next_break < breaks_end and offset[next_break] <= from_s:

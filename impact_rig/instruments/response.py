@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 
 from impact_rig.arithmetic.elementary import exp, sincos
 from impact_rig.arithmetic.interpolation import NODES
-from impact_rig.kernels import kernel
+from impact_rig.kernels import Reals, Record, Records, kernel
 
 SENSOR_MODE = np.dtype(
     [
@@ -64,7 +64,7 @@ _SILENT = 45.0  # exp(−45) = 3e-20
 
 
 @kernel
-def decayed(re, im, seconds):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def decayed(re: float, im: float, seconds: float) -> tuple[float, float]:
     """Return exp((re + j im) seconds)."""
     envelope = exp(re * seconds)
     if im == 0.0:
@@ -74,7 +74,7 @@ def decayed(re, im, seconds):  # type: ignore[no-untyped-def]  # compiled: types
 
 
 @kernel
-def set_period(modes, period_s):  # type: ignore[no-untyped-def]
+def set_period(modes: Records, period_s: float) -> None:
     """Set the factor by which each mode decays in one scan period."""
     for k in range(modes.shape[0]):
         mode = modes[k]
@@ -83,7 +83,7 @@ def set_period(modes, period_s):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def settle(modes, level):  # type: ignore[no-untyped-def]
+def settle(modes: Records, level: float) -> None:
     """Set the modes as if the input had always been `level`: ψ = −level / λ."""
     for k in range(modes.shape[0]):
         mode = modes[k]
@@ -92,7 +92,7 @@ def settle(modes, level):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def input_at_start(coefficients):  # type: ignore[no-untyped-def]
+def input_at_start(coefficients: Reals) -> float:
     """Return S at x = −1, the start of the piece, from its coefficients."""
     value = 0.0
     for k in range(NODES - 1, -1, -1):
@@ -101,7 +101,7 @@ def input_at_start(coefficients):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def output_at_start(modes):  # type: ignore[no-untyped-def]
+def output_at_start(modes: Records) -> float:
     """Return the output of the modes at the start of the piece."""
     value = 0.0
     for k in range(modes.shape[0]):
@@ -111,7 +111,7 @@ def output_at_start(modes):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _particular(mode, coefficients, half, psi):  # type: ignore[no-untyped-def]
+def _particular(mode: Record, coefficients: Reals, half: float, psi: Reals) -> tuple[float, float, float, float]:
     """Fill psi, shape (2, SERIES_TERMS), with the particular answer to S; return re and im of it at x = −1 and 1."""
     pole_half_re, pole_half_im = mode.pole_re * half, mode.pole_im * half
     re, im = 0.0, 0.0
@@ -149,7 +149,9 @@ def _particular(mode, coefficients, half, psi):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def through_piece(modes, coefficients, length, first_and_spacing, scratch, out):  # type: ignore[no-untyped-def]
+def through_piece(
+    modes: Records, coefficients: Reals, length: float, first_and_spacing: Reals, scratch: Reals, out: Reals
+) -> None:
     """Advance the modes through a piece; fill `out` with their output at the conversions in it.
 
     Args:
@@ -184,7 +186,7 @@ def through_piece(modes, coefficients, length, first_and_spacing, scratch, out):
 
 
 @kernel
-def _fill_polynomial(total, first, spacing, out):  # type: ignore[no-untyped-def]
+def _fill_polynomial(total: Reals, first: float, spacing: float, out: Reals) -> float:
     """Fill in the polynomial at x = first, first + spacing, …; return the magnitude of its coefficients."""
     largest, beyond = 0.0, 0.0
     for k in range(SERIES_TERMS):
@@ -208,7 +210,7 @@ def _fill_polynomial(total, first, spacing, out):  # type: ignore[no-untyped-def
 
 
 @kernel
-def _add_ringing(mode, largest, out):  # type: ignore[no-untyped-def]
+def _add_ringing(mode: Record, largest: float, out: Reals) -> None:
     """Add a mode's free response where it is not lost in the rounding of the rest."""
     re, im, decay_re, decay_im = mode.free_re, mode.free_im, mode.decay_re, mode.decay_im
     if abs(re) + abs(im) <= _LOST * largest:

@@ -35,7 +35,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -143,6 +143,16 @@ class Exported(NamedTuple):
 REALS, REALS_2D, REALS_3D = (Array(np.dtype("f8"), dimensions) for dimensions in (1, 2, 3))
 INTEGERS, WORDS, BYTES, FLAGS = (Array(np.dtype(kind)) for kind in ("i8", "u8", "u1", "?"))
 
+Reals: TypeAlias = NDArray[np.float64]
+Complexes: TypeAlias = NDArray[np.complex128]
+Integers: TypeAlias = NDArray[np.int64]
+Words: TypeAlias = NDArray[np.uint64]
+Bytes: TypeAlias = NDArray[np.uint8]
+Flags: TypeAlias = NDArray[np.bool_]
+Record: TypeAlias = Any  # with its fields as attributes, which NumPy's own types do not have
+Records: TypeAlias = Any  # an array of them
+
+
 entries: dict[str, Entry] = {}
 """All imported entries, by `module.name`."""
 exported: dict[str, Exported] = {}
@@ -194,34 +204,37 @@ def _decide() -> tuple[str, ModuleType | None]:
 MODE, _LIBRARY = _decide()
 
 
-def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
+FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
+
+
+def kernel(function: FunctionT) -> FunctionT:
     """Mark a function that compiled functions call."""
     kernels.append(function)
     return _compiled(function)
 
 
-def entry(*arguments: Any, returns: Any = None) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def entry(*arguments: Any, returns: Any = None) -> Callable[[FunctionT], FunctionT]:
     """Mark a function that Python calls with arguments of these types; see `Entry`."""
 
-    def mark(function: Callable[..., Any]) -> Callable[..., Any]:
+    def mark(function: FunctionT) -> FunctionT:
         name = f"{function.__module__.removeprefix('impact_rig.')}.{function.__name__}"
         kernels.append(function)
         entries[name] = Entry(function, arguments, returns)
         if MODE == "library":
             assert _LIBRARY is not None
-            call: Callable[..., Any] = _LIBRARY.entry(name, *plan(arguments), codes(returns))
+            call: FunctionT = _LIBRARY.entry(name, *plan(arguments), codes(returns))
             return call
         return _compiled(function)
 
     return mark
 
 
-def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+def _compiled(function: FunctionT) -> FunctionT:
     if MODE != "jit":
         return function
     from impact_rig.kernels import jit  # noqa: PLC0415  # Numba is imported where it compiles
 
-    found: Callable[..., Any] = jit.compiled(function)
+    found: FunctionT = jit.compiled(function)
     return found
 
 

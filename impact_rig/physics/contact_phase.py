@@ -35,9 +35,10 @@ A step that overshoots an event is solved again, with a length found by Newton's
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 from impact_rig.arithmetic.elementary import power
-from impact_rig.kernels import kernel
+from impact_rig.kernels import Record, kernel
 from impact_rig.physics.collocation import GAUSS_NODES, GAUSS_WEIGHTS, LAST, MATRIX, POINTS, STAGES
 from impact_rig.physics.contact_step import (
     FEW_ROUNDS,
@@ -58,6 +59,11 @@ from impact_rig.physics.contact_step import (
 from impact_rig.physics.energy import add_powers
 from impact_rig.physics.state import FAILED, NOTHING, PAUSED, RELEASED, RELOADED, SEPARATED, TURNED, V1, X1
 
+if TYPE_CHECKING:
+    from impact_rig.physics.contact.law import CompiledForce
+    from impact_rig.physics.flight import DriveSegment
+    from impact_rig.physics.model import Model
+
 _IN_ORDER = (SEPARATED, PAUSED, RELEASED, TURNED, RELOADED)  # after SEPARATED the others have no meaning
 
 _REJECTIONS = 60
@@ -74,7 +80,9 @@ _PART_OF_FALL, _RADIANS = 0.4, 8.0  # see `_limit_length`
 
 
 @kernel
-def _force_and_slope(p, law, s, step, point):  # type: ignore[no-untyped-def]
+def _force_and_slope(
+    p: Record, law: CompiledForce, s: Record, step: Record, point: tuple[float, float, float]
+) -> tuple[float, float]:
     """Return the force at a point (w, δ', dδ'/dχ) of the step, and its derivative along the motion, dF/dχ."""
     w, speed, slope = point
     elastic, lossy, _, by_w, by_speed = force_at(p, law, s.per_v0, step.turned_at, w, speed, step)
@@ -82,7 +90,9 @@ def _force_and_slope(p, law, s, step, point):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _excess(p, law, s, step, event, at):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def _excess(
+    p: Record, law: CompiledForce, s: Record, step: Record, event: int, at: tuple[float, float, float]
+) -> float:
     """Return how far a point of the step is beyond an event, in units of the event's scale; at most 0 before the event.
 
     The point is `at` = (time since the start of the step, w, δ'). If `step.time_left` is infinite, PAUSED has the
@@ -104,7 +114,7 @@ def _excess(p, law, s, step, event, at):  # type: ignore[no-untyped-def]  # comp
 
 
 @kernel
-def _excess_slope(p, law, s, step, event):  # type: ignore[no-untyped-def]
+def _excess_slope(p: Record, law: CompiledForce, s: Record, step: Record, event: int) -> float:
     """Return the derivative of `_excess` at the end of the step with respect to its length in χ."""
     w, speed = step.w[LAST], step.speed[LAST]
     if event == SEPARATED:
@@ -120,7 +130,7 @@ def _excess_slope(p, law, s, step, event):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _length_by_dense_output(p, law, s, step, event):  # type: ignore[no-untyped-def]
+def _length_by_dense_output(p: Record, law: CompiledForce, s: Record, step: Record, event: int) -> float:
     """Return the length of a step up to an event that it passed, by the Illinois method on the step's dense output."""
     low, high, x, last_moved = 0.0, 1.0, 1.0, 0
     excess_low = _excess(p, law, s, step, event, dense_output(s, step, low))
@@ -143,7 +153,7 @@ def _length_by_dense_output(p, law, s, step, event):  # type: ignore[no-untyped-
 
 
 @kernel
-def _end_at(p, law, s, step, event):  # type: ignore[no-untyped-def]
+def _end_at(p: Record, law: CompiledForce, s: Record, step: Record, event: int) -> bool:
     """Solve the step again until it ends at the event, with its length in `s.h`; return whether that succeeded."""
     low, high = 0.0, s.h
     s.h = _length_by_dense_output(p, law, s, step, event)
@@ -169,7 +179,7 @@ def _end_at(p, law, s, step, event):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _first_event(p, law, s, step):  # type: ignore[no-untyped-def]
+def _first_event(p: Record, law: CompiledForce, s: Record, step: Record) -> int:
     """End the step solved last at the first event that it passed; return that event, NOTHING or FAILED.
 
     A step that ends at an event must be as exact as any other step, and must touch the wall all the way. Near the end
@@ -192,7 +202,7 @@ def _first_event(p, law, s, step):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _limit_length(s, step):  # type: ignore[no-untyped-def]
+def _limit_length(s: Record, step: Record) -> float:
     """Return the proposed length of a step, reduced to where its polynomials are valid and to a safe part of the way.
 
     While the sphere rests on the wall, δ falls as the two-thirds power of the time left to the lift-off. The lift-off
@@ -213,7 +223,7 @@ def _limit_length(s, step):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def take_step(p, law, s, step):  # type: ignore[no-untyped-def]
+def take_step(p: Record, law: CompiledForce, s: Record, step: Record) -> int:
     """Solve the next step, its length in `s.h`, propose the next length in `s.next_h`, and return the event at its end.
 
     `conclude` moves the state; this function leaves it in place. `step` must have been expanded about s, and must hold
@@ -241,7 +251,7 @@ def take_step(p, law, s, step):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def take_next_step(model, f, s, step, t_end):  # type: ignore[no-untyped-def]
+def take_next_step(model: Model, f: DriveSegment, s: Record, step: Record, t_end: float) -> int:
     """Solve the first or the next step of the contact at s and return the event it ends at; `conclude` then moves s."""
     p = model.parameters[0]
     expand(p, f, s, step)
@@ -252,7 +262,7 @@ def take_next_step(model, f, s, step, t_end):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def dissipated(step, h):  # type: ignore[no-untyped-def]
+def dissipated(step: Record, h: float) -> float:
     """Return the energy that the contact loses during the step [J], by the quadrature of the collocation method."""
     lost = 0.0
     for i in range(STAGES):
@@ -261,7 +271,7 @@ def dissipated(step, h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _find_peak(p, law, s, step, of_force):  # type: ignore[no-untyped-def]
+def _find_peak(p: Record, law: CompiledForce, s: Record, step: Record, of_force: bool) -> float:
     """Compute where the step's polynomial of the force or the indentation has its maximum, as a part of the step."""
     low, high = 0.0, 1.0
     while high - low > _PEAK_FOUND:
@@ -277,7 +287,7 @@ def _find_peak(p, law, s, step, of_force):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def find_peaks(p, law, s, step):  # type: ignore[no-untyped-def]
+def find_peaks(p: Record, law: CompiledForce, s: Record, step: Record) -> None:
     """Raise `s.peak_force` [N] and `s.deepest_w` to the largest values in the step, also between its stages.
 
     For a maximum between stages, a step is solved that ends where the polynomial predicts it; the remaining error is of
@@ -312,7 +322,7 @@ def find_peaks(p, law, s, step):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def account_step(p, f, s, step, ledger):  # type: ignore[no-untyped-def]
+def account_step(p: Record, f: DriveSegment, s: Record, step: Record, ledger: Record) -> None:
     """Add the work of the drive and the losses outside the contact during the step.
 
     The first part is that of the pair without indentation, which is smooth in time. The second is the difference that
@@ -334,7 +344,7 @@ def account_step(p, f, s, step, ledger):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def conclude(p, s, step, ended, t_end):  # type: ignore[no-untyped-def]
+def conclude(p: Record, s: Record, step: Record, ended: int, t_end: float) -> None:
     """Move the state to the end of the step; update elapsed time, impulse on the sphere and largest indentation."""
     since, w, speed = step.since[LAST], max(step.w[LAST], 0.0), step.speed[LAST]
     v_2_before = s.y[V1] + s.side * (1.0 - p.share) * s.speed
@@ -352,7 +362,7 @@ def conclude(p, s, step, ended, t_end):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def settles(p, law, s, step):  # type: ignore[no-untyped-def]
+def settles(p: Record, law: CompiledForce, s: Record, step: Record) -> bool:
     """Return whether a contact with memory has decayed to ringing about its rest position, slower than `speed_floor`.
 
     At a turning point the ringing has the speed amplitude |δ''| / ω_c, with ω_c the contact's own frequency [rad/s]. Up
@@ -368,13 +378,13 @@ def settles(p, law, s, step):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def t_0_of(p, speed):  # type: ignore[no-untyped-def]
+def t_0_of(p: Record, speed: float) -> float:
     """Return t_0 = (m_eff/K)^(1/(1+b)) v0^((1−b)/(1+b)) [s], the time scale of a contact with F ~ K δ^b."""
     return p.time_scale * power(speed, p.time_power)
 
 
 @kernel
-def first_length(p, speed, acceleration):  # type: ignore[no-untyped-def]
+def first_length(p: Record, speed: float, acceleration: float) -> float:
     """Return the length of a first step [s/m^0.5], a part of √(time/v0), with the time scale of the law or of a_r."""
     scale = min(t_0_of(p, speed), speed / max(abs(acceleration), _SMALLEST))
     return _FIRST_LENGTH * math.sqrt(scale / speed)

@@ -62,7 +62,7 @@ from __future__ import annotations
 import math
 
 from impact_rig.arithmetic.elementary import power, sincos
-from impact_rig.kernels import kernel
+from impact_rig.kernels import Reals, Record, kernel
 from impact_rig.physics.collocation import (
     INVERSE,
     LAST,
@@ -73,6 +73,8 @@ from impact_rig.physics.collocation import (
     TO_POLYNOMIAL,
     TO_START,
 )
+from impact_rig.physics.contact.law import CompiledForce
+from impact_rig.physics.flight import DriveSegment
 from impact_rig.physics.state import COIL, PRESCRIBED, STEP_TERMS, STRUCTURE, V1, VB, VOLTAGE, X1, XB
 
 FEW_TERMS = 8
@@ -82,7 +84,7 @@ _AMPLE = 4.0  # the terms are chosen before the length is known, for this many t
 
 
 @kernel
-def expand(p, f, s, step):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def expand(p: Record, f: DriveSegment, s: Record, step: Record) -> None:
     """Fill `step.path` and `step.acceleration` with the pair's Taylor coefficients about the state s, drive included.
 
     The expected length of the step determines the number of terms, `step.terms`, and how long they hold,
@@ -125,7 +127,7 @@ def expand(p, f, s, step):  # type: ignore[no-untyped-def]  # compiled: types ar
 
 
 @kernel
-def polynomial(coefficients, since, terms):  # type: ignore[no-untyped-def]
+def polynomial(coefficients: Reals, since: float, terms: int) -> float:
     """Return the value of a Taylor polynomial `since` seconds after the start of the step, from its first terms."""
     total = coefficients[terms - 1]
     for n in range(terms - 2, -1, -1):
@@ -134,14 +136,14 @@ def polynomial(coefficients, since, terms):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def pair_at(step, since, y):  # type: ignore[no-untyped-def]
+def pair_at(step: Record, since: float, y: Reals) -> None:
     """Fill y with the pair's state `since` seconds after the start of the step, without the correction z."""
     for q in range(STRUCTURE):
         y[q] = polynomial(step.path[q], since, step.terms)
 
 
 @kernel
-def _integrate(step, place, h):  # type: ignore[no-untyped-def]
+def _integrate(step: Record, place: int, h: float) -> None:
     """Fill the correction of one state at the stages from its slopes d/dχ there."""
     slope, correction = step.correction_slope[place], step.correction[place]
     for i in range(STAGES):
@@ -152,7 +154,7 @@ def _integrate(step, place, h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def improve_correction(p, step, h):  # type: ignore[no-untyped-def]
+def improve_correction(p: Record, step: Record, h: float) -> None:
     """Improve the correction z at the stages by one sweep of fixed-point iteration; each sweep adds an order in h."""
     z, slope = step.correction, step.correction_slope
     for j in range(STAGES):
@@ -178,7 +180,7 @@ def improve_correction(p, step, h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def add_correction(p, side, step, stage, y):  # type: ignore[no-untyped-def]
+def add_correction(p: Record, side: float, step: Record, stage: int, y: Reals) -> None:
     """Add the correction at one stage to y."""
     for q in range(STRUCTURE):
         y[q] += side * p.share * step.correction[q, stage]
@@ -188,7 +190,7 @@ _FAR = 1.6  # times the step's length: beyond it the polynomial is worse than a 
 
 
 @kernel
-def keep_dense_output(s, step):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def keep_dense_output(s: Record, step: Record) -> None:
     """Keep the dense output of the step of length `s.h` that was solved from s."""
     for n in range(STAGES + 1):
         total = TO_POLYNOMIAL[n, 0] * s.speed
@@ -199,13 +201,13 @@ def keep_dense_output(s, step):  # type: ignore[no-untyped-def]  # compiled: typ
 
 
 @kernel
-def drop_dense_output(step):  # type: ignore[no-untyped-def]
+def drop_dense_output(step: Record) -> None:
     """Clear the dense output, so that the next step does not depend on what was solved before."""
     step.dense_length = 0.0
 
 
 @kernel
-def _dense_speed(step, x):  # type: ignore[no-untyped-def]
+def _dense_speed(step: Record, x: float) -> float:
     """Return δ' at x."""
     speed = step.dense[STAGES]
     for n in range(STAGES - 1, -1, -1):
@@ -214,7 +216,7 @@ def _dense_speed(step, x):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def dense_slope(step, x):  # type: ignore[no-untyped-def]
+def dense_slope(step: Record, x: float) -> float:
     """Return dδ'/dχ at x of the step whose polynomial was kept last."""
     slope = STAGES * step.dense[STAGES]
     for n in range(STAGES - 1, 0, -1):
@@ -223,7 +225,7 @@ def dense_slope(step, x):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def predict_speeds(s, step, h):  # type: ignore[no-untyped-def]
+def predict_speeds(s: Record, step: Record, h: float) -> None:
     """Fill the stages of a step of length h from s with the speeds expected there."""
     if step.dense_since + h <= _FAR * step.dense_length:
         x_start, x_length = step.dense_since / step.dense_length, h / step.dense_length
@@ -235,7 +237,7 @@ def predict_speeds(s, step, h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def dense_output(s, step, x):  # type: ignore[no-untyped-def]
+def dense_output(s: Record, step: Record, x: float) -> tuple[float, float, float]:
     """Return (time since the start [s], w, δ') at x of the step from s, whose polynomial was kept last."""
     time_sum, w_sum = 0.0, 0.0  # sums over the speeds [m/s]
     for n in range(STAGES, -1, -1):
@@ -256,13 +258,15 @@ _LEAST_PART = 1e-3  # of `speed_floor`: slower motion of a contact need not be r
 
 
 @kernel
-def turned_at(s):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def turned_at(s: Record) -> float:
     """Return the w below which the law unloads, 0 while it loads: see `contact.law`."""
     return 0.0 if s.w >= s.deepest_w and s.speed > 0.0 else s.deepest_w
 
 
 @kernel
-def force_at(p, law, per_v0, turned_at, w, speed, step):  # type: ignore[no-untyped-def]
+def force_at(
+    p: Record, law: CompiledForce, per_v0: float, turned_at: float, w: float, speed: float, step: Record
+) -> tuple[float, float, float, float, float]:
     """Return the law's (elastic, lossy, stored, ∂F/∂w, ∂F/∂δ') at one point; `step.point` is its scratch memory."""
     law.at_point(p, per_v0, turned_at, w, speed, step)
     point = step.point
@@ -270,7 +274,7 @@ def force_at(p, law, per_v0, turned_at, w, speed, step):  # type: ignore[no-unty
 
 
 @kernel
-def begin_step(p, law, s, step):  # type: ignore[no-untyped-def]
+def begin_step(p: Record, law: CompiledForce, s: Record, step: Record) -> None:
     """Evaluate force and slope at the start of a step, its turning point, its time scale and its tolerance.
 
     A step may be wrong by a part of the contact's own speeds: δ', and δ times its natural frequency. Where the sphere
@@ -292,7 +296,7 @@ def begin_step(p, law, s, step):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _integrate_speeds(s, step, h):  # type: ignore[no-untyped-def]
+def _integrate_speeds(s: Record, step: Record, h: float) -> None:
     """Fill w and time at the stages from the speeds there."""
     for i in range(STAGES):
         w = 0.0
@@ -307,7 +311,7 @@ def _integrate_speeds(s, step, h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _evaluate_acceleration(p, step):  # type: ignore[no-untyped-def]
+def _evaluate_acceleration(p: Record, step: Record) -> None:
     """Fill the relative acceleration at the stages, including the part of the correction."""
     for i in range(STAGES):
         step.acceleration_at[i] = step.acceleration[step.terms - 1]
@@ -320,7 +324,7 @@ def _evaluate_acceleration(p, step):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _evaluate_slopes(p, law, s, step):  # type: ignore[no-untyped-def]
+def _evaluate_slopes(p: Record, law: CompiledForce, s: Record, step: Record) -> None:
     """Fill force and slope at the stages, and the slope's derivatives at a given relative acceleration."""
     law.at_stages(p, s.per_v0, step)
     for i in range(STAGES):
@@ -335,7 +339,7 @@ def _evaluate_slopes(p, law, s, step):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _set_newton(step, h):  # type: ignore[no-untyped-def]
+def _set_newton(step: Record, h: float) -> None:
     """Fill `step.newton` with MATRIX⁻¹ − h ∂slope/∂δ' − (h²/2) ∂slope/∂w MATRIX.
 
     That is MATRIX⁻¹ times the derivative, by the speeds δ' at the stages, of the equations of the step,
@@ -350,7 +354,7 @@ def _set_newton(step, h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _add_acceleration_to_newton(step, h):  # type: ignore[no-untyped-def]
+def _add_acceleration_to_newton(step: Record, h: float) -> None:
     """Add the acceleration's part to `step.newton`, −(h³/2) ∂slope/∂t MATRIX²."""
     for i in range(STAGES):
         jerk = 0.0
@@ -365,7 +369,7 @@ def _add_acceleration_to_newton(step, h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _invert_newton(step):  # type: ignore[no-untyped-def]
+def _invert_newton(step: Record) -> None:
     """Replace `step.newton` by its inverse (Gauss–Jordan, no pivoting)."""
     newton = step.newton
     for i in range(STAGES):
@@ -382,7 +386,7 @@ def _invert_newton(step):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _newton_step(s, step, h):  # type: ignore[no-untyped-def]
+def _newton_step(s: Record, step: Record, h: float) -> float:
     """Make one Newton step for the stages' speeds; return the largest change [m/s], infinite if one is not finite."""
     for i in range(STAGES):
         residual = h * step.speed_slope[i]
@@ -402,7 +406,7 @@ def _newton_step(s, step, h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def solve(p, law, s, step, h, rounds):  # type: ignore[no-untyped-def]
+def solve(p: Record, law: CompiledForce, s: Record, step: Record, h: float, rounds: int) -> bool:
     """Solve a step of length h; return whether Newton's method converged. The last stage is the end of the step.
 
     Where a sphere rests on the wall until a_r(t) lifts it off, a_r determines the indentation, and Newton's method adds
@@ -436,7 +440,7 @@ def solve(p, law, s, step, h, rounds):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def estimate_error(step, h):  # type: ignore[no-untyped-def]
+def estimate_error(step: Record, h: float) -> float:
     """Return the error of the step solved last, in units of the allowed error.
 
     The stages' slopes, extrapolated to the start, miss the slope there by an error of order 6 in h. It is filtered so
@@ -458,6 +462,6 @@ def estimate_error(step, h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def next_length(h, error):  # type: ignore[no-untyped-def]
+def next_length(h: float, error: float) -> float:
     """Return the step length that an error calls for."""
     return h * min(4.0, max(0.1, 0.8 * power(max(error, 1e-9), -1.0 / ERROR_ORDER)))

@@ -26,9 +26,9 @@ import math
 import numpy as np
 
 from impact_rig.arithmetic.elementary import modulus
-from impact_rig.kernels import kernel
+from impact_rig.kernels import Reals, Record, kernel
 from impact_rig.physics.collocation import GAUSS_NODES, GAUSS_WEIGHTS
-from impact_rig.physics.flight import drive, structure_at
+from impact_rig.physics.flight import DriveSegment, drive, structure_at
 from impact_rig.physics.state import COIL, PRESCRIBED, V1, VB, VOLTAGE, X1, XB
 
 _PANEL = 1.0  # radians (or e-foldings) of the fastest motion per quadrature panel: eight points leave 1e-14
@@ -39,7 +39,7 @@ _FORGOTTEN = 50.0  # e-foldings after which a mode needs no panels of its own
 
 
 @kernel
-def add_powers(p, f, y, t, weight, ledger):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def add_powers(p: Record, f: DriveSegment, y: Reals, t: float, weight: float, ledger: Record) -> None:
     """Add weight [s] times the powers at t; y need not hold the motion of a prescribed base."""
     u, u_rate = drive(f, t)
     x_b, v_b = (u, u_rate) if p.drive_kind == PRESCRIBED else (y[XB], y[VB])
@@ -57,7 +57,7 @@ def add_powers(p, f, y, t, weight, ledger):  # type: ignore[no-untyped-def]  # c
 
 
 @kernel
-def account_flight(p, system, f, flight, end, ledger):  # type: ignore[no-untyped-def]
+def account_flight(p: Record, system: Record, f: DriveSegment, flight: Record, end: float, ledger: Record) -> None:
     """Add the work and the losses of the flight that began at `flight.t_b` and ended at `end`."""
     duration, done = end - flight.t_b, 0.0
     while done < duration:

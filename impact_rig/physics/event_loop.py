@@ -41,12 +41,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.kernels import INTEGERS, Fields, entry, kernel, records, room
+from impact_rig.kernels import INTEGERS, Fields, Record, Records, entry, kernel, records, room
 from impact_rig.physics.contact_phase import account_step, conclude, dissipated, find_peaks, settles, take_next_step
 from impact_rig.physics.contact_step import drop_dense_output, expand, force_at, turned_at
 from impact_rig.physics.energy import account_flight
 from impact_rig.physics.flight import (
     SEGMENT,
+    DriveSegment,
     choose_system,
     drive,
     drive_segment,
@@ -57,7 +58,7 @@ from impact_rig.physics.flight import (
     prepare_segment,
     rounding,
 )
-from impact_rig.physics.model import MODEL
+from impact_rig.physics.model import MODEL, Model
 from impact_rig.physics.outcome import apply_outcome, look_up
 from impact_rig.physics.state import (
     ATTACHED,
@@ -142,14 +143,14 @@ def new_workspace(states: int, impacts: int) -> Workspace:
 
 
 @kernel
-def _keep_state(work):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def _keep_state(work: Workspace) -> None:
     """Append the current state to the history."""
     work.history[work.counts[0].states] = work.states[0]
     work.counts[0].states += 1
 
 
 @kernel
-def _fly_on(p, s, d, d_rate):  # type: ignore[no-untyped-def]
+def _fly_on(p: Record, s: Record, d: float, d_rate: float) -> None:
     """Start a flight at the relative position d with the rate d_rate; guide friction acts against it from the start."""
     s.phase, s.side = FREE, 0.0
     s.d, s.d_rate = d, d_rate
@@ -157,20 +158,20 @@ def _fly_on(p, s, d, d_rate):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _hold(s, d, side):  # type: ignore[no-untyped-def]
+def _hold(s: Record, d: float, side: float) -> None:
     """Let the sphere move with the structure, pressed by a wall or held by friction (side 0)."""
     s.phase, s.side, s.slide = ATTACHED, side, 0.0
     s.d, s.d_rate = d, 0.0
 
 
 @kernel
-def _least_speed(p, s):  # type: ignore[no-untyped-def]
+def _least_speed(p: Record, s: Record) -> float:
     """Return the least relative speed [m/s]: `touch_speed`, or the rounding of the structure's speed if larger."""
     return max(p.touch_speed, _SPEED_RESOLUTION * abs(s.y[V1]))
 
 
 @kernel
-def _part(p, s, way, ledger):  # type: ignore[no-untyped-def]
+def _part(p: Record, s: Record, way: float, ledger: Record) -> None:
     """Release a sphere that moves with the structure, with the least speed and without changing the momentum."""
     if s.side != 0.0:
         s.dent, s.dent_side = max(0.0, s.side * s.d - p.half_gap), s.side
@@ -181,7 +182,7 @@ def _part(p, s, way, ledger):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _touch(p, s, side, ledger):  # type: ignore[no-untyped-def]
+def _touch(p: Record, s: Record, side: float, ledger: Record) -> None:
     """Begin a contact with the wall just reached; from here y holds the state of the pair.
 
     The energy that the least speed adds counts as a negative loss of the contact.
@@ -201,7 +202,7 @@ def _touch(p, s, side, ledger):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _keep_impact(work, s, separation, indentation):  # type: ignore[no-untyped-def]
+def _keep_impact(work: Workspace, s: Record, separation: float, indentation: float) -> None:
     """Append the contact of s as an impact; separation speed in m/s, largest indentation in m."""
     row = work.impacts[work.counts[0].impacts]
     row.tick, row.offset, row.wall = s.touch_tick, s.touch_offset, int(s.side)
@@ -212,7 +213,7 @@ def _keep_impact(work, s, separation, indentation):  # type: ignore[no-untyped-d
 
 
 @kernel
-def _leave(model, s, work, settled):  # type: ignore[no-untyped-def]
+def _leave(model: Model, s: Record, work: Workspace, settled: bool) -> None:
     """End a contact: keep the impact and give y back to the structure. The sphere then flies on, or stays if `settled`.
 
     The energy that the contact still stores is lost: it relaxes or, if `settled`, rings out while the sphere is
@@ -236,7 +237,9 @@ def _leave(model, s, work, settled):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _bounce(p, s, side, pair_acceleration, position_rounding, work):  # type: ignore[no-untyped-def]
+def _bounce(
+    p: Record, s: Record, side: float, pair_acceleration: float, position_rounding: float, work: Workspace
+) -> None:
     """Reverse the relative speed at once, or attach a sphere that no longer bounces off a pressing wall.
 
     The sphere stays if the wall presses it, by the `pair_acceleration` [m/s²] of both as one body, and it is not faster
@@ -262,7 +265,7 @@ def _bounce(p, s, side, pair_acceleration, position_rounding, work):  # type: ig
 
 
 @kernel
-def _flight_phase(model, f, work, t_end, account):  # type: ignore[no-untyped-def]
+def _flight_phase(model: Model, f: DriveSegment, work: Workspace, t_end: float, account: bool) -> int:
     """Advance a flight, free or as one body with the structure; return the event that ends it."""
     p, s, flight = model.parameters[0], work.states[0], work.flight[0]
     _keep_state(work)
@@ -276,7 +279,7 @@ def _flight_phase(model, f, work, t_end, account):  # type: ignore[no-untyped-de
 
 
 @kernel
-def _apply_tabulated(model, f, work, t_end, account):  # type: ignore[no-untyped-def]
+def _apply_tabulated(model: Model, f: DriveSegment, work: Workspace, t_end: float, account: bool) -> bool:
     """Complete a contact that has just begun, from the table; return whether that was possible."""
     p, table = model.parameters[0], model.table[0]
     s, step = work.states[0], work.step[0]
@@ -297,7 +300,7 @@ def _apply_tabulated(model, f, work, t_end, account):  # type: ignore[no-untyped
 
 
 @kernel
-def account_contact(model, f, s, step, ledger):  # type: ignore[no-untyped-def]
+def account_contact(model: Model, f: DriveSegment, s: Record, step: Record, ledger: Record) -> None:
     """Follow s step by step to the end of its contact, for the energy account only; a step that fails ends it."""
     drop_dense_output(step)
     for _ in range(_STEPS):
@@ -311,7 +314,7 @@ def account_contact(model, f, s, step, ledger):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _contact_phase(model, f, work, t_end, account):  # type: ignore[no-untyped-def]
+def _contact_phase(model: Model, f: DriveSegment, work: Workspace, t_end: float, account: bool) -> int:
     """Continue a contact; return the event that ends it, or FAILED.
 
     It is PAUSED before t_end if the number of steps in one call is exceeded.
@@ -350,7 +353,7 @@ def _contact_phase(model, f, work, t_end, account):  # type: ignore[no-untyped-d
 
 
 @kernel
-def _change_phase(model, f, work, tick, ended):  # type: ignore[no-untyped-def]
+def _change_phase(model: Model, f: DriveSegment, work: Workspace, tick: int, ended: int) -> None:
     """Change the phase after an event, see the table at the head of this module."""
     p, s, flight, ledger = model.parameters[0], work.states[0], work.flight[0], work.ledger[0]
     if ended == PAUSED:
@@ -376,7 +379,7 @@ def _change_phase(model, f, work, tick, ended):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _prepare_flight(model, f, work, t_end, fresh):  # type: ignore[no-untyped-def]
+def _prepare_flight(model: Model, f: DriveSegment, work: Workspace, t_end: float, fresh: bool) -> None:
     """Prepare the closed form of a flight if the frequency, the system or (`fresh`) the segment is new."""
     flight = work.flight[0]
     renewed = choose_system(model, f, work.states[0], flight)
@@ -385,7 +388,7 @@ def _prepare_flight(model, f, work, t_end, fresh):  # type: ignore[no-untyped-de
 
 
 @kernel
-def _move_base(p, f, s, ledger, account):  # type: ignore[no-untyped-def]
+def _move_base(p: Record, f: DriveSegment, s: Record, ledger: Record, account: bool) -> None:
     """Start a segment of a prescribed base; if the base jumps, the springs of the columns absorb the work."""
     x_b_before = s.y[XB]
     s.y[XB], s.y[VB] = drive(f, 0.0)
@@ -397,7 +400,9 @@ def _move_base(p, f, s, ledger, account):  # type: ignore[no-untyped-def]
 
 
 @entry(MODEL, SEGMENT, int, int, WORKSPACE, bool, returns=(int, int))
-def run(model, segments, first_tick, segment, work, account):  # type: ignore[no-untyped-def]
+def run(
+    model: Model, segments: Records, first_tick: int, segment: int, work: Workspace, account: bool
+) -> tuple[int, int]:
     """Advance the state through `segments[segment:]`; return (how it ended, the segment it is in).
 
     `first_tick` is the number of the tick of `segments[0]`, counted since the reset, regardless of `segment`.

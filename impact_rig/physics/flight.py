@@ -42,12 +42,12 @@ parts from the structure): speed, acceleration and J are then one and two deriva
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from impact_rig.arithmetic.elementary import exp, modulus, power, sincos
-from impact_rig.kernels import kernel
+from impact_rig.kernels import Complexes, Reals, Record, kernel
 from impact_rig.physics.state import (
     ATTACHED,
     ORDERS,
@@ -60,6 +60,9 @@ from impact_rig.physics.state import (
     V1,
     X1,
 )
+
+if TYPE_CHECKING:
+    from impact_rig.physics.model import Model
 
 _THIRD = 1.0 / 3.0
 _ROUNDS = 12
@@ -92,13 +95,13 @@ class DriveSegment(NamedTuple):
 
 
 @kernel
-def drive_segment(row):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def drive_segment(row: Record) -> DriveSegment:
     """Return one record of SEGMENT as a segment of the drive."""
     return DriveSegment(row.omega, row.phase, row.amplitude, row.growth, row.begin)
 
 
 @kernel
-def drive(f, t):  # type: ignore[no-untyped-def]
+def drive(f: DriveSegment, t: float) -> tuple[float, float]:
     """Return u and u' at t."""
     amplitude = f.amplitude + f.growth * t
     sine, cosine = sincos(f.omega * t + f.phase)
@@ -106,7 +109,7 @@ def drive(f, t):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def phasor(angle):  # type: ignore[no-untyped-def]
+def phasor(angle: float) -> complex:
     """Return exp(j angle)."""
     if angle == 0.0:  # always, if the drive is a straight line
         return 1.0 + 0.0j
@@ -115,7 +118,7 @@ def phasor(angle):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def bound_omega(system, omega):  # type: ignore[no-untyped-def]
+def bound_omega(system: Record, omega: float) -> float:
     """Return the fastest rate [1/s] of the drive and of the modes."""
     fastest = max(omega, 1e-9)
     for n in range(system.modes):
@@ -124,14 +127,14 @@ def bound_omega(system, omega):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _half_reciprocal(number):  # type: ignore[no-untyped-def]
+def _half_reciprocal(number: complex) -> complex:
     """Return 1 / (2 number)."""
     scale = 0.5 / (number.real * number.real + number.imag * number.imag)
     return complex(number.real * scale, -number.imag * scale)
 
 
 @kernel
-def resolve(system, omega, vector, out):  # type: ignore[no-untyped-def]
+def resolve(system: Record, omega: float, vector: Complexes, out: Complexes) -> None:
     """Fill out = (jω − M)^-1 vector; each kept mode represents itself and its conjugate."""
     for i in range(system.states):
         out[i] = 0.0j
@@ -150,7 +153,7 @@ def resolve(system, omega, vector, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def frequency_response(system, omega, flight):  # type: ignore[no-untyped-def]
+def frequency_response(system: Record, omega: float, flight: Record) -> None:
     """Fill `flight.answer` (H) and `flight.growth_answer` (G): the answers to a steady and to a growing drive."""
     n = system.states
     vector = flight.steady  # scratch: `particular` overwrites it
@@ -163,7 +166,7 @@ def frequency_response(system, omega, flight):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def particular(system, f, flight):  # type: ignore[no-untyped-def]
+def particular(system: Record, f: DriveSegment, flight: Record) -> None:
     """Fill `flight.steady` (P) and `flight.growing` (Q) for this segment's amplitude and phase."""
     rotor = phasor(f.phase)
     for i in range(system.states):
@@ -172,7 +175,7 @@ def particular(system, f, flight):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def safe_time(distance, speed, acceleration, jerk_bound, longest):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def safe_time(distance: float, speed: float, acceleration: float, jerk_bound: float, longest: float) -> float:
     """Return a time, at most `longest` [s], in which a point cannot cover `distance`: see the head of this file."""
     half_acceleration = 0.5 * (acceleration + jerk_bound * longest / 3.0)  # the factor of t²
     if speed * longest + half_acceleration * longest * longest <= distance and (
@@ -211,7 +214,7 @@ def safe_time(distance, speed, acceleration, jerk_bound, longest):  # type: igno
 
 
 @kernel
-def choose_system(model, f, s, flight):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def choose_system(model: Model, f: DriveSegment, s: Record, flight: Record) -> bool:
     """Set `flight.system` to the system that moves from s on; return whether its answers had to be recomputed."""
     which = SPHERE_ATTACHED if s.phase == ATTACHED else SPHERE_LOOSE
     if f.omega == flight.omega and which == flight.system:
@@ -222,13 +225,13 @@ def choose_system(model, f, s, flight):  # type: ignore[no-untyped-def]  # compi
 
 
 @kernel
-def guide_friction(p, s):  # type: ignore[no-untyped-def]
+def guide_friction(p: Record, s: Record) -> float:
     """Return the force of the guide's friction on the superior base [N]; in phase ATTACHED it is an internal force."""
     return 0.0 if s.phase == ATTACHED else s.slide * p.m * p.friction_acceleration
 
 
 @kernel
-def prepare_segment(system, f, flight, t_end):  # type: ignore[no-untyped-def]
+def prepare_segment(system: Record, f: DriveSegment, flight: Record, t_end: float) -> None:
     """Prepare a segment's particular solution and its part in the derivatives of x_1, with a bound on each part."""
     particular(system, f, flight)
     jw = complex(0.0, f.omega)
@@ -240,7 +243,7 @@ def prepare_segment(system, f, flight, t_end):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def mode_decay(rate, since):  # type: ignore[no-untyped-def]
+def mode_decay(rate: complex, since: float) -> tuple[float, complex]:
     """Return the modulus and the value of exp(λ since), the factor by which a mode's amplitude has changed."""
     envelope = exp(rate.real * since)
     sine, cosine = sincos(rate.imag * since)
@@ -248,7 +251,7 @@ def mode_decay(rate, since):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def begin_flight(system, f, flight, y, t):  # type: ignore[no-untyped-def]
+def begin_flight(system: Record, f: DriveSegment, flight: Record, y: Reals, t: float) -> None:
     """Compute the modes' amplitudes of a flight that begins at t with the state y, and their parts in x_1."""
     rotor = phasor(f.omega * t)
     flight.t_b = t
@@ -268,7 +271,7 @@ def begin_flight(system, f, flight, y, t):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def evaluate(system, f, flight, t, order):  # type: ignore[no-untyped-def]
+def evaluate(system: Record, f: DriveSegment, flight: Record, t: float, order: int) -> None:
     """Fill `flight.x_1[order:order + 3]`, derivatives of x_1 at t; `flight.bound` bounds the next one from there on."""
     since, wave = t - flight.t_b, flight.wave
     rotor = phasor(f.omega * t)
@@ -292,7 +295,7 @@ def evaluate(system, f, flight, t, order):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def rounding(p, system, flight, t):  # type: ignore[no-untyped-def]
+def rounding(p: Record, system: Record, flight: Record, t: float) -> float:
     """Return the rounding error [m] of the distance to a wall: that of the largest terms of x_1, with a margin."""
     largest = p.half_gap + modulus(flight.steady[X1]) + modulus(flight.growing[X1]) * t
     for n in range(system.modes):
@@ -301,7 +304,7 @@ def rounding(p, system, flight, t):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def structure_at(system, f, flight, t):  # type: ignore[no-untyped-def]
+def structure_at(system: Record, f: DriveSegment, flight: Record, t: float) -> None:
     """Fill `flight.y` with the linear system's state at t."""
     rotor = phasor(f.omega * t)
     for i in range(system.states):
@@ -316,20 +319,20 @@ def structure_at(system, f, flight, t):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def negligible(advance, t):  # type: ignore[no-untyped-def]
+def negligible(advance: float, t: float) -> bool:
     """Return whether an advance [s] is lost in the rounding of the time."""
     return advance <= _TIME_RESOLUTION * max(t, _SHORTEST)
 
 
 @kernel
-def wall_distance(p, s, side, d):  # type: ignore[no-untyped-def]
+def wall_distance(p: Record, s: Record, side: float, d: float) -> float:
     """Return the distance from the sphere at d to a wall [m]; a wall that let it go has its surface further back."""
     dent = s.dent if s.dent_side == side else 0.0
     return max(0.0, p.half_gap + dent - side * d)
 
 
 @kernel
-def fly(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def]
+def fly(p: Record, system: Record, f: DriveSegment, flight: Record, s: Record, t_end: float) -> int:
     """Advance a flight from s to the first touch or to t_end; return TOUCHED, STOPPED or PAUSED.
 
     TOUCHED: the state is the one at the touch, and the distance to the wall `s.side` is zero within rounding; `_touch`
@@ -388,7 +391,7 @@ def fly(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def fly_attached(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def]
+def fly_attached(p: Record, system: Record, f: DriveSegment, flight: Record, s: Record, t_end: float) -> int:
     """Advance sphere and superior base as one body until they part or to t_end; return PARTED or PAUSED.
 
     `s.side` is the wall that presses the sphere, or 0 if guide friction holds it. They part when |x_1''| reaches μ g_0,

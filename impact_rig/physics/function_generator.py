@@ -31,7 +31,7 @@ from impact_rig.arithmetic.elementary import PI, TWO_PI
 from impact_rig.arithmetic.random import BandNoise, Random, band_pass
 from impact_rig.config import Drive, Shaker
 from impact_rig.errors import CommandError
-from impact_rig.kernels import REALS, Fields, entry, kernel, room
+from impact_rig.kernels import REALS, Fields, Reals, Records, entry, kernel, room
 from impact_rig.physics.flight import SEGMENT
 from impact_rig.physics.stream import Stream
 from impact_rig.simtime import COMMAND_GRID_S
@@ -50,14 +50,14 @@ RAMP = Fields(Ramp, (int, float, float, int))
 
 
 @kernel
-def amplitude_at(ramp, tick):  # type: ignore[no-untyped-def]
+def amplitude_at(ramp: Ramp, tick: int) -> float:
     """Return the amplitude at a tick."""
     progress = (tick - ramp.first_tick) / ramp.ticks if tick < ramp.first_tick + ramp.ticks else 1.0
     return ramp.initial + (ramp.target - ramp.initial) * progress
 
 
 @entry(SEGMENT, REALS, float)
-def fill_lines(segments, amplitudes, tick_s):  # type: ignore[no-untyped-def]
+def fill_lines(segments: Records, amplitudes: Reals, tick_s: float) -> None:
     """Fill in n segments of one tick [s] each: straight lines between n + 1 amplitudes at their ends."""
     for i in range(segments.shape[0]):
         segment = segments[i]
@@ -66,7 +66,9 @@ def fill_lines(segments, amplitudes, tick_s):  # type: ignore[no-untyped-def]
 
 
 @entry(SEGMENT, int, RAMP, float, float, int, float)
-def fill_sine(segments, tick, ramp, tick_s, frequency_hz, ticks_since, phase):  # type: ignore[no-untyped-def]
+def fill_sine(
+    segments: Records, tick: int, ramp: Ramp, tick_s: float, frequency_hz: float, ticks_since: int, phase: float
+) -> None:
     """Fill in segments of one tick [s] each from `tick` on; `phase` [rad] holds `ticks_since` ticks before `tick`."""
     amplitude, cycles_per_tick = amplitude_at(ramp, tick), frequency_hz * tick_s
     for i in range(segments.shape[0]):

@@ -35,10 +35,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from impact_rig.kernels import REALS_2D, entry, kernel
-from impact_rig.physics.flight import drive_segment, mode_decay, phasor, resolve
-from impact_rig.physics.model import MODEL
-from impact_rig.physics.sampling import TRAJECTORY, begin_flight_at
+from impact_rig.kernels import REALS_2D, Reals, Record, Records, entry, kernel
+from impact_rig.physics.flight import DriveSegment, drive_segment, mode_decay, phasor, resolve
+from impact_rig.physics.model import MODEL, Model
+from impact_rig.physics.sampling import TRAJECTORY, Trajectory, begin_flight_at
 from impact_rig.physics.state import ATTACHED, CONTACT, FLIGHT, PRESCRIBED, SPHERE_LOOSE, V1, X1, XB
 
 CYCLE = np.dtype(
@@ -53,7 +53,7 @@ CYCLE = np.dtype(
 
 
 @kernel
-def _sphere(p, s):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def _sphere(p: Record, s: Record) -> tuple[float, float]:
     """Return x_2 and v_2 of a state."""
     if s.phase != CONTACT:
         return s.y[X1] + s.d, s.y[V1] + s.d_rate
@@ -62,7 +62,7 @@ def _sphere(p, s):  # type: ignore[no-untyped-def]  # compiled: types are inferr
 
 
 @kernel
-def _integrate_straight(omega, length, x_2, v_2, x_end, v_end):  # type: ignore[no-untyped-def]
+def _integrate_straight(omega: float, length: float, x_2: float, v_2: float, x_end: float, v_end: float) -> complex:
     """Return the integral of x_2'' exp(−jωt) over a step, with t from its middle, if x_2'' is a straight line."""
     moment = 0.5 * length * (v_end + v_2) - (x_end - x_2)  # of x_2'' about the middle
     square = omega * length * omega * length
@@ -70,7 +70,9 @@ def _integrate_straight(omega, length, x_2, v_2, x_end, v_end):  # type: ignore[
 
 
 @kernel
-def _integrate_one_body(system, flight, omega, t, rotor, t_end, rotor_end):  # type: ignore[no-untyped-def]
+def _integrate_one_body(
+    system: Record, flight: Record, omega: float, t: float, rotor: complex, t_end: float, rotor_end: complex
+) -> complex:
     """Return the integral of x_1'' exp(−jωt) over the flight from t to t_end, the rotors exp(−jωt) there."""
     jw = complex(0.0, omega)
     steady, growing = flight.steady[X1], flight.growing[X1]
@@ -91,7 +93,9 @@ def _integrate_one_body(system, flight, omega, t, rotor, t_end, rotor_end):  # t
 
 
 @kernel
-def _integrate_acceleration(model, f, trajectory, rows, duration, flight):  # type: ignore[no-untyped-def]
+def _integrate_acceleration(
+    model: Model, f: DriveSegment, trajectory: Trajectory, rows: tuple[int, int], duration: float, flight: Record
+) -> complex:
     """Return the integral of x_2'' exp(−jωt) over a segment, whose states are `rows` = (first, first of the next)."""
     p, history, total, rotor = model.parameters[0], trajectory.history, 0.0j, 1.0 + 0.0j
     x_2, v_2 = _sphere(p, history[rows[0]])
@@ -117,7 +121,7 @@ def _integrate_acceleration(model, f, trajectory, rows, duration, flight):  # ty
 
 
 @entry(MODEL, TRAJECTORY, FLIGHT, REALS_2D)
-def follow_cycles(model, trajectory, flights, out):  # type: ignore[no-untyped-def]
+def follow_cycles(model: Model, trajectory: Trajectory, flights: Records, out: Reals) -> None:
     """Fill in one CYCLE per segment; `flights` is scratch memory, one record."""
     p, system, flight = model.parameters[0], model.systems[SPHERE_LOOSE], flights[0]
     flight.omega = -1.0

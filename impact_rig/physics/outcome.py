@@ -40,7 +40,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.elementary import PI, sincos
-from impact_rig.kernels import REALS, entry, kernel
+from impact_rig.kernels import REALS, Reals, Record, Records, entry, kernel
 from impact_rig.physics.collocation import LAST, MATRIX, STAGES
 from impact_rig.physics.contact.law import FORCE, CompiledForce, raise_failure
 from impact_rig.physics.contact_phase import conclude, find_peaks, t_0_of, take_step
@@ -85,7 +85,15 @@ TABLE = np.dtype(
 
 
 @entry(PARAMETERS, FORCE, float, REALS, STATE, CONTACT_STEP, REALS, returns=bool)
-def perturbed_contact(parameters, law, eta_0, perturbations, states, steps, out):  # type: ignore[no-untyped-def]
+def perturbed_contact(
+    parameters: Records,
+    law: CompiledForce,
+    eta_0: float,
+    perturbations: Reals,
+    states: Records,
+    steps: Records,
+    out: Reals,
+) -> bool:
     """Integrate one contact in its own units under η_0 and `perturbations` = (η_1, η_2, α, γ).
 
     Fills `out`, shape (OUTCOMES,), and returns whether the sphere left.
@@ -238,7 +246,7 @@ def _chebyshev(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @kernel
-def look_up(p, table, s, step, time_left):  # type: ignore[no-untyped-def]
+def look_up(p: Record, table: Record, s: Record, step: Record, time_left: float) -> bool:
     """Compute `table.outcome` for the contact that begins at s; `step` must be expanded about s.
 
     Returns whether the contact is tabulated and ends within `time_left` seconds and while the polynomials of `step`
@@ -280,7 +288,7 @@ def look_up(p, table, s, step, time_left):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def apply_outcome(p, table, s, step):  # type: ignore[no-untyped-def]
+def apply_outcome(p: Record, table: Record, s: Record, step: Record) -> None:
     """Move s from the touch to the end of the contact that `look_up` computed."""
     found, speed = table.outcome, s.speed
     t_0 = t_0_of(p, speed)

@@ -40,7 +40,19 @@ from numpy.typing import NDArray
 
 from impact_rig.arithmetic.elementary import sincos
 from impact_rig.arithmetic.interpolation import NODE_AT, NODES, PIECE_TERMS, shorten, through_nodes
-from impact_rig.kernels import INTEGERS, REALS, REALS_2D, REALS_3D, Fields, entry, kernel
+from impact_rig.kernels import (
+    INTEGERS,
+    REALS,
+    REALS_2D,
+    REALS_3D,
+    Fields,
+    Integers,
+    Reals,
+    Record,
+    Records,
+    entry,
+    kernel,
+)
 from impact_rig.physics.collocation import LAST
 from impact_rig.physics.contact_phase import conclude, take_next_step
 from impact_rig.physics.contact_step import (
@@ -58,6 +70,7 @@ from impact_rig.physics.contact_step import (
 )
 from impact_rig.physics.flight import (
     SEGMENT,
+    DriveSegment,
     begin_flight,
     bound_omega,
     choose_system,
@@ -68,7 +81,7 @@ from impact_rig.physics.flight import (
     particular,
     phasor,
 )
-from impact_rig.physics.model import MODEL
+from impact_rig.physics.model import MODEL, Model
 from impact_rig.physics.state import (
     ATTACHED,
     COIL,
@@ -231,7 +244,7 @@ def new_sampling_workspace() -> SamplingWorkspace:
 
 
 @kernel
-def _place_and_order(p, quantity):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def _place_and_order(p: Record, quantity: int) -> tuple[int, int, bool]:
     """Return (index in y, order of the derivative, whether it is the drive itself) of a quantity of the structure."""
     if quantity in (OF_X_1, OF_V_1, OF_A_1):
         return X1 if quantity == OF_X_1 else V1, 1 if quantity == OF_A_1 else 0, False
@@ -244,7 +257,7 @@ def _place_and_order(p, quantity):  # type: ignore[no-untyped-def]  # compiled: 
 
 
 @kernel
-def _fill_powers(workspace, rate, half):  # type: ignore[no-untyped-def]
+def _fill_powers(workspace: SamplingWorkspace, rate: complex, half: float) -> int:
     """Fill `workspace.powers` with (λ half)^k / k!; return their number, which is two for λ = 0, a straight line."""
     scaled_rate, term = rate * half, 1.0 + 0.0j
     terms = 2 if rate == 0.0 else PIECE_TERMS
@@ -255,7 +268,16 @@ def _fill_powers(workspace, rate, half):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _add_series(poly, workspace, terms, value, growth, rate, order, half):  # type: ignore[no-untyped-def]
+def _add_series(
+    poly: Reals,
+    workspace: SamplingWorkspace,
+    terms: int,
+    value: complex,
+    growth: complex,
+    rate: complex,
+    order: int,
+    half: float,
+) -> None:
     """Add the Taylor coefficients in x = τ / half of Re[(value + growth τ) exp(λ τ)], differentiated `order` times.
 
     The first `terms` of `workspace.powers`, for the same rate λ, are used.
@@ -270,7 +292,16 @@ def _add_series(poly, workspace, terms, value, growth, rate, order, half):  # ty
 
 
 @kernel
-def _expand_flight(p, system, f, flight, quantity, poly, since, workspace):  # type: ignore[no-untyped-def]
+def _expand_flight(
+    p: Record,
+    system: Record,
+    f: DriveSegment,
+    flight: Record,
+    quantity: int,
+    poly: Reals,
+    since: float,
+    workspace: SamplingWorkspace,
+) -> None:
     """Fill the Taylor polynomial of a quantity of the structure, `since` seconds after the start of the flight."""
     poly[:] = 0.0
     t = flight.t_b + since
@@ -294,14 +325,14 @@ def _expand_flight(p, system, f, flight, quantity, poly, since, workspace):  # t
 
 
 @kernel
-def _is_of_structure(p, quantity):  # type: ignore[no-untyped-def]
+def _is_of_structure(p: Record, quantity: int) -> bool:
     """Return whether a quantity is a motion of the structure or its drive, so that it has a polynomial in flight."""
     of_sphere = quantity in (OF_X_2, OF_V_2, OF_A_2, OF_FORCE_LEFT, OF_FORCE_RIGHT)
     return not (of_sphere or (quantity == OF_CURRENT and p.drive_kind == PRESCRIBED))
 
 
 @kernel
-def _structure_quantity(s, quantity):  # type: ignore[no-untyped-def]
+def _structure_quantity(s: Record, quantity: int) -> int:
     """Return the quantity of the structure from which this quantity follows in flight."""
     if s.phase == ATTACHED:  # one body: the sphere moves with the structure, and a wall may push it
         if quantity in (OF_X_2, OF_V_2, OF_A_2):
@@ -312,7 +343,7 @@ def _structure_quantity(s, quantity):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _quantity_in_flight(p, s, quantity, poly, tau, since):  # type: ignore[no-untyped-def]
+def _quantity_in_flight(p: Record, s: Record, quantity: int, poly: Reals, tau: float, since: float) -> float:
     """Return a quantity in the flight from s, by its polynomial or, if it has none, by the sphere's parabola."""
     if quantity == OF_CURRENT and p.drive_kind == PRESCRIBED:
         return 0.0
@@ -335,7 +366,7 @@ def _quantity_in_flight(p, s, quantity, poly, tau, since):  # type: ignore[no-un
 
 
 @kernel
-def integrate_tabulated(model, f, step, steps):  # type: ignore[no-untyped-def]
+def integrate_tabulated(model: Model, f: DriveSegment, step: Record, steps: Records) -> int:
     """Integrate the contact that begins at `steps[_MOST_STEPS]` into `steps[0]`, `steps[1]`, …; return their number.
 
     The last of them is the end of the contact, or the place where a step failed or the room ran out. The initial state
@@ -356,7 +387,7 @@ def integrate_tabulated(model, f, step, steps):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def last_not_after(history, first_row, end_row, t):  # type: ignore[no-untyped-def]
+def last_not_after(history: Records, first_row: int, end_row: int, t: float) -> int:
     """Return the last row in [first_row, end_row) whose state is not after t, or first_row."""
     while end_row - first_row > 1:
         middle_row = (first_row + end_row) // 2
@@ -368,7 +399,7 @@ def last_not_after(history, first_row, end_row, t):  # type: ignore[no-untyped-d
 
 
 @kernel
-def _step_length_for(s, step, end_point, since):  # type: ignore[no-untyped-def]
+def _step_length_for(s: Record, step: Record, end_point: tuple[float, float, float], since: float) -> float:
     """Return the length in χ of a step that takes about `since` seconds, by the dense output of the whole step.
 
     `s` is the state at the start of the step; `end_point`, the end of the full step, is (its duration [s], w, δ').
@@ -391,7 +422,9 @@ def _step_length_for(s, step, end_point, since):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _solve_up_to(model, s, step, end_point, since):  # type: ignore[no-untyped-def]
+def _solve_up_to(
+    model: Model, s: Record, step: Record, end_point: tuple[float, float, float], since: float
+) -> tuple[float, float]:
     """Return (w, δ') `since` seconds after the start of a step, by solving the step so that it ends there."""
     if s.h == 0.0 or since <= 0.0:
         return s.w, s.speed
@@ -407,7 +440,15 @@ def _solve_up_to(model, s, step, end_point, since):  # type: ignore[no-untyped-d
 
 
 @kernel
-def _quantities_in_contact(model, f, s, step, point, solved_there, out):  # type: ignore[no-untyped-def]
+def _quantities_in_contact(
+    model: Model,
+    f: DriveSegment,
+    s: Record,
+    step: Record,
+    point: tuple[float, float, float],
+    solved_there: bool,
+    out: Reals,
+) -> None:
     """Fill all quantities at a point of a contact's step, which begins at s; `step` is expanded there.
 
     `point` is (time since the start of the step [s], w, δ'). `solved_there` is true if the step has been solved to end
@@ -443,7 +484,7 @@ def _quantities_in_contact(model, f, s, step, point, solved_there, out):  # type
 
 
 @kernel
-def _solve_again(model, f, s, step):  # type: ignore[no-untyped-def]
+def _solve_again(model: Model, f: DriveSegment, s: Record, step: Record) -> tuple[float, float, float]:
     """Expand `step` about s and solve it again; return its end: (its duration [s], w, δ')."""
     p = model.parameters[0]
     expand(p, f, s, step)
@@ -457,7 +498,16 @@ def _solve_again(model, f, s, step):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _sample_contact(model, f, history, row, start, stop, query, workspace):  # type: ignore[no-untyped-def]
+def _sample_contact(
+    model: Model,
+    f: DriveSegment,
+    history: Records,
+    row: int,
+    start: int,
+    stop: int,
+    query: Query,
+    workspace: SamplingWorkspace,
+) -> None:
     """Fill the query's instants start … stop − 1, which are all in the contact whose state is `history[row]`."""
     step, s = workspace.step[0], history[row]
     steps, first_row, end_row, solved_row = history, row, row + 1, -1
@@ -480,7 +530,7 @@ def _sample_contact(model, f, history, row, start, stop, query, workspace):  # t
 
 
 @kernel
-def begin_flight_at(model, f, s, flight):  # type: ignore[no-untyped-def]
+def begin_flight_at(model: Model, f: DriveSegment, s: Record, flight: Record) -> Record:
     """Prepare the closed form of the flight that begins at s; return the system that moves."""
     renewed = choose_system(model, f, s, flight)
     system = model.systems[flight.system]
@@ -493,7 +543,9 @@ def begin_flight_at(model, f, s, flight):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _sample_flight(model, f, s, start, stop, query, workspace):  # type: ignore[no-untyped-def]
+def _sample_flight(
+    model: Model, f: DriveSegment, s: Record, start: int, stop: int, query: Query, workspace: SamplingWorkspace
+) -> None:
     """Fill the query's instants start … stop − 1, which are all in the flight that begins at s."""
     p, flight = model.parameters[0], workspace.flight[0]
     system = begin_flight_at(model, f, s, flight)
@@ -515,7 +567,7 @@ def _sample_flight(model, f, s, start, stop, query, workspace):  # type: ignore[
 
 
 @kernel
-def _rows_at(trajectory, tick, offset):  # type: ignore[no-untyped-def]
+def _rows_at(trajectory: Trajectory, tick: int, offset: float) -> tuple[int, int, int]:
     """Return (row of an instant's segment, row of the state there, row after the segment's last state)."""
     segment, end_segment = trajectory.first_segment[tick], trajectory.first_segment[tick + 1]
     while end_segment - segment > 1:
@@ -529,7 +581,7 @@ def _rows_at(trajectory, tick, offset):  # type: ignore[no-untyped-def]
 
 
 @entry(*SAMPLED, QUERY, returns=bool)
-def sample(model, trajectory, workspace, query):  # type: ignore[no-untyped-def]
+def sample(model: Model, trajectory: Trajectory, workspace: SamplingWorkspace, query: Query) -> bool:
     """Fill `query.out` and return whether the trajectory contains all requested ticks.
 
     Consecutive instants in one row of the history are evaluated together.
@@ -539,7 +591,7 @@ def sample(model, trajectory, workspace, query):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _sample(model, trajectory, query, workspace):  # type: ignore[no-untyped-def]
+def _sample(model: Model, trajectory: Trajectory, query: Query, workspace: SamplingWorkspace) -> bool:
     n = query.offset.shape[0]
     i = 0
     while i < n:
@@ -567,7 +619,9 @@ def _sample(model, trajectory, query, workspace):  # type: ignore[no-untyped-def
 
 
 @kernel
-def _fit_flight(p, system, f, flight, spans, i, workspace):  # type: ignore[no-untyped-def]
+def _fit_flight(
+    p: Record, system: Record, f: DriveSegment, flight: Record, spans: Spans, i: int, workspace: SamplingWorkspace
+) -> None:
     """Fill in the polynomials of a piece in the prepared flight, for all quantities of the structure."""
     half = 0.5 * (spans.end[i] - spans.start[i])
     t_middle = 0.5 * (spans.start[i] + spans.end[i]) - f.begin
@@ -601,7 +655,9 @@ def _fit_flight(p, system, f, flight, spans, i, workspace):  # type: ignore[no-u
 
 
 @kernel
-def _fit_contact(model, f, history, row, spans, i, workspace):  # type: ignore[no-untyped-def]
+def _fit_contact(
+    model: Model, f: DriveSegment, history: Records, row: int, spans: Spans, i: int, workspace: SamplingWorkspace
+) -> None:
     """Fill in the values at the nodes of a piece within one step of a contact, from the step's dense output."""
     step, s = workspace.step[0], history[row]
     t_middle, half = 0.5 * (spans.start[i] + spans.end[i]) - f.begin, 0.5 * (spans.end[i] - spans.start[i])
@@ -617,7 +673,7 @@ def _fit_contact(model, f, history, row, spans, i, workspace):  # type: ignore[n
 
 
 @kernel
-def _depth_acceleration(model, step, per_v0, since, depth, speed):  # type: ignore[no-untyped-def]
+def _depth_acceleration(model: Model, step: Record, per_v0: float, since: float, depth: float, speed: float) -> float:
     """Return δ'' in a tabulated contact; `step` must be expanded about the touch."""
     p = model.parameters[0]
     w = math.sqrt(max(0.0, depth))
@@ -628,7 +684,9 @@ def _depth_acceleration(model, step, per_v0, since, depth, speed):  # type: igno
 
 
 @kernel
-def _integrate_pulse(model, step, per_v0, pulse, since_end, longest_step):  # type: ignore[no-untyped-def]
+def _integrate_pulse(
+    model: Model, step: Record, per_v0: float, pulse: Reals, since_end: float, longest_step: float
+) -> None:
     """Integrate `pulse` = (time since the touch, δ, δ') up to `since_end` by the fourth-order Runge–Kutta method."""
     steps = math.ceil((since_end - pulse[0]) / longest_step)
     for n in range(steps):
@@ -650,7 +708,9 @@ def _integrate_pulse(model, step, per_v0, pulse, since_end, longest_step):  # ty
 
 
 @kernel
-def _fit_pulse(model, f, history, row, spans, i, workspace):  # type: ignore[no-untyped-def]
+def _fit_pulse(
+    model: Model, f: DriveSegment, history: Records, row: int, spans: Spans, i: int, workspace: SamplingWorkspace
+) -> None:
     """Fill in the values at the nodes of a piece of a tabulated contact, by integrating the contact to them.
 
     The nodes are densest at the ends of each piece, and so of the contact, where the force has its kinks. The error of
@@ -672,7 +732,7 @@ def _fit_pulse(model, f, history, row, spans, i, workspace):  # type: ignore[no-
 
 
 @kernel
-def _fit_samples(model, trajectory, spans, i, workspace):  # type: ignore[no-untyped-def]
+def _fit_samples(model: Model, trajectory: Trajectory, spans: Spans, i: int, workspace: SamplingWorkspace) -> None:
     """Fill in the values at the nodes of any other piece by sampling them.
 
     Such a piece holds more than one flight or step, or is too long, or asks for the sphere or a force in flight.
@@ -684,7 +744,7 @@ def _fit_samples(model, trajectory, spans, i, workspace):  # type: ignore[no-unt
 
 
 @entry(MODEL, TRAJECTORY, SPANS, SAMPLING_WORKSPACE, returns=bool)
-def fit(model, trajectory, spans, workspace):  # type: ignore[no-untyped-def]
+def fit(model: Model, trajectory: Trajectory, spans: Spans, workspace: SamplingWorkspace) -> bool:
     """Fill `spans.out` and return whether the trajectory contains all requested ticks.
 
     In flight the fastest motion covers at most 2 radians on either side of a piece's middle. There the series leaves
@@ -736,7 +796,7 @@ TABULATED_PIECES = 3
 
 
 @entry(TRAJECTORY, INTEGERS, REALS, returns=int)
-def refine(trajectory, tick, offset):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def refine(trajectory: Trajectory, tick: Integers, offset: Reals) -> int:
     """Fill in tick and offset [s] of the instants between which every quantity is smooth; return their number.
 
     The arrays must have room for TABULATED_PIECES instants per state.

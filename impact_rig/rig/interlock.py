@@ -30,10 +30,11 @@ from numpy.typing import NDArray
 from impact_rig.arithmetic.elementary import exp
 from impact_rig.config import Drive, Shaker
 from impact_rig.errors import CommandError
-from impact_rig.kernels import INTEGERS, REALS_2D, entry, for_kernels, kernel
+from impact_rig.kernels import INTEGERS, REALS_2D, Integers, Reals, Records, entry, for_kernels, kernel
 from impact_rig.physics import Motion
 from impact_rig.physics.flight import SEGMENT
-from impact_rig.physics.sampling import QUERY, SAMPLED, Query, places, sample
+from impact_rig.physics.model import Model
+from impact_rig.physics.sampling import QUERY, SAMPLED, Query, SamplingWorkspace, Trajectory, places, sample
 from impact_rig.physics.stream import UNDERRUN
 
 LOOKS_PER_TICK = 10
@@ -124,7 +125,9 @@ def _gain(tick_s: float) -> float:
 
 
 @entry(*SAMPLED, QUERY, float, REALS_2D)
-def travel_and_current(model, trajectory, work, looks, spacing_s, found):  # type: ignore[no-untyped-def]  # compiled
+def travel_and_current(
+    model: Model, trajectory: Trajectory, work: SamplingWorkspace, looks: Query, spacing_s: float, found: Reals
+) -> None:
     """Compute each tick's largest |travel| [m] and mean square of the current [A²], into `found` of shape (ticks, 2).
 
     `looks` requests travel, its rate and the current at all sampled instants: `spacing_s` [s] apart, from the start of
@@ -141,7 +144,7 @@ def travel_and_current(model, trajectory, work, looks, spacing_s, found):  # typ
 
 
 @kernel
-def mean_square(values):  # type: ignore[no-untyped-def]
+def mean_square(values: Reals) -> float:
     """Return the mean of the squares of all values except the first, added up in order."""
     total = 0.0
     for i in range(1, values.shape[0]):
@@ -150,7 +153,7 @@ def mean_square(values):  # type: ignore[no-untyped-def]
 
 
 @entry(SEGMENT, INTEGERS, float, REALS_2D)
-def mean_square_of_lines(segments, first_segment, tick_s, found):  # type: ignore[no-untyped-def]
+def mean_square_of_lines(segments: Records, first_segment: Integers, tick_s: float, found: Reals) -> None:
     """Compute `found[:, 1]` for a current of straight lines [A²]; `first_segment` is that of a Motion."""
     for tick in range(found.shape[0]):
         total = 0.0
@@ -162,7 +165,7 @@ def mean_square_of_lines(segments, first_segment, tick_s, found):  # type: ignor
 
 
 @kernel
-def largest_travel(position, velocity, spacing_s):  # type: ignore[no-untyped-def]
+def largest_travel(position: Reals, velocity: Reals, spacing_s: float) -> float:
     """Return the largest |position|, between the samples as well.
 
     Position [m] and its rate, velocity [m/s], have shape (n,). The samples are `spacing_s` [s] apart, so close that the

@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.elementary import PI, sincos
-from impact_rig.kernels import BYTES, INTEGERS, REALS, REALS_2D, entry
+from impact_rig.kernels import BYTES, INTEGERS, REALS, REALS_2D, Bytes, Integers, Reals, entry
 
 HALF_PERIODS = 4  # half the filter's length in monitor periods: the delay of a message after its stamp
 CUTOFF = 0.4  # middle of the transition, as a part of the monitor rate
@@ -117,7 +117,17 @@ class AntiAlias:
 
 
 @entry(BYTES, INTEGERS, int, int, int, REALS, REALS_2D, INTEGERS, REALS_2D, returns=int)
-def _weigh(rows, layout, least, first, step, weights, sums, statuses, done):  # type: ignore[no-untyped-def]  # compiled
+def _weigh(
+    rows: Bytes,
+    layout: Integers,
+    least: int,
+    first: int,
+    step: int,
+    weights: Reals,
+    sums: Reals,
+    statuses: Integers,
+    done: Reals,
+) -> int:
     """Add a block to the windows that contain it; return how many windows end in it.
 
     Each window is summed scan by scan, so that the division into blocks changes no bit.

@@ -27,9 +27,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.blocks import IMPACTS, TRUTH_SCAN, joined
-from impact_rig.kernels import REALS, REALS_2D, Fields, entry, for_kernels, room
+from impact_rig.kernels import REALS, REALS_2D, Fields, Reals, Records, entry, for_kernels, room
 from impact_rig.physics import Motion
-from impact_rig.physics.sampling import QUERY, SAMPLED, Query, places, sample
+from impact_rig.physics.model import Model
+from impact_rig.physics.sampling import QUERY, SAMPLED, Query, SamplingWorkspace, Trajectory, places, sample
 from impact_rig.physics.state import IMPACT
 from impact_rig.simtime import COMMAND_GRID_S, TICKS_PER_S
 
@@ -57,7 +58,15 @@ SCANS = Fields(Scans, (int, int, int))
 
 
 @entry(*SAMPLED, QUERY, SCANS, float, REALS_2D)
-def state_rows(model, trajectory, work, query, scans, tick_s, rows):  # type: ignore[no-untyped-def]  # compiled
+def state_rows(
+    model: Model,
+    trajectory: Trajectory,
+    work: SamplingWorkspace,
+    query: Query,
+    scans: Scans,
+    tick_s: float,
+    rows: Reals,
+) -> None:
     """Fill in the number of each scan, which becomes its time when the block is known, and the quantities of `query`.
 
     `rows` has the shape (n, 1 + q); `query` has room for n instants.
@@ -75,7 +84,7 @@ def state_rows(model, trajectory, work, query, scans, tick_s, rows):  # type: ig
 
 
 @entry(IMPACT, float, IMPACTS, REALS)
-def impact_rows(found, clock_per_motion, rows, ends):  # type: ignore[no-untyped-def]
+def impact_rows(found: Records, clock_per_motion: float, rows: Records, ends: Reals) -> None:
     """Fill in the columns of the impacts, and the end of each since scan 0 [s].
 
     A second of motion is `clock_per_motion` seconds of the scan clock; durations are in seconds of motion.

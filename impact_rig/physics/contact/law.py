@@ -50,7 +50,7 @@ import numpy as np
 from impact_rig import kernels
 from impact_rig.config.fields import Origin, quantity
 from impact_rig.errors import SimulationError
-from impact_rig.kernels import Exported, Fields, Function, Pointer, RecordType
+from impact_rig.kernels import Exported, Fields, Function, Pointer, Record, RecordType
 from impact_rig.physics.collocation import STAGES
 from impact_rig.physics.state import CONTACT_STEP, PARAMETERS, POINT
 
@@ -156,7 +156,7 @@ FORCE = Fields(CompiledForce, (AT_POINT, AT_STAGES))
 def at_point_of(force: Any) -> Any:
     """Return the function that evaluates a force at one point."""
 
-    def at_point(p, per_v0, turned_at, w, speed, step):  # type: ignore[no-untyped-def]  # compiled: types are declared
+    def at_point(p: Record, per_v0: float, turned_at: float, w: float, speed: float, step: Record) -> None:
         elastic, lossy, stored, by_w, by_speed = force(p.stiffness, p.factor, per_v0, turned_at, w, speed)
         point = step.point
         point[0], point[1], point[2], point[3], point[4] = elastic, lossy, stored, by_w, by_speed
@@ -167,7 +167,7 @@ def at_point_of(force: Any) -> Any:
 def at_stages_of(force: Any) -> Any:
     """Return the function that evaluates a force at the stages of a step."""
 
-    def at_stages(p, per_v0, step):  # type: ignore[no-untyped-def]  # compiled: types are declared
+    def at_stages(p: Record, per_v0: float, step: Record) -> None:
         for i in range(STAGES):
             elastic, lossy, _, by_w, by_speed = force(
                 p.stiffness, p.factor, per_v0, step.turned_at, step.w[i], step.speed[i]
@@ -226,7 +226,9 @@ def _reported(force: ForceFunction, name: str) -> ForceFunction:
 def _finite(force: Any) -> Any:
     """Return a compiled force that returns NaN where it would raise, which ends the contact and the run."""
 
-    def finite(stiffness, factor, per_v0, turned_at, w, speed):  # type: ignore[no-untyped-def]
+    def finite(
+        stiffness: float, factor: float, per_v0: float, turned_at: float, w: float, speed: float
+    ) -> tuple[float, float, float, float, float]:
         elastic = lossy = stored = by_w = by_speed = math.nan
         try:
             elastic, lossy, stored, by_w, by_speed = force(stiffness, factor, per_v0, turned_at, w, speed)
