@@ -134,10 +134,10 @@ def _tell(one: Compared) -> bool:
     turn = math.degrees(one.predicted_phase_rad - one.phase_rad)
     bad = one.predicted and not (one.two_per_cycle and abs(deviation) <= WITHIN and abs(turn) <= WITHIN_DEGREES)
     word = "  TOO FAR" if bad else "  not symmetric" if one.two_per_cycle and not one.predicted else ""
+    found = f"predicted {one.predicted_dt:7.3f}  {100.0 * deviation:+6.2f} % {turn:+6.2f}°"
     tell(
         f"{one.frequency_hz:4.1f} Hz {one.gap_m * 1e3:5.1f} mm  measured {one.dt:7.3f} {one.impacts_per_cycle:5.2f} "
-        f"{one.regime:9}  predicted {one.predicted_dt:7.3f}  {100.0 * deviation:+6.2f} % {turn:+6.2f}°"
-        f"{word}"
+        f"{one.regime:9}  {found if one.predicted else 'no stable symmetric motion predicted'}{word}"
     )
     return bad
 
