@@ -49,6 +49,8 @@ from impact_rig.system import budget, files
 INFINITE_NS = 2**63 - 1  # an infinite duration in ROS (RMW_DURATION_INFINITE: 9223372036 s 854775807 ns)
 
 SERIALIZATION = "cdr"
+_SCHEMA_CODEC = {True: ("utf-8", "replace"), False: ("latin-1",)}  # whether the schema is that of ROS
+ENCODING = "ros2msg"
 
 MAX_QOS_CHARACTERS = 65_536
 """Limit of a text with the profiles offered by a topic's publishers; half of it suffices for a hundred publishers."""
@@ -103,6 +105,7 @@ class TopicDescription:
     )
     """The YAML list as in the file, set by readers; otherwise derived from `offered_qos`."""
     encoding: str = SERIALIZATION  # encoding of its messages
+    schema_encoding: str = ENCODING  # of `schema`; of another one than that of ROS it holds bytes, as Latin-1
 
     def offered_qos_yaml(self) -> list[QosYaml]:
         """Return the offered profiles for `metadata.yaml`; a text that is not a plain list counts as none."""
@@ -115,14 +118,20 @@ class TopicDescription:
     @classmethod
     def from_channel(cls, channel: Channel, schema: Schema | None) -> TopicDescription:
         """Return the topic described by a channel and its schema; without a schema its type has no name."""
+        schema_encoding = ENCODING if schema is None else schema.encoding
         return cls(
             name=channel.topic,
             type_name="" if schema is None else schema.name,
-            schema="" if schema is None else str(schema.data, "utf-8", "replace"),
+            schema="" if schema is None else str(schema.data, *_SCHEMA_CODEC[schema_encoding == ENCODING]),
             type_hash=channel.metadata.get("topic_type_hash", ""),
             offered_qos_text=channel.metadata.get("offered_qos_profiles", ""),
             encoding=channel.message_encoding,
+            schema_encoding=schema_encoding,
         )
+
+    def schema_bytes(self) -> bytes:
+        """Return the schema as it is in a file."""
+        return self.schema.encode(_SCHEMA_CODEC[self.schema_encoding == ENCODING][0])
 
 
 @functools.lru_cache(maxsize=1024)
@@ -167,7 +176,6 @@ def _time(nanoseconds: int) -> dict[str, int]:
     return {"sec": seconds, "nsec": rest}
 
 
-ENCODING = "ros2msg"
 DEFINITIONS = Path(__file__).with_name("definitions.json")
 """`.msg` texts, by `package/Type`, of all types that the topics of this package need."""
 
@@ -231,7 +239,7 @@ def _bundled() -> dict[str, str]:
 
 def starts_with_header(type_name: str, schema: str) -> bool:
     """Return whether messages of this type begin with a `std_msgs/Header`, or are one."""
-    if not type_name:
+    if _NAME.fullmatch(type_name) is None:  # no type of ROS, or no schema
         return False
     if _short_name(type_name) == "std_msgs/Header":
         return True

@@ -47,7 +47,6 @@ from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, RecordingError
 from impact_rig.recording import description, digests, losses
 from impact_rig.recording.description import (
-    ENCODING,
     INFINITE_NS,
     RECORD_NAME,
     TOPIC_RECORD_NAME,
@@ -366,6 +365,7 @@ class RunWriter:
             "name": topic.name,
             "type_name": topic.type_name,
             "schema": topic.schema,
+            "schema_encoding": topic.schema_encoding,
             "encoding": topic.encoding,
         }
         self._file.add_metadata(TOPIC_RECORD_NAME, protect(repeated | topic.channel_metadata()))
@@ -618,7 +618,7 @@ class McapFile:
         self._open_bytes = 0  # size of the open chunk
         self._chunks = 0
         self._channels = 0
-        self._schemas: dict[str, Schema | None] = {"": None}  # schemas by type name
+        self._schemas: dict[tuple[str, str], Schema] = {}  # by name of the type, and encoding
         self._index_bytes = _INDEX_BYTES_FIXED
         self.finished = False
         self._digests = digests.Digests()
@@ -644,19 +644,20 @@ class McapFile:
 
     def add_topic(self, topic: TopicDescription) -> int:
         """Register `topic` and return its channel id: 1 for the first, 2 for the next."""
-        if topic.type_name not in self._schemas:
-            data = topic.schema.encode()
+        key = topic.type_name, topic.schema_encoding
+        if topic.type_name and key not in self._schemas:
+            data = topic.schema_bytes()
             self._index_bytes += len(data) + len(topic.type_name) + 64
-            known = int(self._writer.register_schema(topic.type_name, ENCODING, data))
-            registered = Schema(known, data, ENCODING, topic.type_name)
-            self._schemas[topic.type_name] = registered
+            known = int(self._writer.register_schema(topic.type_name, topic.schema_encoding, data))
+            registered = Schema(known, data, topic.schema_encoding, topic.type_name)
+            self._schemas[key] = registered
             self._open_bytes += _length(registered)
         self._channels += 1
         metadata = topic.channel_metadata()
         self._index_bytes += (
             _CLOSING_BYTES_PER_TOPIC + len(topic.name) + sum(len(k) + len(v) for k, v in metadata.items()) + 64
         )
-        schema = self._schemas[topic.type_name]
+        schema = self._schemas.get(key)
         schema_id = schema.id if schema is not None else 0
         number = self._writer.register_channel(topic.name, topic.encoding, schema_id, metadata)
         channel = Channel(number, topic.name, topic.encoding, metadata, schema_id)

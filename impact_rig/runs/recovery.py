@@ -41,7 +41,7 @@ from mcap.records import Statistics
 from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, RecordingError
-from impact_rig.recording import description, losses, reader, records
+from impact_rig.recording import description, digests, losses, reader, records
 from impact_rig.recording.description import Attachment, Provenance, TopicDescription
 from impact_rig.recording.losses import check_contiguity, scan_rate_hz
 from impact_rig.recording.reader import Run, mcap_files, run_files
@@ -461,6 +461,7 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
                         clock=lambda: 0.0,  # chunks are closed by size only
                         max_file_bytes=largest,
                         closing=lambda: {
+                            **{name: one for salvage in salvages for name, one in salvage.metadata.items()},
                             losses.RECORD_NAME: accounts[-1] if accounts else {},
                             RECORD_NAME: _record(source, report, earlier).to_record(),
                         },
@@ -521,6 +522,13 @@ def _key(message: records.RawMessage) -> _Key:
     return message.channel_id, message.sequence, message.log_time, message.publish_time, zlib.crc32(message.data)
 
 
+_OWN_RECORDS = (
+    description.RECORD_NAME, description.TOPIC_RECORD_NAME, losses.RECORD_NAME, RECORD_NAME, TAIL_RECORD_NAME,
+    digests.RECORD_NAME,
+)  # fmt: skip
+"""Metadata records that carry a checksum of this package."""
+
+
 class _Salvage:
     """Salvage of one damaged file: definitions, attachments and provenance on construction, then the messages."""
 
@@ -535,6 +543,7 @@ class _Salvage:
     ) -> None:
         self.path = path
         self.attachments: list[Attachment] = []
+        self.metadata: dict[str, dict[str, str]] = {}  # records of other programs, by name
         self.follows: int | None = None
         """For a tail: size of the recording when the chunk began whose messages the tail holds [bytes]."""
         self.provenance: Provenance | None = None
@@ -707,7 +716,14 @@ class _Salvage:
         if name == description.BAG_RECORD_NAME:
             return  # the new run has its own
         verified = description.verify(content)
-        if verified is None:
+        if name not in _OWN_RECORDS:  # of another program: the format has no checksum for it
+            if verified is not None or self._accept_unchecked:
+                self.metadata[name] = content
+            else:
+                self._report.note(
+                    self._damage(found, f"the metadata record {name!r} carries no checksum ({ACCEPT} takes it)")
+                )
+        elif verified is None:
             self._report.note(
                 self._damage(found, f"the metadata record {name!r} does not fit its checksum or has none")
             )
@@ -729,8 +745,9 @@ class _Salvage:
             channel_id = int(record["id"])
             encoding = record.get("encoding", description.SERIALIZATION)
             channel = mcap_records.Channel(channel_id, record["name"], encoding, record, int(bool(record["type_name"])))
-            schema = mcap_records.Schema(1, record["schema"].encode(), description.ENCODING, record["type_name"])
-            topic = TopicDescription.from_channel(channel, schema)
+            kind = record.get("schema_encoding", description.ENCODING)
+            data = record["schema"].encode("utf-8" if kind == description.ENCODING else "latin-1")
+            topic = TopicDescription.from_channel(channel, mcap_records.Schema(1, data, kind, record["type_name"]))
             self._know(channel_id, self._topics.get(channel_id, topic))
         except (KeyError, ValueError, BudgetError) as error:
             self._report.note(self._damage(found, f"cannot use the definition of a topic: {error}"))

@@ -25,6 +25,7 @@ import pytest
 import yaml
 import zstandard
 from kits.recording import NOTES_TOPIC, SCAN_TOPIC, TopicDescription, fill, string
+from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
 from impact_rig.errors import RecordingError
@@ -151,6 +152,36 @@ def test_the_advice_for_an_unfinished_bag_works(native, tmp_path, chunked):
     report = recover(path, tmp_path / "out", accept_unchecked=True)
     assert report.complete
     assert content(tmp_path / "out") == content(native)
+
+
+@pytest.mark.parametrize("crcs", [True, False])
+@pytest.mark.parametrize(
+    ("kind", "schema"), [("jsonschema", b"{}"), ("protobuf", b"\x0a\xff\x00\xc3"), ("ros2msg", b"int32 a")]
+)
+def test_recovery_keeps_the_schemas_and_metadata_of_other_programs(tmp_path, kind, schema, crcs):
+    """Messages whose type has no name of ROS were lost, and metadata, which has no checksum, counted as damage."""
+    path = tmp_path / "bag.mcap"
+    writer = Writer(str(path), chunk_size=200, use_statistics=False, enable_crcs=crcs)
+    writer.start("", "other")
+    writer.add_metadata("calibration", {"sensor": "7"})
+    number = writer.register_schema("other.Log" if kind != "ros2msg" else "other/msg/Log", kind, schema)
+    channel = writer.register_channel("/log", "json", number)
+    for k in range(30):
+        writer.add_message(channel, k, b"{}", k, k)
+    writer.finish()
+    with pytest.raises(RecordingError, match="it has no statistics; impact-rig recover saves the intact messages"):
+        open_run(path)
+    report = recover(path, tmp_path / "out", accept_unchecked=True)
+    assert report.complete
+    (file,) = (tmp_path / "out").glob("*.mcap")
+    with file.open("rb") as opened:
+        found = make_reader(opened)
+        schemas = [(one.encoding, one.data) for one, _, _ in found.iter_messages()]
+        metadata = {one.name: one.metadata for one in found.iter_metadata()}
+    assert schemas == [(kind, schema)] * 30
+    assert metadata["calibration"]["sensor"] == "7"
+    with open_run(tmp_path / "out") as run:
+        assert run.topics["/log"].count == 30
 
 
 def test_messages_that_are_compressed_one_by_one_are_read(native, tmp_path):
