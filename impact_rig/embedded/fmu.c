@@ -12,9 +12,9 @@
 // See the License for the specific language governing permissions and
 // limitations under the License.
 /* A rig as a unit of FMI 2.0 and 3.0 co-simulation. fmu.py compiles this with rig.c, the kernels, and `snapshot.h`: the
- * bytes of the rig's snapshot, and its token. The prototypes are those of the standards, https://fmi-standard.org.
+ * bytes of the rig's snapshot, its token, and what drives it. The prototypes are those of the standards, https://fmi-standard.org.
  *
- * Value references: 0 time; inputs 1 frequency, 2 current; parameter 3 gap; outputs 10 … motion, 30 impacts, 40 … readings.
+ * Value references: 0 time; inputs 1 frequency, 2 current (amplitude or sample); parameter 3 gap; outputs 10 … motion, 30 impacts, 40 … readings.
  */
 #include "rig.h"
 #include "snapshot.h"
@@ -26,16 +26,19 @@
 
 enum { OK, WARNING, DISCARD, ERROR };
 enum { TIME, FREQUENCY, CURRENT, GAP, MOTION = 10, IMPACTS = 30, READINGS = 40 };
+enum { SINE, ZERO_ORDER, FIRST_ORDER }; /* SNAPSHOT_DRIVE: sine, or samples that are held or joined by lines */
 #define TICK 0.01 /* of the scan clock, by which time counts */
 #define SAME 1e-6 /* ticks within which a step counts as whole ticks */
+#define SAME_NS 0.01 /* a time counts as the whole ns before it, or so little after it */
 
 typedef void (*log_3)(void *environment, int status, const char *category, const char *message);
 typedef struct { /* of FMI 2.0 */
     void (*log)(void *environment, const char *name, int status, const char *category, const char *message, ...);
     void *allocate, *free, *step_finished, *environment;
 } callbacks;
-typedef struct { /* what a state keeps besides the rig's own */
-    double frequency, current, gap, motion[IR_RIG_QUANTITIES], reading[IR_RIG_CHANNELS];
+typedef struct { /* what a state keeps besides the rig's own; bytes of both */
+    size_t size;
+    double frequency, current, previous, gap, motion[IR_RIG_QUANTITIES], reading[IR_RIG_CHANNELS];
 } values;
 typedef struct {
     ir_rig *rig;
@@ -64,7 +67,7 @@ static unit *new_unit(const char *name, const char *token)
         return 0;
     }
     u->now.frequency = SNAPSHOT_FREQUENCY, u->now.gap = ir_rig_gap(u->rig);
-    ir_rig_sample(u->rig, 0, 0.0, u->now.motion);
+    ir_rig_latest(u->rig, u->now.motion);
     u->fresh = u->now;
     return u;
 }
@@ -87,8 +90,8 @@ static int get(const unit *u, const unsigned *reference, size_t count, double *t
 {
     for (size_t i = 0; i < count; i++) {
         unsigned r = reference[i];
-        if (r == TIME) to[i] = (double)ir_rig_tick(u->rig) * TICK;
-        else if (r == FREQUENCY) to[i] = u->now.frequency;
+        if (r == TIME) to[i] = (double)ir_rig_time_ns(u->rig) / 1e9;
+        else if (r == FREQUENCY && SNAPSHOT_DRIVE == SINE) to[i] = u->now.frequency;
         else if (r == CURRENT) to[i] = u->now.current;
         else if (r == GAP) to[i] = u->now.gap;
         else if (r >= MOTION && r < MOTION + IR_RIG_QUANTITIES) to[i] = u->now.motion[r - MOTION];
@@ -99,44 +102,71 @@ static int get(const unit *u, const unsigned *reference, size_t count, double *t
     return OK;
 }
 
-/* A new gap acts at once, and puts the sphere at its start; frequency and current act from the next step on. */
+/* A new gap acts with the next tick and puts the sphere at its start; frequency and current act in the next step. */
 static int set(unit *u, const unsigned *reference, size_t count, const double *from)
 {
     for (size_t i = 0; i < count; i++) {
-        if (reference[i] == FREQUENCY) u->now.frequency = from[i];
+        if (reference[i] == FREQUENCY && SNAPSHOT_DRIVE == SINE) u->now.frequency = from[i];
         else if (reference[i] == CURRENT) u->now.current = from[i];
         else if (reference[i] == GAP) {
             if (from[i] == u->now.gap) continue;
             if (ir_rig_set_gap(u->rig, from[i])) return tell(u, ERROR, "gap out of range");
             u->now.gap = from[i];
-            if (ir_rig_tick(u->rig) == 0) ir_rig_sample(u->rig, 0, 0.0, u->now.motion);
+            if (ir_rig_time_ns(u->rig) == 0) ir_rig_latest(u->rig, u->now.motion);
         } else return tell(u, ERROR, "not a variable that can be set");
     }
     return OK;
 }
 
+static void keep_scan(unit *u, int64_t scans)
+{
+    int64_t channels = ir_rig_channels(u->rig);
+    if (scans > 0) memcpy(u->now.reading, ir_rig_scans(u->rig) + (scans - 1) * (channels + 1) + 1, (size_t)channels * sizeof(double));
+}
+
+static int unsolved(const unit *u, int64_t error)
+{
+    return tell(u, ERROR, error == IR_RIG_NO_ROOM ? "too many contacts or steps" : "the motion cannot be resolved");
+}
+
 static int step(unit *u, double from, double length)
 {
     double end = (from + length) / TICK, whole = nearbyint(end);
-    int64_t ticks = (int64_t)whole - ir_rig_tick(u->rig);
-    if (fabs(end - whole) > SAME || ticks < 1) return tell(u, DISCARD, "a step must end on the grid of 10 ms");
-    if (ir_rig_command(u->rig, u->now.frequency, u->now.current)) return tell(u, ERROR, "frequency or current out of range");
-    while (ticks > 0) {
-        int64_t part = ticks < IR_RIG_TICKS ? ticks : IR_RIG_TICKS, channels = ir_rig_channels(u->rig);
-        int64_t scans = ir_rig_advance(u->rig, part);
-        if (scans < 0) return tell(u, ERROR, scans == IR_RIG_NO_ROOM ? "too many contacts" : "the motion cannot be resolved");
-        if (scans > 0) memcpy(u->now.reading, ir_rig_scans(u->rig) + (scans - 1) * (channels + 1) + 1, (size_t)channels * sizeof(double));
-        ticks -= part;
-        if (ticks == 0 && ir_rig_sample(u->rig, part - 1, ir_rig_tick_s(u->rig), u->now.motion)) return tell(u, ERROR, "the motion cannot be resolved");
+    int64_t scans = 0;
+    if (SNAPSHOT_DRIVE != SINE) {
+        int64_t until = (int64_t)floor((from + length) * 1e9 + SAME_NS);
+        if (until <= ir_rig_time_ns(u->rig)) return tell(u, DISCARD, "a step must last a nanosecond");
+        scans = ir_rig_feed(u->rig, until, SNAPSHOT_DRIVE == FIRST_ORDER ? u->now.previous : u->now.current, u->now.current);
+        if (scans == IR_RIG_REFUSED) return tell(u, ERROR, "current out of range");
+        if (scans < 0) return unsolved(u, scans);
+        u->now.previous = u->now.current;
+        keep_scan(u, scans);
+    } else {
+        int64_t ticks = (int64_t)whole - ir_rig_tick(u->rig);
+        if (fabs(end - whole) > SAME || ticks < 1) return tell(u, DISCARD, "a step must end on the grid of 10 ms");
+        if (ir_rig_command(u->rig, u->now.frequency, u->now.current)) return tell(u, ERROR, "frequency or current out of range");
+        for (int64_t part; ticks > 0; ticks -= part) {
+            part = ticks < IR_RIG_TICKS ? ticks : IR_RIG_TICKS;
+            if ((scans = ir_rig_advance(u->rig, part)) < 0) return unsolved(u, scans);
+            keep_scan(u, scans);
+        }
     }
+    return ir_rig_latest(u->rig, u->now.motion) ? unsolved(u, IR_RIG_UNSOLVED) : OK;
+}
+
+/* A sample before the first step is the value at time 0, from which the first line goes. */
+static int begin(unit *u)
+{
+    u->now.previous = u->now.current;
     return OK;
 }
 
-static size_t state_size(const unit *u) { return sizeof u->now + ir_rig_state_size(u->rig); }
-
-static int save(const unit *u, void **state)
+static int save(unit *u, void **state)
 {
-    if (!*state && !(*state = malloc(state_size(u)))) return tell(u, ERROR, "no memory");
+    u->now.size = sizeof u->now + ir_rig_state_size(u->rig);
+    void *room = realloc(*state, u->now.size);
+    if (!room) return tell(u, ERROR, "no memory");
+    *state = room;
     memcpy(*state, &u->now, sizeof u->now);
     ir_rig_save(u->rig, (char *)*state + sizeof u->now);
     return OK;
@@ -156,18 +186,24 @@ static int free_state(void **state)
     return OK;
 }
 
+static size_t size_of(const void *state) { return ((const values *)state)->size; }
+
 static int serialise(const unit *u, const void *state, char *to, size_t size)
 {
-    if (size < state_size(u)) return tell(u, ERROR, "too little room for the state");
-    memcpy(to, state, state_size(u));
+    if (size < size_of(state)) return tell(u, ERROR, "too little room for the state");
+    memcpy(to, state, size_of(state));
     return OK;
 }
 
 static int deserialise(const unit *u, const char *from, size_t size, void **state)
 {
-    if (size < state_size(u)) return tell(u, ERROR, "not a state of this unit");
-    if (!*state && !(*state = malloc(state_size(u)))) return tell(u, ERROR, "no memory");
-    memcpy(*state, from, state_size(u));
+    size_t held = 0;
+    if (size >= sizeof held) memcpy(&held, from, sizeof held); /* bytes have no alignment */
+    if (held < sizeof(values) || size < held) return tell(u, ERROR, "not a state of this unit");
+    void *room = realloc(*state, held);
+    if (!room) return tell(u, ERROR, "no memory");
+    *state = room;
+    memcpy(*state, from, held);
     return OK;
 }
 
@@ -190,7 +226,7 @@ int fmi3EnterInitializationMode(unit *u, bool has, double tolerance, double star
 {
     return (void)has, (void)tolerance, (void)ends, (void)stop, start == 0.0 ? OK : tell(u, ERROR, "the time must start at 0");
 }
-int fmi3ExitInitializationMode(unit *u) { return (void)u, OK; }
+int fmi3ExitInitializationMode(unit *u) { return begin(u); }
 int fmi3Terminate(unit *u) { return (void)u, OK; }
 int fmi3Reset(unit *u) { return reset(u); }
 int fmi3GetFloat64(unit *u, const unsigned *reference, size_t count, double *to, size_t values) { return values == count ? get(u, reference, count, to) : ERROR; }
@@ -198,13 +234,13 @@ int fmi3SetFloat64(unit *u, const unsigned *reference, size_t count, const doubl
 int fmi3DoStep(unit *u, double from, double length, bool no_set, bool *event, bool *terminate, bool *early, double *last)
 {
     int status = step(u, from, length);
-    (void)no_set, *event = *terminate = *early = false, *last = (double)ir_rig_tick(u->rig) * TICK;
+    (void)no_set, *event = *terminate = *early = false, *last = (double)ir_rig_time_ns(u->rig) / 1e9;
     return status;
 }
 int fmi3GetFMUState(unit *u, void **state) { return save(u, state); }
 int fmi3SetFMUState(unit *u, const void *state) { return restore(u, state); }
 int fmi3FreeFMUState(unit *u, void **state) { return (void)u, free_state(state); }
-int fmi3SerializedFMUStateSize(unit *u, const void *state, size_t *size) { return (void)state, *size = state_size(u), OK; }
+int fmi3SerializedFMUStateSize(unit *u, const void *state, size_t *size) { return (void)u, *size = size_of(state), OK; }
 int fmi3SerializeFMUState(unit *u, const void *state, char *to, size_t size) { return serialise(u, state, to, size); }
 int fmi3DeserializeFMUState(unit *u, const char *from, size_t size, void **state) { return deserialise(u, from, size, state); }
 #define NOT_HERE(name) int name(void) { return ERROR; } /* the unit has no variable of such a type, and no such mode */
@@ -236,7 +272,7 @@ int fmi2SetupExperiment(unit *u, int has, double tolerance, double start, int en
     return (void)has, (void)tolerance, (void)ends, (void)stop, start == 0.0 ? OK : tell(u, ERROR, "the time must start at 0");
 }
 int fmi2EnterInitializationMode(unit *u) { return (void)u, OK; }
-int fmi2ExitInitializationMode(unit *u) { return (void)u, OK; }
+int fmi2ExitInitializationMode(unit *u) { return begin(u); }
 int fmi2Terminate(unit *u) { return (void)u, OK; }
 int fmi2Reset(unit *u) { return reset(u); }
 int fmi2GetReal(unit *u, const unsigned *reference, size_t count, double *to) { return get(u, reference, count, to); }
@@ -246,7 +282,7 @@ int fmi2CancelStep(unit *u) { return (void)u, ERROR; }
 int fmi2GetFMUstate(unit *u, void **state) { return save(u, state); }
 int fmi2SetFMUstate(unit *u, const void *state) { return restore(u, state); }
 int fmi2FreeFMUstate(unit *u, void **state) { return (void)u, free_state(state); }
-int fmi2SerializedFMUstateSize(unit *u, const void *state, size_t *size) { return (void)state, *size = state_size(u), OK; }
+int fmi2SerializedFMUstateSize(unit *u, const void *state, size_t *size) { return (void)u, *size = size_of(state), OK; }
 int fmi2SerializeFMUstate(unit *u, const void *state, char *to, size_t size) { return serialise(u, state, to, size); }
 int fmi2DeSerializeFMUstate(unit *u, const char *from, size_t size, void **state) { return deserialise(u, from, size, state); }
 NOT_HERE(fmi2GetInteger) NOT_HERE(fmi2SetInteger) NOT_HERE(fmi2GetBoolean) NOT_HERE(fmi2SetBoolean) NOT_HERE(fmi2GetString)

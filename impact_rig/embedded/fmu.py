@@ -43,6 +43,8 @@ PLATFORMS = {
 }
 """Folder of the binaries, by version and machine."""
 MODEL = "impact_rig"
+DRIVES = ("sine", "zero_order", "first_order")
+"""What drives a unit: SNAPSHOT_DRIVE of fmu.c."""
 NAMES = {"current": "coil_current"}
 """Names of outputs that differ from those of the quantities."""
 MOTION, IMPACTS, READINGS = 10, 30, 40
@@ -54,7 +56,8 @@ def write_fmu(config: RigConfig, path: Path, version: str = VERSIONS[0], kernels
     """Write a co-simulation unit of a rig.
 
     Args:
-        config: the rig; everything except the gap is fixed in the unit.
+        config: the rig; everything except the gap is fixed in the unit. With the waveform "stream" the input `current`
+            is a sample in each step, otherwise the amplitude of a sine.
         path: path of the unit.
         version: version of FMI.
         kernels: folder of the compiled kernels; those of another machine need a cross compiler in CC.
@@ -65,7 +68,7 @@ def write_fmu(config: RigConfig, path: Path, version: str = VERSIONS[0], kernels
         OSError: the file cannot be written.
     """
     data = snapshot(config)
-    token = f"{{{uuid.uuid5(uuid.NAMESPACE_URL, f'{version} {data.hex()}')}}}"
+    token = f"{{{uuid.uuid5(uuid.NAMESPACE_URL, f'{version} {_drive(config)} {data.hex()}')}}}"
     if not (kernels / OBJECT).exists():
         raise ImpactRigError(f"{kernels / OBJECT} is missing: build it with `python -m impact_rig.kernels.build`")
     with tempfile.TemporaryDirectory(prefix="impact_rig_fmu_") as name:
@@ -73,12 +76,17 @@ def write_fmu(config: RigConfig, path: Path, version: str = VERSIONS[0], kernels
         numbers = ",".join(map(str, data))
         (work / "snapshot.h").write_text(
             f'#define SNAPSHOT_TOKEN "{token}"\n#define SNAPSHOT_FREQUENCY {config.drive.frequency_hz!r}\n'
+            f"#define SNAPSHOT_DRIVE {DRIVES.index(_drive(config))}\n"
             f"static const unsigned char snapshot[] = {{{numbers}}};\n"
         )
         machine = _compile(work, kernels)
         with atomic_write(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as unit:
             unit.writestr("modelDescription.xml", _description(config, data, version, token))
             unit.write(work / f"{MODEL}.so", f"binaries/{PLATFORMS[version][machine]}/{MODEL}.so")
+
+
+def _drive(config: RigConfig) -> str:
+    return config.drive.stream_hold if config.drive.waveform == "stream" else config.drive.waveform
 
 
 def _compile(work: Path, kernels: Path) -> str:
@@ -102,17 +110,18 @@ def _description(config: RigConfig, data: bytes, version: str, token: str) -> st
     """Return modelDescription.xml."""
     row = np.frombuffer(data[: SETUP.itemsize], SETUP)[0]
     names = [name.decode() for name in row["name"][: row["channels"]]]
-    inputs = [
+    kind = config.drive.kind
+    sine = [
         (1, "frequency", "input", "discrete", "Frequency of the drive [Hz]", config.drive.frequency_hz),
-        (2, "current", "input", "discrete", f"Amplitude of the {config.drive.kind} drive, peak [SI]", 0.0),
-        (
-            3,
-            "gap",
-            "parameter",
-            "tunable",
-            "Total gap; a new one puts the sphere at its start [m]",
-            config.barriers.gap_m,
-        ),
+        (2, "current", "input", "discrete", f"Amplitude of the {kind} drive, peak [SI]", 0.0),
+    ]
+    held = "during" if _drive(config) == "zero_order" else "at the end of"
+    sample = [(2, "current", "input", "continuous", f"Sample of the {kind} drive {held} the step [SI]", 0.0)]
+    step_s = 0.01 if _drive(config) == "sine" else 1.0 / config.drive.stream_rate_hz
+    about_gap = "Total gap; a new one puts the sphere at its start [m]"
+    inputs = [
+        *(sine if _drive(config) == "sine" else sample),
+        (3, "gap", "parameter", "tunable", about_gap, config.barriers.gap_m),
     ]
     outputs = [
         *((MOTION + i, NAMES.get(name, name), f"Motion [{unit}]") for i, (name, unit) in enumerate(UNITS.items())),
@@ -139,7 +148,7 @@ def _description(config: RigConfig, data: bytes, version: str, token: str) -> st
 <fmiModelDescription modelName="{MODEL}" version="{__version__}" generationTool="impact-rig" {head}>
 <CoSimulation modelIdentifier="{MODEL}" canHandleVariableCommunicationStepSize="true"
  canGetAndSet{state}="true" canSerialize{state}="true"/>
-<DefaultExperiment startTime="0" stopTime="10" stepSize="0.01"/>
+<DefaultExperiment startTime="0" stopTime="10" stepSize="{step_s!r}"/>
 <ModelVariables>
 {chr(10).join(variables)}
 </ModelVariables>

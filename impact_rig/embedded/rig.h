@@ -34,22 +34,27 @@ int ir_rig_set_gap(ir_rig *rig, double gap_m);
 
 /* Simulate 1 … IR_RIG_TICKS ticks; return how many scans are complete, or an error. */
 int64_t ir_rig_advance(ir_rig *rig, int64_t ticks);
+/* Simulate with samples instead of commands: the drive goes on a straight line `from` … `to` until a time of the scan clock. In the middle
+ * of a tick the next call must feed, too, and a new gap waits for the next tick. Return how many scans of the last 10 ms are complete, or an error. */
+int64_t ir_rig_feed(ir_rig *rig, int64_t until_ns, double from, double to);
 /* Those scans: a word of status bits and a reading [SI] of each channel, 1 + channels numbers a row. */
 const double *ir_rig_scans(const ir_rig *rig);
 int64_t ir_rig_channels(const ir_rig *rig);
 const char *ir_rig_channel_name(const ir_rig *rig, int64_t channel);
 /* The motion of the last call, `tick` from 0 on, or what stands before the first: x_b x_1 x_2 v_b v_1 v_2 a_b a_1 a_2 current force_left force_right [SI]. */
 int ir_rig_sample(ir_rig *rig, int64_t tick, double offset_s, double out[IR_RIG_QUANTITIES]);
+int ir_rig_latest(ir_rig *rig, double out[IR_RIG_QUANTITIES]); /* at its end */
 
 /* Contact `number` that ended in the last call: tick, offset [s], wall, approach and separation [m/s], peak force [N]; 0: no such. */
 int ir_rig_contact(const ir_rig *rig, int64_t number, double out[6]);
 
 int64_t ir_rig_tick(const ir_rig *rig);
+int64_t ir_rig_time_ns(const ir_rig *rig); /* since the reset, of the scan clock */
 double ir_rig_tick_s(const ir_rig *rig);
 double ir_rig_gap(const ir_rig *rig);
 int64_t ir_rig_impacts(const ir_rig *rig); /* contacts that have ended since the reset */
-/* Everything that decides the future, for as many bytes. */
+/* Everything that decides the future, for as many bytes; how many differs from state to state. */
 size_t ir_rig_state_size(const ir_rig *rig);
-void ir_rig_save(const ir_rig *rig, void *state);
+void ir_rig_save(ir_rig *rig, void *state);
 void ir_rig_restore(ir_rig *rig, const void *state);
 #endif

@@ -87,13 +87,14 @@ def snapshot(config: RigConfig) -> bytes:
 def _check(config: RigConfig) -> None:
     """Reject features that rig.c does not support."""
     for found, key, allowed in (
-        (config.drive.waveform, "drive.waveform", "sine"),
-        (config.drive.amplitude, "drive.amplitude", 0.0),
-        (config.instruments.ideal, "instruments.ideal", False),
-        (config.instruments.faults.planned, "instruments.faults.planned", config.instruments.faults.planned[:0]),
+        (config.drive.waveform, "drive.waveform", ("sine", "stream")),
+        (config.drive.amplitude, "drive.amplitude", (0.0,)),
+        (config.instruments.ideal, "instruments.ideal", (False,)),
+        (config.instruments.faults.planned, "instruments.faults.planned", (config.instruments.faults.planned[:0],)),
     ):
-        if found != allowed:
-            raise ConfigError(f"{key} must be {allowed!r} for a rig without Python, got {found!r}")
+        if found not in allowed:
+            names = " or ".join(map(repr, allowed))
+            raise ConfigError(f"{key} must be {names} for a rig without Python, got {found!r}")
 
 
 def _name_of(pointer: Any) -> str:

@@ -27,6 +27,7 @@ from impact_rig.embedded.fmu import MOTION, NAMES, READINGS, VERSIONS, write_fmu
 from impact_rig.embedded.snapshot import snapshot
 from impact_rig.errors import ConfigError
 from impact_rig.physics.sampling import QUANTITIES
+from impact_rig.physics.simulation import Motion
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 
@@ -48,6 +49,7 @@ class Native:
     def __init__(self, config: RigConfig) -> None:
         self.rig = Rig(config)
         self.motion: Any = None
+        self.rows = np.zeros(0, self.rig._chain._row_type)
         self.readings: list[float] = []
         self.impacts = 0
         advance = self.rig._simulation.advance
@@ -62,7 +64,8 @@ class Native:
     def step(self, ticks: int) -> None:
         self.rig._simulate(ticks)
         chain = self.rig._chain
-        last = chain.read(chain.ready)[-1:]
+        self.rows = np.concatenate([self.rows, chain.read(chain.ready)])
+        last = self.rows[-1:]
         self.readings = [float(last[name][0]) for name in chain._names]
 
     def values(self) -> list[float]:
@@ -117,6 +120,13 @@ def unit(path: Path, tmp_path: Path) -> Iterator[Unit]:
 def test_the_unit_is_valid(path: Path) -> None:
     validate = pytest.importorskip("fmpy.validation").validate_fmu
     assert validate(str(path)) == []
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_unit_of_samples_is_valid(version: str, tmp_path: Path) -> None:
+    validate = pytest.importorskip("fmpy.validation").validate_fmu
+    write_fmu(of_samples(1000, "first_order"), tmp_path / "rig.fmu", version)
+    assert validate(str(tmp_path / "rig.fmu")) == []
 
 
 def test_the_names_of_the_outputs(path: Path) -> None:
@@ -196,6 +206,139 @@ def test_a_state_gives_the_same_future(unit: Unit) -> None:
     assert future() == first
 
 
+def of_samples(rate_hz: int, hold: str, **changes: Any) -> RigConfig:
+    drive = {"drive.waveform": "stream", "drive.stream_rate_hz": rate_hz, "drive.stream_hold": hold}
+    return from_flat(RigConfig(), {**drive, **changes})
+
+
+def drive_of(rate_hz: int, count: int) -> list[float]:
+    """Return samples of two sines, strong enough for impacts."""
+    t = np.arange(count) / rate_hz
+    found: list[float] = (0.5 * np.sin(2 * np.pi * 9.1 * t) + 0.1 * np.sin(2 * np.pi * 31.7 * t + 1.0)).tolist()
+    return found
+
+
+def begin(unit: Unit, first: float) -> None:
+    """Give the sample at time 0, from which the first line goes."""
+    unit.set(2, first)
+    unit.fmu.exitInitializationMode()
+    unit.ready = True
+
+
+def motions_of(native: Native, tick: int) -> dict[int, list[float]]:
+    """Return the motion of the last tick where each segment of the drive ends, by time [ns], from what is before it."""
+    model, found, _ = native.motion.sampled
+    tick_s = native.rig._generator._tick_s
+    at = {}
+    for k, end in enumerate([*found.segments["begin"][1:].tolist(), tick_s]):
+        rows, history = found.first_state[: k + 2], found.history[: found.first_state[k + 1] + 1]
+        part = Motion(model, tick, found.segments[: k + 1], np.array([0, k + 1]), history, rows, native.motion.impacts)
+        values = part.quantities(QUANTITIES, np.array([tick]), np.array([end]))[:, 0]
+        at[tick * TICK_NS + round(end / tick_s * TICK_NS)] = values.tolist()
+    return at
+
+
+@pytest.mark.parametrize("hold", ["zero_order", "first_order"])
+@pytest.mark.parametrize(
+    ("rate_hz", "seconds", "version"), [(1000, 1.0, "2.0"), (10_000, 0.5, "3.0"), (777, 1.0, "3.0")]
+)
+def test_samples_give_the_bits_of_a_rig_fed_with_them(
+    rate_hz: int, seconds: float, version: str, hold: str, tmp_path: Path
+) -> None:
+    """Motion and impacts at the end of each step, and the newest reading that all channels have converted by then."""
+    config, steps, ahead = of_samples(rate_hz, hold), round(rate_hz * seconds), hold == "first_order"
+    values = drive_of(rate_hz, steps + rate_hz // 50)
+    native = Native(config)
+    native.rig.feed(0, values)
+    times = [native.rig.stream.time_ns(k) for k in range(steps + 1)]
+    motions: dict[int, list[float]] = {}
+    for tick in range(-(-times[-1] // TICK_NS)):
+        native.step(1)
+        motions |= motions_of(native, tick)
+    chain = native.rig._chain
+    rows = native.rows
+    last_skew, period = chain._clock.skews[-1], chain._clock.lengths.period
+    write_fmu(config, tmp_path / "rig.fmu", version)
+    unit = Unit(tmp_path / "rig.fmu", tmp_path / "unpacked")
+    begin(unit, values[0])
+    for k in range(steps):
+        unit.set(2, values[k + ahead])
+        unit.step(times[k] / 1e9, (times[k + 1] - times[k]) / 1e9)
+        scan = (times[k + 1] * config.daq.rate_hz * len(chain._names) - last_skew) // period
+        assert unit.values() == [*motions[times[k + 1]], *(float(rows[name][scan]) for name in chain._names)]
+    assert unit.get([30]) == [native.impacts]  # the last tick of 777 Hz has none
+    assert native.impacts > 3
+    unit.fmu.freeInstance()
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_state_between_ticks_gives_the_same_future(version: str, tmp_path: Path) -> None:
+    """Steps of uneven lengths; some states lie within a contact, whose readings are not complete yet."""
+    config = of_samples(10_000, "first_order", **{"barriers.gap_m": 0.002})
+    write_fmu(config, tmp_path / "rig.fmu", version)
+    unit, other = (Unit(tmp_path / "rig.fmu", tmp_path / f"unpacked_{i}") for i in range(2))
+    begin(unit, 0.0)
+    begin(other, 0.3)  # forgotten
+    get, pack = ("getFMUstate", "serializeFMUstate") if unit.two else ("getFMUState", "serializeFMUState")
+    put, unpack = ("setFMUstate", "deSerializeFMUstate") if unit.two else ("setFMUState", "deserializeFMUState")
+    lengths = [13e-6, 100e-6, 7e-6, 1.7e-3, 250e-6] * 60
+    now, first = 0.0, []
+    sizes: set[int] = set()
+    kept: dict[int, tuple[float, bytes]] = {}
+    for i, length in enumerate(lengths):
+        if i % 7 == 0:
+            state = getattr(unit.fmu, get)()
+            data = getattr(unit.fmu, pack)(state)
+            kept[i], sizes = (now, data), sizes | {len(data)}
+        unit.set(2, 0.6 * np.sin(57.0 * now))
+        unit.step(now, length)
+        now += length
+        first.append(unit.values())
+    assert len(sizes) > 2, "no state was in the middle of a contact"
+    for at, (now, data) in kept.items():
+        getattr(other.fmu, put)(getattr(other.fmu, unpack)(data))
+        after = now
+        for i in range(at, min(at + 12, len(lengths))):
+            other.set(2, 0.6 * np.sin(57.0 * after))
+            other.step(after, lengths[i])
+            after += lengths[i]
+            assert other.values() == first[i]
+    unit.fmu.freeInstance()
+    other.fmu.freeInstance()
+
+
+def test_a_new_gap_waits_for_the_next_tick_between_samples(tmp_path: Path) -> None:
+    config = of_samples(1000, "zero_order")
+    write_fmu(config, tmp_path / "rig.fmu")
+    unit, native = Unit(tmp_path / "rig.fmu", tmp_path / "unpacked"), Native(config)
+    values = drive_of(1000, 400)
+    native.rig.feed(0, values)
+    begin(unit, values[0])
+    for k, value in enumerate(values[:300]):
+        if k == 145:
+            unit.set(3, 0.003)
+        unit.set(2, value)
+        unit.step(k / 1000, 0.001)
+        if k % 10 == 9:
+            if k == 159:
+                native.rig._simulation.configure(from_flat(config, {"barriers.gap_m": 0.003}))
+            native.step(1)
+            assert unit.values()[:12] == native.values()[:12]
+    unit.fmu.freeInstance()
+
+
+@pytest.mark.parametrize(("value", "length"), [(1e3, 0.001), (float("nan"), 0.001), (0.1, 0.0)])
+def test_samples_out_of_range_and_steps_without_length_are_refused(value: float, length: float, tmp_path: Path) -> None:
+    write_fmu(of_samples(1000, "zero_order"), tmp_path / "rig.fmu")
+    unit = Unit(tmp_path / "rig.fmu", tmp_path / "unpacked")
+    names = [one.name for one in fmpy.read_model_description(str(tmp_path / "rig.fmu")).modelVariables]
+    assert "frequency" not in names
+    unit.set(2, value)
+    with pytest.raises(Exception, match=r"fmi3|[23]"):
+        unit.step(0.0, length)
+    unit.fmu.freeInstance()
+
+
 def test_a_step_off_the_grid_is_discarded(unit: Unit) -> None:
     unit.step(0.0, 0.01)
     before = unit.values()
@@ -218,7 +361,7 @@ def test_values_out_of_range_are_refused(unit: Unit, reference: int, value: floa
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"drive.waveform": "random"}, "drive.waveform must be 'sine'"),
+        ({"drive.waveform": "random"}, "drive.waveform must be 'sine' or 'stream'"),
         ({"instruments.ideal": True}, "instruments.ideal must be False"),
     ],
 )
