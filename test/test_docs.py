@@ -271,6 +271,8 @@ def test_yaml_is_accepted(block, tmp_path):
         assert sorted(refined(Mapping(channels={}), block.content).channels) == ["accelerometer", "base", "laser"]
     elif block.page == "docs/how-to/dynamics.md":
         assert [bool(load_dynamics(file, kind).tasks) for kind in KINDS] == [True] * len(KINDS)
+    elif block.page == "docs/how-to/fmu.md":
+        assert load_config(file).drive.waveform == "stream"
     else:
         assert len(load_config(file).instruments.faults.planned) == 2
 
