@@ -15,7 +15,7 @@
 
 The source distribution is made from the files that git tracks and the kernels as assembly. A wheel for each machine is
 made from the unpacked source distribution, as a package index does it; auditwheel names the Linux systems that it
-supports. All must contain what the repository contains, and nothing else. `DIRECTORY/simple` is a package index of them.
+supports. All must contain what the repository contains, and nothing else. `DIRECTORY/simple` is an index of them.
 
 With `--try`, pip installs the package from that index, and its requirements from the public one, into an empty
 environment in an empty directory. There it uses the demo, the lab's page and the pytest plugin, and runs tests of the
