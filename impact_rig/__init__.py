@@ -13,6 +13,8 @@
 # limitations under the License.
 """Virtual test rig of an impact damper, for ROS 2 and Python.
 
+Build a rig, drive it, and print its displacement transmissibility DT:
+
     import impact_rig
 
     rig = impact_rig.LocalRig({"barriers.gap_m": 0.006}, analysis={"gap_m": 0.006})
@@ -20,8 +22,19 @@
     rig.run(seconds=20)
     print(rig.rows("transmissibility/table")["transmissibility"][-1])
 
-`impact_rig.simulate(20.0)` does the same in one line. Importing this package loads neither rclpy nor numpy: each name
-is loaded when it is first used. The page "Python API" of the documentation shows all of them.
+`impact_rig.simulate(20.0)` does the same in one line. The public names are:
+
+    simulate and drive   simulate, Record, LocalRig, RosRig, Client, Rig, Fault
+    configure            RigConfig, load_config
+    measure              Tracker, TrackerSettings, transmissibility
+    read recordings      open_run, Run, info, verify, export
+    exchange tables      Table, encode, decode
+    errors               ImpactRigError, ConfigError, CommandError, CodecError,
+                         RecordingError, SimulationError, GoneError
+
+Each name is loaded when it is first used, so that importing this package
+loads neither rclpy nor numpy. `help(impact_rig.simulate)` describes a name,
+and the page "Python API" of the documentation shows all of them.
 """
 
 from __future__ import annotations

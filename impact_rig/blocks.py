@@ -286,7 +286,13 @@ DETECTED_IMPACTS = row_type(DETECTED_IMPACTS_COLUMNS)
 
 @attrs.frozen(eq=False)
 class Table:
-    """A stamped structured array, rows of shape (n,): the content of one PointCloud2 message."""
+    """A stamped structured array: the content of one `sensor_msgs/PointCloud2` message.
+
+    Attributes:
+        stamp_ns: stamp of the message in rig time [ns].
+        rows: rows, shape (n,), with the topic's columns as fields in SI units; `time` is in seconds since the stamp.
+        frame_id: frame of the message.
+    """
 
     stamp_ns: int
     rows: NDArray[np.void]

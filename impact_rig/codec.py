@@ -74,14 +74,25 @@ _BYTE = np.dtype("u1")
 
 
 def encode(table: Table, frame_prefix: str = "") -> bytes:
-    """Return `table` as a serialised `sensor_msgs/PointCloud2`.
+    """Encode a table as a serialised `sensor_msgs/PointCloud2`.
 
     Args:
-        table: columns must be 8 to 32 bit integers, f4, f8 or `blocks.TEXT`, in little-endian byte order.
+        table: table to encode, with columns of 8 to 32 bit integers, f4, f8 or `blocks.TEXT` in little-endian byte
+            order.
         frame_prefix: text before the table's frame.
+
+    Returns:
+        The message as little-endian CDR, the encoding that ROS 2 transmits.
 
     Raises:
         CodecError: a column's type, the stamp or the frame id cannot be represented in a PointCloud2.
+
+    Examples:
+        >>> import impact_rig
+        >>> rig = impact_rig.Rig(impact_rig.RigConfig())
+        >>> message = impact_rig.encode(rig.info())
+        >>> [str(name) for name in impact_rig.decode(message).rows["name"][:2]]
+        ["b'accelerometer'", "b'laser'"]
     """
     rows = table.rows
     if rows.ndim != 1:
@@ -113,14 +124,17 @@ def encode_polygon(stamp_ns: int, frame_id: str, points: NDArray[np.floating[Any
 
 
 def decode(data: Buffer, topic: Topic | None = None, needs: tuple[str, ...] = ()) -> Table:
-    """Return the table in a serialised `sensor_msgs/PointCloud2`; its rows are a read-only view of `data`, not a copy.
+    """Decode a serialised `sensor_msgs/PointCloud2` into a table.
 
-    Safe for hostile bytes: every length is compared with the available bytes before it is used.
+    The function is safe for hostile bytes: every length is compared with the available bytes before it is used.
 
     Args:
-        data: the message.
-        topic: the table's topic, for which the table is then `checked`; None allows any columns and values.
-        needs: as for `checked`.
+        data: serialised message (little-endian CDR).
+        topic: topic of the table, whose columns and values are then checked; None allows any columns and values.
+        needs: further required columns, such as the channels of a scan.
+
+    Returns:
+        The table; its rows are a read-only view of `data`.
 
     Raises:
         CodecError: `data` is not a little-endian PointCloud2 with one row of points and columns as `encode` writes

@@ -29,23 +29,44 @@ def did_you_mean(word: str, known: Iterable[str], question: str = ": did you mea
 
 
 class ImpactRigError(Exception):
-    """Base class: catch this to catch every error this package raises on purpose."""
+    """Base class of all errors that this package raises on purpose.
+
+    Examples:
+        >>> import impact_rig
+        >>> try:
+        ...     impact_rig.simulate(20.0, {"barriers.gap_m": 6})
+        ... except impact_rig.ImpactRigError as error:
+        ...     print(error)
+        barriers.gap_m must be >= 1e-06 and <= 1, got 6.0 m
+    """
 
 
 class ConfigError(ImpactRigError, ValueError):
-    """A configuration value, key or file is wrong; the message names key, value, range and file."""
+    """A configuration value, key or file is invalid.
+
+    The message names the key, its value, the allowed range and, if there is one, the file.
+    """
 
 
 class CommandError(ImpactRigError, ValueError):
-    """A command was rejected; the shaker keeps its last valid state."""
+    """A command was rejected.
+
+    The message names the value and the allowed range. The shaker keeps its last valid state.
+    """
 
 
 class CodecError(ImpactRigError, ValueError):
-    """Bytes are not the message they claim to be."""
+    """Bytes are not the message that they should be.
+
+    The message names the part of the message and the reason.
+    """
 
 
 class RecordingError(ImpactRigError, OSError):
-    """A run cannot be written or read; what was already on disk is untouched."""
+    """A run cannot be written or read.
+
+    Data that were already on disk are not changed. The message names the file.
+    """
 
 
 class GoneError(ImpactRigError, RuntimeError):
@@ -53,7 +74,10 @@ class GoneError(ImpactRigError, RuntimeError):
 
 
 class SimulationError(ImpactRigError, RuntimeError):
-    """The simulation cannot continue (a defect of the model or its tolerances, never of a user's command)."""
+    """The simulation cannot continue.
+
+    The cause is a defect of the model or its tolerances, never a user's command.
+    """
 
 
 def describe(error: BaseException) -> str:

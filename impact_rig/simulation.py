@@ -49,12 +49,21 @@ class Record:
     """Readings of a simulated rig, and the results derived from them.
 
     Attributes:
+        config: configuration of the rig.
         scans: columns of `daq/scan` (docs/reference/interface.md) in SI units, `time` [s] since the start; shape (n,).
             Scans withheld by a `lost_block` fault are missing.
         state: state of the measurement at the end: settling, measuring, ...
         measurements: rows of `transmissibility/table`, the newest last; empty before the first window is full.
         impact_times: times of the impacts that the analysis found in the acceleration [s], shape (k,).
         truth: rows of `truth/impacts`, `time` [s] since the start: the true impacts.
+
+    Examples:
+        >>> import impact_rig
+        >>> record = impact_rig.simulate(20.0)
+        >>> print(record)
+        DT 63.57 ± 0.32 (2u) at 9.1 Hz
+        >>> record.scans["laser"].shape
+        (200000,)
     """
 
     config: RigConfig
@@ -91,18 +100,25 @@ class Record:
 
 
 def simulate(seconds: float, parameters: Mapping[str, object] | None = None) -> Record:
-    """Simulate a rig from rest, driven from the start, and measure its displacement transmissibility.
+    """Simulate a rig from rest, driven from the start, and measure its displacement transmissibility DT.
+
+    The drive is that of the paper, 0.52 A at 9.1 Hz, unless `parameters` set another.
 
     Args:
-        seconds: rig time [s], at most an hour.
+        seconds: rig time [s], at least one block (10 ms) and at most an hour.
         parameters: configuration values that differ from the paper's rig, by full name, as in
-            docs/reference/configuration.md. The drive is the paper's, 0.52 A at 9.1 Hz, unless they set another.
+            docs/reference/configuration.md.
 
     Returns:
-        The readings and measurements; `record.transmissibility` is DT with its uncertainty.
+        The readings and measurements; `record.transmissibility` is DT with its standard uncertainty.
 
     Raises:
-        ConfigError: unknown key, value out of range, or duration out of range.
+        ConfigError: a key is unknown, a value is out of range, or the duration is.
+
+    Examples:
+        >>> import impact_rig
+        >>> print(impact_rig.simulate(20.0, {"barriers.gap_m": 0.006}))
+        DT 63.57 ± 0.32 (2u) at 9.1 Hz
     """
     if not 0.0 < seconds <= LONGEST_S:
         raise ConfigError(f"seconds must be above 0 and at most {LONGEST_S:g}, got {seconds!r}")

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import doctest
 import importlib
+import inspect
 import re
 import runpy
 import subprocess
@@ -30,6 +31,7 @@ import pytest
 
 pytest.importorskip("markdown_it", reason="comes with rich, except with Ubuntu's")
 
+import impact_rig
 from impact_rig import kernels
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.kernels.build import PARTS
@@ -50,6 +52,11 @@ BLOCKS = [block for page in TOOL["pages"]().values() for block in page.blocks]
 OURS = [block for block in BLOCKS if block.owner == "test/test_docs.py"]
 
 
+WITHOUT_EXAMPLE = {
+    "CodecError", "CommandError", "ConfigError", "GoneError", "RecordingError", "SimulationError",
+    "Run", "Table", "TrackerSettings", "decode",
+}  # fmt: skip
+"""Public names whose use is shown in the docstring of another one, such as `open_run` or `encode`."""
 NO_SYMBOLS = {"d", "Σ", "a"}
 """The differential, the sum, and the article."""
 INDEXED = r"._([\dikjnq]|first|last)"
@@ -256,6 +263,19 @@ def test_python_runs(block, monkeypatch, tmp_path):
         return
     monkeypatch.chdir(ROOT)
     exec(compile(block.content, by_place(block), "exec"), {})
+
+
+@pytest.mark.parametrize("name", impact_rig.__all__)
+def test_examples_in_docstrings_of_public_names_run(name, monkeypatch, tmp_path):
+    """They print what they show; errors have none but the base class, and a few classes come from other calls."""
+    if name in {"Client", "RosRig"}:
+        pytest.importorskip("rclpy")
+    text = inspect.getdoc(getattr(impact_rig, name)) or ""
+    assert ">>> " in text or name in WITHOUT_EXAMPLE
+    assert re.search(rf"\b{name}\b", impact_rig.__doc__ or ""), "help(impact_rig) does not list it"
+    monkeypatch.chdir(tmp_path)
+    example = doctest.DocTestParser().get_doctest(text, {}, name, None, None)
+    assert doctest.DocTestRunner().run(example).failed == 0
 
 
 @pytest.mark.parametrize("block", [block for block in OURS if block.language == "yaml"], ids=by_place)

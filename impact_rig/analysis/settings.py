@@ -34,7 +34,13 @@ from impact_rig.system.machine import fingerprint
 
 @attrs.frozen(kw_only=True)
 class TrackerSettings:
-    """Settings of `Tracker`. The defaults suit the rig: 5 to 200 Hz, time constants of 0.3 to 4 s."""
+    """Settings of `Tracker`; the defaults suit the rig, for 5 to 200 Hz and time constants of 0.3 to 4 s.
+
+    They are the parameters of the analysis node. docs/reference/configuration.md describes each, with unit and range.
+
+    Raises:
+        ConfigError: a value is out of range, or two contradict each other.
+    """
 
     harmonics: int = integer(5, "-", "Harmonics in the fit, the drive included.", at_least=1, at_most=10)
     window_s: float = quantity(0.25, "s", "Shortest window; its cycles are a multiple of 6.", above=0, at_most=100)

@@ -98,7 +98,28 @@ NOTHING = Findings()
 
 
 class Tracker:
-    """Streaming measurement of transmissibility and impacts."""
+    """Streaming measurement of transmissibility and impacts, in constant memory.
+
+    Pass it the tables of the rig as they arrive: `daq/info` to `configure`, `shaker/applied` to `on_applied` and
+    `daq/scan` to `feed`, which returns new results. It measures when the response has settled, and gives a reason when
+    it cannot.
+
+    Args:
+        settings: settings of the measurement; None means the defaults.
+        impact_settings: settings of the impact detection; None means the defaults.
+
+    Attributes:
+        counters: counts of scans, losses, measurements and impacts, for diagnostics.
+
+    Examples:
+        >>> import impact_rig
+        >>> rig, tracker = impact_rig.Rig(impact_rig.RigConfig()), impact_rig.Tracker()
+        >>> tracker.configure(rig.info())
+        >>> tracker.on_applied(rig.accept(9.1, 0.52))
+        >>> results = [tracker.feed(block.scan) for block in rig.advance(2 * 10**9)]
+        >>> print(tracker.state.word)
+        settling
+    """
 
     def __init__(self, settings: TrackerSettings | None = None, impact_settings: ImpactSettings | None = None) -> None:
         self.counters = Counters()

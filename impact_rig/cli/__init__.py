@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The command `impact-rig`: its subcommands, each with what it prints."""
+"""The command `impact-rig` and its subcommands."""
 
 from impact_rig.cli.main import main
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig analyze`: a run measured again, as the live node did, or as one whole record."""
+"""`impact-rig analyze`: repeated analysis of a run, like that of the live node or of the record as a whole."""
 
 from __future__ import annotations
 
@@ -47,19 +47,19 @@ if TYPE_CHECKING:
     from impact_rig.analysis.frf import Frf
 
 WINDOWS = ("hann", "boxcar", "flattop", "blackmanharris")
-LINES = 15  # lines of a frequency response that are printed
+LINES = 15  # largest number of printed lines of a frequency response
 DRAWN_CYCLES = 4
 GROUP = "impact_rig.analyses"
-"""Entry points by which packages bring their analyses, each an `Analysis`."""
+"""Entry points through which packages contribute analyses, each an `Analysis`."""
 
 
 class Analysis(NamedTuple):
-    """Another analysis of a run than the live one, chosen by an option of its own."""
+    """Alternative analysis of a run, selected by an option."""
 
-    name: str  # of its option, without the dashes
+    name: str  # name of its option, without the dashes
     # function that adds the option; its default is None or False
     add: Callable[[argparse._MutuallyExclusiveGroup], object]
-    run: Callable[[Console, Run, argparse.Namespace], int]  # analyses, prints, and returns the exit code
+    run: Callable[[Console, Run, argparse.Namespace], int]  # function that analyses, prints, and returns the exit code
 
 
 def _analyses() -> Iterator[Analysis]:
@@ -69,13 +69,13 @@ def _analyses() -> Iterator[Analysis]:
 def add_command(commands: Commands) -> None:
     """Register the subcommand."""
     parser = subcommand(
-        commands, "analyze", _run, "analyse a run again, as the live node did; says if the results agree",
+        commands, "analyze", _run, "analyse a run again like the live node, and compare the results",
         [
             ("analyze runs/demo/gap_6mm", "every measurement in it, and whether the live analysis found the same"),
             ("analyze runs/demo/gap_6mm --figures pictures", "also draws time traces, phase plane, spectrum, curves"),
-            ("analyze runs/chirp --frf", "frequency response of a chirp, as fine as its resonance and length ask"),
+            ("analyze runs/chirp --frf", "frequency response of a chirp, with lines as fine as its resonance needs"),
         ],
-        "Exit code 0: as the live analysis, or nothing to compare with; 1: not the same.",
+        "Exit code 0: equal to the live analysis, or no live analysis to compare with; 1: different.",
     )  # fmt: skip
     add_json(parser)
     parser.add_argument("--all", action="store_true", help="also rows without a measurement, with the reason")
@@ -85,7 +85,7 @@ def add_command(commands: Commands) -> None:
         analysis.add(instead)
     parser.add_argument(
         "--segment", type=float, metavar="S",
-        help="length of a segment with --frf; the lines are 1/S Hz apart (default: what resolves the resonance found, "
+        help="length of a segment with --frf; the lines are 1/S Hz apart (default: as the resonance needs, "
         "at most 2/5 of the record)",
     )  # fmt: skip
     parser.add_argument(
@@ -93,12 +93,12 @@ def add_command(commands: Commands) -> None:
         help="window of the segments with --frf; boxcar for a drive that repeats every segment (default: hann)",
     )  # fmt: skip
     parser.add_argument(
-        "--damping", type=float, metavar="ZETA", help="damping ratio to resolve with --frf (default: what is found)"
+        "--damping", type=float, metavar="ZETA", help="damping ratio to resolve with --frf (default: as measured)"
     )
     add_figures(
         parser,
-        "also draw: its last settled measurement (time traces, phase plane, spectrum) and the curves it holds, or "
-        "what was asked for instead",
+        "also draw the last settled measurement (time traces, phase plane, spectrum) and the curves, or the "
+        "result of the chosen option",
     )
 
 
@@ -139,7 +139,7 @@ def _as_live(console: Console, run: Run, arguments: argparse.Namespace) -> int:
 
 
 def _print_last(console: Console, rows: NDArray[np.void]) -> None:
-    """Print the newest settled measurement as a sentence: what most people ask a run for."""
+    """Print the newest settled measurement as a sentence, the result that most users want."""
     settled = rows[rows["settled"] == 1.0]
     if not len(settled):
         console.print("no settled measurement in this run")
@@ -149,7 +149,7 @@ def _print_last(console: Console, rows: NDArray[np.void]) -> None:
             spec = _places(row["transmissibility_uncertainty"])
             console.print(
                 f"DT {row['transmissibility']:{spec}} ± {2 * row['transmissibility_uncertainty']:{spec}} (2u) of "
-                f"{row['cycles']:g} cycles at {row['frequency']:g} Hz, not settled: a transient may be left in it"
+                f"{row['cycles']:g} cycles at {row['frequency']:g} Hz, not settled: it may contain a transient"
             )
         return
     row = settled[-1]
@@ -164,7 +164,7 @@ def _print_last(console: Console, rows: NDArray[np.void]) -> None:
 
 
 def _print_measurements(console: Console, rows: NDArray[np.void], *, everything: bool) -> None:
-    """Print a row a measurement; those without numbers only if everything is wanted, else how many and why."""
+    """Print one row per measurement; those without numbers only if `everything`, else their number and reasons."""
     measured = np.isin(rows["status"], [status.value.encode() for status in MEASURED])
     table = TextTable(right=("f [Hz]", "DT", "u(DT)", "phase [deg]", "gap [mm]", "impacts per cycle"))
     table.add_column("regime", no_wrap=True)
@@ -190,7 +190,7 @@ def _print_measurements(console: Console, rows: NDArray[np.void], *, everything:
 
 
 def _places(u: float) -> str:
-    """Return the format that shows two digits of an uncertainty: three places, more where it would be shown as none."""
+    """Return a format with two digits of an uncertainty: three decimal places, or more if it would be zero."""
     return f".{min(max(3, 1 - math.floor(math.log10(u))), 12)}f" if 0.0 < u < math.inf else ".3f"
 
 
@@ -243,7 +243,7 @@ def _frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     apart = found.frequency_hz[1]
     if found.sine:
         console.print(
-            f"the drive is a sine of about {top:g} Hz: this one line is all there is; without --frf its DT is measured "
+            f"the drive is a sine of about {top:g} Hz: there is only this line; without --frf its DT is measured "
             "with its uncertainty"
         )
     else:
@@ -254,13 +254,13 @@ def _frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
 
 
 def _resolution(found: Frf, window: str, apart_hz: float) -> list[str]:
-    """Return sentences on what the lines resolve."""
+    """Return sentences about the resolution of the lines."""
     from impact_rig.analysis.frf import RESOLVED, SEGMENTS, resolving_s  # noqa: PLC0415  # as above
 
     resonance = found.resonance
     lines = f"lines {apart_hz:.3g} Hz apart"
     if resonance is None:
-        return [f"{lines}; no single resonance fits this record, so what they resolve is not known"]
+        return [f"{lines}; no single resonance fits this record, so their resolution is unknown"]
     where = f"the resonance found in the record lies at {resonance.frequency_hz:.3f} Hz"
     wide = f"{resonance.width_hz:.3g} Hz wide at half power"
     said = [f"{lines}; {where}, ζ {resonance.damping_ratio:.5f}: it is {wide}"]
@@ -303,7 +303,7 @@ def _sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
             "status": measured.status.value if measured else "no_motion_pair",
         })  # fmt: skip
     table = TextTable(title=f"Sines of {reference.frequency_hz:.6f} ± {2 * reference.u_frequency_hz:.1g} Hz")
-    for heading in ("channel", "unit", "amplitude", "± 2u", "phase [deg]", "± 2u", "mean", "left over, rms"):
+    for heading in ("channel", "unit", "amplitude", "± 2u", "phase [deg]", "± 2u", "mean", "residual, rms"):
         table.add_column(heading, justify="left" if heading in {"channel", "unit"} else "right", no_wrap=True)
     for name, fit in found.fits.items():
         table.add_row(
@@ -345,14 +345,14 @@ FRF = Analysis(
 SINE = Analysis(
     "sine",
     lambda instead: instead.add_argument(
-        "--sine", action="store_true", help="sines fitted to the last settled measurement, channel by channel"
+        "--sine", action="store_true", help="sines fitted to each channel in the last settled measurement"
     ),
     _sine,
 )
 
 
 def prepare_figure(arguments: argparse.Namespace, stem: str) -> None:
-    """See that a figure can be written before there is anything to draw."""
+    """Check that a figure can be written, before it is computed."""
     if arguments.figures is not None:
         from impact_rig.runs.drawings import prepare  # noqa: PLC0415  # heavy: after the run is open
 
@@ -362,7 +362,7 @@ def prepare_figure(arguments: argparse.Namespace, stem: str) -> None:
 def draw_figure(
     console: Console, run: Run, arguments: argparse.Namespace, stem: str, draw: Callable[[], Figure]
 ) -> None:
-    """Draw and save a figure where figures are wanted, and name its file."""
+    """Draw and save a figure if figures are requested, and print its file."""
     if arguments.figures is None:
         return
     from impact_rig.runs.drawings import save, titled  # noqa: PLC0415  # heavy: after the run is open

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig check`: a configuration file, and the instruments it describes, without starting anything."""
+"""`impact-rig check`: validation of a configuration file and of the instruments in it, without starting anything."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def add_command(commands: Commands) -> None:
     parser = subcommand(
         commands, "check", _run, "validate a configuration file without starting anything",
         [
-            ("check config/nominal.yaml", "names key, value, range and file of what is wrong"),
+            ("check config/nominal.yaml", "names key, value, range and file of a mistake"),
             ("check my_rig.yaml --instruments", "also puts a known sine into every channel"),
         ],
     )  # fmt: skip
@@ -53,7 +53,7 @@ def add_command(commands: Commands) -> None:
 def _run(arguments: argparse.Namespace) -> int:
     config = load_config(arguments.path)
     try:
-        Rig(config)  # values that are legal one by one may be none together
+        Rig(config)  # individually valid values may be jointly invalid
     except ConfigError as error:
         raise ConfigError(f"{error} ({arguments.path})") from error
     law = from_config(config.contact)
@@ -77,7 +77,7 @@ def _run(arguments: argparse.Namespace) -> int:
 def _print_instruments(checks: Sequence[ChannelCheck], console: Console) -> None:
     table = TextTable(
         title="A known sine on every channel, against the certificate",
-        caption="residual: what is not sine, of what noise and curvature allow",
+        caption="residual: rms of the rest, relative to the limit of noise and curvature",
     )
     for heading in ("channel", "gain error", "limit", "phase", "residual", "polarity", ""):
         table.add_column(heading, justify="left" if heading in {"channel", ""} else "right", no_wrap=True)

@@ -25,7 +25,7 @@ from impact_rig.cli.terminal import Commands, Console, subcommand
 from impact_rig.errors import ImpactRigError
 from impact_rig.rig.config import RigConfig, load_config
 
-PORT = 31763  # of the NI gRPC Device Server
+PORT = 31763  # port of the NI gRPC Device Server
 
 
 def add_command(commands: Commands) -> None:
@@ -35,12 +35,12 @@ def add_command(commands: Commands) -> None:
         [
             ("daqmx", "a simulated rig as Dev1, on this machine only"),
             ("daqmx --config my_rig.yaml --device cDAQ1Mod1 cDAQ1Mod2", "another rig, named as in a script"),
-            ("daqmx --namespace /rig", "a rig that runs already, in real time with drive.waveform: stream"),
+            ("daqmx --namespace /rig", "a running rig, in real time with drive.waveform: stream"),
         ],
     )  # fmt: skip
     parser.set_defaults(until_told=True)
     parser.add_argument("--config", type=Path, metavar="FILE", help="rig configuration (default: the paper's rig)")
-    parser.add_argument("--namespace", help="namespace of a rig that runs already (default: a rig is simulated here)")
+    parser.add_argument("--namespace", help="namespace of a running rig (default: a rig is simulated here)")
     parser.add_argument(
         "--device", nargs="+", default=["Dev1"], metavar="NAME", help="names of the board (default: Dev1)"
     )

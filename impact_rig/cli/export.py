@@ -31,10 +31,11 @@ from impact_rig.runs.exports import write_columns
 
 Columns = dict[str, NDArray[np.generic]]
 Exporter = Callable[[Path], Mapping[str, Callable[[str], Columns]] | None]
-"""Takes a directory that is no run; returns its tables by name, None for another kind of directory. A table is a
-function that returns the columns for a file of a suffix."""
+"""Function that takes a directory and returns its tables by name, or None for another kind of directory. A table is a
+function that returns the columns for a file with a given suffix.
+"""
 GROUP = "impact_rig.exporters"
-"""Entry points by which packages bring their exporters of directories that are no runs, each an `Exporter`."""
+"""Entry points through which packages contribute exporters of their own directories, each an `Exporter`."""
 
 
 def _exporters() -> Iterator[Exporter]:
@@ -46,17 +47,17 @@ def add_command(commands: Commands) -> None:
     parser = subcommand(
         commands, "export", _run, "write a table of a run, campaign, map or study as .csv, .npz, .parquet or .uff",
         [
-            ("export runs/demo/gap_6mm transmissibility/table dt.csv", "what was measured"),
+            ("export runs/demo/gap_6mm transmissibility/table dt.csv", "the measurements"),
             ("export runs/demo/gap_6mm daq/scan scans.npz", "every scan, for NumPy"),
             ("export runs/campaign_paper points curves.uff", "curves as a universal file (dataset 58)"),
-            ("export runs/dynamics_nominal bifurcation rows.csv", "a study of dynamics"),
+            ("export runs/dynamics_nominal bifurcation rows.csv", "the rows of a study of dynamics"),
         ],
     )  # fmt: skip
     add_run(parser, "a run, or the directory of a campaign, a map or studies of dynamics")
     parser.add_argument(
-        "topic", help="e.g. transmissibility/table; points: of a campaign or a map; kind of study: of dynamics"
+        "topic", help="e.g. transmissibility/table; for a campaign or a map: points; for dynamics: the kind of study"
     )
-    parser.add_argument("target", type=Path, metavar="FILE", help="its suffix chooses the format")
+    parser.add_argument("target", type=Path, metavar="FILE", help="file to write; its suffix selects the format")
 
 
 def _run(arguments: argparse.Namespace) -> int:

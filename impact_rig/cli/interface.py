@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig interface`: the interface as a document for other tools, and what of another one breaks its clients."""
+"""`impact-rig interface`: the interface as a document, and its incompatibilities with another version."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from impact_rig.errors import ConfigError
 from impact_rig.system import files
 
 DOCUMENT = Path(__file__).parents[1] / "interface.json"
-"""That of this version; `make generate` writes it from the tables of topics, services and parameters."""
+"""Document of this version; `make generate` writes it from the tables of topics, services and parameters."""
 MAX_BYTES = 5_000_000
-CLIENTS = ("client", "peers")  # publishers of what the rig takes
+CLIENTS = ("client", "peers")  # publishers of the rig's inputs
 
 Row = dict[str, Any]
 
@@ -38,15 +38,15 @@ def add_command(commands: Commands) -> None:
     """Register the subcommand."""
     parser = subcommand(
         commands, "interface", _run,
-        "topics, services and parameters as a document, or what breaks clients of another one",
+        "topics, services and parameters as a document, or its incompatibilities with another one",
         [
             ("interface --json > interface.json", "types, qualities of service, columns, ranges, defaults"),
-            ("interface --against older.json", "what breaks a client of that version, and what is merely new"),
+            ("interface --against older.json", "changes that break a client of that version, and additions"),
         ],
-        "Exit code 1 if something breaks a client: docs/reference/interface.md says what does.",
+        "Exit code 1 if a change breaks clients; docs/reference/interface.md lists such changes.",
     )  # fmt: skip
     add_json(parser)
-    parser.add_argument("--against", type=Path, metavar="FILE", help="document of another version, an earlier one")
+    parser.add_argument("--against", type=Path, metavar="FILE", help="document of an earlier version")
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -87,7 +87,7 @@ def read(path: Path) -> dict[str, Any]:
     """Return the document of an interface.
 
     Raises:
-        ConfigError: it cannot be read, or is no JSON; the message names the file.
+        ConfigError: the file cannot be read or is not JSON; the message names it.
     """
     try:
         return dict(json.loads(files.read_bytes(path, MAX_BYTES)))
@@ -122,7 +122,7 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> tuple[list[st
 
 
 def _rows(document: Mapping[str, Any]) -> Iterator[tuple[str, Row]]:
-    """Yield what a client may rely on, by name; `taken` is what comes from clients."""
+    """Yield the rows that a client may rely on, by name; `taken` marks inputs from clients."""
     for name, topic in document["topics"].items():
         taken = topic["publisher"] in CLIENTS
         yield f"topic {name}", {**{key: value for key, value in topic.items() if key != "columns"}, "taken": taken}
@@ -136,7 +136,7 @@ def _rows(document: Mapping[str, Any]) -> Iterator[tuple[str, Row]]:
 
 
 def _whole(name: str) -> str | None:
-    """Return the topic that a column belongs to: where that is gone or new, its columns are not told one by one."""
+    """Return the topic of a column: if that is removed or new, its columns are not listed one by one."""
     topic, column, _ = name.partition(", column ")
     return topic if column else None
 
@@ -164,7 +164,7 @@ _BREAKS: dict[str, Callable[[Any, Any, Row], bool]] = {
     "publisher": lambda was, now, _: (was in CLIENTS) != (now in CLIENTS),
     "reliability": _offers("best effort", "reliable"),
     "durability": _offers("volatile", "transient local"),
-    # late subscribers get fewer messages; no client can rely on the number kept for a slow one
+    # late subscribers receive fewer messages; no client can rely on the number kept for a slow one
     "depth": lambda was, now, row: row.get("durability") == "transient local" and not row["taken"] and now < was,
     **dict.fromkeys(("required", "start_only"), lambda _was, now, _: bool(now)),
     "least": _reaches(-1.0),
@@ -172,4 +172,4 @@ _BREAKS: dict[str, Callable[[Any, Any, Row], bool]] = {
     **dict.fromkeys(("least_open", "most_open", "whole"), lambda _was, now, row: bool(row["taken"] and now)),
     "choices": lambda was, now, _: now is not None and not set(was or ()) <= set(now),
 }
-"""Key of a row -> whether a change breaks a client (was, is, the row); any change of another key does."""
+"""Key of a row -> function that returns whether a change breaks a client (before, after, row); other keys always do."""

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Command line of the package: it parses the arguments and runs one subcommand; errors become one line and exit code 1.
+"""Command line of the package: parses the arguments and runs one subcommand; an error becomes one line and exit code 1.
 
 Only the module of the chosen subcommand is loaded, after the signal handlers are installed.
 """
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 EXIT_ERROR = 1
 PROGRAM = "impact-rig"
 GROUP = "impact_rig.commands"
-"""Entry points by which packages bring their commands: a name, and the function that registers its parser."""
+"""Entry points through which packages contribute commands: a name, and the function that registers its parser."""
 HEADINGS = {
     "See it": ("lab", "demo"),
     "Recordings": ("record", "info", "analyze", "compare", "verify", "replay", "recover", "import", "export"),
@@ -45,7 +45,7 @@ HEADINGS = {
     "Files": ("check",),
     "Other packages": (),
 }
-"""Commands of the help by heading; commands that other packages bring are listed under the last one."""
+"""Commands of the help by heading; contributed commands are listed under the last one."""
 HIDDEN = ("interface",)  # installed, but not listed in the help
 MOVED = {"loop": "drive", "play": "drive play", "frf": "drive frf"}
 
@@ -98,20 +98,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run `impact-rig` and return the exit code.
 
     Args:
-        arguments: of the command line; None: this is the program, which takes those it was given, and the signals.
+        arguments: arguments of the command line; None means those of this program, which then also handles signals.
     """
     if arguments is not None:
         return _run(_parse(arguments), None)
     words = sys.argv[1:]
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="surrogateescape")  # a file name may not be valid text: it is printed as it is
+        sys.stdout.reconfigure(errors="surrogateescape")  # a file name may not be valid text: it is printed unchanged
     if "_ARGCOMPLETE" in os.environ:
         _complete()
     ending = Ending(PROGRAM)
-    if words and words[0].isalpha():  # whether it is a command takes a while to look up
+    if words and words[0].isalpha():  # it takes a while to find out whether it is a command
         ending.name = f"{PROGRAM} {words[0]}"
     chosen = _parse(words)
-    if getattr(chosen, "until_told", False):  # being told to end is how it ends well
+    if getattr(chosen, "until_told", False):  # a signal is its normal end
         ending.code = lambda _number: 0
     return ending.run(lambda: _run(chosen, ending))
 
@@ -131,7 +131,7 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
 
 
 def _complete() -> None:
-    """Answer a shell that asks what could come next, and end, if argcomplete is installed."""
+    """Answer a shell's request for completions and exit, if argcomplete is installed."""
     try:
         import argcomplete  # noqa: PLC0415  # an extra
     except ImportError:
@@ -147,7 +147,7 @@ def _run(chosen: argparse.Namespace, ending: Ending | None) -> int:
     try:
         result: int = chosen.run(chosen)
     except ImpactRigError as error:
-        if ending is None or not ending.received:  # else it is only what became of the signal
+        if ending is None or not ending.received:  # otherwise the error is a consequence of the signal
             about_content = isinstance(error, (ValueError, OSError))  # not the last lines of a process that died
             text = one_line(str(error), lines=not about_content)
             print(f"{PROGRAM} {chosen.command}: {text}", file=sys.stderr)  # noqa: T201  # a command line tool talks

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Quantities on the command line: numbers with their unit, as one type for argparse."""
+"""Quantities on the command line: numbers with a unit, as one type for argparse."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ POWERS: Mapping[str, Mapping[str, int]] = {
     "s": {"s": 0, "ms": -3},
     "m/s²": {"m/s2": 0},
 }
-"""Power of ten of each unit that may be written, by the SI unit of the option; other options take their own unit."""
+"""Power of ten of each allowed unit, by the SI unit of the option; other options accept only their own unit."""
 _FORM = re.compile(r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]{1,3})?)\s*([^\s0-9.,][^\s]*)?")
 
 
@@ -48,13 +48,13 @@ _FORM = re.compile(r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]{1,3})?)
 class Quantity:
     """Parser of a quantity with its unit, for `type=` of an option.
 
-    A length needs its unit: people say 6 for 6 mm, the configuration has 0.006 for the same. Any other quantity may
-    stand without one, in the SI unit.
+    A length requires a unit, because 6 usually means 6 mm, which is 0.006 in a configuration. Any other quantity may
+    have no unit and is then in SI.
 
     Attributes:
-        about: unit and legal range of the value.
-        words: texts that stand for a value, such as `none`.
-        names: whether any other text is the name of a signal and is returned as it is.
+        about: unit and allowed range of the value.
+        words: texts for special values, such as `none`.
+        names: whether any other text is the name of a signal, returned unchanged.
     """
 
     about: FieldInfo
@@ -70,7 +70,7 @@ class Quantity:
         """Return the value of an option's text in the SI unit.
 
         Raises:
-            argparse.ArgumentTypeError: the text is no such quantity; argparse adds the option's name.
+            argparse.ArgumentTypeError: the text is not such a quantity; argparse adds the option's name.
         """
         try:
             return self.parse(text)
@@ -78,10 +78,10 @@ class Quantity:
             raise argparse.ArgumentTypeError(str(error)) from error
 
     def parse(self, text: str) -> float | str:
-        """Return the value in the SI unit, exactly as if it had been written in that unit.
+        """Return the value in the SI unit, exactly as if it were written in that unit.
 
         Raises:
-            ConfigError: the text is no such quantity.
+            ConfigError: the text is not such a quantity.
         """
         if text in self.words:
             return self.words[text]
@@ -106,7 +106,7 @@ class Quantity:
         """Return the value of a quantity that is never the name of a signal.
 
         Raises:
-            ConfigError: the text is no such quantity.
+            ConfigError: the text is not such a quantity.
         """
         value = self.parse(text)
         assert not isinstance(value, str)
@@ -134,7 +134,7 @@ def add_field(
     Args:
         parser: parser of a command.
         field: field of a configuration or a plan.
-        metavar: placeholder of its value; None for one out of several words.
+        metavar: placeholder of its value; None if it is one of several words.
         option: name of the option (default: that of the field).
     """
     about = fields.info(field)
@@ -154,4 +154,4 @@ def add_field(
 
 
 GAP = Quantity.of(attrs.fields(Barriers).gap_m, {NO_SPHERE_WORD: 0.0})
-"""Gap of the barriers; `none`: no sphere."""
+"""Gap of the barriers; `none` means no sphere."""

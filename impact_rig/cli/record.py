@@ -38,8 +38,8 @@ from impact_rig.rig.gaps import NO_SPHERE, case_of
 from impact_rig.system.endings import defer_signals
 
 SECONDS = 60.0
-SCANS_TIMEOUT_S = 30.0  # wall time that a rig may take for a block of scans
-FREQUENCY_HZ, CURRENT_A = 9.1, 0.52  # of the paper
+SCANS_TIMEOUT_S = 30.0  # largest wall time of a rig for one block of scans
+FREQUENCY_HZ, CURRENT_A = 9.1, 0.52  # values of the paper
 CURRENT = Quantity(FieldInfo("Peak current.", "A", low=0.0))
 NEGLIGIBLE = 1e-6  # share of the variance below which a line of the budget is not printed
 OF_THE_RIG = ("config", "gap", "sphere_start", "seed", "scan_rate")
@@ -52,16 +52,16 @@ def add_command(commands: Commands) -> None:
         [
             ("record --frequency 9.1 --current 0.52 --gap 6mm", "60 s of rig time, in this process"),
             ("record --gap none --seconds 30 --output runs/no_sphere", "without the sphere"),
-            ("record --through running --namespace /rig --seconds 20", "a rig that runs already, driven as it is"),
+            ("record --through running --namespace /rig --seconds 20", "a running rig, with its present drive"),
         ],
-        "The last line is the directory of the run. Exit code 0: DT was measured; 1: not, with the reason.",
+        "The last line is the directory of the run. Exit code 0: DT was measured; 1: not, for the printed reason.",
     )  # fmt: skip
     parser.add_argument(
         "--frequency", type=Quantity.of(attrs.fields(Drive).frequency_hz), metavar="HZ",
-        help=f"drive frequency (default: {FREQUENCY_HZ}Hz; of a running rig: as it is)",
+        help=f"drive frequency (default: {FREQUENCY_HZ}Hz; running rig: unchanged)",
     )  # fmt: skip
     parser.add_argument(
-        "--current", type=CURRENT, metavar="A", help=f"peak current (default: {CURRENT_A}A; of a running rig: as it is)"
+        "--current", type=CURRENT, metavar="A", help=f"peak current (default: {CURRENT_A}A; running rig: unchanged)"
     )
     parser.add_argument(
         "--seconds", type=positive("s"), default=SECONDS, metavar="S", help=f"rig time (default: {SECONDS:g})"
@@ -81,7 +81,7 @@ def _run(arguments: argparse.Namespace) -> int:
     done_s, early, interrupted = 0.0, "", None
     running = arguments.through == RUNNING
     what = f"the rig in {arguments.namespace}" if running else case_of(gap_m)
-    with contextlib.ExitStack() as ending:  # what follows the run is not cut short by one more signal
+    with contextlib.ExitStack() as ending:  # a second signal does not interrupt the work after the run
         with Counted(Console(stderr=True), "seconds", math.ceil(arguments.seconds)) as shown:
             try:
                 with contextlib.closing(_drive(arguments, config, gap_m, directory)) as passed:
@@ -110,10 +110,10 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _config(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
-    """Return the rig that is started and its gap; of a running rig nothing but the drive can be chosen.
+    """Return the configuration of a rig to start and its gap; for a running rig only the drive can be chosen.
 
     Raises:
-        ConfigError: an option does not fit.
+        ConfigError: an option is not allowed here.
     """
     if arguments.through == RUNNING:
         for name in OF_THE_RIG:
@@ -133,12 +133,12 @@ def _config(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
         )
     arguments.frequency = FREQUENCY_HZ if arguments.frequency is None else arguments.frequency
     arguments.current = CURRENT_A if arguments.current is None else arguments.current
-    Rig(config).accept(frequency_hz=arguments.frequency, amplitude=arguments.current)  # refused before anything is made
+    Rig(config).accept(frequency_hz=arguments.frequency, amplitude=arguments.current)  # before any file is created
     return config, gap_m
 
 
 Passed = Generator[tuple[float, str], None, None]
-"""Rig time recorded so far [s], and the newest DT or what is waited for, as text; empty if neither is known."""
+"""Rig time recorded so far [s], and the newest DT or the reason for waiting, as text; empty if neither is known."""
 
 
 def _drive(arguments: argparse.Namespace, config: RigConfig, gap_m: float, directory: Path) -> Passed:
@@ -165,10 +165,10 @@ def _drive(arguments: argparse.Namespace, config: RigConfig, gap_m: float, direc
 
 @attrs.frozen(eq=False)
 class RunMeasurements:
-    """Measurements of a run, as its analysis makes them."""
+    """Measurements of a run by its analysis."""
 
     everything: NDArray[np.void]  # rows of `transmissibility/table`
-    rows: NDArray[np.void]  # the settled ones at the last frequency and gap
+    rows: NDArray[np.void]  # settled rows at the last frequency and gap
     info: NDArray[np.void]  # rows of `daq/info`
 
 

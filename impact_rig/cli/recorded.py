@@ -38,7 +38,7 @@ def add_info(commands: Commands) -> None:
             ("info runs/demo/gap_6mm", "verdict, duration, topics"),
             ("info runs/demo/gap_6mm --json", "the same for a script"),
         ],
-        "Exit code 0: every checksum fits and nothing is known to be missing; 1: not so.",
+        "Exit code 0: every checksum fits and nothing is known to be missing; 1: otherwise.",
     )  # fmt: skip
     add_json(parser)
     parser.add_argument("path", type=Path, metavar="RUN", help="run directory or .mcap file")
@@ -102,7 +102,7 @@ def add_verify(commands: Commands) -> None:
     """Register the subcommand."""
     parser = subcommand(
         commands, "verify", _verify, "re-simulate a run from its journal and compare all that the rig published",
-        [("verify runs/demo/gap_6mm", "says `identical`, or names the first difference; then topic by topic")],
+        [("verify runs/demo/gap_6mm", "`identical` or the first difference, then a line per topic")],
         "Exit code 0: identical; 1: different, or not verifiable.",
     )  # fmt: skip
     add_run(parser)
@@ -128,14 +128,14 @@ def _verify(arguments: argparse.Namespace) -> int:
     return 0 if found.identical else 1
 
 
-INCOMPLETE = 3  # exit code when the new run lacks something of the old one
-LISTED = 20  # places that are shown one by one
+INCOMPLETE = 3  # exit code if the new run lacks parts of the old one
+LISTED = 20  # largest number of places that are listed
 
 
 def add_recover(commands: Commands) -> None:
     """Register the subcommand."""
     parser = subcommand(
-        commands, "recover", _recover, "save every whole chunk of a damaged or unfinished run",
+        commands, "recover", _recover, "save every intact chunk of a damaged or unfinished run",
         [("recover runs/killed runs/saved", "writes the intact data to a new run, and lists what is missing")],
         f"Exit code 0: all data found is intact; {INCOMPLETE}: something is missing; 1: nothing was saved.",
     )  # fmt: skip
@@ -145,7 +145,7 @@ def add_recover(commands: Commands) -> None:
     parser.add_argument(
         "--accept-unchecked",
         action="store_true",
-        help="also take chunks without a checksum, as rosbag2 writes them; they may be wrong",
+        help="also save chunks without a checksum, as written by rosbag2, which may be damaged",
     )
 
 
@@ -219,7 +219,7 @@ LONGEST_DELAY_S = 3600.0
 def add_replay(commands: Commands) -> None:
     """Register the subcommand."""
     parser = subcommand(
-        commands, "replay", _replay, "publish a run onto the graph again, with /clock",
+        commands, "replay", _replay, "publish a run on its topics again, with /clock",
         [
             ("replay runs/demo/gap_6mm", "in real time"),
             ("replay runs/demo/gap_6mm --rate max --peers analysis", "as fast as the analysis follows"),
@@ -227,14 +227,14 @@ def add_replay(commands: Commands) -> None:
     )  # fmt: skip
     add_run(parser)
     parser.add_argument(
-        "--rate", type=_rate, default=1.0, metavar="X", help="times real time, or max: as the peers follow (default: 1)"
+        "--rate", type=_rate, default=1.0, metavar="X", help="multiple of real time, or max (default: 1)"
     )
     parser.add_argument("--peers", nargs="+", default=[], metavar="NODE", help="nodes that must not lose a block")
-    parser.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="only these")
-    parser.add_argument("--loop", action="store_true", help="begin again at the end, until Ctrl-C")
-    parser.add_argument("--paused", action="store_true", help="begin paused; the service /player/pause lets it go on")
+    parser.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="topics to publish (default: all)")
+    parser.add_argument("--loop", action="store_true", help="restart at the end, until Ctrl-C")
+    parser.add_argument("--paused", action="store_true", help="start paused, until the service /player/pause is called")
     parser.add_argument(
-        "--delay", type=_delay, default=1.0, metavar="S", help="wait this long for subscribers to be found (default: 1)"
+        "--delay", type=_delay, default=1.0, metavar="S", help="wait for the discovery of subscribers [s] (default: 1)"
     )
 
 

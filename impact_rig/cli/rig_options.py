@@ -33,7 +33,7 @@ PROCESS, ROS, RUNNING = WAYS = ("process", "ros", "running")
 
 
 def add_rig(parser: argparse.ArgumentParser) -> None:
-    """Add the words that say which rig."""
+    """Add the options that select a rig."""
     parser.add_argument("--config", type=Path, metavar="FILE", help="rig configuration (default: the paper's rig)")
     parser.add_argument(
         "--gap", type=GAP, metavar="LENGTH",
@@ -46,10 +46,10 @@ def add_rig(parser: argparse.ArgumentParser) -> None:
 
 
 def rig_of(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
-    """Return the rig and its gap.
+    """Return the configuration of the selected rig, and its gap.
 
     Raises:
-        ConfigError: the file or a word is wrong.
+        ConfigError: the file or an option is invalid.
     """
     config = load_config(arguments.config) if arguments.config else RigConfig()
     changes: dict[str, object] = {} if arguments.gap is None else dict(gap_values(arguments.gap))
@@ -60,10 +60,10 @@ def rig_of(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
 
 
 def add_way(parser: argparse.ArgumentParser, needs: str = "") -> None:
-    """Add the words that say where the rig runs."""
+    """Add the options that select where the rig runs."""
     parser.add_argument(
         "--through", choices=WAYS, default=PROCESS,
-        help=f"a rig in this process (default), behind topics, or one that runs already{needs}",
+        help=f"rig in this process (default), behind topics, or already running{needs}",
     )  # fmt: skip
     parser.add_argument("--namespace", default="/rig", help="namespace of the rig (default: /rig)")
 
@@ -75,14 +75,15 @@ def open_rig(
     required: Mapping[str, Any],
     analysis: Mapping[str, Any] | None = None,
 ) -> RigDriver:
-    """Return the rig that `--through` asks for, recorded into a directory.
+    """Return the rig that `--through` selects, with a recording into a directory.
 
     Args:
-        arguments: with those of `add_way`.
-        config: of a rig that is started; behind topics it runs as fast as recorder, analysis and this program follow.
+        arguments: parsed arguments, including those of `add_way`.
+        config: configuration of a rig to start; behind topics it runs as fast as recorder, analysis and this program
+            follow.
         record: directory of the run.
         required: configuration values that a running rig must have.
-        analysis: parameters of an analysis that is started with a rig; None: there is none.
+        analysis: parameters of an analysis to start with the rig; None means no analysis.
     """
     if arguments.through == PROCESS:
         from impact_rig.driver.local_rig import LocalRig  # noqa: PLC0415  # heavy: after the signals are taken
@@ -96,10 +97,10 @@ def open_rig(
 
 
 def run_directory(wanted: Path | None, what: str) -> Path:
-    """Return the directory of a new run: the one wanted, or one below `runs/` named by what it is and the time.
+    """Return the directory of a new run: the requested one, or one below `runs/` named after the command and the time.
 
     Raises:
-        ImpactRigError: something is there.
+        ImpactRigError: the directory is not empty.
     """
     directory = (wanted or Path("runs") / time.strftime(f"{what}_%Y%m%d_%H%M%S")).resolve()
     if directory.exists() and any(directory.iterdir()):

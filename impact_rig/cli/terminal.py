@@ -13,9 +13,9 @@
 # limitations under the License.
 """Common parts of all commands: their registration, and the output of text to the terminal.
 
-No part of a text is interpreted as markup, emoji or control character: names of files and topics and texts of
-recordings and campaigns have any origin. Colours are set by `style`, never inside a text; `NO_COLOR` in the environment
-switches all colours off.
+No part of a text is interpreted as markup, emoji or control character, because names of files and topics and texts of
+recordings and campaigns may contain anything. Colours are set by `style`, never inside a text. `NO_COLOR` in the
+environment switches all colours off.
 """
 
 from __future__ import annotations
@@ -51,20 +51,20 @@ from impact_rig.system.files import plain
 __all__ = ["Console", "Counted", "Steps", "TextTable", "Words", "figure", "tell_json", "tell_program", "tell_results"]
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
-"""Commands of the program, or subcommands of one, to which others are added."""
-LONGEST_HEADING = 11  # characters of a heading over numbers that stay in one line
-LONGEST_WORD = 12  # characters of a word in a cell that are not parted
-LARGEST_WIDTH = 10_000  # of a table, in characters
-LONGEST_TEXT = 20_000  # characters of a text: what belongs together is printed sentence by sentence
+"""Commands of the program, or subcommands of one, to which a parser is added."""
+LONGEST_HEADING = 11  # longest heading, in characters, above numbers that stays in one line
+LONGEST_WORD = 12  # longest word, in characters, in a cell that is not split
+LARGEST_WIDTH = 10_000  # largest width of a table, in characters
+LONGEST_TEXT = 20_000  # longest text, in characters; longer output is printed sentence by sentence
 LINES = 50  # approximate number of lines of a progress report without a terminal
-BYTES = re.compile("[\ud800-\udfff]")  # what Python makes of the bytes of a file's name that are no UTF-8
+BYTES = re.compile("[\ud800-\udfff]")  # surrogates, by which Python represents bytes of a file name that are not UTF-8
 
 
 class Console(rich_console.Console):
     """Terminal that shows every text literally.
 
     Args:
-        quiet: whether to show nothing: the results are printed as JSON.
+        quiet: whether to show nothing, because the results are printed as JSON.
         stderr: whether to show progress in addition to the results.
     """
 
@@ -72,7 +72,7 @@ class Console(rich_console.Console):
         super().__init__(markup=False, emoji=False, highlight=False, quiet=quiet, stderr=stderr)
 
     def print(self, *objects: Any, **options: Any) -> None:
-        """Print; of a table that is wider than the terminal no number loses its last digits: the terminal breaks it."""
+        """Print; a table wider than the terminal keeps all digits of its numbers, and the terminal wraps its lines."""
         whole = {"crop": False} if any(isinstance(one, TextTable) for one in objects) else {}
         super().print(*objects, **{**whole, **options})
 
@@ -82,9 +82,9 @@ class Console(rich_console.Console):
 
 
 class TextTable(rich_table.Table):
-    """A table that fits 80 columns: units stand below the names they belong to, numbers and units are never cut.
+    """Table for 80 columns, in which units are below their names, and numbers and units are never truncated.
 
-    Its columns are those with texts, then those with numbers, which are set flush right, then the last ones with texts.
+    Its columns are first those with texts (`left`), then right-aligned numbers (`right`), then further texts (`last`).
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class TextTable(rich_table.Table):
                 self.add_column(heading, justify=side)
 
     def add_column(self, header: Any = "", *arguments: Any, **options: Any) -> None:
-        """Add a column; one that is set flush right keeps its width, others are broken where the line is full."""
+        """Add a column; right-aligned columns keep their width, others are wrapped if the line is full."""
         flush = options.get("justify") == "right"
         lines = [visible(line) for line in str(header).replace(" [", "\n[").split("\n")]
         if flush and max(map(len, lines)) > LONGEST_HEADING:
@@ -115,7 +115,7 @@ class TextTable(rich_table.Table):
     def __rich_console__(
         self, console: rich_console.Console, options: rich_console.ConsoleOptions
     ) -> rich_console.RenderResult:
-        """Draw it, as wide as its numbers and its longest words are where the terminal is narrower."""
+        """Draw the table; on a narrow terminal it is as wide as its numbers and its longest words."""
         for column in self.columns:
             words = (word for cell in column.cells for word in str(cell).split())
             longest = min(LONGEST_WORD, max(map(len, words), default=0))
@@ -130,7 +130,7 @@ def figure(value: float, spec: str, missing: str = "-") -> str:
 
 
 class Words(TextColumn):
-    """A column of a progress display: `str.format` with the task."""
+    """Column of a progress display: `str.format` with the task."""
 
     def render(self, task: Task) -> Text:
         """Return the text of a task."""
@@ -138,7 +138,7 @@ class Words(TextColumn):
 
 
 class Steps:
-    """Progress as plain lines, where there is no terminal to draw a bar on."""
+    """Progress as plain lines, if there is no terminal for a bar."""
 
     def __init__(self, what: str, total: int) -> None:
         self._what, self._total, self._told = what, total, -1
@@ -153,7 +153,7 @@ class Steps:
 
 
 class Counted(Progress):
-    """Progress of what is counted, `show`n after each: a bar on a terminal, else a plain line now and then."""
+    """Progress of counted items, reported with `show`: a bar on a terminal, otherwise an occasional line."""
 
     def __init__(self, console: Console, what: str, total: int) -> None:
         columns = (
@@ -166,24 +166,24 @@ class Counted(Progress):
         self.end = "done"  # text at the end
 
     def show(self, done: int, state: str) -> None:
-        """Show how many are done."""
+        """Show the number of finished items."""
         self.update(self.task_ids[0], completed=done, state=state)
         if self.disable:
             self._steps.show(done, state)
 
     def stop(self) -> None:
-        """Show that all is done."""
+        """Show that all items are finished."""
         self.update(self.task_ids[0], state=self.end)
         super().stop()
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:
-    """Let a command tell what it found as JSON."""
-    parser.add_argument("--json", action="store_true", help="print what was found as JSON instead")
+    """Add the option for output as JSON."""
+    parser.add_argument("--json", action="store_true", help="print the results as JSON instead")
 
 
 def tell_json(content: object) -> None:
-    """Print what was found for a program; numbers that do not exist are null."""
+    """Print results as JSON; numbers that do not exist are null."""
     text = json.dumps(plain(content), indent=2, ensure_ascii=False)
     text = BYTES.sub(lambda byte: f"\\u{ord(byte[0]):04x}", text)
     print(text)  # noqa: T201  # a command line tool talks
@@ -198,12 +198,12 @@ def tell_results(directory: Path, content: Mapping[str, object], *, as_json: boo
 
 
 def tell_program(path: Path) -> None:
-    """Print a path as the last line: as it is for a program that reads it, visible for people."""
+    """Print a path as the last line: unchanged for a program that reads it, with visible characters for a terminal."""
     print(visible(str(path)) if sys.stdout.isatty() else path)  # noqa: T201  # a command line tool talks
 
 
 def add_figures(parser: argparse.ArgumentParser, what: str) -> None:
-    """Let a command draw: where to, and in which formats."""
+    """Add the options for figures: their directory and formats."""
     parser.add_argument("--figures", type=Path, metavar="DIR", help=what)
     parser.add_argument(
         "--format", dest="formats", nargs="+", choices=FIGURE_FORMATS, default=FIGURE_FORMATS,
@@ -212,18 +212,18 @@ def add_figures(parser: argparse.ArgumentParser, what: str) -> None:
     )  # fmt: skip
 
 
-WIDTH = 78  # of help pages: they are made for a terminal of 80 columns
+WIDTH = 78  # width of help pages, for a terminal of 80 columns
 
 
 def add_rig(parser: argparse.ArgumentParser) -> None:
-    """Add the option that chooses a rig of a recording that holds several."""
+    """Add the option that selects a rig of a recording with several rigs."""
     parser.add_argument(
         OPTION, dest="rig", metavar="NAMESPACE", help="rig to read (default: the only one in the recording)"
     )
 
 
 def add_run(parser: argparse.ArgumentParser, what: str = "run directory or .mcap file") -> None:
-    """Add the arguments that choose a recorded run and, where it holds several, its rig."""
+    """Add the arguments that select a recorded run and, if it contains several rigs, one of them."""
     parser.add_argument("path", type=Path, metavar="RUN", help=what)
     add_rig(parser)
 
@@ -239,12 +239,12 @@ def subcommand(
     """Register a subcommand and return its parser.
 
     Args:
-        commands: of the program.
-        name: of the subcommand.
-        run: runs it and returns the exit code; None: its own subcommands do.
-        sentence: what it does, for the list of commands and the head of its page.
-        examples: command without the program's name, and what it is for.
-        more: what else is to be known, below the examples.
+        commands: parsers of the program.
+        name: name of the subcommand.
+        run: function that runs it and returns the exit code; None if it has subcommands.
+        sentence: its effect, for the list of commands and the head of its page.
+        examples: commands without the program's name, and their purposes.
+        more: further information, printed below the examples.
     """
     lines = [f"  impact-rig {words}\n      {what}" for words, what in examples]
     head = "example:" if len(lines) == 1 else "examples:"

@@ -274,13 +274,23 @@ class ServiceFailedError(ImpactRigError, RuntimeError):
 
 
 class Client:
-    """ROS node that acts as the user of a rig.
+    """ROS node that acts as the user of a rig: it commands, calls services, sets parameters and receives topics.
+
+    It is a context manager, and receives messages while it waits. Every wait has a time limit, and ends with an error
+    if a watched node process ends.
 
     Args:
+        domain_id: ROS domain of the rig.
         namespace: namespace of the rig's nodes; topics and node names below are relative to it.
         processes: node processes to watch during every wait.
         name: node name, and the name in its acknowledgements.
         commands: whether `command` will be called; the client then keeps all commands that the rig applies.
+
+    Examples:
+        >>> import impact_rig
+        >>> with impact_rig.RosRig(hosted=True) as rig:
+        ...     rig.client.get_parameters("rig", ["barriers.gap_m"])
+        {'barriers.gap_m': 0.006}
     """
 
     def __init__(

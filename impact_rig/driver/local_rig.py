@@ -59,7 +59,10 @@ JOINT_STATES = f"{NAMESPACE}/{topics.JOINT_STATES.name}"
 
 
 class LocalRig(RigDriver):
-    """Rig in this process.
+    """Rig in this process, with optional analysis and recording.
+
+    Rig time passes only in `step` and `run`. `command`, `configure` and `inject` take effect at exact samples, `rows`
+    and `tables` return what the rig has published, and `save` writes a run. `RosRig` has the same interface.
 
     Args:
         config: the configuration, or the values that differ from the defaults, `section.key` -> value, as in
@@ -70,15 +73,23 @@ class LocalRig(RigDriver):
             no analysis.
         record: directory of a run to write while the rig moves; None means no recording.
         also: further topics whose tables are kept, such as `truth/scan`.
-        kept_bytes: limit of the size of the kept tables; None means no limit.
+        kept_bytes: limit of the size of the kept tables [bytes]; None means no limit.
 
     Attributes:
         core: the rig itself, for calls that this class does not offer (pluck, stop, clear_trip, ...).
         tracker: the analysis, or None.
 
     Raises:
-        ConfigError: unknown key, bad value or fault.
+        ConfigError: a key is unknown, or a value or fault is invalid.
         RecordingError: the run cannot be written.
+
+    Examples:
+        >>> import impact_rig
+        >>> rig = impact_rig.LocalRig({"barriers.gap_m": 0.006}, analysis={"gap_m": 0.006})
+        >>> first_scan = rig.command(frequency_hz=9.1, current_a=0.52)
+        >>> rig.run(seconds=20)
+        >>> print(f"DT {rig.rows('transmissibility/table')['transmissibility'][-1]:.2f}")
+        DT 63.57
     """
 
     def __init__(

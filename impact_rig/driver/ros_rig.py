@@ -78,7 +78,10 @@ FIXED = ("time.", "step.", "daq.rate_hz", "daq.block_scans", "output.autostart")
 
 
 class RosRig(RigDriver):
-    """Rig behind topics, with a client that acts as the operator.
+    """Rig behind topics, newly started on its own ROS domain or already running.
+
+    It has the interface of `LocalRig`, and a `client` that acts as the operator. Use it to test ROS 2 nodes against the
+    rig: `host` runs a node in this process, and `start_node` starts one as a process.
 
     Args:
         config: the configuration, or the values that differ from the defaults of a lockstep rig, `section.key` ->
@@ -99,7 +102,15 @@ class RosRig(RigDriver):
         processes: the node processes, to stop, kill or suspend one.
 
     Raises:
-        ConfigError: unknown key, bad value or fault.
+        ConfigError: a key is unknown, a value or fault is invalid, or a running rig has other values.
+
+    Examples:
+        >>> import impact_rig
+        >>> with impact_rig.RosRig({"barriers.gap_m": 0.006}, hosted=True) as rig:
+        ...     first_scan = rig.command(frequency_hz=9.1, current_a=0.52)
+        ...     rig.run(seconds=0.5)
+        ...     rig.rows("daq/scan")["laser"].shape
+        (5000,)
     """
 
     def __init__(

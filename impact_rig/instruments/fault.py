@@ -49,10 +49,24 @@ _NUMBERS = ("start_s", "duration_s", "value", "seed", "rate_hz")
 
 @attrs.frozen(kw_only=True)
 class Fault:
-    """One fault, with times in scans since the reset.
+    """One fault of an instrument or of the whole board, with times in scans since the reset.
+
+    Args:
+        kind: kind of fault, such as `dropout`, `stuck` or `offset_step`; docs/reference/instruments.md lists all kinds.
+        channel: channel that it acts on; empty for faults of the whole board.
+        start_sample: first scan that it acts on.
+        samples: number of scans that it lasts; 0 means until it is cleared.
+        value: size, in the channel's unit or as the kind defines it.
+        seed: seed of its own random numbers.
+        rate_hz: mean rate of a spike train [Hz].
 
     Raises:
         CommandError: the kind or channel does not exist, or a number is out of range.
+
+    Examples:
+        >>> import impact_rig
+        >>> print(impact_rig.Fault(kind="offset_step", channel="laser", start_sample=20000, samples=5000, value=1e-3))
+        offset_step on laser from sample 20000 to sample 25000, value 0.001
     """
 
     kind: str  # one of `FAULT_KINDS`

@@ -24,7 +24,25 @@ from impact_rig.physics.linear import MechanicsSetup, constants
 
 
 def transmissibility(config: MechanicsSetup, frequency_hz: NDArray[np.float64] | float) -> NDArray[np.complex128]:
-    """Return X_1 / X_b without the sphere: (1 + 2iζr) / (1 − r² + 2iζr), r = f / f_n; its phase is x_1 over x_b."""
+    """Return the transmissibility X_1 / X_b of the rig without its sphere, in closed form.
+
+        X_1 / X_b = (1 + 2iζr) / (1 − r² + 2iζr),   r = f / f_n
+
+    This is the response of a base-excited oscillator; see S. S. Rao, Mechanical Vibrations, section 3.6.
+
+    Args:
+        config: configuration of the rig, of which the natural frequency f_n and the damping ratio ζ are used.
+        frequency_hz: frequencies f [Hz], a number or an array of any shape.
+
+    Returns:
+        Complex ratio of the amplitudes, in the shape of `frequency_hz`. Its magnitude is DT, its argument the phase of
+        x_1 relative to x_b [rad].
+
+    Examples:
+        >>> import impact_rig
+        >>> print(f"{abs(impact_rig.transmissibility(impact_rig.RigConfig(), 9.1)):.1f}")
+        110.4
+    """
     structure = config.structure
     r = np.asarray(frequency_hz, float) / structure.natural_frequency_hz
     loss = 2.0j * structure.damping_ratio * r

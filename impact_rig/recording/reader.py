@@ -115,13 +115,13 @@ _Item = tuple[int, int, int, Message]  # log time, running number of the chunk, 
 class Run:
     """Recorded run, opened for reading; a context manager.
 
-    Attributes:
-        topics: recorded topics by full name.
-        prefixes: prefix of the relative names of each rig.
-
     Args:
         path: a run directory or an MCAP file.
         rig: namespace of the rig that relative names refer to; None means the only rig.
+
+    Attributes:
+        topics: recorded topics by full name.
+        prefixes: prefix of the relative names of each rig.
 
     Raises:
         RecordingError: there is no recording, it is not finished, its index is damaged, or it has no such rig.
@@ -443,7 +443,27 @@ def _size(*places: _Place) -> int:
 
 
 def open_run(path: Path | str, rig: str | None = None) -> Run:
-    """Open a run directory or an MCAP file; see `Run`."""
+    """Open a run directory or an MCAP file for reading.
+
+    Args:
+        path: a run directory or an MCAP file, also one of rosbag2.
+        rig: namespace of the rig that relative names refer to; None means the only rig.
+
+    Returns:
+        The run, a context manager.
+
+    Raises:
+        RecordingError: there is no recording, it is not finished, its index is damaged, or it has no such rig.
+
+    Examples:
+        >>> import pathlib, impact_rig
+        >>> rig = impact_rig.LocalRig()
+        >>> rig.run(seconds=1)
+        >>> path = rig.save(pathlib.Path("opened"))
+        >>> with impact_rig.open_run(path) as run:
+        ...     print(sum(len(table.rows) for table in run.tables("daq/scan")))
+        10000
+    """
     return Run(Path(path), rig)
 
 

@@ -36,12 +36,18 @@ _OVERHEAD_BYTES = 1000  # upper limit of header and columns in a table's message
 
 @attrs.frozen(kw_only=True)
 class RigConfig:
-    """Configuration of a rig, one section per part.
+    """Configuration of a rig, one section per part; frozen.
 
-    The defaults are the paper's rig as identified (`config/nominal.yaml`).
+    The defaults are the paper's rig as identified (`config/nominal.yaml`). docs/reference/configuration.md describes
+    every value, with unit, range and origin. Use `load_config` to read a file, and `attrs.evolve` to change a section.
 
     Raises:
         ConfigError: sections contradict each other; each section checks its own values.
+
+    Examples:
+        >>> import impact_rig
+        >>> impact_rig.RigConfig().barriers.gap_m
+        0.006
     """
 
     structure: Structure = attrs.field(factory=Structure)
@@ -91,11 +97,20 @@ def load_config(path: Path | str, overrides: Mapping[str, object] | None = None)
     """Read a rig configuration from a YAML file.
 
     Args:
-        path: a file with the sections of `RigConfig`, or a ROS 2 parameter file; missing values are default.
-        overrides: values by full name, such as `barriers.gap_m`, that replace those of the file.
+        path: a file with the sections of `RigConfig`, or a ROS 2 parameter file. Missing values have their defaults.
+        overrides: values that replace those of the file, by full name, such as `barriers.gap_m`.
+
+    Returns:
+        The configuration.
 
     Raises:
         ConfigError: the file cannot be read, or a value is unknown or out of range; the message names key and file.
+
+    Examples:
+        >>> import pathlib, impact_rig
+        >>> _ = pathlib.Path("mine.yaml").write_text("barriers: {gap_m: 0.008}")
+        >>> impact_rig.load_config("mine.yaml").barriers.gap_m
+        0.008
     """
     return TREE.load(path, overrides)
 

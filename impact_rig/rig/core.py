@@ -153,11 +153,27 @@ EMERGENCY = "emergency stop"
 
 
 class Rig:
-    """Virtual test rig.
+    """Virtual test rig as a pure object: time is an argument, and nothing sleeps.
+
+    Most programs use `LocalRig` or `RosRig` instead, which add the analysis, recordings and the topics. Inputs take
+    effect on a command grid of 10 ms, at the first instant that is not yet simulated. The same configuration and inputs
+    give the same bits on every machine.
+
+    Args:
+        config: configuration of the rig.
+        start_ns: stamp of scan 0 [ns].
 
     Raises:
         ConfigError: the initial drive of the configuration exceeds the shaker, or the instruments do not support this
             rate.
+
+    Examples:
+        >>> import impact_rig
+        >>> rig = impact_rig.Rig(impact_rig.RigConfig())
+        >>> applied = rig.accept(frequency_hz=9.1, amplitude=0.52)
+        >>> blocks = rig.advance(until_ns=10**9)
+        >>> len(blocks), blocks[0].scan.rows["laser"].shape
+        (100, (100,))
     """
 
     start_ns: int  # stamp of scan 0; a reset moves it to the present

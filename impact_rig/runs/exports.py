@@ -50,13 +50,29 @@ CURVE = "curve"
 
 
 def export(run: Run, topic: str, target: Path) -> Path:
-    """Write a table topic to `target` and return it; the suffix selects the format: .csv, .npz, .parquet or .uff.
+    """Export a table topic of a run to a file.
 
     NPZ and UFF files are built in memory, the others are streamed.
 
+    Args:
+        run: an open run.
+        topic: name of a topic that carries tables, such as `daq/scan`.
+        target: new file; its suffix selects the format: .csv, .npz, .parquet or .uff.
+
+    Returns:
+        The path `target`.
+
     Raises:
-        RecordingError: unknown suffix, `target` exists or cannot be written, the topic carries no tables or changes its
-            columns, or a library is missing: pyarrow for Parquet, pyuff for UFF.
+        RecordingError: the suffix is unknown, `target` exists or cannot be written, the topic carries no tables or
+            changes its columns, or a library is missing: pyarrow for Parquet, pyuff for UFF.
+
+    Examples:
+        >>> import pathlib, impact_rig
+        >>> rig = impact_rig.LocalRig()
+        >>> rig.run(seconds=1)
+        >>> with impact_rig.open_run(rig.save(pathlib.Path("exported"))) as run:
+        ...     print(impact_rig.export(run, "daq/scan", pathlib.Path("scans.csv")))
+        scans.csv
     """
     return write_columns(lambda: _batches(run, topic), target)
 

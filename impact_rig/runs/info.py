@@ -112,14 +112,25 @@ class RunInfo:
 
 
 def info(path: Path | str) -> RunInfo:
-    """Read a whole run and return its summary.
+    """Read a complete run and return its summary: contents, losses, checksums and a verdict.
 
     Args:
         path: a run directory or an MCAP file.
 
+    Returns:
+        The summary; `verdict` is one sentence about the run's integrity.
+
     Raises:
         RecordingError: there is no recording, it is not finished, or its index is damaged. A damaged chunk does not
             raise: the verdict names it, and the figures cover the messages before it.
+
+    Examples:
+        >>> import pathlib, impact_rig
+        >>> rig = impact_rig.LocalRig()
+        >>> rig.run(seconds=1)
+        >>> summary = impact_rig.info(rig.save(pathlib.Path("summarised")))
+        >>> summary.rate_hz, summary.scans.scans, summary.intact
+        (10000.0, 10000, True)
     """
     with open_run(path) as run:
         tally = _Tally(run)

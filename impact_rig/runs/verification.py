@@ -111,10 +111,26 @@ class Verification:
 
 
 def verify(run: Run) -> Verification:
-    """Re-simulate a run from its journal and compare all that the rig published; each start or reset begins a journal.
+    """Re-simulate a run from its journal, and compare everything that the rig published.
+
+    Each start or reset in the run begins a journal, which is re-simulated separately.
+
+    Args:
+        run: an open run.
+
+    Returns:
+        The result; `identical` is true if every compared sample is equal bit for bit, and `str` describes it.
 
     Raises:
-        RecordingError: the run holds no scans, or is damaged.
+        RecordingError: the run contains no scans, or is damaged.
+
+    Examples:
+        >>> import pathlib, impact_rig
+        >>> rig = impact_rig.LocalRig()
+        >>> rig.run(seconds=1)
+        >>> with impact_rig.open_run(rig.save(pathlib.Path("verified"))) as run:
+        ...     print(impact_rig.verify(run))
+        identical: 10000 scans re-simulated bit for bit
     """
     if arithmetic_of(run.provenance) not in ("", str(ARITHMETIC)):
         return Verification(None, 0, f"recorded with arithmetic {arithmetic_of(run.provenance)}, this is {ARITHMETIC}")

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig campaign` and `report`: measure what a campaign file asks for, resume it, judge it; its page."""
+"""`impact-rig campaign` and `report`: measurement, resumption and judgement of a campaign file, and its report."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ from impact_rig_studies.campaign.tasks import measure
 from impact_rig_studies.cli import tasks
 
 WAYS = ("process", "ros", "dask")
-SHOWN = 20  # failing points that are printed; all of them are in the CSV
+SHOWN = 20  # largest number of failing points that are printed; the CSV contains all
 
 
 def add_command(commands: Commands) -> None:
@@ -55,7 +55,7 @@ def add_command(commands: Commands) -> None:
         commands, "campaign", _run, "measure all points of a campaign file; run again to resume",
         [
             ("campaign config/paper.yaml", "the whole paper, on all cores"),
-            ("campaign config/paper.yaml --only curves --check", "its 60 points; exit code 1 if they are not right"),
+            ("campaign config/paper.yaml --only curves --check", "its 60 points; exit code 1 if they are wrong"),
             ("campaign my.yaml --through ros --record --output runs/mine", "through the real graph, with recordings"),
         ],
         "The last line is the directory of the results; `impact-rig report` makes a page of it.",
@@ -67,9 +67,9 @@ def add_command(commands: Commands) -> None:
         help="way of measuring: process (all cores; default), ros (the real graph) or dask ADDRESS (a Dask cluster)",
     )  # fmt: skip
     parser.add_argument(
-        "--output", type=Path, metavar="DIR", help="default: runs/campaign_<file>; resumed if it exists"
+        "--output", type=Path, metavar="DIR", help="results, resumed if they exist (default: runs/campaign_<file>)"
     )
-    parser.add_argument("--only", nargs="+", default=(), metavar="STUDY", help="run these studies only")
+    parser.add_argument("--only", nargs="+", default=(), metavar="STUDY", help="studies to run (default: all)")
     parser.add_argument(
         "--seed", type=int, metavar="N", help="seed of noise and calibration errors (default: the file's)"
     )
@@ -77,7 +77,7 @@ def add_command(commands: Commands) -> None:
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
     parser.add_argument("--record", action="store_true", help="record every run as MCAP (with --through ros)")
     parser.add_argument(
-        "--check", action="store_true", help="exit with 1 if a point failed, or what was measured contradicts the paper"
+        "--check", action="store_true", help="exit with 1 if a point failed or a measurement contradicts the paper"
     )
 
 
@@ -88,7 +88,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if arguments.only:
         campaign = campaign.only(tuple(arguments.only))
     if arguments.record and way != "ros":
-        raise ConfigError("--record needs --through ros: what is recorded are messages")
+        raise ConfigError("--record needs --through ros, because messages are recorded")
     console = Console(quiet=arguments.json)
     started = time.monotonic()
     jobs = run.unique_jobs(campaign.planned())
@@ -117,7 +117,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _content(done: run.Finished) -> dict[str, object]:
-    """Return the printed results for programs: `summary.json`, and the rest of the CSV."""
+    """Return the printed results as data: `summary.json`, and the rest of the CSV."""
     return {
         **json.loads((done.directory / FILE_NAME).read_text(encoding="utf-8")),
         "verdicts": [
@@ -155,7 +155,7 @@ def _measure(jobs: list[Job], store: Store, runner: run.Runner) -> None:
 
 
 def _print_reductions(console: Console, done: run.Finished) -> bool:
-    """Print the table; return whether those that were measured are close to the paper."""
+    """Print the table of reductions; return whether the measured ones are close to the paper."""
     reductions = done.reductions()
     if not reductions.percent():
         return True
@@ -183,9 +183,9 @@ def _print_reductions(console: Console, done: run.Finished) -> bool:
 
 def _print_verdicts(console: Console, verdicts: list[Verdict]) -> None:
     if all(verdict.result is None for verdict in verdicts):
-        return  # a campaign about something else
+        return  # the campaign has another subject
     table = TextTable(
-        "The paper's statements, and what it is worth that they hold",
+        "The paper's statements, and how strong the evidence is",
         left=("", "statement", "verdict", "worth", "figures"),
     )
     colours = {"pass": "green", "FAIL": "red"}
@@ -201,7 +201,7 @@ def _print_margins(console: Console, varied: list[Variation]) -> None:
     if not varied:
         return
     table = TextTable(
-        "The figure of each statement on rigs of which one constant differs",
+        "The figure of each statement on rigs that differ in one constant",
         left=("rig", *(str(number) for number in range(1, len(varied[0].verdicts) + 1))),
     )
     for one in varied:
@@ -212,7 +212,7 @@ def _print_margins(console: Console, varied: list[Variation]) -> None:
 
 
 def _print_quiet(console: Console, done: run.Finished) -> None:
-    """Print how many points have no impacts although there is a sphere, and what that leaves open."""
+    """Print how many points have no impacts despite a sphere, and what remains open."""
     notes = [point.note for point in done.points if point.settled and point.note]
     if notes:
         console.print(f"{len(notes)} of {len(done.points)} points: the sphere did not strike ({notes[0]})")
@@ -240,14 +240,14 @@ def add_report(commands: Commands) -> None:
         [
             ("report runs/campaign_paper", "writes runs/campaign_paper/report.html"),
             ("report runs/demo/gap_6mm", "one run: result, uncertainty, conditions, motion"),
-            ("report runs/campaign_paper --margins runs/campaign_margins", "with what the verdicts owe to constants"),
+            ("report runs/campaign_paper --margins runs/campaign_margins", "with sensitivities to constants"),
         ],
     )  # fmt: skip
     parser.add_argument("directory", type=Path, metavar="DIR", help="directory of a campaign, or a run")
     parser.add_argument("--output", type=Path, metavar="DIR", help="directory of the page (default: DIR)")
     parser.add_argument(
         "--margins", type=Path, metavar="DIR",
-        help="campaign that varies constants (config/campaigns/margins.yaml): what the statements owe to them",
+        help="campaign with varied constants (config/campaigns/margins.yaml), for the statements' sensitivity",
     )  # fmt: skip
     parser.add_argument(
         "--branches", type=Path, metavar="DIR", nargs="+", default=(),

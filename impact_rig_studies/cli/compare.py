@@ -45,16 +45,16 @@ FAR_OFF = 2.0  # standard uncertainties from which a difference is marked
 def add_command(commands: Commands) -> None:
     """Register the subcommand."""
     parser = subcommand(
-        commands, "compare", _run, "a measurement and the model side by side, and the constants that would fit best",
+        commands, "compare", _run, "compare a measurement with the model, and fit the model's constants",
         [
             ("compare runs/mine --config my_rig.yaml", "the model of that rig, driven by the measured current"),
-            ("compare runs/mine --drive base --figures build/mine", "driven by the measured base, and drawn"),
+            ("compare runs/mine --drive base --figures build/mine", "driven by the measured base, with a figure"),
         ],
-        "Takes recorded and imported runs: docs/tutorials/own_measurement.md.",
+        "Works with recorded and imported runs: docs/tutorials/own_measurement.md.",
     )  # fmt: skip
     add_json(parser)
     add_run(parser)
-    parser.add_argument("--config", type=Path, metavar="FILE", help="the model (default: the run's own configuration)")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="model's configuration (default: that of the run)")
     parser.add_argument(
         "--drive", choices=("current", "base"), help="drive of the model (default: current if it was measured)"
     )
@@ -138,4 +138,4 @@ def _print(console: Console, found: Comparison) -> None:
     if found.constants is not None:
         print_identified(console, found.constants)
     else:
-        console.print("constants: none can be determined without DT without the sphere and a measured current")
+        console.print("constants: none can be determined; this needs DT without the sphere, and a measured current")

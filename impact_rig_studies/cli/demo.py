@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig demo`: three node processes, driven through their topics, measure the paper's five reductions."""
+"""`impact-rig demo`: measurement of the paper's five reductions by three node processes, through their topics."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ from impact_rig_studies.operate.stepped_sine import SteppedSine
 from impact_rig_studies.report.dt import draw_reductions
 
 MEASUREMENTS = 2
-"""Settled measurements per case; each takes 5 s of rig time, or 21 s where the response is not periodic."""
+"""Settled measurements per case; each takes 5 s of rig time, or 21 s if the response is not periodic."""
 LINEAR_LIMIT = 0.02
 
 
@@ -165,7 +165,7 @@ def _job(config: RigConfig, gap_m: float) -> Job:
 
 
 class Screen:
-    """The progress of the demo, a line a case: a bar on a terminal, elsewhere a line whenever something is new."""
+    """Progress of the demo, one line per case: a bar on a terminal, otherwise a line for every change."""
 
     def __init__(self) -> None:
         console = Console(stderr=True)
@@ -185,7 +185,7 @@ class Screen:
         self._progress.stop()
 
     def show(self, job: Job, sweep: SteppedSine | None) -> None:
-        """Show where a job stands."""
+        """Show the progress of a job."""
         if sweep is None:
             self._progress.update(self._starting, total=1, completed=1, state="running")
             label = case_of(job.gap_m)

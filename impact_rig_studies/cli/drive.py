@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig drive`: the tests that drive a rig, each with its own options."""
+"""`impact-rig drive`: tests that drive a rig, each with its own options."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ def add_command(commands: Commands) -> None:
             ("drive play road.csv --signal drive --scale 0.5", "half of a column as the current"),
             ("drive sweep --gap 6mm", "DT over the frequency at a constant current"),
             ("drive hold base 60um --frequencies 8.8 9.1 9.4", "the base at 60 µm, at three frequencies"),
-            ("drive lock --gap none", "search the resonance without a sphere, and stay there"),
-            ("drive random --gap none", "a density of the base's acceleration, 5 to 200 Hz"),
+            ("drive lock --gap none", "find the resonance without a sphere, and track it"),
+            ("drive random --gap none", "a power spectral density of the base's acceleration, 5 to 200 Hz"),
         ],
-        "`impact-rig drive TEST --help` shows the options of a test. Each writes its results to a new directory, the "
-        "last line that it prints.",
+        "`impact-rig drive TEST --help` shows the options of a test. Each writes its results to a new directory, whose "
+        "name is the last line of its output.",
     )  # fmt: skip
     tests = parser.add_subparsers(dest="test", required=True, metavar="TEST", help="kind of test")
     for add in (

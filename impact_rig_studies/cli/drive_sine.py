@@ -59,7 +59,7 @@ from impact_rig_studies.operate.stepped_sine import (
 )
 
 HELD_UNITS: Mapping[str, str] = {Hold.BASE: "m", Hold.SUPERIOR: "m", Hold.CURRENT: "A"}
-SHOWN = 12  # samples of a lock that are printed; all of them are in the CSV
+SHOWN = 12  # largest number of samples of a lock that are printed; the CSV contains all
 
 
 def add_hold(tests: Commands) -> None:
@@ -90,7 +90,7 @@ def add_sweep(tests: Commands) -> None:
 def add_lock(tests: Commands) -> None:
     """Register `lock`."""
     parser = subcommand(
-        tests, "lock", _lock, "search a resonance, track it, and dwell there",
+        tests, "lock", _lock, "find a resonance, track it, and dwell there",
         [("drive lock --gap none", "the resonance without a sphere")],
     )  # fmt: skip
     add_field(parser, attrs.fields(LockPlan).dwell_s, "S", "--dwell")
@@ -131,7 +131,7 @@ def _add_current(parser: argparse.ArgumentParser) -> None:
 def _add_options(parser: argparse.ArgumentParser, test: str) -> None:
     parser.add_argument(
         "--through", choices=("process", "ros"), default="process",
-        help="a rig in this process (default), or behind topics",
+        help="rig in this process (default), or behind topics",
     )  # fmt: skip
     add_rig(parser)
     add_json(parser)
@@ -142,7 +142,7 @@ def _add_options(parser: argparse.ArgumentParser, test: str) -> None:
 
 @contextlib.contextmanager
 def _results(arguments: argparse.Namespace) -> Iterator[Path]:
-    """Make the directory of the results before anything is measured, and yield it."""
+    """Create the directory of the results before the measurement, and yield it."""
     directory = run_directory(arguments.output, arguments.test)
 
     def prepare() -> Path:
@@ -183,7 +183,7 @@ def _sweep(arguments: argparse.Namespace) -> int:
 
 
 def _measure_curve(arguments: argparse.Namespace, job: Job, sweep: SteppedSine, title: str) -> int:
-    """Measure a curve over the frequency, write and print it; the exit code is 1 unless it is complete."""
+    """Measure a curve over the frequency, write and print it; return 1 unless it is complete."""
     held = isinstance(sweep, ControlledSine)
     with _results(arguments) as directory:
         with _open(arguments.through, job.config(), job.labelled_settings()) as rig:

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Tests of `impact-rig drive` that feed samples to a rig: play, frf, random, replicate and shock."""
+"""Tests of `impact-rig drive` that send samples to a rig: play, frf, random, replicate and shock."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ from impact_rig.rig.gaps import NO_SPHERE, case_of
 from impact_rig.system import files
 from impact_rig.system.endings import defer_signals
 
-RATE_HZ, FAST_HZ = 2_000, 10_000  # of samples and scans where nothing else is asked: what 200 Hz and what a shock needs
+RATE_HZ, FAST_HZ = 2_000, 10_000  # default rates of samples and scans: enough for 200 Hz, and for a shock
 P = TypeVar("P", bound=attrs.AttrsInstance)
 PLAN = "settings of the test, e.g. config/excitation/{}.yaml"
 EXCITATION = {name: name for name in ("kind", "frames", "frame_s", "low_hz", "high_hz", "rms")} | {"drive_seed": "seed"}
 """Option of `frf` -> setting of its excitation."""
-Work = Callable[[Hardware], Iterator[object]]  # drives the rig, and yields what it has reached, again and again
+Work = Callable[[Hardware], Iterator[object]]  # function that drives the rig and yields its latest results
 
 
 def add_play(tests: Commands) -> None:
@@ -70,9 +70,9 @@ def add_frf(tests: Commands) -> None:
 
     default = Excitation()
     parser = subcommand(
-        tests, "frf", _frf, "measure a frequency response, driven at random or by a chirp",
+        tests, "frf", _frf, "measure a frequency response with random noise or a chirp",
         [
-            ("drive frf --gap none", "base over current, by bursts of noise"),
+            ("drive frf --gap none", "base over current, with bursts of noise"),
             ("drive frf --response laser --reference base --kind chirp", "structure over base"),
         ],
     )  # fmt: skip
@@ -98,7 +98,7 @@ def add_random(tests: Commands) -> None:
     """Register `random`."""
     parser = subcommand(
         tests, "random", _random, "hold a power spectral density",
-        [("drive random --gap none", "a density of the base's acceleration, 5 to 200 Hz")],
+        [("drive random --gap none", "a power spectral density of the base's acceleration, 5 to 200 Hz")],
     )  # fmt: skip
     parser.add_argument("plan", nargs="?", type=Path, metavar="FILE", help=PLAN.format("random"))
     _add_options(parser, "random", RATE_HZ)
@@ -190,7 +190,7 @@ SI = {"accelerometer": "(m/s²)", "laser": "m", "base": "m", "current": "A"}
 
 
 def _plan(arguments: argparse.Namespace, kind: type[P]) -> P:
-    """Return the plan of a kind in the file that is asked for, else the default one."""
+    """Return the plan in the given file, or else the default plan of its kind."""
     from impact_rig_studies.excitation.files import load as load_plan  # noqa: PLC0415  # scipy
 
     return load_plan(arguments.plan, kind) if arguments.plan else kind()
@@ -232,7 +232,7 @@ def _history(arguments: argparse.Namespace, unit: str, name: str | None = None) 
 
 
 def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work, of: str = "") -> int:
-    """Drive a rig and write its run with what was reached, however it ends; `of` is the end of what there is to do."""
+    """Drive a rig and write its run with the results, however it ends; `of` is the end of the work, for progress."""
     from impact_rig_studies.report.excitation import document, tell  # noqa: PLC0415  # matplotlib
 
     rate = {"drive.stream_rate_hz": arguments.scan_rate, "daq.rate_hz": arguments.scan_rate}
@@ -245,7 +245,7 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work, of:
     directory = run_directory(arguments.output, test)
     console, progress = Console(quiet=arguments.json), Console(stderr=True)
     found, early, interrupted = None, "", None
-    with contextlib.ExitStack() as writing:  # what follows the drive is not cut short by one more signal
+    with contextlib.ExitStack() as writing:  # a second signal does not interrupt the work after the drive
         with _connected(arguments, config, directory) as hardware:
             try:
                 for found in work(hardware):
@@ -275,7 +275,7 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work, of:
         ]  # fmt: skip
         files.write_text(directory / f"{test}.json", json.dumps(files.plain(figures), indent=2) + "\n")
         page = directory / f"{test}.html"
-        # an ending that takes too long is cut short: the words first
+        # an ending that takes too long is cut short, so the sentences come first
         files.write_text(page, document(title, about, summary, early, drawn=False))
         files.write_text(page, document(title, about, summary, early))
         for sentence in [title, *summary.sentences, *([f"ended early: {early}"] if early else [])]:
@@ -288,7 +288,7 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work, of:
 
 @contextlib.contextmanager
 def _connected(arguments: argparse.Namespace, config: RigConfig, directory: Path) -> Iterator[Hardware]:
-    """Give a rig's hardware, recorded into a directory."""
+    """Yield a rig's hardware, with a recording into a directory."""
     if arguments.through == RUNNING:
         Console(quiet=arguments.json).print(f"waiting for a rig in {arguments.namespace} ...")
     required = {

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig identify`: constants of the rig from measured runs, or from what the paper printed."""
+"""`impact-rig identify`: constants of the rig from measured runs, or from the paper's numbers."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ JSON_FILE, CONFIGURATION_FILE = "identification.json", "identified.yaml"
 def add_command(commands: Commands) -> None:
     """Register the subcommand."""
     parser = subcommand(
-        commands, "identify", _run, "constants of the rig from measured runs, and what they cannot tell",
+        commands, "identify", _run, "determine constants of the rig from measured runs",
         [
             ("identify runs/campaign_paper", "from its curves, its reductions and a free decay"),
             ("identify --paper", "what the paper's own numbers determine"),
@@ -80,7 +80,7 @@ def add_command(commands: Commands) -> None:
     parser.add_argument("--decay", type=Path, metavar="RUN", help="recorded run with a pluck (default: pluck the rig)")
     add_rig(parser)
     parser.add_argument(
-        "--decrement", action="store_true", help="take the free decay by its logarithmic decrement, not by a fit"
+        "--decrement", action="store_true", help="evaluate the free decay by its logarithmic decrement instead of a fit"
     )
     parser.add_argument(
         "--without",
@@ -88,14 +88,14 @@ def add_command(commands: Commands) -> None:
         choices=("decay", "sine", "reductions"),
         default=(),
         metavar="DATA",
-        help="leave these data out: decay, sine, reductions",
+        help="data to leave out: decay, sine, reductions",
     )
     parser.add_argument(
         "--e-uncertainty", type=float, default=U_RESTITUTION, metavar="U",
         help=f"standard uncertainty of the configuration's e, 0 if it is exact (default: {U_RESTITUTION:g})",
     )  # fmt: skip
-    parser.add_argument("--paper", action="store_true", help="instead: fit the default rig to the paper's numbers")
-    parser.add_argument("--config", type=Path, metavar="FILE", help="rig that is taken as known (with --paper)")
+    parser.add_argument("--paper", action="store_true", help="fit the default rig to the paper's numbers instead")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="configuration with known constants (with --paper)")
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -134,7 +134,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _measured(done: run.Finished, arguments: argparse.Namespace, console: Console) -> Measured:
-    """Gather what there is, and say what it is."""
+    """Collect the available data, and print them."""
     base, curves = done.campaign.base, done.curves
     gains = Gains.of(done.info)
     decay = sine = reduced = None
@@ -160,7 +160,7 @@ def _measured(done: run.Finished, arguments: argparse.Namespace, console: Consol
         console.print(f"stepped sine without sphere: {len(points)} points")
     if "reductions" not in arguments.without:
         at_hz, gaps = FREQUENCY_HZ, tuple(REDUCTION_PERCENT)
-        if done.imported:  # at the frequency with the most gaps in addition to the curve without sphere
+        if done.imported:  # at the frequency with the most gaps besides the curve without sphere
             gaps = tuple(curves.gaps())
             counts = {f: sum(curves.at(g, f) is not None for g in gaps) for f in curves.frequencies(NO_SPHERE)}
             at_hz = max(counts, key=lambda f: counts[f], default=FREQUENCY_HZ)
@@ -170,7 +170,7 @@ def _measured(done: run.Finished, arguments: argparse.Namespace, console: Consol
 
 
 def print_identified(console: Console, found: Identified) -> None:
-    """Print constants, what is not used, and whether data and model go together."""
+    """Print the constants, unused data, and whether data and model agree."""
     table = TextTable("Constants of the rig", left=("constant",), right=("value", "± 2u"), last=("unit", ""))
     for name, unit in zip(NAMES, UNITS, strict=True):
         if found.information.determined(name):
@@ -234,7 +234,7 @@ def _print_paper(console: Console, fit: paper_fit.PaperFit, base: RigConfig) -> 
         table.add_row(name, f"{value:.5g}", figure(fit.u[name], ".2g"), f"{shipped[name]:.5g}")
     console.print(table)
     reductions = ", ".join(f"{value:.1f}" for value in fit.points.values())
-    rest = "" if fit.converged else "; the fit has not come to rest: a valley without a floor"
+    rest = "" if fit.converged else "; the fit has not converged, along a valley without a minimum"
     console.print(
         f"reductions of the fit {reductions} %, rms {fit.rms_points:.2f} points; of the configuration "
         f"{fit.default_rms_points:.2f}{rest}"
@@ -255,7 +255,7 @@ def _paper_content(fit: paper_fit.PaperFit) -> dict[str, object]:
 
 
 def identified_content(found: Identified) -> dict[str, object]:
-    """Return the constants for programs."""
+    """Return the constants as data."""
     information = found.information
     return {
         "constants": {

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig import`: measurements of one's own rig as runs, or as one campaign."""
+"""`impact-rig import`: measurements of other rigs as runs, or as one campaign."""
 
 from __future__ import annotations
 
@@ -41,19 +41,19 @@ GAP_LABEL = attrs.evolve(GAP, names=True)
 def add_import(commands: Commands) -> None:
     """Register the subcommand."""
     parser = subcommand(
-        commands, "import", _import, "make a run of a measurement of your own rig, or a campaign of several",
+        commands, "import", _import, "import a measurement of your own rig as a run, or several as a campaign",
         [
-            ("import test.csv --output runs/mine --dry-run", "shows what it takes the columns for, and writes nothing"),
+            ("import test.csv --output runs/mine --dry-run", "shows the assignment of the columns, and writes nothing"),
             ("import test.csv --output runs/mine --channel laser=ai0 mm --gap 6mm", "column ai0 is the laser, in mm"),
             (
                 'import two.tdms --output runs/two --channel base="ai0 V, 100 mV/g"',
                 "column ai0 is an accelerometer on the base, in volts, with its sensitivity",
             ),
-            ("import sweep/*.mat --output runs/my_sweep --campaign", "a file a point: frequency and gap by file name"),
+            ("import sweep/*.mat --output runs/my_sweep --campaign", "frequency and gap of each point in a file name"),
         ],
         "Reads text tables (CSV, TSV, LVM), TDMS, universal files (dataset 58), MATLAB, WAV, Parquet, npz, "
-        "Rattlesnake netCDF4 and ROS bags. DT needs laser (motion of the structure) and base (motion of what it stands "
-        "on), each as displacement, velocity or acceleration: docs/tutorials/own_measurement.md.",
+        "Rattlesnake netCDF4 and ROS bags. DT needs laser (motion of the structure) and base (motion below "
+        "the structure), each as displacement, velocity or acceleration: docs/tutorials/own_measurement.md.",
     )  # fmt: skip
     add_json(parser)
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="file of a measurement")
@@ -64,27 +64,27 @@ def add_import(commands: Commands) -> None:
     parser.add_argument("--mapping", type=Path, metavar="YAML", help="YAML file with channels, units and calibration")
     parser.add_argument(
         "--channel", action="append", nargs="+", default=[], metavar="NAME=SIGNAL",
-        help="signal of a channel, with unit and sensitivity where the file has none: laser=ai0, laser='ai0 mm', "
+        help="signal of a channel, with unit and sensitivity if the file has none: laser=ai0, laser='ai0 mm', "
         "laser='ai0 V, 500 mV/mm'; channels: laser, base, accelerometer (also detects impacts), current",
     )  # fmt: skip
     parser.add_argument("--scan-rate", type=float, metavar="HZ", help="scans per second (default: the file's)")
     parser.add_argument(
-        "--resample", type=int, metavar="HZ", help="rate to which scans are resampled that are not uniform in time"
+        "--resample", type=int, metavar="HZ", help="rate for resampling scans that are not uniform in time"
     )
     parser.add_argument(
         "--frequency", type=FREQUENCY, metavar="HZ|SIGNAL",
-        help="drive frequency, e.g. 9.1Hz, or the signal that has it (default: by the file name, else the base's)",
+        help="drive frequency, e.g. 9.1Hz, or the name of its signal (default: from the file name, else the base)",
     )  # fmt: skip
     parser.add_argument(
         "--gap", type=GAP_LABEL, metavar="LENGTH|SIGNAL",
-        help="gap with its unit, e.g. 6mm, none (no sphere), or the signal that has it (default: by the file name)",
+        help="gap with its unit, e.g. 6mm, none (no sphere), or the name of its signal (default: from the file name)",
     )  # fmt: skip
     parser.add_argument("--commands", type=Path, metavar="FILE", help="table of the commands: time, frequency, current")
     parser.add_argument(
-        "--calibration", type=Path, metavar="FILE", help="table with columns of daq/info, a row a channel"
+        "--calibration", type=Path, metavar="FILE", help="table with columns of daq/info, one row per channel"
     )
-    parser.add_argument("--note", action="append", default=[], metavar="TEXT", help="remark to keep with the run")
-    parser.add_argument("--campaign", action="store_true", help="make one campaign, which report and identify take")
+    parser.add_argument("--note", action="append", default=[], metavar="TEXT", help="remark for the run; repeatable")
+    parser.add_argument("--campaign", action="store_true", help="make one campaign, for report and identify")
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help="rig configuration, with --campaign (default: the paper's rig)"
     )
@@ -140,7 +140,7 @@ def _import(arguments: argparse.Namespace) -> int:
 
 
 def _mapping(guessed: Mapping, source: ImportedSignals, arguments: argparse.Namespace) -> Mapping:
-    """Return the mapping guessed, with what the YAML and then the options say."""
+    """Return the guessed mapping, refined by the YAML file and then by the options."""
     from impact_rig_studies.importing.assignment import with_channel  # noqa: PLC0415  # as above
     from impact_rig_studies.importing.mapping import MAPPING_CHARACTERS, UNITS, refined  # noqa: PLC0415  # as above
 
@@ -182,7 +182,7 @@ def _print_left_out(console: Console, source: ImportedSignals) -> None:
 
 
 def _print(console: Console, found: ImportedRun) -> None:
-    """Print the channels of a file, what was assumed, and what was left out."""
+    """Print the channels of a file, the assumptions, and what was left out."""
     used: dict[str, list[str]] = {}
     for name, one in found.mapping.channels.items():
         used.setdefault(one.column, []).append(name)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig map` and `dynamics`: what is measured on the mechanics alone, place by place; run again to resume."""
+"""`impact-rig map` and `dynamics`: studies on the mechanics alone, place by place, which can be resumed."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ SHOWN = {
     plans.CONTINUE: ("event", "dt", "impacts_per_cycle", "loss_factor", "multiplier_real", "multiplier_imag"),
     plans.EXPONENT: plans.COLUMNS[plans.EXPONENT][1:],
 }
-"""Columns that the terminal shows behind the parameter; of a branch only where something happens."""
+"""Columns that the terminal shows after the parameter; for a branch only at special points."""
 MOST_ROWS = 40
 
 
@@ -68,7 +68,7 @@ def _map(arguments: argparse.Namespace) -> int:
     runner = tasks.runner(measure_line, address, arguments.workers)
     plan = load_map(file, cluster_threads(address) if address else arguments.workers)
     if arguments.exponent and {UP, DOWN} & set(plan.layers):
-        raise ConfigError("--exponent is of motions that begin from rest: direction must be reset")
+        raise ConfigError("--exponent needs motions that start from rest: direction must be reset")
     store = run.store(directory)
     console = Console(quiet=arguments.json)
     with files.results_in(directory, lambda: store.prepare(plan.text, plan.base)):
@@ -127,7 +127,7 @@ def _print_optimum(console: Console, best: optimum.Optimum) -> None:
         f"{reading.regime}, {reading.impacts_per_cycle:g} impacts per cycle); within "
         f"{optimum.REGION_POINTS:g} point from {best.region[0]:.6g} to {best.region[1]:.6g}"
     )
-    table = TextTable("What 1 % more of a value changes the reduction there", left=("value",), right=("points",))
+    table = TextTable("Change of the reduction there for 1 % more of a value", left=("value",), right=("points",))
     for name, points in best.points_per_percent.items():
         table.add_row(name, figure(round(points, 3) + 0.0, "+.3f"))
     console.print(table)
@@ -136,15 +136,15 @@ def _print_optimum(console: Console, best: optimum.Optimum) -> None:
 def add_dynamics(commands: Commands) -> None:
     """Register the subcommand."""
     parser = subcommand(
-        commands, "dynamics", _dynamics, "sections, bifurcations, basins, orbits, branches and exponents of the model",
+        commands, "dynamics", _dynamics, "compute sections, bifurcations, basins, orbits, branches or exponents",
         [
             ("dynamics continue config/dynamics/nominal.yaml", "stable and unstable motions over the gap, with folds"),
-            ("dynamics basin config/dynamics/two_motions.yaml", "which start of the sphere leads where"),
+            ("dynamics basin config/dynamics/two_motions.yaml", "the motion reached from each start of the sphere"),
         ],
-        more="Everything is of the mechanics, without instruments. Run again, it goes on where it was interrupted.",
+        more="All studies use the mechanics without instruments. Run the command again to resume it.",
     )  # fmt: skip
     parser.add_argument("kind", choices=plans.KINDS, help="kind of study: a section of the file")
-    parser.add_argument("file", nargs="?", type=Path, metavar="FILE", help="e.g. config/dynamics/nominal.yaml")
+    parser.add_argument("file", nargs="?", type=Path, metavar="FILE", help="plan, e.g. config/dynamics/nominal.yaml")
     tasks.add_words(parser, "dynamics")
 
 
@@ -191,7 +191,7 @@ def _named(plan: Plan, rows: list[Row], names: tuple[str, ...]) -> list[dict[str
 
 
 def _printed(plan: Plan, rows: list[Row]) -> list[Row]:
-    """Return the rows that say what happens: along a branch those that are no mere orbits."""
+    """Return the rows to print: along a branch only the special ones."""
     if plan.kind != plans.CONTINUE:
         return rows
     event = plan.columns.index("event")
@@ -204,7 +204,7 @@ def _unsolved(plan: Plan, rows: list[Row]) -> int:
 
 
 def _summary(plan: Plan, rows: list[Row]) -> dict[str, object]:
-    """Return the figures for programs."""
+    """Return the figures as data."""
     if plan.kind == plans.BASIN:
         from impact_rig_studies.dynamics.figures import motion  # noqa: PLC0415  # as above
 
@@ -212,7 +212,7 @@ def _summary(plan: Plan, rows: list[Row]) -> dict[str, object]:
         shares = {name: count / len(rows) for name, count in sorted(counts.items())}
         return {
             "shares": shares,
-            # of starts drawn at random, as those of a grid are to boundaries that are finer than it
+            # for random starts; for a grid the same, with boundaries finer than the grid
             "shares_uncertainty": {name: math.sqrt(p * (1.0 - p) / len(rows)) for name, p in shares.items()},
         }
     if plan.kind == plans.BIFURCATION:

@@ -36,25 +36,27 @@ T = TypeVar("T", bound=Task)
 
 
 def add_words(parser: argparse.ArgumentParser, what: str) -> None:
-    """Add the words that every such command takes."""
+    """Add the arguments that every such command has."""
     parser.add_argument(
         "--through", nargs="+", default=["process"], metavar="WAY",
         help="way of measuring: process (all cores; default) or dask ADDRESS (a Dask cluster)",
     )  # fmt: skip
-    parser.add_argument("--output", type=Path, metavar="DIR", help=f"default: runs/{what}_<file>; resumed if it exists")
+    parser.add_argument(
+        "--output", type=Path, metavar="DIR", help=f"results, resumed if they exist (default: runs/{what}_<file>)"
+    )
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
     add_json(parser)
-    parser.add_argument("--no-figures", action="store_true", help="measure only")
+    parser.add_argument("--no-figures", action="store_true", help="draw no figures")
     add_figures(parser, "directory of the figures (default: figures in that of the results)")
 
 
 def words(
     arguments: argparse.Namespace, what: str, example: str, ways: Sequence[str] = WAYS
 ) -> tuple[Path, Path, str, str]:
-    """Return file, directory, way and address; the file may stand behind `--through` and its words, too.
+    """Return file, directory, way and address; the file may also follow `--through` and its arguments.
 
     Raises:
-        ConfigError: a word is wrong.
+        ConfigError: an argument is invalid.
     """
     way, *rest = arguments.through
     if way not in ways:
@@ -82,7 +84,7 @@ def runner(
 def measure(
     tasks: Sequence[T], store: TaskStore[T], runner: Runner[T], console: Console, places: Callable[[T], int]
 ) -> tuple[int, float]:
-    """Measure what is missing, with progress by `places`; return how many places that were, and its duration [s]."""
+    """Measure the missing tasks, with progress by `places`; return the number of places and the duration [s]."""
     began = time.monotonic()
     new = sum(places(task) for task in tasks if store.get(task) is None)
     count = 0
@@ -97,10 +99,10 @@ def measure(
 
 
 def figures_folder(arguments: argparse.Namespace, directory: Path) -> Path:
-    """Make and return the folder of a study's figures: the one that was asked for, or one in its directory.
+    """Create and return the folder of a study's figures: the requested one, or one in its directory.
 
     Raises:
-        RecordingError: it cannot be made.
+        RecordingError: it cannot be created.
     """
     folder: Path = arguments.figures or directory / "figures"
     with files.translate_errors(f"cannot write {folder}"):

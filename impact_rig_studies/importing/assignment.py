@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Guess of which signal is which channel, from names and units, and the option that says it."""
+"""Guesses of the signal of each channel, from names and units, and the option that states it."""
 
 from __future__ import annotations
 
@@ -39,18 +39,18 @@ HINTS = {
     ),
     "current": ("current", "coil", "strom", "i", "drive", "amp"),
 }  # fmt: skip
-"""Words in the headings of other programs, lower case, by channel."""
+"""Words in the headings of other programs, in lower case, by channel."""
 _ORDER = ("accelerometer", "laser", "base", "current")
 _SEPARATORS = re.compile(r"[\s_.:/()\[\]-]+")
 DT_CHANNELS = frozenset({"laser", "base"})  # whose ratio the transmissibility is
-LONGEST_GUESSED = 200  # characters of a heading
+LONGEST_GUESSED = 200  # longest heading, in characters, that is compared
 
 
 def guess(source: ImportedSignals) -> Mapping:
-    """Return the mapping that headings, units and the name of a file suggest; what they do not tell is left out.
+    """Return the mapping that headings, units and the name of a file suggest; unknown parts are left out.
 
-    Our own names come first, then words of other programs, then units that only one channel has. An accelerometer on
-    the structure also stands for its motion where nothing else does.
+    Our own names take precedence, then words of other programs, then units that only one channel has. An accelerometer
+    on the structure is also used for its motion if there is no other signal.
     """
     free = _of_one_time_base(source.signals)
     chosen: dict[str, Channel] = {}
@@ -98,7 +98,7 @@ def guess(source: ImportedSignals) -> Mapping:
 
 
 def _of_one_time_base(signals: AnyMapping[str, Signal]) -> dict[str, Signal]:
-    """Return the time responses that most signals share times with; a run has one time base."""
+    """Return the time responses on the time base that most signals share, because a run has one time base."""
     bases: dict[object, dict[str, Signal]] = {}
     for name, one in signals.items():
         if one.kind is SignalKind.TIME_RESPONSE:
@@ -110,22 +110,22 @@ def _of_one_time_base(signals: AnyMapping[str, Signal]) -> dict[str, Signal]:
 
 
 def _words(name: str) -> frozenset[str]:
-    """Return the words of a heading and the heading itself, lower case."""
+    """Return the words of a heading and the heading itself, in lower case."""
     lower = name[:LONGEST_GUESSED].lower()
     return frozenset({lower, *_SEPARATORS.split(lower)})
 
 
 def _fits(signal: Signal, channel: str) -> bool:
-    """Return whether the unit of a signal, where it is known, can be that of a channel."""
+    """Return whether the unit of a signal, if known, is possible for a channel."""
     found = quantity(signal.unit) if signal.unit else None
     return found is None or found == "V" or found in UNITS[channel]
 
 
 def with_channel(channels: AnyMapping[str, Channel], text: str, signals: AnyMapping[str, Signal]) -> dict[str, Channel]:
-    """Return channels with one as a text says it: `laser=ai0`, `laser=ai0 mm`, `laser=ai0 V, 500 mV/mm`, `laser=`.
+    """Return channels with one changed by a text: `laser=ai0`, `laser=ai0 mm`, `laser=ai0 V, 500 mV/mm`, `laser=`.
 
     Raises:
-        ConfigError: the text has another form.
+        ConfigError: the text is malformed.
     """
     name, equals, rest = text.partition("=")
     name = name.strip()
@@ -151,6 +151,6 @@ def with_channel(channels: AnyMapping[str, Channel], text: str, signals: AnyMapp
 
 
 def _longest(text: str, signals: AnyMapping[str, Signal]) -> str:
-    """Return the longest name of a signal that a text begins with, else its first word."""
+    """Return the longest name of a signal at the start of a text, or else its first word."""
     matching = [name for name in signals if text == name or text.startswith((f"{name} ", f"{name},"))]
     return max(matching, key=len) if matching else re.split(r"[\s,]", text, maxsplit=1)[0]

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Numbers and times in the cells of a text table, as programs of any locale print them."""
+"""Numbers and times in the cells of a text table, in the notations of any locale."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _NOT_A_NUMBER = frozenset({
     "-", "--", "---", ".", "?",
     "ol", "ovl", "ovld", "ovfl", "over", "overload", "overflow", "overrange", "underflow", "under",
 })  # fmt: skip
-"""Cells that stand for a missing number, lower case: empty ones, and what C libraries and spreadsheets print."""
+"""Cells for a missing number, in lower case: empty ones, and the output of C libraries and spreadsheets."""
 _INFINITE = {
     "inf": math.inf, "+inf": math.inf, "-inf": -math.inf, "infinity": math.inf, "-infinity": -math.inf,
     "∞": math.inf, "-∞": -math.inf,
@@ -48,7 +48,7 @@ LONGEST_CELL = 64
 
 
 def number(cell: str, decimal: str = ".") -> float | None:
-    """Return the number in a cell, NaN where it stands for a missing one; None: the cell holds something else."""
+    """Return the number in a cell, NaN for a missing one, or None if the cell is not a number."""
     text = cell.strip().replace("\u2212", "-")
     if len(text) > LONGEST_CELL:
         return None
@@ -77,14 +77,14 @@ def without_markers(values: Real) -> Real:
 
 
 def half_digit(cell: str) -> float:
-    """Return half of the last digit in which a number is written: how far it may be from what was meant."""
+    """Return half of the last digit of a written number, the possible error of its rounding."""
     mantissa, _, exponent = cell.strip().lower().replace("d", "e").partition("e")
     decimals = len(mantissa) - 1 - max(mantissa.rfind("."), mantissa.rfind(",")) if re.search("[.,]", mantissa) else 0
     return float(0.5 * 10.0 ** (int(exponent or 0) - decimals))
 
 
 def decimal_sign(cells: Sequence[str], delimiter: str | None) -> str:
-    """Return the decimal sign of some cells: a comma where one could be and none of them contradicts it."""
+    """Return the decimal sign of some cells: a comma if one is possible and no cell contradicts it."""
     if delimiter == "," and not any("," in cell for cell in cells):
         return "."
     for cell in cells:
@@ -149,27 +149,27 @@ class Times:
         """Read the cells.
 
         Raises:
-            ValueError: a cell is no time; the message is its text.
+            ValueError: a cell is not a time; the message is its text.
         """
         self.has_date = self.has_clock = False
         self._month_first = self._is_month_first(cells)
         days, clocks = np.zeros(len(cells), np.int64), np.zeros(len(cells), np.int64)
         for place, cell in enumerate(cells):
             days[place], clocks[place] = self._parse(cell.strip())
-        if not self.has_date:  # a clock without a date goes on over midnight
+        if not self.has_date:  # a clock without a date continues past midnight
             ns = days * _DAY_NS + clocks
             days += np.cumsum(np.diff(ns, prepend=ns[:1]) < -_DAY_NS // 2)
         self.ns: NDArray[np.int64] = days * _DAY_NS + clocks
-        """Since 1970 in the time zone of the file, or since the midnight before the first; shape (n,)."""
+        """Time since 1970 in the time zone of the file, or since the midnight before the first one; shape (n,) [ns]."""
 
     @property
     def note(self) -> str:
-        """Assumption that was made, for people; empty: none."""
+        """Assumption about the order of day and month, as text; empty if there was none."""
         return "dates were read as month/day" if self._month_first else ""
 
     @staticmethod
     def _is_month_first(cells: Sequence[str]) -> bool:
-        """Return whether the month comes before the day: a second part above 12 shows it, else the separator does."""
+        """Return whether the month precedes the day: a second part above 12 shows that, else the separator decides."""
         slash = False
         for cell in cells:
             match = _YEAR_LAST.fullmatch(cell.strip())
@@ -220,7 +220,7 @@ class Times:
 
     @staticmethod
     def _clock(parts: Sequence[str | None]) -> int:
-        """Return a time of day as nanoseconds, less its offset from UTC."""
+        """Return a time of day in nanoseconds, minus its offset from UTC."""
         hour, minute, second, fraction, half, zone = parts
         hours = int(hour or 0)
         if half:

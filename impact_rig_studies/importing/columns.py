@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Columns of a table as signals: times are taken out, a rate or period by name is understood."""
+"""Columns of a table as signals, with times and named rates or periods recognised."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ MOST_SCALARS = 100
 
 @attrs.define
 class _Axis:
-    """Abscissa of a table as far as it is known."""
+    """Abscissa of a table, as far as it is known."""
 
     kind: AbscissaKind = AbscissaKind.NONE
     name: str = ""
@@ -73,15 +73,15 @@ def signals_of(
 ) -> ImportedSignals:
     """Return columns as signals.
 
-    A column of two dimensions is as many signals as its shorter side has. What is no signal is left out with its
-    reason.
+    A two-dimensional column becomes as many signals as its shorter side has. Columns that are not signals are left out,
+    with the reason.
 
     Args:
         path: the file.
-        file_format: for people.
-        columns: by heading, shape (n,) or (n, k); one value where it is a rate or a period.
-        column_units: by heading, where they are not part of it.
-        rate_hz: that the file states besides the columns; None: it states none.
+        file_format: name of the format for messages.
+        columns: columns by heading, shape (n,) or (n, k); a rate or a period has a single value.
+        column_units: units by heading, if they are not part of it.
+        rate_hz: rate that the file states outside the columns; None if it states none.
         remarks: assumptions of the reader.
         left_out: parts that the reader has left out.
     """
@@ -168,7 +168,7 @@ def _axis(
     stamps: NDArray[np.int64] | None,
     dates: tuple[str, NDArray[np.int64]] | None,
 ) -> _Axis:
-    """Take the columns of times, or of frequencies, out of the others and return what they say."""
+    """Remove the columns of times, or of frequencies, from the others, and return the abscissa that they define."""
     timed = next((name for name in numeric if headings.is_time_name(_name(name)) and _is_column(numeric[name])), None)
     if clocks:
         fraction = next((name for name in numeric if headings.bare(_name(name)) in headings.MILLISECONDS), None)
@@ -191,7 +191,7 @@ def _axis(
     if stamps is not None and len(stamps):
         since = np.zeros(len(stamps)) if timed is None else _float(numeric.pop(timed))
         begin = float(since[0]) if len(since) else 0.0
-        # a truncated table begins within a block: its first sample is then later than its first stamp
+        # a truncated table begins within a block, so its first sample is later than its first stamp
         start_ns = int(stamps[0]) + (round(begin * NS_PER_S) if math.isfinite(begin) else 0)
         return _Axis(AbscissaKind.TIME, headings.STAMP, "s", since + (stamps - stamps[0]) / NS_PER_S, start_ns)
     if timed is not None:
@@ -245,7 +245,7 @@ def _epoch_axis(name: str, unit: str, column: Column) -> _Axis | None:
 
 
 def _time_axis(name: str, unit: str, values: Real) -> _Axis:
-    """Return times in seconds; a unit that is not understood leaves them without a meaning."""
+    """Return times in seconds; with an unknown unit they have no meaning."""
     note = ""
     word = headings.bare(_name(name))
     finite = values[np.isfinite(values)]

@@ -35,28 +35,28 @@ from impact_rig_studies.importing.signals import Abscissa, ImportedSignals, Real
 from impact_rig_studies.importing.steps import step_of
 from impact_rig_studies.importing.uniform import Rate, aligned, uniform
 
-POWERS = {"m": 0, "m/s": 1, "m/s^2": 2, "A": 0}  # of frequency, by which a spectrum is that of a displacement
-REFERENCES = ("base", "current", "laser", "accelerometer")  # whose frequency is that of the drive: the first measured
-NAMED_WITHIN = 0.005  # relative departure of a frequency in a file name from that of the data
+POWERS = {"m": 0, "m/s": 1, "m/s^2": 2, "A": 0}  # power of the frequency in a displacement's spectrum
+REFERENCES = ("base", "current", "laser", "accelerometer")  # the first that is measured gives the drive's frequency
+NAMED_WITHIN = 0.005  # allowed relative difference of a frequency in a file name from that of the data
 NEIGHBOURS, OUTSTANDING = 101, 6.0
 """Lines whose median is the noise around one, and how much larger a line must be: of 10,000 of noise not one is."""
-FREQUENCY_S, FREQUENCY_SCANS = 20, 20_000  # length of the end of a record whose frequency is measured: the longer
+FREQUENCY_S, FREQUENCY_SCANS = 20, 20_000  # length of the record's end for its frequency: the longer
 
 
 @attrs.frozen(eq=False)
 class ImportedRun:
-    """Content of a file as a run holds it."""
+    """Content of a file in the form of a run."""
 
     source: ImportedSignals  # what was read
-    mapping: Mapping  # in use
+    mapping: Mapping  # mapping that was used
     rate_hz: Rate  # scans per second
     start_ns: int  # stamp of the first scan
-    index: NDArray[np.int64]  # number of each scan, counted from the first; a gap is a loss. Shape (n,)
+    index: NDArray[np.int64]  # number of each scan, counted from the first, with gaps for losses; shape (n,)
     rows: NDArray[np.void]  # scans, `time` unused, shape (n,)
     info: NDArray[np.void]  # rows of `daq/info`
     drive: tuple[tuple[int, float, float], ...]  # instants [ns], frequencies [Hz] and amplitudes [A] commanded
     labels: tuple[str, ...]  # remarks
-    doubts: tuple[str, ...] = ()  # assumptions and guesses that the user should confirm, for people
+    doubts: tuple[str, ...] = ()  # assumptions and guesses that the user should confirm, as text
 
 
 def convert(
@@ -69,12 +69,13 @@ def convert(
 
     Args:
         source: content of the file.
-        mapping: which of its signals is which channel.
-        drive: table with `frequency`, `current` and `time` or `stamp_ns`: the commands; None: as mapped.
-        sheet: table with columns of `daq/info`, a row a channel: the calibration; None: as mapped.
+        mapping: assignment of its signals to channels.
+        drive: table of commands with `frequency`, `current` and `time` or `stamp_ns`; None means the mapping's drive.
+        sheet: table of calibration with columns of `daq/info`, one row per channel; None means the mapping's
+            calibration.
 
     Raises:
-        ConfigError: no channel is mapped, a signal or unit is not there, or times are not uniform.
+        ConfigError: no channel is mapped, a signal or unit is missing, or times are not uniform.
         RecordingError: lengths or abscissas differ.
     """
     if not mapping.channels:
@@ -188,7 +189,7 @@ def _differ(signals: AnyMapping[str, Signal]) -> bool:
 
 
 def _fits(one: Signal, other: Signal) -> bool:
-    """Return whether two signals have the same steps and begin within half a period of each other."""
+    """Return whether two signals have the same steps and starts within half a period of each other."""
     a, b, count = one.abscissa, other.abscissa, len(one.values)
     period = a.step or (float(a.values[1]) if a.values is not None and count > 1 else 0.0)
     return (
@@ -200,7 +201,7 @@ def _fits(one: Signal, other: Signal) -> bool:
 
 
 def _common(source: ImportedSignals, signals: AnyMapping[str, Signal]) -> tuple[Abscissa, int, dict[str, float]]:
-    """Return the abscissa and the length that the signals of all channels have, and how much later each begins [s]."""
+    """Return the common abscissa and length of the signals of all channels, and the delay of each start [s]."""
     (first_name, first), *others = signals.items()
     for name, one in others:
         if one.abscissa is not first.abscissa and not _fits(first, one):
@@ -266,7 +267,7 @@ def _calibration(
     steps: AnyMapping[str, float],
     skews: AnyMapping[str, float],
 ) -> NDArray[np.void]:
-    """Return rows of `daq/info`: what the sheet and the mapping say; beyond that, without limit and without error.
+    """Return rows of `daq/info` from the sheet and the mapping; other properties are unlimited or exact.
 
     The steps are those of the readings themselves, the skews those of their times.
     """
@@ -290,7 +291,7 @@ def _calibration(
 
 
 def _confirmed(mapping: Mapping, measured_hz: float, seconds: float) -> tuple[Mapping, list[str]]:
-    """Return the mapping with guesses from the file name compared with the data, and what was guessed."""
+    """Compare guesses from the file name with the data; return the mapping and a list of the guesses."""
     said = []
     if "frequency" in mapping.guessed and isinstance(mapping.frequency, float):
         named = mapping.frequency
@@ -317,7 +318,7 @@ def _commands(
     followed: Real | None,
     instants: _Instants,
 ) -> tuple[tuple[int, float, float], ...]:
-    """Return when which drive was commanded: by a table, by a signal, or one value for all; empty: nothing says so."""
+    """Return the instants and values of the commands, from a table, a signal or a single value; empty if unknown."""
     if drive is not None:
         frequency, current = (drive.signals.get(key) for key in ("frequency", "current"))
         times = None if frequency is None else frequency.time_s
@@ -347,7 +348,7 @@ def _changes(values: Real) -> list[int]:
 def _with_amplitude(
     commands: Sequence[tuple[int, float, float]], found: AnyMapping[str, Real], instants: _Instants
 ) -> Iterator[tuple[int, float, float]]:
-    """Yield the commands; where none says an amplitude, that of current or base as measured: √2 times its rms."""
+    """Yield the commands; a missing amplitude is that of current or base as measured: √2 times its rms."""
     values = found[next(name for name in ("current", *REFERENCES) if name in found)]
     ends = [*(one[0] for one in commands[1:]), math.inf]
     for (instant, frequency, amplitude), end in zip(commands, ends, strict=True):
@@ -357,7 +358,7 @@ def _with_amplitude(
 
 
 def _frequency_of(found: AnyMapping[str, Real], si_units: AnyMapping[str, str], rate: float) -> tuple[float, bool]:
-    """Return the frequency of the largest line of the first measured reference, 0 if there is none, and if it is clear.
+    """Return the frequency of the largest line of the first measured reference (0 if none), and whether it is clear.
 
     Lines are compared as displacements, which lifts the noise of an accelerometer at the lowest frequencies: only lines
     that stand out of the noise around them count. A clear one has more power than the rest of the signal.
@@ -378,12 +379,12 @@ def _frequency_of(found: AnyMapping[str, Real], si_units: AnyMapping[str, str], 
     lines = np.abs(np.fft.rfft(part * np.hanning(len(part))))
     is_outstanding = lines > OUTSTANDING * median_filter(lines, NEIGHBOURS)
     lines[2:] /= np.arange(2, len(lines)) ** float(POWERS[si_units[name]])
-    lines[:2] = 0.0  # the mean, as the window spreads it
+    lines[:2] = 0.0  # the mean, as spread by the window
     outstanding = np.where(is_outstanding, lines, 0.0)
     coarse = float(np.argmax(outstanding if outstanding.any() else lines)) * rate / len(part)
     try:
         fit = fit_sine_frequency(part, rate, coarse)
-    except (np.linalg.LinAlgError, ValueError, OverflowError):  # at half the rate, or in a few values, there is no sine
+    except (np.linalg.LinAlgError, ValueError, OverflowError):  # at half the rate, or with few values, there is no sine
         return coarse, False
     if fit.status is not Status.OK:
         return coarse, False

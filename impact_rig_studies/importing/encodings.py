@@ -21,7 +21,7 @@ MARKS = (
     (b"\xef\xbb\xbf", "utf-8"), (b"\xff\xfe\0\0", "utf-32-le"), (b"\0\0\xfe\xff", "utf-32-be"),
     (b"\xff\xfe", "utf-16-le"), (b"\xfe\xff", "utf-16-be"),
 )  # fmt: skip
-WESTERN = "cp1252"  # of most programs that still write a code page; its five unused bytes count as Latin-1
+WESTERN = "cp1252"  # code page of most programs that still write one; its five unused bytes count as Latin-1
 _LINE_END = re.compile(r"\r\n|\r|\n")
 SAMPLE = 4096
 
@@ -33,7 +33,7 @@ def decode(content: bytes) -> tuple[str, str]:
             return content[len(mark) :].decode(name, "replace"), name
     head = content[:SAMPLE]
     zeros = head[0::2].count(0), head[1::2].count(0)
-    if max(zeros) > 0.3 * len(head) / 2:  # digits of UTF-16 have a zero byte each
+    if max(zeros) > 0.3 * len(head) / 2:  # the digits of UTF-16 have a zero byte each
         name = "utf-16-le" if zeros[1] > zeros[0] else "utf-16-be"
         return content.decode(name, "replace"), name
     try:
@@ -47,6 +47,6 @@ def decode(content: bytes) -> tuple[str, str]:
 
 
 def split_lines(text: str) -> list[str]:
-    """Return the lines of a text; only the ends of lines that files have separate them."""
+    """Return the lines of a text, separated only at the line ends that occur in files."""
     lines = text.split("\n") if "\r" not in text else _LINE_END.split(text)
     return lines[:-1] if lines and not lines[-1] else lines

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Frequency and gap in the name of a file: guesses, with decimal point, comma or `p`."""
+"""Frequency and gap in the name of a file: guesses, with a decimal point, a comma or `p`."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ _NO_SPHERE = re.compile(
 
 
 def frequency_hz(stem: str) -> float | None:
-    """Return the frequency in a name such as `messung_9,1Hz`, `sweep_8p5Hz` or `9.1 hz`; None: there is none."""
+    """Return the frequency in a name such as `messung_9,1Hz`, `sweep_8p5Hz` or `9.1 hz`, or None."""
     return _only({_number(number) * (1e3 if kilo else 1.0) for number, kilo in _FREQUENCY.findall(stem)} - {0.0})
 
 
 def gap_m(stem: str) -> float | None:
-    """Return the gap in a name such as `gap_0,5mm` or `no_sphere` (0) [m]; None: there is none."""
+    """Return the gap in a name such as `gap_0,5mm` or `no_sphere` (0) [m], or None."""
     if _NO_SPHERE.search(stem):
         return 0.0
     lengths = list(_LENGTH.finditer(stem))

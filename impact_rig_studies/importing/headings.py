@@ -30,7 +30,7 @@ TIME_NAMES = frozenset({
     "usec",
     "dateandtime", "timeofday", "timeaxis", "timevector", "tim", "datumuhrzeit", "datetimestamp", "tout", "время",
 })  # fmt: skip
-"""Names of columns of times: lower case, letters only."""
+"""Names of columns of times, in lower case, letters only."""
 DATE_NAMES = frozenset(
     {"date", "datum", "datetime", "dateandtime", "zeitstempel", "datumuhrzeit", "timestamp", "datetimestamp"}
 )
@@ -43,7 +43,7 @@ _SUFFIXES = {
     "mm": "mm", "um": "um", "cm": "cm", "ms2": "m/s^2", "mps2": "m/s^2", "ms": "ms", "us": "us", "ns": "ns", "s": "s",
     "mmps": "mm/s", "mps": "m/s", "m": "m", "sec": "s",
 }  # fmt: skip
-"""Ends of names after an underscore that are units: of times all, of other columns those without another meaning."""
+"""Suffixes after an underscore that are units: all for times, for other columns those without another meaning."""
 _TIME_SUFFIX = re.compile(r"(.+?)(?:_(?i:(s|ms|us|ns|sec))|(?<=[a-z])(S|Ms|Us|Ns|Sec))")
 _SIGNAL_SUFFIXES = ("mm", "um", "cm", "ms2", "mps2", "mmps", "mps")
 _UNIT_LABELS = frozenset({"unit", "units", "einheit", "einheiten", "unité", "unidad"})
@@ -65,7 +65,7 @@ MILLISECONDS = frozenset({"millisecond", "milliseconds", "millis", "msec", "ms",
 
 
 def bare(name: str) -> str:
-    """Return a name in lower case, letters only."""
+    """Return the letters of a name, in lower case."""
     return _NOT_LETTERS.sub("", name[:80].lower())
 
 
@@ -98,7 +98,7 @@ def rate_hz(name: str, value: float) -> float | None:
 
 
 def time_unit(name: str, unit: str) -> str:
-    """Return the unit of a column of times by its heading; empty: the file names none."""
+    """Return the unit of a column of times according to its heading; empty if there is none."""
     suffix = _time_suffix(name)
     return unit or _UNIT_OF_NAME.get(bare(name), "") or (_SUFFIXES[suffix] if suffix else "")
 
@@ -126,7 +126,7 @@ def split_unit(heading: str) -> tuple[str, str]:
 
 
 def _bracketed(text: str) -> tuple[str, str]:
-    """Return name and content of the brackets at the end of a heading; no unit where there are none."""
+    """Return name and content of the brackets at the end of a heading; no unit without brackets."""
     if not text.endswith(("]", ")")):
         return text, ""
     opened, closed = ("[", "]") if text.endswith("]") else ("(", ")")
@@ -173,7 +173,7 @@ _STEP = re.compile(
 
 
 def stated_rate(lines: Sequence[str]) -> float | None:
-    """Return the rate [Hz] that lines around a table state, such as `Sample rate: 51200 Hz` or `Delta_X 0.008`."""
+    """Return the rate [Hz] in lines around a table, such as `Sample rate: 51200 Hz` or `Delta_X 0.008`."""
     for line in lines:
         for pattern, is_rate in ((_RATE, True), (_STEP, False)):
             match = pattern.search(line[:300])

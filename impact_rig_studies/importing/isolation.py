@@ -36,7 +36,7 @@ from impact_rig_studies.importing.limits import WORKING_BYTES, WORKING_PER_BYTE
 from impact_rig_studies.importing.signals import Abscissa, AbscissaKind, ImportedSignals, Real, Signal, SignalKind
 
 LIMIT_S, LIMIT_PER_MIB_S = 8.0, 2.0
-"""Computing time of a reader: so long, and so much longer for each MiB of its file."""
+"""Limit of a reader's computing time: a constant, and an amount per MiB of its file."""
 READ_BYTES = 2**20
 _REFUSED, _DAMAGED, _MEMORY = "refused", "damaged", "memory"
 
@@ -49,19 +49,19 @@ def run(
     Args:
         path: the file, for messages.
         what: its format, for messages.
-        file_bytes: its size, which determines the limits of memory and time.
-        reader: reads it.
-        prepare: imports the modules of the reader before the process is forked.
+        file_bytes: size of the file, which determines the limits of memory and time.
+        reader: function that reads the file.
+        prepare: function that imports the modules of the reader before the process is forked.
 
     Raises:
         RecordingError: the reader rejects the file, fails, crashes, or exceeds memory or time.
-        BudgetError: the reader rejects it as too large.
+        BudgetError: the reader rejects the file as too large.
     """
     prepare()
     seconds = (LIMIT_S + LIMIT_PER_MIB_S * file_bytes / budget.MIB) * budget.factor()
     source, sink = os.pipe()
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # of threads of libraries, which the child does not use
+        warnings.simplefilter("ignore", DeprecationWarning)  # about threads of libraries, which the child does not use
         child = os.fork()
     if not child:
         os.close(source)
@@ -93,9 +93,9 @@ def run(
 
 
 def _child(reader: Callable[[], ImportedSignals], sink: int, file_bytes: int, seconds: float) -> NoReturn:
-    """Read, send what was found, and end."""
+    """Read the file, send the result, and end."""
     faulthandler.disable()
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # messages of a library while it fails
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # discards messages of a library that fails
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     reply: dict[str, object] | None = None
     found: ImportedSignals | None = None
@@ -106,7 +106,7 @@ def _child(reader: Callable[[], ImportedSignals], sink: int, file_bytes: int, se
         reply = {_REFUSED: str(error), "budget": isinstance(error, budget.BudgetError)}
     except MemoryError:
         reply = {_MEMORY: True}
-    except BaseException as error:  # whatever a library raises of a file that is damaged or of another format
+    except BaseException as error:  # any error that a library raises for a damaged file or one of another format
         reply = {_DAMAGED: " ".join(str(error).split()) or type(error).__name__}
     try:
         with os.fdopen(sink, "wb") as out:
@@ -119,7 +119,7 @@ def _child(reader: Callable[[], ImportedSignals], sink: int, file_bytes: int, se
 
 
 def _limit(file_bytes: int, seconds: float) -> None:
-    """Limit memory beyond what the process has, and computing time."""
+    """Limit the computing time, and the memory beyond that of the process."""
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     more = (WORKING_BYTES + WORKING_PER_BYTE * file_bytes) * budget.factor()
     for kind, limit in (
@@ -133,10 +133,10 @@ def _limit(file_bytes: int, seconds: float) -> None:
 
 
 def _receive(source: int, deadline: float) -> bytes:
-    """Return all that a pipe gives.
+    """Return everything from a pipe.
 
     Raises:
-        TimeoutError: it goes on after the deadline [s of the monotonic clock].
+        TimeoutError: the data continue after the deadline [s of the monotonic clock].
     """
     parts: list[bytes] = []
     while True:

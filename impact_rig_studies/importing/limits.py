@@ -17,18 +17,18 @@ from __future__ import annotations
 
 from impact_rig.system import budget
 
-FILE_BYTES = 512 * budget.MIB  # of one file
-VALUES = 120_000_000  # of all signals of a file together: 20 minutes of five channels at 20 kS/s
+FILE_BYTES = 512 * budget.MIB  # size of one file
+VALUES = 120_000_000  # in all signals of a file together: 20 minutes of five channels at 20 kS/s
 COLUMNS = 4096  # of one file; Rattlesnake, the widest source known, has some hundred channels
 WORKING_BYTES = 160 * budget.MIB
 WORKING_PER_BYTE = 12
-"""Memory that reading a file may take beyond what the process has: so many bytes, and so many per byte of the file."""
+"""Memory for reading a file beyond that of the process: a constant, and an amount per byte of the file."""
 EXPANDED_BYTES, EXPANDED_PER_BYTE = 64 * budget.MIB, 4
-"""Size of the numbers in a file after decompression: so many bytes, and so many per byte of the file."""
+"""Size of the numbers in a file after decompression: a constant, and an amount per byte of the file."""
 
 
 def allow_columns(count: int) -> None:
-    """Refuse more columns or signals than any measurement has.
+    """Raise an error for more columns or signals than any measurement has.
 
     Raises:
         BudgetError: there are more.
@@ -37,7 +37,7 @@ def allow_columns(count: int) -> None:
 
 
 def allow_values(count: float, file_bytes: int) -> None:
-    """Refuse more numbers than a file of this size can hold honestly.
+    """Raise an error for more numbers than a file of this size can really contain.
 
     Raises:
         BudgetError: there are more.
@@ -47,10 +47,10 @@ def allow_values(count: float, file_bytes: int) -> None:
 
 
 def allow_bytes(size: float, file_bytes: int) -> None:
-    """Refuse content that is far larger than its file.
+    """Raise an error for content that is far larger than its file.
 
     Raises:
-        BudgetError: it is.
+        BudgetError: the content is too large.
     """
     limit = EXPANDED_BYTES + EXPANDED_PER_BYTE * file_bytes
     budget.allow(f"bytes of content in a file of {file_bytes} bytes", size, limit)

@@ -38,7 +38,7 @@ USUAL = {"accelerometer": "g", "laser": "mm", "base": "g", "current": "A"}  # un
 UNITS = {"accelerometer": ("m/s^2",), "laser": _MOTION, "base": _MOTION, "current": ("A",)}
 """SI units that a channel may have: structure and base move in displacement, velocity or acceleration."""
 OTHER_UNIT = {"m": "mm", "m/s": "mm/s", "m/s^2": "g", "A": "mA"}
-"""Second unit of each quantity, as an example of how to give one."""
+"""Another unit of each quantity, as an example for messages."""
 
 
 @attrs.frozen(kw_only=True)
@@ -46,19 +46,19 @@ class Channel:
     """Signal of a channel, with its unit and calibration."""
 
     column: str  # name of the signal in the file
-    unit: str = ""  # of its values; empty: SI
-    scale: float = 1.0  # what a value is multiplied by, before its unit
-    sensitivity: str = ""  # such as `100 mV/g`, where the unit is that of a voltage; empty: none
+    unit: str = ""  # unit of its values; empty means SI
+    scale: float = 1.0  # factor of a value, before its unit is applied
+    sensitivity: str = ""  # such as `100 mV/g`, if the unit is that of a voltage; empty if none
     sign: float = 1.0  # -1 for a sensor mounted the other way round
-    offset: float = 0.0  # added after all that [SI unit]
+    offset: float = 0.0  # added at the end [SI unit]
     calibration: AnyMapping[str, float] = attrs.field(factory=dict)
     """Columns of `daq/info` by name: range, noise, resolution, lag, skew, uncertainties."""
 
     def to_si(self, name: str) -> tuple[float, str]:
-        """Return the factor of a value for a channel of this name, and the SI unit that it then has.
+        """Return the factor of a value for a channel of this name, and its SI unit.
 
         Raises:
-            ConfigError: the unit or the sensitivity is not understood, or of another quantity.
+            ConfigError: the unit or the sensitivity is unknown, or belongs to another quantity.
         """
         allowed = UNITS[name]
         if self.sensitivity:
@@ -103,20 +103,20 @@ class Mapping:
     """Channels, drive and labels of a file."""
 
     channels: AnyMapping[str, Channel]  # by name
-    rate_hz: float | None = None  # where the file has neither times nor a rate
-    resample_hz: int | None = None  # rate to bring scans to that are not uniform in time; None: they are refused
+    rate_hz: float | None = None  # rate, if the file has neither times nor a rate
+    resample_hz: int | None = None  # rate for scans that are not uniform in time; None means that they are rejected
     frequency: float | str | None = attrs.field(default=None, validator=_above_zero)
-    """Of the drive [Hz], or name of the signal that holds it; None: measured from the base."""
-    amplitude: float = math.nan  # commanded [A], of the base [m] where its motion is prescribed; NaN: as measured
+    """Drive frequency [Hz], or name of its signal; None means that it is measured from the base."""
+    amplitude: float = math.nan  # commanded amplitude [A], for a prescribed base [m]; NaN means that it is measured
     gap: float | str | None = attrs.field(default=None, validator=_not_negative)
-    """Label [m], 0 without sphere, or name of the signal that holds it [m]; None: unknown."""
+    """Gap label [m], 0 without sphere, or name of its signal [m]; None if unknown."""
     notes: tuple[str, ...] = ()  # remarks for the run
     guessed: frozenset[str] = attrs.field(default=frozenset(), eq=False)
     """Fields that the name of the file suggests and no option confirms: frequency, gap."""
 
 
 def refined(mapping: Mapping, text: str) -> Mapping:
-    """Return a mapping with what a YAML text says of it.
+    """Return a mapping refined by a YAML text.
 
         rate_hz: 5000
         frequency: 9.1               # Hz, or the name of a column
@@ -125,7 +125,7 @@ def refined(mapping: Mapping, text: str) -> Mapping:
           laser: {column: ai0, unit: V, sensitivity: 500 mV/mm, sign: -1, sensitivity_uncertainty: 0.01}
 
     Raises:
-        ConfigError: a key or value is wrong; the message names both.
+        ConfigError: a key or value is invalid; the message names both.
     """
     try:
         content = budget.load_yaml(text, MAPPING_CHARACTERS)
@@ -163,7 +163,7 @@ def refined(mapping: Mapping, text: str) -> Mapping:
 
 
 def as_yaml(mapping: Mapping) -> str:
-    """Return a mapping as the text that `refined` takes."""
+    """Return a mapping as a text for `refined`."""
     content: dict[str, object] = {
         "channels": {
             name: {
@@ -182,7 +182,7 @@ def as_yaml(mapping: Mapping) -> str:
 
 
 _WHOLE_BY_POWER = re.compile(r'("(?:[^"\\]|\\.)*")|(?<![\d.])(\d+)e')
-"""A text, or the begin of a number such as 1e-06: JSON writes it so, and in YAML it is a text without a point."""
+"""A text, or the start of a number such as 1e-06: JSON writes it without a point, and YAML reads that as text."""
 
 CALIBRATION = tuple(column.name for column in DAQ_INFO_COLUMNS if column.name not in ("name", "unit", "rate"))
 _OWN = ("column", "unit", "scale", "sensitivity", "sign", "offset")
@@ -232,5 +232,5 @@ def _number(key: str, value: object) -> float:
 def _text(value: object) -> str:
     try:
         return str(value)
-    except ValueError:  # Python does not write out the longest integers
+    except ValueError:  # Python does not print the longest integers
         return "a number too large to represent"

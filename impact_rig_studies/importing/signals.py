@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Intermediate form of imported files: named signals, what each is given over, and what was left out.
+"""Intermediate form of imported files: named signals with their abscissas, and a list of what was left out.
 
-Every reader fills it and every later step reads only it.
+Every reader produces it, and every later step reads nothing else.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class SignalKind(enum.StrEnum):
 
 
 class AbscissaKind(enum.StrEnum):
-    """Quantity that a signal is given over."""
+    """Quantity of a signal's abscissa."""
 
     TIME = "time"
     FREQUENCY = "frequency"
@@ -55,16 +55,16 @@ class Abscissa:
     """
 
     kind: AbscissaKind = AbscissaKind.NONE
-    unit: str = ""  # as in the file; empty: the file names none
+    unit: str = ""  # unit in the file; empty if the file names none
     start: float = 0.0  # first value
-    step: float | None = None  # from one value to the next; None: not even, or not known
-    values: Real | None = None  # measured from the first, shape (n,); None: even, or not known
-    resolution: float = 0.0  # half of the last digit in which step or values are written; 0: exact
-    note: str = ""  # assumption that was made, for people; empty: none
+    step: float | None = None  # spacing of the values; None if they are not even, or it is unknown
+    values: Real | None = None  # values relative to the first, shape (n,); None if they are even, or unknown
+    resolution: float = 0.0  # half of the last digit of step or values; 0 if they are exact
+    note: str = ""  # assumption of the reader, as text; empty if none
 
     @property
     def is_even(self) -> bool:
-        """Return whether the file states one spacing for all values."""
+        """Evenness of the values: true if the file states one spacing for all."""
         return self.step is not None
 
     def __str__(self) -> str:
@@ -82,7 +82,7 @@ NO_ABSCISSA = Abscissa()
 
 
 def even_times(rate_hz: float, start_s: float = 0.0) -> Abscissa:
-    """Return evenly spaced times of a rate that the file states."""
+    """Return evenly spaced times for a rate that the file states."""
     return Abscissa(AbscissaKind.TIME, "s", start_s, 1.0 / rate_hz)
 
 
@@ -91,40 +91,40 @@ class Signal:
     """Column of numbers with its meaning."""
 
     values: Real  # shape (n,)
-    unit: str = ""  # as in the file; empty: the file names none
+    unit: str = ""  # unit in the file; empty if the file names none
     abscissa: Abscissa = NO_ABSCISSA
     kind: SignalKind = SignalKind.TIME_RESPONSE
     origin: str = ""  # place in the file: column 3, dataset 2, group/channel
 
     @property
     def rate_hz(self) -> float | None:
-        """Samples per second that the file states; None: it states none."""
+        """Samples per second according to the file; None if it states none."""
         step = self.abscissa.step
         return 1.0 / step if self.abscissa.kind is AbscissaKind.TIME and step else None
 
     @property
     def time_s(self) -> Real | None:
-        """Listed times since the first sample [s], shape (n,); None: the file lists none."""
+        """Listed times since the first sample [s], shape (n,); None if the file lists none."""
         return self.abscissa.values if self.abscissa.kind is AbscissaKind.TIME else None
 
 
 @attrs.frozen(eq=False)
 class ImportedSignals:
-    """Content of a file of another program."""
+    """Content of a file written by another program."""
 
     path: Path
-    format: str  # for people
+    format: str  # name of the format for messages
     signals: Mapping[str, Signal]  # by name, in the order of the file; lengths may differ
-    start_ns: int | None = None  # stamp of the first sample; None: the file has none
+    start_ns: int | None = None  # stamp of the first sample; None if the file has none
     texts: Mapping[str, list[str]] = attrs.field(factory=dict)
     """Columns of words, such as the names in an exported `daq/info`."""
     left_out: Mapping[str, str] = attrs.field(factory=dict)
     """Parts of the file that are not signals: name to reason."""
-    remarks: tuple[str, ...] = ()  # assumptions about the file as a whole, for people
+    remarks: tuple[str, ...] = ()  # assumptions about the complete file, as text
 
     @property
     def begins_s(self) -> float:
-        """First listed time in the file [s]; 0 where it has none, or has stamps."""
+        """First listed time in the file [s]; 0 if it has none, or has stamps."""
         if self.start_ns is not None:
             return 0.0
         starts = (one.abscissa.start for one in self.signals.values() if one.abscissa.kind is AbscissaKind.TIME)
@@ -132,19 +132,19 @@ class ImportedSignals:
 
     @property
     def time_s(self) -> Real | None:
-        """Listed times of the first signal since its first sample [s]; None: it has none."""
+        """Listed times of the first signal since its first sample [s]; None if it has none."""
         return next((one.time_s for one in self.signals.values()), None)
 
 
 class UniqueNames:
-    """Names for signals, each given once; the number of earlier ones costs nothing."""
+    """Unique names for signals; the number of earlier names costs nothing."""
 
     def __init__(self, reserved: tuple[str, ...] = ()) -> None:
         self._taken = set(reserved)
         self._counts: dict[str, int] = {}
 
     def unique(self, name: str, place: int | None = None) -> str:
-        """Return the name, or a variant with a number (first its place) where it is already taken."""
+        """Return the name, or a variant with a number (first its place) if it is already used."""
         candidate = name
         while candidate in self._taken:
             number = self._counts.get(name, (place if place is not None else 2) - 1) + 1

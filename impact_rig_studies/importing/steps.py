@@ -11,10 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Step of imported readings: the spacing of the values that a converter, an integer or few digits leave.
+"""Step of imported readings: the spacing of values caused by a converter, integers or few digits.
 
-No format states it reliably: values are scaled, printed and truncated before they are read. It is found from the values
-themselves, as the largest number of which all their differences are integer multiples (Euclid's algorithm).
+No format states it reliably, because values are scaled, printed and truncated before they are imported. It is computed
+from the values themselves, as the largest number of which all their differences are integer multiples (Euclid's
+algorithm).
 """
 
 from __future__ import annotations
@@ -25,19 +26,20 @@ import numpy as np
 
 from impact_rig_studies.importing.signals import Real
 
-SAMPLES = 20_000  # of a signal that are used: its last
+SAMPLES = 20_000  # number of samples used, the last ones of a signal
 REPEATED, ALIKE = 12, 1e-9
-"""Samples after which a sine at 1/2, 1/3, 1/4 or 1/6 of the rate repeats: its values are commensurable without a step.
-Relative departure within which it does."""
-FEW = 20  # levels, of which small ones count, too
-CHANCE = 1e-9  # with which differences are multiples of a number within their rounding although there is no step
+"""Number of samples after which a sine at 1/2, 1/3, 1/4 or 1/6 of the rate repeats: its values are commensurable
+without a step. The second number is the allowed relative departure.
+"""
+FEW = 20  # number of levels up to which small values count, too
+CHANCE = 1e-9  # probability that differences are multiples of a number within their rounding although there is no step
 
 
 def step_of(values: Real) -> float:
-    """Return the step of a signal's values [their unit]; 0 where they have none.
+    """Return the step of a signal's values [their unit], or 0 if they have none.
 
-    Where there are enough, only values of the upper half of the amplitude count: numbers printed with so many
-    significant digits have finer steps where they are small, which say nothing about the amplitude.
+    If there are enough values, only those in the upper half of the amplitude count: numbers printed with a fixed number
+    of significant digits have finer steps where they are small, which do not matter for the amplitude.
     """
     values = values[-SAMPLES:]
     values = values[np.isfinite(values)]
@@ -48,19 +50,19 @@ def step_of(values: Real) -> float:
     apart = np.diff(large if len(large) > FEW else np.unique(values))
     step = _common_divisor(apart, 2.0 * float(np.spacing(size)))
     for rounding in (2.0 * float(np.spacing(np.float32(size))), step):
-        # of numbers in single precision, or printed with more digits than the step needs
+        # for numbers in single precision, or printed with more digits than the step needs
         if rounding > 0.0:
             step = max(step, _common_divisor(apart, rounding))
     return step
 
 
 def _common_divisor(apart: Real, rounding: float) -> float:
-    """Return the largest number of which all differences are multiples but for their rounding; 0: there is none."""
+    """Return the largest number of which all differences are multiples within their rounding, or 0."""
     apart = np.sort(apart[apart > rounding])
     step = float(apart[0]) if len(apart) else 0.0
     while step > rounding:
         multiples = apart / step
-        within = rounding * (1.0 + multiples)  # the step is as uncertain as the difference that it was found by
+        within = rounding * (1.0 + multiples)  # the step is as uncertain as the difference from which it was found
         rest = np.abs(apart - step * np.round(multiples))
         uneven = rest[rest > within]
         if not len(uneven):

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Imported measurements as runs on disk, with what the analysis finds in them."""
+"""Imported measurements as runs on disk, with the results of the analysis."""
 
 from __future__ import annotations
 
@@ -36,16 +36,16 @@ from impact_rig.simtime import NS_PER_S, stamp_ns
 from impact_rig_studies.importing.conversion import ImportedRun
 from impact_rig_studies.importing.mapping import as_yaml
 
-MAPPING_FILE = "mapping.yaml"  # attachment with the mapping in use
+MAPPING_FILE = "mapping.yaml"  # attachment with the mapping that was used
 BLOCK_S, BLOCK_SCANS = 0.1, 4000
 WRITTEN = (topics.INFO, topics.APPLIED, topics.NOTES, topics.SCAN, topics.TRANSMISSIBILITY_TABLE, topics.IMPACTS)
 
 
 def write(found: ImportedRun, directory: Path, clock_ns: int | None = None) -> Path:
-    """Write a measurement as a run, with what the analysis finds in it; return the directory.
+    """Write a measurement as a run, with the results of its analysis, and return the directory.
 
     Raises:
-        RecordingError: it cannot be written, or holds a recording already.
+        RecordingError: the run cannot be written, or the directory already contains a recording.
     """
     now = time.time_ns() if clock_ns is None else clock_ns
     about = {MODE_KEY: MEASURED, "source": found.source.path.name, "format": found.source.format}
@@ -86,7 +86,7 @@ def write(found: ImportedRun, directory: Path, clock_ns: int | None = None) -> P
 
 
 def describe(found: ImportedRun) -> dict[str, object]:
-    """Return the origin of a run for programs: what was read from a file, assumed about it and left out."""
+    """Return the origin of a run as data: what was read from the file, assumed about it, and left out."""
     source = found.source
     used = {one.column: name for name, one in found.mapping.channels.items()}
     return {

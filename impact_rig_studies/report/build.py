@@ -43,7 +43,7 @@ from impact_rig_studies.report.page import Section, contents, folded, links, pag
 from impact_rig_studies.report.studies import continued, reduction_over_gap, study_figures
 
 PAGE_FILE, FIGURES_FOLDER = "report.html", "figures"
-PEAK_HZ = 0.1  # studies that stay this near to 9.1 Hz are shown as the peaks of the curves
+PEAK_HZ = 0.1  # studies within this distance of 9.1 Hz are shown as the peaks of the curves
 
 
 def build_report(
@@ -56,21 +56,21 @@ def build_report(
     formats: Sequence[str] = FIGURE_FORMATS,
     rig: str | None = None,
 ) -> Path:
-    """Write the report of a campaign or of a run, its numbers and its figures; return the page.
+    """Write the report of a campaign or of a run, with its numbers and figures, and return the page.
 
     Args:
-        directory: of the campaign or of the run; an MCAP file is a run.
-        output: directory of `report.html` and `report.json`; that of the results if None.
-        margins: directory of a campaign that varies constants, for the table of what the statements owe to them.
+        directory: directory of the campaign or of the run; an MCAP file is a run.
+        output: directory of `report.html` and `report.json`; None means that of the results.
+        margins: directory of a campaign with varied constants, for the table of the statements' sensitivity.
         branches: directories of `impact-rig dynamics continue`, whose motions are drawn next to the measurements.
-        figures: directory of the figures; `figures` in that of the page if None.
-        formats: of the figures, some of `impact_rig.names.FIGURE_FORMATS`.
-        rig: namespace of the rig, of a recording that holds several.
+        figures: directory of the figures; None means `figures` in that of the page.
+        formats: formats of the figures, some of `impact_rig.names.FIGURE_FORMATS`.
+        rig: namespace of the rig, for a recording with several rigs.
 
     Raises:
-        ConfigError: a directory holds neither campaign nor run, that of the margins no variation, one of the branches
-            another rig; or margins or branches are given to something that was not simulated.
-        RecordingError: nothing was measured yet, or the page cannot be written.
+        ConfigError: a directory contains neither campaign nor run, that of the margins no variation, or one of the
+            branches another rig; or margins or branches are given for results that were not simulated.
+        RecordingError: there are no measurements yet, or the page cannot be written.
     """
     folder = directory if directory.is_dir() else directory.parent
     target = (output or folder) / PAGE_FILE
@@ -109,7 +109,7 @@ def build_report(
 
 
 def _refuse_comparisons(directory: Path, margins: Path | None, branches: Sequence[Path]) -> None:
-    """Refuse what compares with a simulated campaign."""
+    """Raise an error for options that need a simulated campaign."""
     if margins or branches:
         raise ConfigError(f"--margins and --branches belong to a simulated campaign, {directory} is a measurement")
 
@@ -130,7 +130,7 @@ def _write(folder: Path, formats: Sequence[str], target: Path, content: Content,
 def _sections(
     done: Finished, varied: list[Variation], drawn: list[Drawn], content: Content, folder: Path
 ) -> Iterator[Section | None]:
-    """Yield the sections of the page that goes into `folder`."""
+    """Yield the sections of a page in `folder`."""
     curves, config, keep = done.curves, done.campaign.base, content.figures
     reductions = done.reductions()
     compared = itertools.chain(
@@ -144,12 +144,12 @@ def _sections(
     yield section("Transmissibility", keep(dt.by_frequency(curves, config), large=True))
     yield section("Reductions: the paper and this rig", *findings.reductions_table(done, content), keep(compared))
     by_frequency = keep(dt.damper_by_frequency(curves, done.calibration))
-    yield section("What DT tells of the damper", *findings.damper(done, content), by_frequency)
+    yield section("Effect of the damper according to DT", *findings.damper(done, content), by_frequency)
     yield section("The paper's statements", *findings.statements(done, content))
     yield section("Uncertainty of one transmissibility", *findings.uncertainty(done, content))
-    yield section("What was chosen, and what a verdict is worth", *findings.chosen(config, content))
-    yield section("What the statements owe to the choice", *findings.margins(varied, content))
-    yield section("Each gap beside the curve without sphere", keep(dt.figure_8(curves)))
+    yield section("Chosen constants, and the strength of each verdict", *findings.chosen(config, content))
+    yield section("Sensitivity of the statements to the chosen constants", *findings.margins(varied, content))
+    yield section("Each gap next to the curve without sphere", keep(dt.figure_8(curves)))
     yield section("Peak, amplitudes, regimes", keep(details))
     yield section("Stable and unstable motions of the model", keep(drawn))
     yield section("Motion", keep(_motions(done)))
@@ -175,7 +175,7 @@ def _studies(done: Finished) -> Iterator[Drawn]:
         own = [point for point in done.points if point.study == study.name]
         known = set(study.frequencies_hz) == set(FREQUENCIES_HZ) or max(study.frequencies_hz) - FREQUENCY_HZ < PEAK_HZ
         if known and len(study.frequencies_hz) > 1 and all(point.reference for point in own):
-            continue  # the paper's own curves and their peaks, above
+            continue  # the paper's own curves and their peaks are shown above
         theory = None
         if own and len(study.frequencies_hz) == 1 and all(set(point.axes) <= {"sphere.start"} for point in own):
             theory = reduction_over_gap(done.campaign.base, own[0].frequency_hz, own[0].current_a)
@@ -226,17 +226,17 @@ def _files(done: Finished, content: Content, folder: Path) -> Iterator[Markup]:
 
 
 def _paths(done: Finished, folder: Path) -> list[Path]:
-    """Return the files of a campaign that its page in `folder` leads to."""
+    """Return the files of a campaign that its page in `folder` links to."""
     names = [run.CSV_FILE, "summary.json", kept.FILE_NAME, run.CAMPAIGN_FILE, run.CONFIGURATION_FILE]
     if done.imported:
-        names.remove(run.CONFIGURATION_FILE)  # of the nominal rig: nothing was measured on it
+        names.remove(run.CONFIGURATION_FILE)  # it describes the nominal rig, on which nothing was measured
     paths = [folder / name if name == kept.FILE_NAME else done.directory / name for name in names]
     paths = [path for path in paths if path.exists() or path.name == kept.FILE_NAME]
     return paths + sorted(done.directory.rglob("*.mcap"))
 
 
 def _links(paths: Sequence[Path], folder: Path) -> Markup:
-    """Return a list of links to files for a page in `folder`: relative where it can be, so that it can be moved."""
+    """Return links to files for a page in `folder`: relative if possible, so that the folder can be moved."""
     resolved, here = [path.resolve() for path in paths], folder.resolve()
     addresses = [
         quote(path.relative_to(here).as_posix()) if path.is_relative_to(here) else path.as_uri() for path in resolved

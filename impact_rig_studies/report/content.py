@@ -32,17 +32,17 @@ from impact_rig.system import files
 from impact_rig_studies.report import page
 
 FILE_NAME = "report.json"
-COVERAGE = 2.0  # standard uncertainties that an error bar, or a number behind ±, is long
-LEAST_SHARE = 1e-6  # of the variance, below which a line of the budget is left out
+COVERAGE = 2.0  # length of an error bar, or of a number after ±, in standard uncertainties
+LEAST_SHARE = 1e-6  # share of the variance below which a line of the budget is left out
 
 
 @attrs.frozen
 class Cell:
-    """A cell of a table: what is read, and the number or numbers behind it."""
+    """A cell of a table: its text, and the number or numbers that it shows."""
 
     text: str
     value: float | Sequence[float] | None
-    """As it is kept, in the unit that is shown; value and expanded uncertainty where there are two."""
+    """Numbers in the displayed unit: the value and, if there is one, its expanded uncertainty."""
 
 
 def number(value: float, spec: str = ".6g") -> Cell:
@@ -51,7 +51,7 @@ def number(value: float, spec: str = ".6g") -> Cell:
 
 
 def plus_minus(value: float, u: float, spec: str) -> Cell:
-    """Return a value with its expanded uncertainty, `COVERAGE` standard ones."""
+    """Return a value with its expanded uncertainty, which is `COVERAGE` standard uncertainties."""
     if not (math.isfinite(value) and math.isfinite(u)):
         return number(value, spec)
     return Cell(f"{value:{spec}} ± {COVERAGE * u:{spec}}", (value, COVERAGE * u))
@@ -66,14 +66,14 @@ class Content:
         self._tables: dict[str, object] = {}
 
     def fact(self, name: str, value: float | str, spec: str = "") -> str:
-        """Keep a number or a text of the prose under a name, and return it as it is read."""
+        """Store a number or a text of the prose under a name, and return its displayed form."""
         self._facts[name] = value
         return format(value, spec)
 
     def table(
         self, name: str, headings: Sequence[str], rows: Iterable[Sequence[str | Cell]], numeric: Iterable[int] = ()
     ) -> Markup:
-        """Return a table for the page; its cells are kept under a name."""
+        """Return a table for the page, and store its cells under a name."""
         kept = [list(row) for row in rows]
         self._tables[name] = {
             "columns": list(headings),
@@ -83,13 +83,13 @@ class Content:
         return page.table(headings, texts, numeric)
 
     def figures(self, found: Iterable[Drawn], *, large: bool = False) -> Markup:
-        """Return figures for the page; they are kept to be saved next to it."""
+        """Return figures for the page, and store them for saving."""
         new = list(found)
         self.drawn += new
         return page.figures(new, large=large)
 
     def write(self, path: Path, title: str) -> None:
-        """Write everything for programs."""
+        """Write the complete content as JSON."""
         figures = {
             one.name: {
                 "caption": one.caption,

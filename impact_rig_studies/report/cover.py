@@ -39,7 +39,7 @@ from impact_rig_studies.report.page import cover, heading, paragraph, tiles, tit
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-DIGITS = 12  # of a digest
+DIGITS = 12  # number of characters of a digest
 
 
 def opening(done: Finished, content: Content) -> Iterator[Markup]:
@@ -59,7 +59,7 @@ def versions(done: Finished) -> dict[str, object]:
     """Return the software versions and the machine of the campaign.
 
     Raises:
-        RecordingError: it cannot be read.
+        RecordingError: they cannot be read.
     """
     try:
         found = json.loads((done.directory / run.PROVENANCE_FILE).read_text(encoding="utf-8"))
@@ -85,7 +85,7 @@ def _entries(done: Finished, content: Content) -> list[tuple[str, str]]:
 
 
 def written(done: Finished) -> str:
-    """Return when the results of a campaign were written; empty if it does not say."""
+    """Return the time at which the results of a campaign were written; empty if unknown."""
     try:
         return str(json.loads((done.directory / SUMMARY_FILE).read_text(encoding="utf-8")).get("written", ""))
     except (OSError, ValueError):
@@ -120,12 +120,12 @@ def apparatus(done: Finished, content: Content) -> Iterator[Markup]:
     yield heading("Constants of the rig")
     yield content.table("constants", ["symbol", "value", "unit", "meaning"], _constants(done), [1])
     yield heading("Instruments and their calibration")
-    yield paragraph("The certificate of the rig with this seed: what the analysis knows of the instruments.")
+    yield paragraph("The certificate of the rig with this seed: all that the analysis knows about the instruments.")
     yield from instruments_table(done.info, content)
 
 
 def instruments_table(info: NDArray[np.void], content: Content) -> Iterator[Markup]:
-    """Yield the table of instruments of rows of `daq/info`, and what its columns mean."""
+    """Yield a table of instruments from rows of `daq/info`, and the meaning of its columns."""
     yield paragraph(
         "u(S): relative standard uncertainty of the sensitivity for a small vibration; noise: rms; read after: "
         "conversion after the scan clock."
@@ -188,7 +188,7 @@ def _with_unit(value: float, unit: str) -> Cell:
 
 
 def _short(value: float) -> str:
-    """Return three digits of a number, without an exponent where it can be helped."""
+    """Return three digits of a number, without an exponent if possible."""
     return f"{float(f'{value:.3g}'):g}"
 
 
@@ -199,7 +199,7 @@ SYMBOL = 9.5  # type size of symbols
 
 
 def set_up() -> Drawn:
-    """Draw the rig as the paper describes it; to be called within `drawing.style`."""
+    """Draw the rig as described in the paper; call this within `drawing.style`."""
     figure, (axis,) = new_axes(WIDTH_INCH * HEIGHT / WIDTH)
     axis.set(xlim=(0.0, WIDTH), ylim=(0.0, HEIGHT), aspect="equal")
     axis.axis("off")

@@ -58,9 +58,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-NEAR_HZ = (8.85, 9.35)  # where the cases differ
+NEAR_HZ = (8.85, 9.35)  # range in which the cases differ
 HEIGHT_INCH = 6.6
-FINE = 400  # frequencies at which a prediction is drawn
+FINE = 400  # number of frequencies at which a prediction is drawn
 
 
 def without_sphere(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
@@ -82,9 +82,9 @@ def without_sphere(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
 
 
 def by_frequency(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
-    """Draw DT of all cases, linear and logarithmic, the phase beneath, predictions as lines: whole, and at resonance.
+    """Draw DT of all cases, linear and logarithmic, with phase and predictions: the complete range, and at resonance.
 
-    Near resonance everything measured is drawn, elsewhere the paper's frequencies are what there is.
+    Near resonance all measurements are drawn, elsewhere those at the paper's frequencies.
     """
     cases = [gap for gap in (NO_SPHERE, *REDUCTION_PERCENT) if curve(curves, gap)]
     if len(cases) < 2:
@@ -128,18 +128,18 @@ def by_frequency(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
 
 
 def _within(curves: Curves, gap: float, low: float, high: float) -> list[Point]:
-    """Return everything that was measured of a case between two frequencies, at the paper's current."""
+    """Return all measurements of a case between two frequencies, at the paper's current."""
     points = (p for f, p in sorted(curves.by_gap[gap].items()) if low <= f <= high)
     return [p for p in points if p.current_a == paper.CURRENT_A]
 
 
 def _label_if_first(value: float, _: float) -> str:
-    """Return the label of a minor tick: 2 and 5 of a decade only, so that none stands in another."""
+    """Return the label of a minor tick, only for 2 and 5 of a decade, so that labels do not overlap."""
     return f"{value:g}" if f"{value:e}"[0] in "25" else ""
 
 
 def _draw_case(axes: Sequence[Axes], gap: float, points: Sequence[Point], theory: Sequence[Stretch]) -> None:
-    """Draw one case into the three axes: points with bars, the theory's lines, or a faint line from point to point."""
+    """Draw one case into the three axes: points with error bars, and lines of the theory, or faint lines."""
     frequency, shade = [p.frequency_hz for p in points], colour(gap)
     phases = _lag_deg([p.phase_rad for p in points])
     bars = [COVERAGE * math.degrees(float(p.rows["phase_uncertainty"][0])) for p in points]
@@ -157,7 +157,7 @@ def _draw_case(axes: Sequence[Axes], gap: float, points: Sequence[Point], theory
 
 
 def _lag_deg(phase_rad: ArrayLike) -> NDArray[np.float64]:
-    """Return phases [°] as they are drawn: as a lead of almost half a turn comes a lag of a little more."""
+    """Return phases [°] for drawing: a lead of almost half a turn becomes a lag of slightly more."""
     degrees = np.degrees(phase_rad)
     return np.where(degrees > 90.0, degrees - 360.0, degrees)
 
@@ -221,7 +221,7 @@ def draw_reductions(reductions: Reductions, path: Path) -> Path:
 
 
 def reductions_by_gap(reductions: Reductions) -> Iterator[Drawn]:
-    """Draw our reductions next to the paper's."""
+    """Draw our reductions next to those of the paper."""
     ours, spread = reductions.percent(), reductions.percent_uncertainty
     if not ours:
         return
@@ -248,7 +248,7 @@ def reductions_by_gap(reductions: Reductions) -> Iterator[Drawn]:
 
 
 def differences(reductions: Reductions) -> Iterator[Drawn]:
-    """Draw by how much our reductions differ from the paper's."""
+    """Draw the differences of our reductions from those of the paper."""
     errors, spread = reductions.errors(), reductions.percent_uncertainty
     if not errors:
         return
@@ -264,7 +264,7 @@ def differences(reductions: Reductions) -> Iterator[Drawn]:
 
 
 def errors_without_sphere(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
-    """Draw by how much DT without the sphere differs from the closed form: what the instruments add."""
+    """Draw the differences of DT without the sphere from the closed form: the errors of the instruments."""
     points = curve(curves, NO_SPHERE)
     if not points:
         return
@@ -285,7 +285,7 @@ def errors_without_sphere(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
 def _residuals(
     x: ArrayLike, errors: ArrayLike, bars: ArrayLike, zero: tuple[str, str], label: str
 ) -> tuple[Figure, Axes]:
-    """Draw differences with their bars about a line of a colour and a name."""
+    """Draw differences with their error bars about a line with a colour and a name."""
     figure, (axis,) = new_axes(3.0)
     axis.axhline(0.0, color=zero[0], linewidth=1.0, label=zero[1])
     axis.errorbar(x, errors, bars, color=MEASURED, marker="o", linestyle="none", capsize=3.0, label=label)
@@ -311,7 +311,7 @@ def curve(curves: Curves, gap_m: float) -> list[Point]:
 
 
 def papers_dt(curves: Curves, gap_m: float) -> float | None:
-    """Return the DT at 9.1 Hz that the paper's reduction means for our curve without sphere."""
+    """Return the DT at 9.1 Hz that follows from the paper's reduction and our curve without sphere."""
     without = curves.at(NO_SPHERE, FREQUENCY_HZ)
     return None if without is None else without.dt * (1.0 - REDUCTION_PERCENT[gap_m] / 100.0)
 
@@ -335,7 +335,7 @@ def measured_line(gap_m: float, points: Sequence[Point]) -> Line:
 
 
 def figure_8(curves: Curves) -> Iterator[Drawn]:
-    """Draw each gap beside the curve without sphere."""
+    """Draw each gap next to the curve without sphere."""
     without = curve(curves, NO_SPHERE)
     for letter, gap in zip(FIGURE_8, REDUCTION_PERCENT, strict=True):
         points = curve(curves, gap)
@@ -419,7 +419,7 @@ def damper_by_frequency(curves: Curves, calibration: Calibration) -> Iterator[Dr
 
 
 def amplitudes(curves: Curves) -> Iterator[Drawn]:
-    """Draw the amplitudes of both bases over frequency: the damper works by raising the inferior one."""
+    """Draw the amplitudes of both bases over frequency: the damper acts by raising that of the inferior one."""
     cases = {gap: points for gap in (NO_SPHERE, *REDUCTION_PERCENT) if (points := curve(curves, gap))}
     if not cases:
         return
@@ -446,7 +446,7 @@ def amplitudes(curves: Curves) -> Iterator[Drawn]:
 
 
 def regime_map(curves: Curves) -> Iterator[Drawn]:
-    """Draw, for each gap and frequency, what the response does and how often the sphere strikes."""
+    """Draw, for each gap and frequency, the regime of the response and the number of impacts per cycle."""
     cases = {gap: points for gap in REDUCTION_PERCENT if (points := curve(curves, gap))}
     if not cases:
         return

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Results of a test through the stream: figures for programs, sentences, and a page of drawings."""
+"""Results of a test through the stream: figures as data, sentences, and a page of drawings."""
 
 from __future__ import annotations
 
@@ -47,20 +47,20 @@ from impact_rig_studies.report import page
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-MOST_POINTS = 4000  # of a line that is drawn
-COHERENT = 0.9  # coherence of a line that counts as measured
-SHOWN_S = 1.0  # of a played history, around its largest sample
+MOST_POINTS = 4000  # largest number of points of a drawn line
+COHERENT = 0.9  # least coherence of a line that counts as measured
+SHOWN_S = 1.0  # seconds of a played history that are drawn, around its largest sample
 
 
 @attrs.frozen(eq=False)
 class ResultSummary:
     """Summary of a result."""
 
-    progress: str  # how far it is, in one line
-    figures: Mapping[str, object]  # for programs
-    sentences: Sequence[str]  # for people
-    draw: Callable[[], list[Drawn]]  # makes the drawings
-    missing: str = ""  # why there is no result, as a sentence; empty if there is one
+    progress: str  # progress, in one line
+    figures: Mapping[str, object]  # figures as data
+    sentences: Sequence[str]  # sentences for users
+    draw: Callable[[], list[Drawn]]  # function that makes the drawings
+    missing: str = ""  # reason why there is no result, as a sentence; empty if there is one
 
 
 def tell(found: object, unit: str = "") -> ResultSummary:

@@ -33,7 +33,7 @@ from impact_rig_studies.report.content import COVERAGE, LEAST_SHARE, Cell, Conte
 from impact_rig_studies.report.dt import dampers
 from impact_rig_studies.report.page import paragraph
 
-BUDGETED_GAP_M = 6e-3  # the uncertainty of this case is taken apart, where it was measured
+BUDGETED_GAP_M = 6e-3  # the case whose uncertainty is analysed, if it was measured
 
 
 def value_cell(value: Value) -> str | Cell:
@@ -44,7 +44,7 @@ def value_cell(value: Value) -> str | Cell:
 
 
 def reductions_table(done: Finished, content: Content) -> Iterator[Markup]:
-    """Yield DT and reduction by gap beside the paper's."""
+    """Yield DT and reduction by gap next to those of the paper."""
     reductions = done.reductions()
     ours, spread, errors = reductions.percent(), reductions.percent_uncertainty, reductions.errors()
     if not ours:
@@ -66,7 +66,7 @@ def reductions_table(done: Finished, content: Content) -> Iterator[Markup]:
 
 
 def damper(done: Finished, content: Content) -> Iterator[Markup]:
-    """Yield what DT tells of the damper, at the frequency where most gaps were measured."""
+    """Yield the effect of the damper according to DT, at the frequency with the most gaps."""
     found = dampers(done.curves, done.calibration)
     counts = [frequency for own in found.values() for frequency in own]
     if not counts:
@@ -141,7 +141,7 @@ def uncertainty(done: Finished, content: Content) -> Iterator[Markup]:
 
 
 def chosen(config: RigConfig, content: Content) -> Iterator[Markup]:
-    """Yield the constants that were chosen, and what a verdict owes to them."""
+    """Yield the chosen constants, and their influence on the verdicts."""
     values = to_flat(config)
     rows: list[list[str | Cell]] = [
         [name, value_cell(values[name]), about.unit, about.doc]
@@ -170,11 +170,11 @@ def chosen(config: RigConfig, content: Content) -> Iterator[Markup]:
 
 
 def margins(varied: list[Variation], content: Content) -> Iterator[Markup]:
-    """Yield the figure of every statement on rigs of which one constant differs."""
+    """Yield the figure of every statement on rigs that differ in one constant."""
     if not varied:
         return
     yield paragraph(
-        "One constant differs from the rig of this page, the others are held: the figure of each statement, and "
+        "One constant differs from the rig of this page; the others are unchanged. Shown: each statement's figure, and "
         "whether it still holds. Empty: not judged."
     )
     judged = [verdict.result for verdict in varied[0].verdicts]

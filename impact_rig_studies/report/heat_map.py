@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Heat maps: reduction over two axes, regimes outlined, and where two symmetric impacts per cycle are predicted."""
+"""Heat maps: reduction over two axes, with outlined regimes and predicted motions with two symmetric impacts."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ if TYPE_CHECKING:
 QUIET, TWO, OTHER, MODULATED, CHAOTIC, NONE = range(6)
 WORDS = ("no impacts", "two impacts per cycle", "periodic", "modulated", "chaotic or intermittent")
 OUTLINES = {QUIET: "#1b1f24", MODULATED: "#ff9347", CHAOTIC: "#ff6b6b", TWO: "#ffffff"}
-"""Colours of the regimes' borders in the order in which they are drawn; what is left is periodic otherwise."""
+"""Colours of the regimes' borders in drawing order; the remaining area is otherwise periodic."""
 _COLUMNS = 2
-APART = 0.01  # relative difference of DT from which up and down count as two answers
+APART = 0.01  # relative difference of DT from which the two directions count as two answers
 
 
 def heat_maps(done: FinishedMap) -> Iterator[Drawn]:
-    """Yield the pictures of a map: one per direction and value of the third axis, and where up and down differ."""
+    """Yield the pictures of a map: one per direction and value of the third axis, and their differences."""
     plan = done.plan
     pages = list(plan.axes.items())[2:]
     for layer, values in done.values.items():
@@ -137,7 +137,7 @@ def _outline(axis: Axes, x: NDArray[np.float64], y: NDArray[np.float64], groups:
 
 
 def _predicted(axis: Axes, plan: MapPlan, page: float | None) -> None:
-    """Draw where stable symmetric motion with two impacts per cycle is predicted, on maps of gap and frequency."""
+    """Outline the predicted stable symmetric motion with two impacts per cycle, on maps of gap and frequency."""
     names = list(plan.axes)
     if {*names[:2]} != {GAP, FREQUENCY} or plan.base.drive.kind != "current":
         return

@@ -13,7 +13,8 @@
 # limitations under the License.
 """Report of any measurement: an imported campaign, or a single run, recorded or imported.
 
-It contains only results of its data: nothing of the paper, and nothing of a configuration unless the run was simulated.
+It contains only results of the data. It refers neither to the paper nor, unless the run was simulated, to a
+configuration.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOTION_INCH = 4.4  # height of a drawing of the motion
-BATCHES = 4  # of the scatter of a response that is not periodic: the fewer of the two, see docs/explanation/analysis.md
+BATCHES = 4  # for a response that is not periodic: the smaller number, see docs/explanation/analysis.md
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -65,12 +66,12 @@ class MeasuredData:
     """Data of a report of measurements."""
 
     title: str
-    kind: str  # one sentence: what was measured, and how
+    kind: str  # description of the measurement, in one sentence
     about: Sequence[tuple[str, str]]  # entries of the cover
     rows: NDArray[np.void]  # settled rows of `transmissibility/table`, one per gap and frequency, shape (n,)
     info: NDArray[np.void]  # rows of `daq/info`
-    failed: Sequence[tuple[str, str]] = ()  # places without a settled measurement, and why
-    drawn: Sequence[Drawn] = ()  # of the motion
+    failed: Sequence[tuple[str, str]] = ()  # places without a settled measurement, and the reasons
+    drawn: Sequence[Drawn] = ()  # drawings of the motion
 
 
 def of_campaign(done: Finished) -> MeasuredData:
@@ -93,7 +94,7 @@ def of_campaign(done: Finished) -> MeasuredData:
 
 
 def _origins(directory: Path) -> Iterator[tuple[str, str]]:
-    """Yield what was assumed about the files of a campaign, and what was left out of them."""
+    """Yield the assumptions about the files of a campaign, and what was left out of them."""
     found: dict[str, list[str]] = {"assumed": [], "left out": []}
     for path in sorted(path.parent for path in directory.rglob("metadata.yaml")):
         with open_run(path) as run:
@@ -107,7 +108,7 @@ def of_run(path: Path, rig: str | None = None) -> MeasuredData:
     """Return the data of a run; with several rigs, those of one namespace.
 
     Raises:
-        RecordingError: it cannot be read or analysed.
+        RecordingError: the run cannot be read or analysed.
     """
     with open_run(path, rig) as run, style():
         found = list(reanalysis.analyze(run))
@@ -137,7 +138,7 @@ def of_run(path: Path, rig: str | None = None) -> MeasuredData:
 
 
 def document(data: MeasuredData, content: Content, links: Markup) -> str:
-    """Return the page; `links` lead to the files beside it."""
+    """Return the page; `links` are links to the files next to it."""
     with style():
         calibration = Calibration.from_info(data.info)
         best = _largest(data.rows)
@@ -160,7 +161,7 @@ def document(data: MeasuredData, content: Content, links: Markup) -> str:
 
 
 def _about(rows: NDArray[np.void], info: NDArray[np.void]) -> Iterator[tuple[str, str]]:
-    """Yield what rows and instruments say of the conditions: rate, channels, frequencies, amplitudes."""
+    """Yield the conditions according to rows and instruments: rate, channels, frequencies, amplitudes."""
     rates = sorted({float(row["rate"]) for row in info})
     yield "Rate", f"{', '.join(f'{rate:.10g}' for rate in rates)} scans/s"
     yield "Instruments", ", ".join(row["name"].decode() for row in info)
@@ -173,7 +174,7 @@ def _about(rows: NDArray[np.void], info: NDArray[np.void]) -> Iterator[tuple[str
 
 
 def _span(values: NDArray[np.float64], factor: float, unit: str) -> str:
-    """Return the range of values; empty where none was measured."""
+    """Return the range of values; empty if none was measured."""
     known = factor * values[np.isfinite(values) & (values > 0.0)]
     if not len(known):
         return ""
@@ -204,7 +205,7 @@ def _tiles(data: MeasuredData, best: NDArray[np.void], content: Content) -> Iter
 def _results(rows: NDArray[np.void], content: Content) -> Iterator[Markup]:
     if not len(rows):
         return
-    if np.ptp(rows["frequency"]) > 0.0:  # one frequency is no curve
+    if np.ptp(rows["frequency"]) > 0.0:  # a single frequency makes no curve
         yield content.figures([transmissibility(rows)], large=True)
     cells: list[list[str | Cell]] = [
         [
@@ -225,7 +226,7 @@ def _results(rows: NDArray[np.void], content: Content) -> Iterator[Markup]:
 
 
 def transmissibility(rows: NDArray[np.void]) -> Drawn:
-    """Draw DT and phase over the frequency with ± 2u, a line per case; to be called within `drawing.style`."""
+    """Draw DT and phase over the frequency with ± 2u, one line per case; call this within `drawing.style`."""
     figure, (upper, lower) = new_axes(4.8, (1.6, 1.0))
     lines: list[Line] = []
     for i, case in enumerate(dict.fromkeys(_case(float(gap)) for gap in rows["gap"])):
@@ -312,7 +313,7 @@ def _uncertainty(row: NDArray[np.void], calibration: Calibration, content: Conte
 
 
 def degrees_of_freedom(found: Budget, row: np.void) -> tuple[float, float]:
-    """Return the degrees of freedom of the type A part, and the effective ones of the whole.
+    """Return the degrees of freedom of the type A part, and the effective ones of the total.
 
     Source: JCGM 100:2008 (GUM), G.4, with infinitely many for every part of type B.
     """

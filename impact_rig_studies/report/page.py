@@ -11,10 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""HTML pages of reports: parts made by a template engine that escapes every text, and nothing that is fetched or runs.
+"""HTML pages of reports, made by a template engine that escapes every text; they load and execute nothing.
 
-The policy of a page allows one style sheet, known by its digest, and images that the page holds itself: even markup
-that slipped through could neither run nor ask for anything. The styles of drawings therefore become classes of it.
+The security policy of a page allows one style sheet, identified by its digest, and embedded images. Even injected
+markup could neither execute nor load anything. Styles of drawings are therefore converted to classes of the style
+sheet.
 """
 
 from __future__ import annotations
@@ -40,18 +41,18 @@ _POLICY = "default-src 'none'; style-src '{digest}'; img-src data:; base-uri 'no
 
 @attrs.frozen
 class Section:
-    """Part of a page with a heading that its contents lead to."""
+    """Part of a page with a heading that the table of contents links to."""
 
     title: str
     html: Markup
 
     @property
     def anchor(self) -> str:
-        """Its identifier."""
+        """Identifier of the section."""
         return f"s-{names.identifier(self.title.lower())}"
 
     def __html__(self) -> Markup:
-        """Return it as templates put it into a page."""
+        """Return the section as HTML for templates."""
         return self.html
 
 
@@ -72,12 +73,12 @@ def _render(part: str, *values: object) -> Markup:
 
 
 def _lowered(text: str) -> Markup:
-    """Return a text with the indices of its symbols set lower."""
+    """Return a text with the indices of its symbols as subscripts."""
     return Markup(_SYMBOL.sub(_LOWERED, str(escape(text))))  # noqa: S704  # escaped, and what it gains is ours
 
 
 def page(title: str, parts: Iterable[Section | Markup]) -> str:
-    """Return the whole document."""
+    """Return the complete document."""
     body, classes = _classed(Markup("\n").join(parts))
     style = f"{STYLE}{classes}"
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
@@ -86,9 +87,9 @@ def page(title: str, parts: Iterable[Section | Markup]) -> str:
 
 
 def _classed(body: Markup) -> tuple[Markup, str]:
-    """Return a page whose styles of single elements have become classes, and the rules of those classes.
+    """Return a page whose inline styles are converted to classes, and the rules of those classes.
 
-    Only drawings have such styles, and matplotlib makes them out of numbers and colours.
+    Only drawings have inline styles, which matplotlib makes from numbers and colours.
     """
     rules: dict[str, str] = {}
 
@@ -109,7 +110,7 @@ def title(text: str) -> Markup:
 
 
 def section(title: str, *parts: Markup) -> Section | None:
-    """Return a section; None if it has no content."""
+    """Return a section, or None if it has no content."""
     body = Markup("\n").join(one for one in parts if one)
     if not body:
         return None
@@ -133,23 +134,23 @@ def paragraph(text: str, kind: str = "") -> Markup:
 
 
 def cover(entries: Iterable[tuple[str, str]]) -> Markup:
-    """Return the cover block: (what, its value), both plain text; entries without a value are left out."""
+    """Return the cover block from pairs of a label and its value, both plain text; empty values are left out."""
     return _render("cover", [entry for entry in entries if entry[1]])
 
 
 @attrs.frozen
 class _Figure:
-    """A drawing as its template needs it."""
+    """Data of a drawing for its template."""
 
     identifier: str
     name: str
     caption: str
     drawing: Markup
-    csv: str  # address with the numbers; empty: there are none
+    csv: str  # address with the numbers; empty if there are none
 
 
 def figures(drawn: Sequence[Drawn], *, large: bool = False) -> Markup:
-    """Return figures side by side as far as the page is wide; each can be enlarged, and gives its numbers as CSV."""
+    """Return figures side by side, as the page width allows; each can be enlarged and has its numbers as CSV."""
     shown = [
         _Figure(
             one.identifier, one.name, one.caption, Markup(one.inline()),  # noqa: S704  # matplotlib escapes its texts
@@ -164,25 +165,25 @@ def table(headings: Sequence[str], rows: Iterable[Sequence[str]], numeric: Itera
     """Return a table of plain text; on a phone every row becomes a list of its cells with their headings.
 
     Args:
-        headings: of the columns.
-        rows: cells; one that is a verdict's word is coloured by it.
-        numeric: columns that are set flush right.
+        headings: headings of the columns.
+        rows: cells; the word of a verdict determines the colour of its cell.
+        numeric: indices of right-aligned columns.
     """
     return _render("table", list(headings), [list(row) for row in rows], set(numeric))
 
 
 def tiles(items: Iterable[tuple[str, str]]) -> Markup:
-    """Return key figures: (number, what it is)."""
+    """Return key figures from pairs of a number and its description."""
     return _render("tiles", list(items))
 
 
 def folded(summary: str, body: Markup) -> Markup:
-    """Return a part that is closed at first, and open in print."""
+    """Return a part that is collapsed at first, and expanded in print."""
     return _render("folded", summary, body)
 
 
 def links(items: Iterable[tuple[str, str]]) -> Markup:
-    """Return a list of links: (address, text)."""
+    """Return a list of links from pairs of an address and a text."""
     return _render("links", list(items))
 
 

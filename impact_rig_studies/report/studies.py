@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""One figure for any study: DT, or its reduction, over the axis with the most values, a line per other value.
+"""Figure of any study: DT, or its reduction, over the axis with the most values, with one line per other value.
 
-Theory without simulation stands beside it where there is one: two impacts per cycle.
+A theory without simulation, for two impacts per cycle, is drawn as well if it applies.
 """
 
 from __future__ import annotations
@@ -46,18 +46,18 @@ AXIS_NAMES = {
     "sphere.density_kg_m3": ("density of the sphere", "kg/m³", 1.0),
 }
 OF_INSTRUMENTS = ("daq.", "instruments.", "time.", "step.", "output.", "pluck.")
-"""Beginnings of values that the mechanics do not know."""
+"""Prefixes of configuration values that do not affect the mechanics."""
 OPEN: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 5.0, "markerfacecolor": "white", "zorder": 3}
-"""How a point is drawn whose sphere did not strike."""
+"""Style of a point whose sphere did not strike."""
 MOST_LINES = 2 * len(SERIES)  # the second half is dashed
 
 
 def study_figures(
     study: str, points: Sequence[Point], curves: Curves, calibration: Calibration, theory: Line | None = None
 ) -> Iterator[Drawn]:
-    """Draw a study; nothing if it has less than three settled points along any axis.
+    """Draw a study, unless it has less than three settled points along every axis.
 
-    Reductions are taken against the reference rig, so a study of several sets of instruments shows DT itself.
+    Reductions are relative to the reference rig, so a study of several sets of instruments shows DT itself.
     """
     settled = [point for point in points if point.settled]
     if not settled:
@@ -149,10 +149,10 @@ def _reduction(point: Point, curves: Curves, calibration: Calibration) -> tuple[
 
 
 def continued(name: str, study: FinishedStudy, points: Sequence[Point], config: RigConfig) -> Drawn:
-    """Draw DT along the continued motions of the model, and what was measured at their places.
+    """Draw DT along the continued motions of the model, with the measurements at the same places.
 
-    Raises:
-        ConfigError: the motions are of another rig, or over something that a campaign names otherwise.
+    Raises: ConfigError: the motions belong to another rig, or the branches are over a parameter that a report does not
+    show.
     """
     plan = study.plan
     others = {"barriers.gap_m", "sphere.start", "sphere.present"}
@@ -199,23 +199,23 @@ def continued(name: str, study: FinishedStudy, points: Sequence[Point], config: 
 
 @attrs.frozen(eq=False)
 class Stretch:
-    """A line without a break; every attribute has the shape (n,)."""
+    """A continuous line; every attribute has the shape (n,)."""
 
     frequency_hz: NDArray[np.float64]  # ascending
     dt: NDArray[np.float64]  # transmissibility
-    phase_rad: NDArray[np.float64]  # of the superior base to the inferior one
+    phase_rad: NDArray[np.float64]  # phase of the superior base relative to the inferior one
 
 
 def predicted(
     config: RigConfig, gap_m: float, frequencies_hz: NDArray[np.float64], current_a: float
 ) -> Sequence[Stretch]:
-    """Return the prediction for a gap, or `NO_SPHERE`, at constant current; nothing where no theory holds.
+    """Return the prediction for a gap, or `NO_SPHERE`, at constant current; empty if no theory applies.
 
     Args:
-        config: the rig; its own gap does not matter.
-        gap_m: gap.
-        frequencies_hz: ascending, shape (n,).
-        current_a: peak.
+        config: configuration of the rig, whose own gap is ignored.
+        gap_m: gap [m].
+        frequencies_hz: ascending frequencies, shape (n,).
+        current_a: peak current [A].
     """
     if gap_m == NO_SPHERE:
         ratio = transmissibility(config, frequencies_hz)
@@ -223,18 +223,18 @@ def predicted(
     try:
         rig = from_flat(config, {"sphere.present": True, "barriers.gap_m": gap_m})
         branches = prediction.curves(rig, frequencies_hz, gap_m, current_a=current_a)
-    except ConfigError:  # outside of what the theory holds for: friction, no loss, ...
+    except ConfigError:  # outside the validity of the theory: friction, no loss, ...
         return []
     return [part for one in branches for part in _lasting(one)]
 
 
 def reduction_over_gap(config: RigConfig, frequency_hz: float, current_a: float) -> Line | None:
-    """Return the predicted reduction of DT by gap at one frequency and constant current; None where no theory holds.
+    """Return the predicted reduction of DT by gap at one frequency and constant current, or None if no theory applies.
 
     Args:
-        config: the rig; its own gap does not matter.
-        frequency_hz: of the drive.
-        current_a: peak.
+        config: configuration of the rig, whose own gap is ignored.
+        frequency_hz: drive frequency.
+        current_a: peak current [A].
     """
     try:
         rig = from_flat(config, {"sphere.present": True})

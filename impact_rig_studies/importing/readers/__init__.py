@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Readers of imported files, one module a format, and the registry that chooses one."""
+"""Readers of imported files, one module per format, and the registry that selects one."""
 
 from __future__ import annotations
 
@@ -50,17 +50,17 @@ from impact_rig_studies.importing.signals import ImportedSignals
 class Format:
     """File format and its reader."""
 
-    name: str  # for people: a WAV file
-    read: Callable[..., ImportedSignals]  # of path and content, and of the library where there is one
-    library: str = ""  # that the reader is given; empty: none
-    package: str = ""  # that brings it
+    name: str  # name for messages, such as `a WAV file`
+    read: Callable[..., ImportedSignals]  # function of path and content, and of the library if there is one
+    library: str = ""  # module of the library that the reader needs; empty if none
+    package: str = ""  # package that contains the library
     prepare: Callable[[], object] | None = None  # called after the library is imported
 
     def load(self) -> tuple[ModuleType, ...]:
         """Return the library as arguments for the reader.
 
         Raises:
-            RecordingError: it is not installed.
+            RecordingError: the library is not installed.
         """
         if not self.library:
             return ()
@@ -91,14 +91,14 @@ FORMATS: Mapping[str, Format] = {
     ".mat": MATLAB_5,
     **dict.fromkeys(bag.SUFFIXES, BAG),
 }  # fmt: skip
-"""Formats by suffix; a bag may be a directory, too."""
+"""Formats by suffix; a bag may also be a directory."""
 
 
 def format_of(path: Path, content: bytes) -> Format:
     """Return the format of a file: by its suffix, of MATLAB files by their content.
 
     Raises:
-        RecordingError: the suffix is of no format.
+        RecordingError: the suffix is unknown.
     """
     found = FORMATS.get(path.suffix.lower())
     if found is None:
@@ -109,12 +109,12 @@ def format_of(path: Path, content: bytes) -> Format:
 def read(path: Path) -> ImportedSignals:
     """Return the signals in a file; its suffix names the format.
 
-    The reader runs in a process of its own, with a limit on memory and time: a file that crashes or occupies a library
-    is an error.
+    The reader runs in a separate process with a limit on memory and time, so a file that crashes or blocks a library is
+    only an error.
 
     Raises:
-        RecordingError: unknown suffix, a library is missing, or the file is damaged, empty or of another format.
-        BudgetError: it is larger than the budget.
+        RecordingError: the suffix is unknown, a library is missing, or the file is damaged, empty or of another format.
+        BudgetError: the file is larger than the budget.
     """
     try:
         bag_bytes = _bag_bytes(path) if bag.is_bag(path) else None
@@ -142,8 +142,8 @@ def _bag_bytes(path: Path) -> int:
     """Return the size of a bag.
 
     Raises:
-        RecordingError: it is empty, or one of its files is not a regular file.
-        BudgetError: it is larger than the budget.
+        RecordingError: the bag is empty, or one of its files is not a regular file.
+        BudgetError: the bag is larger than the budget.
     """
     members = sorted(path.iterdir()) if path.is_dir() else [path]
     wrong = next((one for one in members if not one.is_file()), None)
@@ -158,5 +158,5 @@ def _bag_bytes(path: Path) -> int:
 
 def _read(chosen: Format, path: Path, content: bytes | int) -> ImportedSignals:
     with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore")  # of libraries, about files they then refuse or read
+        warnings.simplefilter("ignore")  # of libraries, about files that they then reject or read
         return chosen.read(path, content, *chosen.load())

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Reader of ROS bags of other drivers (rosbag2 with MCAP or SQLite, ROS 1), by rosbags.
+"""Reader of ROS bags of other drivers (rosbag2 with MCAP or SQLite, ROS 1), with rosbags.
 
-Each number of a message is a signal: of `PointCloud2` a column, if one of them is `time`; of other messages each field,
-at the stamp in the header, or at the time of receipt where there is none.
+Each number of a message is a signal. For `PointCloud2` these are its columns, if one of them is `time`. For other
+messages they are the fields, at the stamp in the header, or at the time of receipt without a header.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from impact_rig_studies.importing.limits import allow_columns, allow_values
 from impact_rig_studies.importing.signals import Abscissa, AbscissaKind, ImportedSignals, Signal, UniqueNames
 
 SUFFIXES = (".mcap", ".db3", ".bag")
-SCHEMALESS = "__schemaless__"  # what rosbags calls the type of a channel with schema 0
+SCHEMALESS = "__schemaless__"  # name that rosbags gives the type of a channel with schema 0
 CLOUD = "sensor_msgs/msg/PointCloud2"
 UNITS = {
     ("sensor_msgs/msg/Imu", "linear_acceleration"): "m/s^2", ("sensor_msgs/msg/Imu", "angular_velocity"): "rad/s",
@@ -46,11 +46,11 @@ UNITS = {
 _DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # of `PointField`
 _TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 _TIME_COLUMNS = ("time", "t")  # of a `PointCloud2`, since its stamp [s]
-MOST_ELEMENTS = 32  # of an array in a message, each of which is a signal
+MOST_ELEMENTS = 32  # longest array in a message; each element is a signal
 
 
 def is_bag(path: Path) -> bool:
-    """Return whether a path is a bag by its suffix, or a directory with a bag in it."""
+    """Return whether a path is a bag by its suffix, or a directory that contains a bag."""
     if path.is_dir():
         return any(one.name == "metadata.yaml" or one.suffix in SUFFIXES for one in path.iterdir())
     return path.suffix.lower() in SUFFIXES
@@ -60,12 +60,12 @@ def read(path: Path, file_bytes: int, library: ModuleType) -> ImportedSignals:
     """Read the numbers of all topics.
 
     Raises:
-        RecordingError: no message holds numbers that belong to an instant.
+        RecordingError: no message contains numbers with an instant.
     """
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415  # of an extra, loaded with the library
 
     series: dict[tuple[str, str], _Series] = {}
-    # a bag of SQLite defines no types: those of ROS itself are known
+    # a bag of SQLite defines no types: the types of ROS itself are used
     with library.AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
         for connection, log_ns, data in reader.messages():
             one = series.setdefault((connection.topic, connection.msgtype), _Series())
@@ -74,7 +74,7 @@ def read(path: Path, file_bytes: int, library: ModuleType) -> ImportedSignals:
             if not one.left_out:
                 try:
                     message = reader.deserialize(data, connection.msgtype)
-                except Exception as error:  # whatever a definition or its bytes make the library raise
+                except Exception as error:  # any error that a definition or its bytes cause in the library
                     one.left_out = f"{connection.msgtype} cannot be decoded: {' '.join(str(error).split())[:120]}"
                 else:
                     one.add(message, log_ns)
@@ -117,18 +117,18 @@ class _Series:
         self.columns: dict[str, array[float]] = {}  # by field
         self.units: dict[str, str] = {}
         self.is_stamped = True
-        self.left_out = ""  # reason why there is none
+        self.left_out = ""  # reason why there are no numbers
 
     @property
     def values(self) -> int:
-        """Numbers so far, stamps included."""
+        """Number of values so far, stamps included."""
         return len(self.stamps) * (1 + len(self.columns))
 
     def add(self, message: Any, log_ns: int) -> None:
-        """Take the numbers of a message."""
+        """Add the numbers of a message."""
         header = getattr(message, "header", None)
         stamp_ns = header.stamp.sec * NS_PER_S + header.stamp.nanosec if header is not None else 0
-        if not stamp_ns:  # of a driver that leaves it empty
+        if not stamp_ns:  # of a driver that leaves the stamp empty
             stamp_ns, self.is_stamped = log_ns, False
         if message.__msgtype__ == CLOUD:
             self._add_cloud(message, stamp_ns)
@@ -147,7 +147,7 @@ class _Series:
             self.columns[field].append(value)
 
     def _add_cloud(self, message: Any, stamp_ns: int) -> None:
-        """Take the rows of a `PointCloud2` as samples."""
+        """Add the rows of a `PointCloud2` as samples."""
         order = ">" if message.is_bigendian else "<"
         fields = [one for one in message.fields if one.count == 1 and one.datatype in _DATATYPES]
         layout = np.dtype({
@@ -172,7 +172,7 @@ class _Series:
 
 
 def _leaves(message: Any, prefix: str, unit: str = "") -> Iterator[tuple[str, tuple[float, str]]]:
-    """Yield the numbers in a message by field, with their units; constants, covariances and stamps are none."""
+    """Yield the numbers in a message by field, with their units; constants, covariances and stamps are left out."""
     labels = getattr(message, "name", None)
     for field in message.__dataclass_fields__:
         value = getattr(message, field)

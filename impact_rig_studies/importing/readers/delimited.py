@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Reader of text tables of any locale: separator, decimal sign, code page, headings, units and times are found."""
+"""Reader of text tables of any locale, which detects separator, decimal sign, code page, headings, units and times."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ from impact_rig_studies.importing.limits import allow_columns, allow_values
 from impact_rig_studies.importing.readers import labview
 from impact_rig_studies.importing.signals import ImportedSignals, UniqueNames
 
-HEADER_LINES = 200  # before the first row of numbers
-TRAILING_LINES = 20  # after the last row of numbers
+HEADER_LINES = 200  # largest number of lines before the first row of numbers
+TRAILING_LINES = 20  # largest number of lines after the last row of numbers
 SAMPLED_LINES = 40
 DELIMITERS = ("\t", ";", ",", "|", None)  # None: blanks
 CHUNK_CELLS = 200_000
 COMMENTS = ("#", "%", "//", "!")
-WHOLE = 2**53  # up to which whole numbers are exact in a double
-LONGEST_QUOTED = 100_000  # characters of a line in which quotes have a meaning
-SHOWN = 40  # characters of a cell in a message
+WHOLE = 2**53  # up to which integers are exact in a double
+LONGEST_QUOTED = 100_000  # longest line, in characters, in which quotes have a meaning
+SHOWN = 40  # characters of a cell shown in a message
 _BEFORE_UNIT = re.compile(r"\s+(?=[\[(])")
 _WIDE = re.compile(r"\t|\s{2,}")
 _QUOTED = re.compile(r'"[^"]*"|\S+')
@@ -54,7 +54,7 @@ class Layout:
 
     delimiter: str | None  # None: blanks
     decimal: str  # `.` or `,`
-    width: int  # cells of a row
+    width: int  # number of cells in a row
     first: int  # line of the first row of numbers
     words: frozenset[int] = frozenset()  # columns of words
     empty: frozenset[int] = frozenset()  # columns without content in the sample: of remarks, or after a last separator
@@ -64,7 +64,7 @@ def read(path: Path, content: bytes) -> ImportedSignals:
     """Read a text table.
 
     Raises:
-        RecordingError: it has no rows of numbers, or a row that does not fit the others; the message names the line.
+        RecordingError: there are no rows of numbers, or a row does not fit the others; the message names the line.
     """
     text, encoding = decode(content)
     lines = split_lines(text)
@@ -91,13 +91,13 @@ def read(path: Path, content: bytes) -> ImportedSignals:
 
 
 def find_layout(lines: Sequence[str]) -> Layout | None:
-    """Return separator, decimal sign, width and first row of a table; None: there are no rows of numbers."""
+    """Return separator, decimal sign, width and first row of a table, or None if it has no rows of numbers."""
     sample = _sample(lines)
     best: tuple[int, int, int] = (0, 0, 0)
     found: tuple[str | None, int, frozenset[int], frozenset[int]] | None = None
     for preference, delimiter in enumerate(DELIMITERS):
         if delimiter is None and found is not None and found[1] > 1:
-            break  # blanks separate only where nothing else does: times contain them, too
+            break  # blanks separate only if nothing else does: times contain them, too
         rows = [split(line, delimiter) for line in sample]
         if not rows:
             return None
@@ -125,7 +125,7 @@ def find_layout(lines: Sequence[str]) -> Layout | None:
 
 
 def _sample(lines: Sequence[str]) -> list[str]:
-    """Return lines from the second half of a file, where there are hardly headings."""
+    """Return lines from the second half of a file, where headings are unlikely."""
     usable = [number for number in range(len(lines) // 2, len(lines)) if lines[number].strip()]
     usable = usable[: max(1, len(usable) - len(usable) // 20)]
     picked = usable[:: max(1, len(usable) // SAMPLED_LINES)][:SAMPLED_LINES]
@@ -142,7 +142,7 @@ def split(line: str, delimiter: str | None) -> list[str]:
 
 
 def _is_value(cell: str) -> bool:
-    """Return whether a cell is a number, a missing one or a time."""
+    """Return whether a cell is a number, a missing number or a time."""
     return cells.number(cell) is not None or cells.number(cell, ",") is not None or cells.is_time(cell)
 
 
@@ -162,7 +162,7 @@ def is_row(line: str, layout: Layout) -> bool:
 
 
 def _end(lines: Sequence[str], layout: Layout) -> int:
-    """Return the line after the last row of numbers; what follows it is no table."""
+    """Return the line after the last row of numbers; the rest is not part of the table."""
     end = len(lines)
     for _ in range(TRAILING_LINES):
         while end > layout.first and not lines[end - 1].strip():
@@ -174,7 +174,7 @@ def _end(lines: Sequence[str], layout: Layout) -> int:
 
 
 def _headings(lines: Sequence[str], layout: Layout) -> tuple[list[str], dict[str, str], list[str]]:
-    """Return a name for each column, units by name, and the lines that are neither."""
+    """Return a name for each column, units by name, and the remaining lines."""
     width = layout.width
     usable: list[tuple[int, list[str]]] = []
     for number, line in enumerate(lines):
@@ -265,7 +265,7 @@ def _remarks(part: list[NDArray[np.generic]], layout: Layout) -> NDArray[np.gene
 
 
 def _chunk(path: Path, chunk: list[tuple[int, str]], layout: Layout, skipped: list[int]) -> list[NDArray[np.generic]]:
-    """Return the columns of some rows: by NumPy's reader where all cells are plain numbers, else cell by cell."""
+    """Return the columns of some rows, by NumPy's reader if all cells are plain numbers, else cell by cell."""
     plain = [(number, line) for number, line in chunk if line.strip()]
     if not (layout.words or layout.empty) and not any('"' in line or "_" in line for _, line in plain):
         rows = [line for _, line in plain]
@@ -299,7 +299,7 @@ def _chunk(path: Path, chunk: list[tuple[int, str]], layout: Layout, skipped: li
 
 
 def _column(path: Path, column: list[str], numbers: list[int], j: int, layout: Layout) -> NDArray[np.generic]:
-    """Return a column of cells as whole numbers, numbers, or words (times are among these)."""
+    """Return a column of cells as integers, floats, or words (which include times)."""
     if j in layout.words | layout.empty or (
         column and cells.is_time(column[0]) and cells.number(column[0], layout.decimal) is None
     ):

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Safe access to HDF5 files: only what is inside the file itself is read."""
+"""Safe access to HDF5 files: only the file itself is read."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from impact_rig_studies.importing.limits import COLUMNS, allow_columns, allow_va
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 DEEPEST = 8
-PLACES = (0, 512, 1024, 2048)  # where the content of a file may begin
+PLACES = (0, 512, 1024, 2048)  # offsets at which the content of a file may begin
 
 
 def is_hdf5(content: bytes) -> bool:
@@ -39,7 +39,7 @@ def is_hdf5(content: bytes) -> bool:
 
 @attrs.define
 class Hdf5Tree:
-    """Groups and datasets of a file, and what was left out of it."""
+    """Groups and datasets of a file, and a list of what was left out."""
 
     library: ModuleType  # h5py
     file_bytes: int
@@ -51,7 +51,7 @@ class Hdf5Tree:
         return self.library.File(io.BytesIO(content), "r")
 
     def members(self, group: Any) -> Iterator[tuple[str, Any]]:
-        """Yield names and objects of a group; links that leave the file are left out."""
+        """Yield names and objects of a group, without links that leave the file."""
         for number, name in enumerate(group):
             if number >= COLUMNS:
                 self.left_out[f"{group.name}"] = f"members after the first {COLUMNS}"
@@ -65,7 +65,7 @@ class Hdf5Tree:
                 yield name, group[name]
 
     def array(self, name: str, dataset: Any) -> NDArray[Any] | None:
-        """Return the content of a dataset; None: it is left out."""
+        """Return the content of a dataset, or None if it is left out."""
         if dataset.external:
             raise RecordingError(f"{name} keeps its data in another file, which is not opened")
         if dataset.is_virtual:
@@ -78,7 +78,7 @@ class Hdf5Tree:
         return np.asarray(dataset[...])
 
     def texts(self, name: str, dataset: Any) -> list[str]:
-        """Return a dataset of texts."""
+        """Return a dataset of texts as a list."""
         values = self.array(name, dataset)
         words = [] if values is None else values.reshape(-1).tolist()
         allow_columns(len(words))
@@ -86,7 +86,7 @@ class Hdf5Tree:
 
 
 def attribute(holder: Any, name: str) -> Any:
-    """Return an attribute as a plain value; None: it has none of this name."""
+    """Return an attribute as a plain value, or None if it does not exist."""
     if name not in holder.attrs:
         return None
     value = holder.attrs[name]

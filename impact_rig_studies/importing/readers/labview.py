@@ -41,19 +41,19 @@ from impact_rig_studies.importing.signals import (
 
 BEGIN, HEADER_END = "LabVIEW Measurement", "***End_of_Header***"
 COMMENT, X_VALUE = "Comment", "X_Value"
-CONTINUES = 0.5  # of a step: departure up to which a segment goes on where the one before ended
+CONTINUES = 0.5  # of a step: largest departure of a segment that continues the one before
 
 
 @attrs.define
 class _Segment:
-    """Part of a file with a header of its own."""
+    """Part of a file with its own header."""
 
     header: dict[str, list[str]]  # values by key
     names: list[str]
     rows: list[list[str]]
 
     def column(self, j: int, decimal: str) -> Real:
-        """Return a column, NaN where a cell is missing or is no number."""
+        """Return a column, with NaN where a cell is missing or not a number."""
         texts = (row[j] if j < len(row) else "" for row in self.rows)
         values = (cells.number(text, decimal) for text in texts)
         return np.array([np.nan if value is None else value for value in values])
@@ -80,7 +80,7 @@ def read(path: Path, content: bytes) -> ImportedSignals:
     """Read a LabVIEW measurement file.
 
     Raises:
-        RecordingError: it has another format, or has no rows of numbers.
+        RecordingError: the file has another format, or no rows of numbers.
     """
     lines = split_lines(decode(content)[0])
     if not is_labview(lines):
@@ -92,7 +92,7 @@ def read_lines(path: Path, lines: Sequence[str]) -> ImportedSignals:
     """Read the lines of a LabVIEW measurement file.
 
     Raises:
-        RecordingError: it has no rows of numbers.
+        RecordingError: the file has no rows of numbers.
     """
     separator = (
         "," if any(line.startswith("Separator,") or line.lower() == "separator\tcomma" for line in lines[:40]) else "\t"
@@ -135,7 +135,7 @@ def read_lines(path: Path, lines: Sequence[str]) -> ImportedSignals:
 
 
 def _segments(lines: Sequence[str], at: int, separator: str) -> tuple[list[_Segment], dict[str, str]]:
-    """Return the segments of a file, and what is left out."""
+    """Return the segments of a file, and the parts that are left out."""
     segments: list[_Segment] = []
     left_out: dict[str, str] = {}
     while at < len(lines):
@@ -168,7 +168,7 @@ def _segments(lines: Sequence[str], at: int, separator: str) -> tuple[list[_Segm
 
 
 def _joined(segments: Sequence[_Segment], decimal: str) -> int:
-    """Return how many segments from the first on follow one another without a gap."""
+    """Return how many segments from the first one follow each other without a gap."""
     for number, (one, after) in enumerate(itertools.pairwise(segments), 1):
         step = one.number("Delta_X", 0, decimal)
         begin, following = one.number("X0", 0, decimal), after.number("X0", 0, decimal)

@@ -35,7 +35,7 @@ CONVERSIONS = {
     "table": "S = table2struct(X, 'ToScalar', true); save('plain.mat', '-struct', 'S', '-v7')",
     "timeseries": "S.time = X.Time; S.data = X.Data; save('plain.mat', '-struct', 'S', '-v7')",
 }
-"""Line of MATLAB that makes a plain file of an object X, by class."""
+"""MATLAB line that saves an object X as a plain file, by class."""
 OTHER_CONVERSION = "S = struct(X); save('plain.mat', '-struct', 'S', '-v7')"
 DEEPEST = 6
 
@@ -104,7 +104,7 @@ def _collect(tables: Tables, left_out: dict[str, str], where: str, name: str, va
 def _collect_hdf5(tree: hdf5.Hdf5Tree, tables: Tables, where: str, group: Any, depth: int) -> None:
     """Add the datasets of a group to the columns of its struct."""
     for name, one in tree.members(group):
-        if name.startswith("#"):  # what MATLAB keeps for itself
+        if name.startswith("#"):  # internal data of MATLAB
             continue
         shown = f"{where}.{name}" if where else name
         kind = str(hdf5.attribute(one, "MATLAB_class") or "")
@@ -133,7 +133,7 @@ def _collect_hdf5(tree: hdf5.Hdf5Tree, tables: Tables, where: str, group: Any, d
 
 
 def _signals(path: Path, file_format: str, tables: Tables, left_out: dict[str, str]) -> ImportedSignals:
-    """Return the columns of all structs as signals; a struct has the times and the rate of the one around it."""
+    """Return the columns of all structs as signals; a struct inherits times and rate from the one around it."""
     parts: dict[str, ImportedSignals] = {}
     for where, columns in tables.items():
         inherited = {

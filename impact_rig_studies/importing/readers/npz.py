@@ -33,7 +33,7 @@ def read(path: Path, content: bytes) -> ImportedSignals:
     """Read all arrays; their sizes are checked before they are decompressed.
 
     Raises:
-        RecordingError: an array is shorter than it claims.
+        RecordingError: an array is shorter than its header claims.
     """
     columns: dict[str, NDArray[np.generic]] = {}
     left_out: dict[str, str] = {}

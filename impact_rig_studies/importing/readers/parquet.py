@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Reader of Parquet files, by pyarrow."""
+"""Reader of Parquet files, with pyarrow."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def reserve() -> None:
 
 
 def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
-    """Read all columns; what the file claims to hold is checked before it is decompressed."""
+    """Read all columns; their claimed sizes are checked before they are decompressed."""
     file = library.ParquetFile(io.BytesIO(content))
     allow_columns(file.metadata.num_columns)
     allow_values(float(file.metadata.num_rows) * file.metadata.num_columns, len(content))
@@ -46,7 +46,7 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
     for name in table.column_names:
         try:
             columns[name] = _plain(table.column(name)).to_numpy()
-        except (TypeError, ValueError, NotImplementedError) as error:  # those of pyarrow derive from these
+        except (TypeError, ValueError, NotImplementedError) as error:  # those of pyarrow are derived from these
             left_out[name] = f"no numbers: {error}"[:100]
     return signals_of(path, "Parquet", columns, {name: unit for name, unit in units.items() if unit}, left_out=left_out)
 

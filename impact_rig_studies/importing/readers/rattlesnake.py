@@ -13,7 +13,7 @@
 # limitations under the License.
 """Reader of the netCDF4 files that Rattlesnake streams: `time_data`, further streams `time_data_N`, table `channels`.
 
-Each start of a stream makes a new variable (Rattlesnake, `components/streaming.py`).
+Each start of a stream creates a new variable (Rattlesnake, `components/streaming.py`).
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ STREAM = re.compile(r"time_data(?:_(\d{1,6}))?")
 
 
 def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
-    """Read all streams; where there are several, the names of the longest are plain.
+    """Read all streams; if there are several, the longest has the plain names.
 
     Raises:
-        RecordingError: it is no such file.
+        RecordingError: the file is not one of Rattlesnake's.
     """
     if content[:3] == b"CDF":
         raise RecordingError(

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Reader of LabVIEW TDMS files, by npTDMS."""
+"""Reader of LabVIEW TDMS files, with npTDMS."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
     """Read all channels of all groups.
 
     Raises:
-        RecordingError: it holds no channel of numbers.
+        RecordingError: the file has no channel of numbers.
     """
     file = library.TdmsFile.read_metadata(io.BytesIO(content))
     channels = [channel for group in file.groups() for channel in group.channels()]
@@ -118,7 +118,7 @@ def _abscissa(channel: object, listed: Real | None, rate_hz: float | None, count
 
 
 def _listed_times(group: object) -> tuple[str, Real] | None:
-    """Return name and times [s] of the channel of a group that holds times."""
+    """Return name and times [s] of the channel with times in a group."""
     for channel in group.channels():  # type: ignore[attr-defined]  # as above
         name, unit = headings.split_unit(channel.name)
         values = np.asarray(channel[:])

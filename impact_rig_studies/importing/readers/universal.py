@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Reader of universal files (UFF 58 and 58b), by pyuff: every abscissa and function type keeps its meaning."""
+"""Reader of universal files (UFF 58 and 58b), with pyuff, for every kind of abscissa and function."""
 
 from __future__ import annotations
 
@@ -54,10 +54,10 @@ READABLE = (58, 164)
 
 
 def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
-    """Read the time responses; all other datasets are left out with their reason.
+    """Read the time responses; all other datasets are left out with the reason.
 
     Raises:
-        RecordingError: there is none, or the file is cut off.
+        RecordingError: there is no time response, or the file is truncated.
     """
     with tempfile.TemporaryDirectory(prefix="impact_rig_uff_") as folder:  # pyuff opens files by name only
         named = Path(folder) / "all.uff"
@@ -79,7 +79,7 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
                 continue
             try:
                 one = file.read_sets(number)
-            except Exception as error:  # whatever pyuff raises of a damaged dataset
+            except Exception as error:  # any error that pyuff raises for a damaged dataset
                 left_out[label] = f"damaged or cut off: {' '.join(str(error).split())[:80] or type(error).__name__}"
                 continue
             if kind == 164:
@@ -104,7 +104,7 @@ def _add(
     names: UniqueNames,
     left_out: dict[str, str],
 ) -> None:
-    """Add a dataset 58 to the signals, or to what is left out."""
+    """Add a dataset 58 to the signals, or to the parts that are left out."""
     words = [str(one.get(key, "")).strip() for key in ("id1", "rsp_ent_name")]
     plain = next((word for word in words if word and word.upper() != "NONE"), f"dataset_{number}")
     label = f"dataset {number + 1} ({plain})"
@@ -138,7 +138,7 @@ def _add(
 
 
 def _abscissa(one: dict[str, Any], count: int) -> Abscissa:
-    """Return the abscissa of a dataset: its header states kind, spacing and unit."""
+    """Return the abscissa of a dataset; its header states kind, spacing and unit."""
     quantity = int(one.get("abscissa_spec_data_type", UNKNOWN) or UNKNOWN)
     unit = _label(one.get("abscissa_axis_units_lab"))
     words = _label(one.get("abscissa_axis_lab")).lower()
@@ -162,7 +162,7 @@ def _abscissa(one: dict[str, Any], count: int) -> Abscissa:
 
 
 def _unit(one: dict[str, Any], system: str) -> str:
-    """Return the unit of the ordinate: its label, else what its quantity has in the file's system of units."""
+    """Return the unit of the ordinate: its label, or else that of its quantity in the file's system of units."""
     label = _label(one.get("ordinate_axis_units_lab"))
     quantity = int(one.get("ordinate_spec_data_type", 0) or 0)
     return label or (system + _PER_SECONDS[quantity] if system and quantity in QUANTITIES else "")

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Reader of WAV files: PCM of 8 to 64 bits and floating point, with the length that is really there."""
+"""Reader of WAV files: PCM of 8 to 64 bits and floating point, with their real length."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from impact_rig_studies.importing.signals import ImportedSignals, Real, Signal, 
 
 PCM, FLOAT, EXTENSIBLE = 1, 3, 0xFFFE
 UNIT = "full scale"
-_UNKNOWN_SIZE = (0, 0xFFFFFFFF)  # of a chunk that was written to a stream
+_UNKNOWN_SIZE = (0, 0xFFFFFFFF)  # size of a chunk that was written to a stream
 
 
 def read(path: Path, content: bytes) -> ImportedSignals:
     """Read all channels; full scale is 1.
 
     Raises:
-        RecordingError: it is no WAV file, or of an encoding that holds no samples as they are.
+        RecordingError: the file is not a WAV file, or its encoding is not one of plain samples.
     """
     if content[:4] not in (b"RIFF", b"RIFX", b"RF64") or content[8:12] != b"WAVE":
         raise RecordingError(f"{path} is no WAV file: it does not begin with RIFF … WAVE")
@@ -73,7 +73,7 @@ def read(path: Path, content: bytes) -> ImportedSignals:
 
 
 def _chunks(path: Path, content: bytes, order: str) -> tuple[bytes, memoryview, int]:
-    """Return the format chunk, the samples that are there, and how many bytes of them the header claims."""
+    """Return the format chunk, the samples that are present, and the number of bytes that the header claims."""
     form, at, wide = b"", 12, 0
     while at + 8 <= len(content):
         name, size = content[at : at + 4], struct.unpack(f"{order}I", content[at + 4 : at + 8])[0]
@@ -95,7 +95,7 @@ def _chunks(path: Path, content: bytes, order: str) -> tuple[bytes, memoryview, 
 
 
 def _samples(data: memoryview, order: str, code: int, width: int, bits: int) -> Real:
-    """Return samples as parts of full scale, shape (n,); PCM is signed, but 8 bits and less are unsigned."""
+    """Return samples as parts of full scale, shape (n,); PCM is signed, except with 8 bits or less."""
     if code == FLOAT:
         return np.frombuffer(data, f"{order}f{width}").astype(np.float64)
     if bits <= 8 and width == 1:
@@ -105,6 +105,6 @@ def _samples(data: memoryview, order: str, code: int, width: int, bits: int) -> 
         return whole.astype(np.float64) / 2.0 ** (8 * width - 1)
     parts = np.frombuffer(data, np.uint8).reshape(-1, width)
     parts = parts if order == "<" else parts[:, ::-1]
-    padded = np.zeros((len(parts), 8), np.uint8)  # the sample as the upper bytes of a 64-bit number
+    padded = np.zeros((len(parts), 8), np.uint8)  # the sample in the upper bytes of a 64-bit number
     padded[:, 8 - width :] = parts
     return padded.view("<i8").reshape(-1).astype(np.float64) / 2.0**63
