@@ -77,7 +77,7 @@ class LiveSource(Source):
         return self.record.scope.end_s if self.record.scope is not None else 0.0
 
     def close(self) -> None:
-        """End, and leave the graph."""
+        """Stop serving, and remove the lab's own node from the graph."""
         super().close()
         if self._own is not None:
             self._own.close()

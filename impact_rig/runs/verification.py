@@ -329,7 +329,7 @@ def _reset_ns(following: JournalEntry | None) -> int | None:
 
 
 def _next(again: Resimulation) -> Block | None:
-    """Return the next block; None if the recording lacks its inputs, since it may be after a reset."""
+    """Return the next block, or None if the recording lacks its inputs, as it may after a reset."""
     try:
         return next(again.blocks)
     except ConfigError:

@@ -200,7 +200,7 @@ class _Checked:
         self._path, self._content, self._place = path, content, place
 
     def number(self, key: str, low: float = 0.0, *, above: bool = False) -> float:
-        """Return a number of at least `low`, or above it."""
+        """Return the number under a key, which must be at least `low`, or greater if `above`."""
         value = self._value(key)
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= MOST:
             raise self._wrong(key, value, f"a number >= {low:g} and <= {MOST:g}")
@@ -209,7 +209,7 @@ class _Checked:
         return float(value)
 
     def text(self, key: str) -> str:
-        """Return a text."""
+        """Return the text under a key."""
         value = self._value(key)
         if not isinstance(value, str):
             raise self._wrong(key, value, "a text")
