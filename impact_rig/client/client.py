@@ -430,7 +430,7 @@ class Client:
         if any(one.kind is one.VAR_KEYWORD for one in inspect.signature(make_node).parameters.values()):
             namespace = self.node.get_namespace()
             kwargs |= {"context": self.context, "namespace": namespace, "use_global_arguments": False}
-        with _as_default(self.context):
+        with as_default(self.context):
             node = make_node(**kwargs)
         self._hosted.append(node)
         self.executor.add_node(node)
@@ -803,7 +803,7 @@ def _then(callback: Callable[..., Any], acknowledge: Callable[[int], None]) -> C
 
 
 @contextlib.contextmanager
-def _as_default(context: Context) -> Iterator[None]:
+def as_default(context: Context) -> Iterator[None]:
     """Make this context the default one, for nodes that are created without a context."""
     utilities: Any = rclpy.utilities
     before, utilities.g_default_context = utilities.g_default_context, context

@@ -109,6 +109,7 @@ class RigDriver(abc.ABC):
         closed: whether `close` was called.
         lead_s: rig time by which a stream must be ahead of `stream_level().sample` to arrive in time.
         runs_by_itself: whether rig time passes without `step`, which then waits for it.
+        scenario: program that repeats what is played on this rig, saved with the run of a failed test.
         turns: lock that threads which share the rig hold while they call it.
         fed: event that is set when samples were sent or the stream was ended.
     """
@@ -121,6 +122,7 @@ class RigDriver(abc.ABC):
         self.config = config
         self.sample = 0
         self.closed = False
+        self.scenario = ""
         self._start_ns = 0  # stamp of scan 0
         self._kept_from = 0  # first scan that is kept
         self._lost_before = 0  # scans lost before that
@@ -368,6 +370,8 @@ class RigDriver(abc.ABC):
         lost, expected = [], self._kept_from
         for table in self.tables():
             first = self.first_scan(table)
+            if first < 0:  # before the last reset
+                continue
             if first > expected:
                 lost.append((expected, first))
             expected = first + len(table.rows)

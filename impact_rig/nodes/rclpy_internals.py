@@ -157,7 +157,7 @@ def _taken(entity: Any) -> Callable[[], None] | None:
         with handle:
             if isinstance(entity, Subscription):
                 message = handle.take_message(entity.msg_type, entity.raw)
-                return message and (lambda: _call(entity, message))
+                return message and (lambda: call_subscription(entity, message))
             if isinstance(entity, Client):
                 header, response = handle.take_response(entity.srv_type.Response)
                 return header and (lambda: _answer(entity, header, response))
@@ -167,7 +167,8 @@ def _taken(entity: Any) -> Callable[[], None] | None:
         return None
 
 
-def _call(subscription: Any, message: tuple[Any, Any]) -> None:
+def call_subscription(subscription: Any, message: tuple[Any, Any]) -> None:
+    """Call a subscription's callback with a message and its info, as any executor would."""
     subscription.callback(*(message if subscription._callback_type is WITH_INFO else message[:1]))
 
 

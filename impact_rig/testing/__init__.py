@@ -13,9 +13,10 @@
 # limitations under the License.
 """Tools for tests of a pipeline, described in `docs/how-to/testing.md`; other programs use `impact_rig.client`.
 
-Use them through the pytest plugin's fixtures `virtual_rig`, `ros_rig` and `golden`, or directly:
+Use them through the pytest plugin's fixtures `virtual_rig`, `scheduled_rig`, `ros_rig` and `golden`, or directly:
 
 - `LocalRig`: a rig in the test's process, without ROS; the pipeline is a function of blocks.
+- `ScheduledRig`: such a rig that also runs ROS nodes, in an order of callbacks that a scenario decides.
 - `RosRig`: a rig on its own ROS domain, in lockstep with the nodes under test.
 - `Fault`: a fault of the instruments at exact samples.
 - `Golden`: comparison with a run, or with numbers, that were checked once.
@@ -33,8 +34,11 @@ if TYPE_CHECKING:
     from impact_rig.driver import LocalRig, NotReachedError, RigDriver, RosRig
     from impact_rig.instruments.fault import Fault
     from impact_rig.testing.golden import Golden, first_difference
+    from impact_rig.testing.schedule import ScheduledRig
 
-__all__ = ["Fault", "Golden", "LocalRig", "NotReachedError", "RigDriver", "RosRig", "first_difference"]
+__all__ = [
+    "Fault", "Golden", "LocalRig", "NotReachedError", "RigDriver", "RosRig", "ScheduledRig", "first_difference"
+]  # fmt: skip
 
 __getattr__ = lazily(
     __name__,
@@ -44,5 +48,6 @@ __getattr__ = lazily(
     NotReachedError="impact_rig.driver",
     RigDriver="impact_rig.driver",
     RosRig="impact_rig.driver",
+    ScheduledRig="schedule",
     first_difference="golden",
 )

@@ -19,6 +19,7 @@ fixture imports them when it is used.
 | fixture | value |
 |---|---|
 | `virtual_rig` | function that starts a rig in the test's process, without ROS: see `LocalRig` |
+| `scheduled_rig` | function that starts such a rig that also runs ROS nodes, callback by callback: see `ScheduledRig` |
 | `ros_rig` | function that starts a rig on its own ROS domain: see `RosRig` |
 | `golden` | comparison with golden data next to the test file: see `Golden` |
 """
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from impact_rig.driver import LocalRig, RigDriver
     from impact_rig.driver.ros_rig import RosRig
     from impact_rig.testing.golden import Golden
+    from impact_rig.testing.schedule import ScheduledRig
 
 DEFAULT_DIRECTORY = "failed_runs"
 _RIGS = pytest.StashKey[list["RigDriver"]]()
@@ -83,6 +85,18 @@ def virtual_rig(request: pytest.FixtureRequest) -> Iterator[Callable[..., LocalR
 
 
 @pytest.fixture
+def scheduled_rig(request: pytest.FixtureRequest) -> Iterator[Callable[..., ScheduledRig]]:
+    """Return a function that starts a rig in this process that hosts ROS nodes: `scheduled_rig().host(MyNode)`."""
+
+    def make(*args: Any, **kwargs: Any) -> ScheduledRig:
+        from impact_rig.testing.schedule import ScheduledRig  # noqa: PLC0415  # needs ROS
+
+        return ScheduledRig(*args, **kwargs)
+
+    yield from _starting(request, make)
+
+
+@pytest.fixture
 def ros_rig(request: pytest.FixtureRequest) -> Iterator[Callable[..., RosRig]]:
     """Return a function that starts a rig on its own ROS domain: `ros_rig({"barriers.gap_m": 0.004})`."""
 
@@ -123,7 +137,10 @@ def _keep(rig: RigDriver, directory: Path, item: pytest.Item) -> str:
     The same information is in properties of the test, which a JUnit file contains.
     """
     try:
-        run = str(rig.save(directory / rig.name))
+        folder = rig.save(directory / rig.name)
+        if rig.scenario:
+            (folder / "scenario.py").write_text(rig.scenario, encoding="utf-8")
+        run = str(folder)
         saved = f"    run: {run}"
     except Exception as error:
         run, saved = "", f"    no run was saved: {error}"

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Search for failures: scenarios of operator actions, parameter changes and faults, drawn by Hypothesis.
+"""Search for failures: scenarios of operator actions, faults and schedules of callbacks, drawn by Hypothesis.
 
 A scenario is a list of actions. Actions are data: they are drawn, shrunk, printed and played again. `search` plays many
 scenarios on new rigs, each with the test's own `check`, and reports the shortest that fails, with three lines that
@@ -21,7 +21,9 @@ repeat it. Requires the extra `impact_rig[strategies]`.
 from __future__ import annotations
 
 import contextlib
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any  # Any: value of a parameter or message
 
 import attrs
 from hypothesis import Phase, given, settings
@@ -33,7 +35,13 @@ from impact_rig.instruments.fault import Fault
 from impact_rig.instruments.instrument import BOARD_KINDS
 from impact_rig.instruments.registry import INSTRUMENTS
 
-__all__ = ["Command", "Inject", "ParameterChange", "Pause", "Silence", "repeat", "scenarios", "search"]
+if TYPE_CHECKING:
+    from impact_rig.testing.schedule import ScheduledRig
+
+__all__ = [
+    "Burst", "Call", "Command", "Delay", "Drop", "Duplicate", "First", "Inject", "LateJoin", "ParameterChange", "Pause",
+    "Reset", "Send", "SetParameter", "Silence", "repeat", "scenarios", "schedules", "search",
+]  # fmt: skip
 
 AFTERWARDS = 3  # blocks after the last action, so that the pipeline sees its effect
 MOST_BLOCKS = 20
@@ -104,24 +112,202 @@ class Silence:
         rig.configure({"output.command_timeout_s": before})
 
 
-Action = Command | ParameterChange | Inject | Pause | Silence
-"""Action on a rig. If the rig rejects it, this is not a failure of the pipeline."""
+@attrs.frozen
+class Reset:
+    """Reset of the rig: scan 0, everything at rest, while stamps continue. After this many callbacks, as below."""
+
+    after: int = 0
+
+    def do(self, rig: RigDriver) -> None:
+        """Reset the rig."""
+        scheduled(rig).after(self.after, scheduled(rig).reset)
+
+
+@attrs.frozen
+class LateJoin:
+    """Start of the pipeline this many blocks after the rig, if it is the first action."""
+
+    blocks: int = 1
+
+    def do(self, rig: RigDriver) -> None:
+        """Advance the rig."""
+        rig.step(self.blocks)
+
+
+@attrs.frozen
+class Delay:
+    """Delay of a topic, of all timers (`"timers"`) or of all topics (`"messages"`) for this many blocks."""
+
+    source: str
+    blocks: int = 1
+
+    def do(self, rig: RigDriver) -> None:
+        """Hold the source."""
+        scheduled(rig).hold(self.source, self.blocks)
+
+
+@attrs.frozen
+class First:
+    """Priority of a topic or of the timers (`"timers"`) over all other callbacks, for this many blocks."""
+
+    source: str
+    blocks: int = 1
+
+    def do(self, rig: RigDriver) -> None:
+        """Prefer the source."""
+        scheduled(rig).prefer(self.source, self.blocks)
+
+
+@attrs.frozen
+class Burst:
+    """Executor that is busy for this many blocks, and then runs everything that has queued up."""
+
+    blocks: int = 2
+
+    def do(self, rig: RigDriver) -> None:
+        """Occupy the executors."""
+        scheduled(rig).occupy(self.blocks)
+
+
+@attrs.frozen
+class Duplicate:
+    """Second delivery of the next messages of a topic."""
+
+    topic: str
+    count: int = 1
+
+    def do(self, rig: RigDriver) -> None:
+        """Duplicate the messages."""
+        scheduled(rig).duplicate(self.topic, self.count)
+
+
+@attrs.frozen
+class Drop:
+    """Loss of the next messages of a topic at subscriptions that are best effort; others lose nothing."""
+
+    topic: str
+    count: int = 1
+
+    def do(self, rig: RigDriver) -> None:
+        """Drop the messages."""
+        scheduled(rig).drop(self.topic, self.count)
+
+
+@attrs.frozen
+class SetParameter:
+    """Change of a parameter of the nodes under test, after this many further callbacks."""
+
+    name: str
+    value: object
+    after: int = 0
+
+    def do(self, rig: RigDriver) -> None:
+        """Change the parameter."""
+        scheduled(rig).after(self.after, lambda: scheduled(rig).set_parameter(self.name, self.value))
+
+
+@attrs.frozen
+class Send:
+    """Message with this `data` (None: an empty one) to the nodes under test, after this many further callbacks."""
+
+    topic: str
+    data: object
+    after: int = 0
+
+    def do(self, rig: RigDriver) -> None:
+        """Send the message."""
+        scheduled(rig).after(self.after, lambda: scheduled(rig).send_data(self.topic, self.data))
+
+
+@attrs.frozen
+class Call:
+    """Call of a service of the nodes under test, after this many further callbacks."""
+
+    service: str
+    after: int = 0
+
+    def do(self, rig: RigDriver) -> None:
+        """Call the service."""
+        scheduled(rig).after(self.after, lambda: scheduled(rig).call(self.service))
+
+
+RigAction = Command | ParameterChange | Inject | Pause | Silence
+"""Action on any rig. If the rig rejects it, this is not a failure of the pipeline."""
+Action = RigAction | Reset | LateJoin | Delay | First | Burst | Duplicate | Drop | SetParameter | Send | Call
+"""Action on a rig, or on the transport between a `ScheduledRig` and the nodes that it hosts."""
+
+
+def scheduled(rig: RigDriver) -> ScheduledRig:
+    """Return a rig as the scheduled rig that it must be.
+
+    Raises:
+        TypeError: it is another one.
+    """
+    from impact_rig.testing.schedule import ScheduledRig  # noqa: PLC0415  # needs ROS
+
+    if not isinstance(rig, ScheduledRig):
+        raise TypeError(f"this action needs a rig of the fixture scheduled_rig, not {type(rig).__name__}")
+    return rig
+
+
+def schedules(
+    topics: Sequence[str] = ("daq/scan", "daq/info", "shaker/applied"),
+    parameters: Mapping[str, st.SearchStrategy[Any]] | None = None,
+    messages: Mapping[str, st.SearchStrategy[Any]] | None = None,
+    services: Sequence[str] = (),
+    most_actions: int = 6,
+    most_blocks: int = 8,
+) -> st.SearchStrategy[list[Action]]:
+    """Return a strategy for scenarios on a `ScheduledRig`: actions on the transport, and on the rig.
+
+    Args:
+        topics: topics that the nodes under test subscribe to.
+        parameters: parameters of the nodes, and their values.
+        messages: topics on which the nodes receive messages of others, and the values of their field `data`.
+        services: services of the nodes; they are called with an empty request.
+        most_actions: maximum number of actions.
+        most_blocks: maximum length of a disturbance; 8 blocks fit into a queue of 10 messages.
+    """
+    blocks, after = st.integers(1, most_blocks), st.integers(0, 6)
+    inputs = (*topics, *(messages or {}))
+    node_actions = [
+        *(st.builds(SetParameter, st.just(name), value, after) for name, value in (parameters or {}).items()),
+        *(st.builds(Send, st.just(topic), value, after) for topic, value in (messages or {}).items()),
+        *(st.builds(Call, st.just(service), after) for service in services),
+    ]
+    transport = [
+        st.builds(Burst, blocks),
+        st.builds(Delay, st.sampled_from([*inputs, "timers", "messages"]), blocks),
+        st.builds(First, st.sampled_from([*inputs, "timers"]), blocks),
+        st.builds(Duplicate, st.sampled_from(inputs), st.integers(1, 3)),
+        st.builds(Drop, st.sampled_from(inputs), st.integers(1, 3)),
+    ]
+    others = st.builds(Reset, after) | _rig_actions({})
+    action: st.SearchStrategy[Action] = st.one_of(*3 * node_actions, *transport, others)  # half of them to the nodes
+    late: st.SearchStrategy[list[Action]] = st.lists(st.builds(LateJoin, blocks), max_size=1)
+    return st.builds(lambda begin, rest: [*begin, *rest], late, st.lists(action, max_size=most_actions))
 
 
 def scenarios(
     changes: Mapping[str, st.SearchStrategy[float | bool]] | None = None, most_actions: int = 8
-) -> st.SearchStrategy[list[Action]]:
+) -> st.SearchStrategy[list[RigAction]]:
     """Return a strategy for scenarios.
 
     Args:
         changes: parameters that may be changed, and their values; None means the gap.
         most_actions: maximum number of actions.
     """
+    gaps: Mapping[str, st.SearchStrategy[float | bool]] = {
+        "barriers.gap_m": st.sampled_from([0.002, 0.004, 0.006, 0.010])
+    }
+    return st.lists(_rig_actions(gaps if changes is None else changes), max_size=most_actions)
+
+
+def _rig_actions(values: Mapping[str, st.SearchStrategy[float | bool]]) -> st.SearchStrategy[RigAction]:
     blocks = st.integers(1, MOST_BLOCKS)
-    values = changes if changes is not None else {"barriers.gap_m": st.sampled_from([0.002, 0.004, 0.006, 0.010])}
     of_channels = [(kind, name) for name, one in INSTRUMENTS.items() for kind in one.faults]
     sizes = st.sampled_from([1e-4, 1e-3, 1e-2])
-    action: st.SearchStrategy[Action] = st.one_of(
+    return st.one_of(
         st.builds(Pause, blocks),
         st.builds(
             Command, st.none() | st.sampled_from([8.5, 9.1, 10.0]), st.none() | st.sampled_from([0.0, 0.25, 0.52])
@@ -133,7 +319,6 @@ def scenarios(
         st.builds(Silence, st.integers(2, MOST_BLOCKS)),
         *(st.builds(ParameterChange, st.just(key), value) for key, value in values.items()),
     )
-    return st.lists(action, max_size=most_actions)
 
 
 Check = Callable[[RigDriver], Callable[[], object] | None]
@@ -145,12 +330,18 @@ It may also raise AssertionError earlier.
 
 def repeat(rig: RigDriver, check: Check, actions: Sequence[Action]) -> None:
     """Play a scenario, a block after each action, under a check."""
+    rest = list(actions)
+    while rest and isinstance(rest[0], LateJoin):
+        rest.pop(0).do(rig)
     finish = check(rig)
-    for action in actions:
+    for action in rest:
         with contextlib.suppress(CommandError, ConfigError):
             action.do(rig)
         rig.step()
-    rig.step(AFTERWARDS)
+    if not all(isinstance(action, RigAction) for action in actions):
+        scheduled(rig).calm()
+    lasting = max((fault.start_sample + fault.samples for fault in rig.faults), default=0) - rig.sample
+    rig.step(min(max(0, -(-lasting // rig.block_scans)), MOST_BLOCKS) + AFTERWARDS)
     if finish is not None:
         finish()
 
@@ -175,7 +366,6 @@ def search(
         examples: maximum number of scenarios played.
     """
     last: list[RigDriver] = []
-    played: list[list[Action]] = []
 
     @settings(
         max_examples=examples, deadline=None, database=None, derandomize=True, report_multiple_bugs=False,
@@ -185,20 +375,20 @@ def search(
     def played_and_checked(actions: list[Action]) -> None:
         while last:
             last.pop().close()
-        played[:] = [actions]
         last.append(make_rig(dict(parameters or {})))
+        last[0].scenario = (
+            f"from impact_rig.testing.strategies import *\nrig = {made}({dict(parameters or {})!r})\n"
+            f"repeat(rig, {name}, {actions!r})\n"
+        )
         repeat(last[0], check, actions)
 
+    made, name = getattr(make_rig, "__name__", "make_rig"), getattr(check, "__name__", "check")
     try:
         played_and_checked()
     except BaseException as error:
-        made, name = getattr(make_rig, "__name__", "make_rig"), getattr(check, "__name__", "check")
-        error.add_note(
-            "the shortest scenario that fails; these lines repeat it:\n"
-            "    from impact_rig.testing.strategies import *\n"
-            f"    rig = {made}({dict(parameters or {})!r})\n"
-            f"    repeat(rig, {name}, {played[0] if played else []!r})"
-        )
+        if last:
+            lines = textwrap.indent(last[0].scenario.rstrip("\n"), "    ")
+            error.add_note(f"the shortest scenario that fails; these lines repeat it:\n{lines}")
         raise
     while last:
         last.pop().close()

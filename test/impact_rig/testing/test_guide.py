@@ -65,7 +65,7 @@ def says(output: str, line: str) -> bool:
 
 
 def test_every_block_of_the_guide_does_what_it_says(tmp_path: Path) -> None:
-    output, commands = "", 0
+    output, output_of_schedules, commands = "", "", 0
     for language, info, content in blocks():
         if language == "python" and info.startswith("title="):
             (tmp_path / info.removeprefix("title=")).write_text(content)
@@ -73,16 +73,20 @@ def test_every_block_of_the_guide_does_what_it_says(tmp_path: Path) -> None:
             commands += 1
             done = run(content, tmp_path)
             output = done.stdout + done.stderr
+            output_of_schedules = output if "schedules" in content else output_of_schedules
             assert (done.returncode != 0) == (info == "fails"), output
         elif language == "text":
             missing = [line for line in content.splitlines() if not says(output, line)]
             assert missing == [], output
-    assert commands == 5
+    assert commands == 6
     failed = sorted((tmp_path / "failed_runs").iterdir())
-    assert len(failed) == 2
+    assert len(failed) == 3
     for directory in failed:
         with open_run(directory / "rig") as left:
             assert str(verify(left)).startswith("identical")
+    (scheduled,) = (tmp_path / "failed_runs").glob("*schedules*/rig")
+    assert (scheduled / "scenario.py").read_text().splitlines()[-1] in output_of_schedules
+    assert "measured: daq/scan 0.000000000" in (scheduled / "callbacks.txt").read_text()
 
 
 def test_the_commands_that_install_name_what_setup_py_has() -> None:

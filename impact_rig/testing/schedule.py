@@ -1,0 +1,535 @@
+# Copyright 2026 The impact_rig developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Schedules: a rig in this process that runs the callbacks of ROS nodes in an order that a scenario decides.
+
+`ScheduledRig.host` creates a node with real subscriptions, timers, parameters and clock, and runs its callbacks one by
+one in rig time, as a single-threaded executor does. Messages pass through a model of the transport instead of the
+middleware: queues of the subscription's depth, qualities of service that must match, and latched messages for
+subscribers that join late. So the order of callbacks depends on nothing but the scenario. `strategies` has the actions.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import signal
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any  # nodes and messages have no common base
+
+import attrs
+import rclpy.clock
+import rclpy.publisher
+from rclpy.clock import ClockType
+from rclpy.context import Context
+from rclpy.parameter import Parameter
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    QoSCompatibility,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_check_compatible,
+)
+from rclpy.serialization import deserialize_message, serialize_message
+from rosgraph_msgs.msg import Clock
+
+from impact_rig import codec, topics
+from impact_rig.blocks import Table
+from impact_rig.client.client import Collector, as_default
+from impact_rig.client.processes import isolated_domain
+from impact_rig.driver.driver import STEP_TIMEOUT_S
+from impact_rig.driver.local_rig import LocalRig
+from impact_rig.errors import CommandError, ConfigError
+from impact_rig.nodes import messages
+from impact_rig.nodes.publishers import Monitors
+from impact_rig.nodes.rclpy_internals import call_subscription
+from impact_rig.rig import Block, journal
+from impact_rig.rig.journal import JournalEntry
+from impact_rig.simtime import NS_PER_S, stamp_ns
+
+TIMERS, MESSAGES = "timers", "messages"
+"""Sources of callbacks besides topics: all timers, and the messages of all topics."""
+KEPT_CALLBACKS = 20_000
+MOST_CALLBACKS = 10_000  # of one block; more are nodes that answer each other without end
+TICK_S, IDLE_S, BUSY_S = 0.2, 1.0, 20.0
+"""A callback blocks if it uses no processor time for `IDLE_S`, or does not return within `BUSY_S`."""
+IDLE_CPU_S = 0.002  # processor time per tick of a thread that waits
+INTERNAL = ("/parameter_events", "/rosout")
+
+
+class BlockedError(AssertionError):
+    """A callback that does not return: it waits for another callback, or computes without end."""
+
+
+@attrs.define(eq=False)
+class _Inbox:
+    """Queue of one subscription: (number of the publication, message as CDR bytes)."""
+
+    subscription: Any
+    topic: str
+    queue: deque[tuple[int, bytes]] = attrs.field(factory=deque)
+
+    @property
+    def is_lossy(self) -> bool:
+        """Return whether the transport may drop messages."""
+        return bool(self.subscription.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT)
+
+    def put(self, number: int, data: bytes) -> bool:
+        """Append a message; return whether the oldest one was lost because the queue is full."""
+        qos = self.subscription.qos_profile
+        is_full = qos.history != HistoryPolicy.KEEP_ALL and len(self.queue) >= max(1, qos.depth)
+        if is_full:
+            self.queue.popleft()
+        self.queue.append((number, data))
+        return is_full
+
+
+@attrs.define(eq=False)
+class _Hosted:
+    node: Any
+    busy_ns: int = 0  # until then, its executor runs nothing
+    inboxes: dict[Any, _Inbox] = attrs.field(factory=dict)
+
+
+@attrs.frozen(order=True)
+class _Ready:
+    """A callback that can run; the least one runs first."""
+
+    is_not_first: bool
+    is_timer: bool
+    number: int
+    host: int
+    source: str = attrs.field(order=False)
+    entity: Any = attrs.field(order=False)
+
+
+@attrs.define
+class _Latched:
+    """Last messages of a topic, for late subscribers; those that are best effort receive none, as with Fast DDS."""
+
+    qos: QoSProfile
+    type: Any
+    kept: deque[tuple[int, bytes]]
+
+
+class ScheduledRig(LocalRig):
+    """Rig in this process that can host ROS nodes: a `LocalRig` with `host` and `listen` as `RosRig` has them.
+
+    Without a hosted node it is a `LocalRig`. Takes the same arguments.
+
+    Attributes:
+        callbacks: the callbacks that have run and what they published, one line each, oldest first; the last
+            20,000 are kept.
+    """
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        self._stack = contextlib.ExitStack()
+        self._context: Context | None = None
+        self._hosted: list[_Hosted] = []
+        self._latched: dict[str, _Latched] = {}
+        self._collectors: dict[str, Collector] = {}
+        self._published: list[tuple[topics.Topic, bytes]] = []  # by the rig since the last delivery
+        self._outbox: deque[tuple[int, str, Any, QoSProfile, bytes]] = deque()  # of callbacks that sleep
+        self._numbers = 0
+        self._monitors: Monitors | None = None
+        self._held: dict[str, int] = {}
+        self._first: dict[str, int] = {}
+        self._duplicates: Counter[str] = Counter()
+        self._drops: Counter[str] = Counter()
+        self._planned: list[list[Any]] = []  # callbacks left, and what happens then
+        self.callbacks: deque[str] = deque(maxlen=KEPT_CALLBACKS)
+        super().__init__(*args, **kwargs)
+
+    # The nodes under test
+
+    def host(self, make_node: Callable[..., Any], **kwargs: Any) -> Any:
+        """Create a node whose callbacks run in rig time, and return it.
+
+        Its clock is the rig's (`use_sim_time`). `time.sleep` in a callback lets rig time pass.
+
+        Raises:
+            ConfigError: a timer of the node does not follow its clock.
+        """
+        if self._context is None:
+            domain_id = self._stack.enter_context(isolated_domain())
+            self._context = Context()
+            self._context.init(args=["--ros-args", "-p", "use_sim_time:=true"], domain_id=domain_id)
+            self._stack.callback(self._context.try_shutdown)
+        self._flush()
+        hosted = _Hosted(None, self._time_ns)
+        self._hosted.append(hosted)
+        with as_default(self._context), self._running(hosted, f"{make_node.__name__}()"):
+            hosted.node = make_node(**kwargs)
+        if not hosted.node.get_parameter("use_sim_time").value:
+            hosted.node.set_parameters([Parameter("use_sim_time", value=True)])
+        self._stack.callback(hosted.node.destroy_node)
+        self._find_entities()
+        return hosted.node
+
+    def listen(self, topic: str) -> Collector:
+        """Keep all messages that hosted nodes publish on a topic from now on."""
+        if topic not in self._collectors:
+            self._collectors[topic] = Collector(topics.Topic(topic, "", topics.Qos.DATA, "", "", ()))
+        return self._collectors[topic]
+
+    def send(self, topic: str, message: Any, qos: QoSProfile | None = None) -> None:
+        """Publish a message to the hosted nodes, as another node would do."""
+        self._route(topic, type(message), qos or messages.profile(topics.Qos.EVENT), bytes(serialize_message(message)))
+
+    def send_data(self, topic: str, data: object) -> None:
+        """Publish a message with this `data` (None: an empty one) on a topic that a hosted node subscribes to."""
+        name = topic.removeprefix("/")
+        inboxes = (inbox for hosted in self._hosted for inbox in hosted.inboxes.values() if inbox.topic == name)
+        inbox = next(inboxes, None)
+        if inbox is not None:
+            kind = inbox.subscription.msg_type
+            self.send(topic, kind() if data is None else kind(data=data))
+
+    # RigDriver
+
+    def step(self, blocks: int = 1, timeout_s: float = STEP_TIMEOUT_S) -> None:
+        """Advance by whole blocks; after each, run the callbacks that are due."""
+        if not self._hosted:
+            super().step(blocks, timeout_s)
+            self._flush()
+            return
+        for _ in range(blocks):
+            self._deliver_messages()  # what was sent since the last block
+            super().step(1, timeout_s)
+            self._deliver_messages()
+
+    def reset(self) -> None:
+        """Start again at scan 0 with everything at rest, as the service `rig/reset` does; stamps continue."""
+        self.core.reset()
+        self._start_ns, self.sample = self.core.start_ns, 0
+        self._kept_from = self._lost_before = 0
+        self._publish_changes()
+
+    def save(self, directory: Path) -> Path:
+        """Write everything kept as an MCAP run, and the callbacks of hosted nodes as `callbacks.txt` next to it."""
+        super().save(directory)
+        if self._hosted:
+            (directory / "callbacks.txt").write_text("".join(f"{line}\n" for line in self.callbacks), encoding="utf-8")
+        return directory
+
+    def close(self) -> None:
+        """End the nodes and the recording."""
+        if not self.closed:
+            super().close()
+            self._stack.close()
+
+    # Disturbances; the actions of `strategies` call these
+
+    def hold(self, source: str, blocks: int) -> None:
+        """Deliver nothing of a topic, of `TIMERS` or of all `MESSAGES` for these blocks; it arrives afterwards."""
+        self._held[source] = max(self._held.get(source, 0), self._after(blocks))
+
+    def prefer(self, source: str, blocks: int) -> None:
+        """Run the callbacks of a topic or of `TIMERS` before all others for these blocks."""
+        self._first[source] = self._after(blocks)
+
+    def occupy(self, blocks: int) -> None:
+        """Let the executors of all hosted nodes be busy for these blocks; then they run what is queued."""
+        self.hold(MESSAGES, blocks)
+        self.hold(TIMERS, blocks)
+
+    def duplicate(self, topic: str, count: int = 1) -> None:
+        """Deliver the next messages of a topic twice."""
+        self._duplicates[topic] += count
+
+    def drop(self, topic: str, count: int = 1) -> None:
+        """Drop the next messages of a topic at subscriptions whose quality of service allows it (best effort)."""
+        self._drops[topic] += count
+
+    def calm(self) -> None:
+        """Step until all delays have ended, end the rest, and do now what was to be done after further callbacks."""
+        while any(until > self._time_ns for until in (*self._held.values(), *self._first.values())):
+            self.step()
+        for some in (self._held, self._first, self._duplicates, self._drops):
+            some.clear()
+        planned, self._planned = self._planned, []
+        for _, action in planned:
+            action()
+
+    def after(self, callbacks: int, action: Callable[[], object]) -> None:
+        """Do something after this many further callbacks: 0 means now."""
+        if callbacks == 0:
+            action()
+        else:
+            self._planned.append([callbacks, action])
+
+    def set_parameter(self, name: str, value: object) -> None:
+        """Change a parameter of every hosted node that has it, as a client of its parameter service would do."""
+        for hosted in self._hosted:
+            if hosted.node.has_parameter(name):
+                with self._running(hosted, f"the change of {name}"):
+                    (result,) = hosted.node.set_parameters([Parameter(name, value=value)])
+                self._note(hosted, f"parameter {name} = {value!r}{'' if result.successful else ': rejected'}")
+
+    def call(self, service: str) -> list[Any]:
+        """Call a service of the hosted nodes with an empty request, and return the responses."""
+        found = []
+        for hosted in self._hosted:
+            for one in list(hosted.node.services):
+                if hosted.node.resolve_service_name(one.srv_name) == hosted.node.resolve_service_name(service):
+                    self._note(hosted, f"service {service}")
+                    with self._running(hosted, f"the service {service}"):
+                        found.append(one.callback(one.srv_type.Request(), one.srv_type.Response()))
+        return found
+
+    # Transport
+
+    @property
+    def _time_ns(self) -> int:
+        """Time of the nodes' clock: the end of the newest block."""
+        return self._start_ns + self.now_ns
+
+    def _after(self, blocks: int) -> int:
+        return self._time_ns + stamp_ns(blocks * self.block_scans, self.rate_hz)
+
+    def _publish(self, topic: str, one: Table | JournalEntry) -> None:
+        super()._publish(topic, one)
+        described = messages.by_name(topic)
+        if self._hosted or described.qos.transient_local:
+            data = journal.encode(one) if isinstance(one, JournalEntry) else codec.encode(one)
+            self._published.append((described, data))
+
+    def _deliver(self, block: Block) -> None:
+        if self._hosted:
+            if self._monitors is None:
+                info = self.core.info().rows
+                noise = dict(zip(info["name"].astype(str).tolist(), info["noise"].tolist(), strict=True))
+                self._monitors = Monitors(self.config, noise)
+            self._published += self._monitors.messages(block, lambda _: True)
+            tables = ((topic, table) for topic, table in block.tables() if topic.name not in self._kept)
+            self._published += ((topic, codec.encode(table)) for topic, table in tables)
+        super()._deliver(block)
+
+    def _flush(self) -> None:
+        """Route what the rig has published, the scans of a block last, and answers that were due later."""
+        published, self._published = self._published, []
+        for topic, data in sorted(published, key=lambda one: one[0] is topics.SCAN):
+            self._route(topic.name, messages.class_of(topic), messages.profile(topic.qos), data)
+        while self._outbox and self._outbox[0][0] <= self._time_ns:
+            self._publish_output(*self._outbox.popleft()[1:])
+
+    def _route(self, topic: str, kind: Any, qos: QoSProfile, data: bytes) -> None:
+        """Put a message into the queues of its subscriptions."""
+        topic = topic.removeprefix("/")
+        self._numbers += 1
+        if qos.durability == DurabilityPolicy.TRANSIENT_LOCAL:
+            if topic not in self._latched:
+                self._latched[topic] = _Latched(qos, kind, deque(maxlen=max(1, qos.depth)))
+            self._latched[topic].kept.append((self._numbers, data))
+        if not self._hosted:
+            return
+        copies = 1
+        if self._duplicates[topic]:
+            self._duplicates[topic] -= 1
+            copies = 2
+        is_dropped = self._drops[topic] > 0
+        self._drops[topic] -= is_dropped
+        for hosted in self._hosted:
+            for inbox in hosted.inboxes.values():
+                if inbox.topic != topic or not _match(inbox.subscription, kind, qos):
+                    continue
+                if is_dropped and (inbox.is_lossy or qos.reliability == ReliabilityPolicy.BEST_EFFORT):
+                    self._note(hosted, f"{topic}: dropped")
+                    continue
+                for _ in range(copies):
+                    if inbox.put(self._numbers, data):
+                        self._note(hosted, f"{topic}: lost, the queue is full")
+
+    def _find_entities(self) -> None:
+        """Connect new subscriptions of the hosted nodes, and refuse timers that run by wall time."""
+        for hosted in self._hosted:
+            for timer in hosted.node.timers:
+                if timer.clock.clock_type != ClockType.ROS_TIME:
+                    raise ConfigError(
+                        f"a timer of {hosted.node.get_name()} runs by {timer.clock.clock_type.name}; a schedule needs "
+                        "timers that follow the node's clock, the default of create_timer"
+                    )
+            present = list(hosted.node.subscriptions)
+            for gone in set(hosted.inboxes).difference(present):
+                del hosted.inboxes[gone]
+            for subscription in present:
+                if subscription in hosted.inboxes:
+                    continue
+                inbox = hosted.inboxes[subscription] = _Inbox(subscription, subscription.topic_name.removeprefix("/"))
+                latched = self._latched.get(inbox.topic)
+                wants = subscription.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL and not inbox.is_lossy
+                if latched is not None and wants and _match(subscription, latched.type, latched.qos):
+                    for number, data in latched.kept:
+                        inbox.put(number, data)
+
+    # Callbacks
+
+    def _deliver_messages(self) -> None:
+        """Run every callback that is due, one after the other."""
+        self._flush()
+        self._find_entities()
+        now = Clock(clock=messages.time_message(self._time_ns))
+        for hosted in self._hosted:
+            for inbox in hosted.inboxes.values():
+                if inbox.topic == topics.CLOCK.name.removeprefix("/"):
+                    inbox.subscription.callback(now)
+        for _ in range(MOST_CALLBACKS):
+            ready = min(self._ready(), default=None)
+            if ready is None:
+                return
+            self._run(ready)
+            self._flush()
+            self._find_entities()
+        raise AssertionError(f"more than {MOST_CALLBACKS} callbacks without rig time passing")
+
+    def _ready(self) -> Iterator[_Ready]:
+        now = self._time_ns
+        held = {source for source, until in self._held.items() if until > now}
+        first = {source for source, until in self._first.items() if until > now}
+        for number, hosted in enumerate(self._hosted):
+            if hosted.busy_ns > now:
+                continue
+            for inbox in hosted.inboxes.values():
+                if inbox.queue and not held & {inbox.topic, MESSAGES}:
+                    yield _Ready(inbox.topic not in first, False, inbox.queue[0][0], number, inbox.topic, inbox)
+            if TIMERS in held:
+                continue
+            for index, timer in enumerate(hosted.node.timers):
+                if timer.is_ready():
+                    yield _Ready(TIMERS not in first, True, index, number, TIMERS, timer)
+
+    def _run(self, ready: _Ready) -> None:
+        hosted = self._hosted[ready.host]
+        for planned in self._planned:
+            planned[0] -= 1
+        if ready.is_timer:
+            ready.entity.handle.call_timer()
+            self._note(hosted, f"timer of {ready.entity.timer_period_ns / NS_PER_S:g} s")
+            with self._running(hosted, "its timer"):
+                ready.entity.callback()
+        else:
+            number, data = ready.entity.queue.popleft()
+            subscription = ready.entity.subscription
+            message = data if subscription.raw else deserialize_message(data, subscription.msg_type)
+            stamp = messages.header_stamp_ns(message) if hasattr(message, "header") else None
+            self._note(hosted, f"{ready.source} {number if stamp is None else f'{stamp / NS_PER_S:.9f}'}")
+            info = {
+                "source_timestamp": self._time_ns, "received_timestamp": self._time_ns,
+                "publication_sequence_number": number, "reception_sequence_number": number,
+            }  # fmt: skip
+            with self._running(hosted, f"its callback for {ready.source}"):
+                call_subscription(subscription, (message, info))
+        due = [action for left, action in self._planned if left <= 0]
+        self._planned = [planned for planned in self._planned if planned[0] > 0]
+        for action in due:
+            action()
+
+    @contextlib.contextmanager
+    def _running(self, hosted: _Hosted, what: str) -> Iterator[None]:
+        """Run a part of a node: what it publishes is routed, and what it sleeps is rig time."""
+
+        def publish(publisher: Any, message: Any) -> None:
+            topic = publisher.topic_name
+            if topic not in INTERNAL:
+                data = message if isinstance(message, bytes) else bytes(serialize_message(message))
+                self._note(hosted, f"publishes {topic.removeprefix('/')} {_digest(message)}")
+                sent = topic, publisher.msg_type, publisher.qos_profile, data
+                if hosted.busy_ns > self._time_ns:
+                    self._outbox.append((hosted.busy_ns, *sent))
+                else:
+                    self._publish_output(*sent)
+
+        def sleep(seconds: float) -> None:
+            hosted.busy_ns = max(hosted.busy_ns, self._time_ns) + round(seconds * NS_PER_S)
+
+        def sleep_until(clock: Any, until: Any, context: Any = None) -> bool:  # noqa: ARG001  # as in rclpy
+            sleep(max(0, until.nanoseconds - clock.now().nanoseconds) / NS_PER_S)
+            return True
+
+        with contextlib.ExitStack() as stack:
+            for place, name, value in (
+                (rclpy.publisher.Publisher, "publish", publish),
+                (time, "sleep", sleep),
+                (rclpy.clock.Clock, "sleep_until", sleep_until),
+            ):
+                stack.callback(setattr, place, name, getattr(place, name))
+                setattr(place, name, value)
+            name = hosted.node.get_name() if hosted.node is not None else "a node"
+            stack.enter_context(_returning(f"{name} blocks: {what}"))
+            yield
+
+    def _publish_output(self, topic: str, kind: Any, qos: QoSProfile, data: bytes) -> None:
+        """Publish what a node has sent: to listeners, to the rig if it is a command, and to the other nodes."""
+        relative = topic.removeprefix("/")
+        message = deserialize_message(data, kind)
+        if relative in self._collectors:
+            self._collectors[relative].take(message, {"publication_sequence_number": self._numbers})
+        with contextlib.suppress(CommandError):
+            if relative == topics.FREQUENCY.name:
+                self.command(frequency_hz=message.data)
+            elif relative == topics.CURRENT.name:
+                self.command(current_a=message.data)
+            elif relative == topics.WAVEFORM.name and self.core.takes_samples:
+                table = codec.decode(data, topics.WAVEFORM)
+                first = -(-(table.stamp_ns - self._start_ns) * self.stream_rate_hz // NS_PER_S)
+                self.feed(first, table.rows["value"])
+        self._route(relative, kind, qos, data)
+
+    def _note(self, hosted: _Hosted, text: str) -> None:
+        name = hosted.node.get_name() if hosted.node is not None else "-"
+        self.callbacks.append(f"{self._time_ns / NS_PER_S:.9f} {name}: {text}")
+
+
+def _match(subscription: Any, kind: Any, qos: QoSProfile) -> bool:
+    """Return whether a publisher of this type and quality of service reaches a subscription."""
+    compatible, _ = qos_check_compatible(qos, subscription.qos_profile)
+    return subscription.msg_type is kind and compatible != QoSCompatibility.ERROR
+
+
+def _digest(message: Any) -> str:
+    """Return a message as a short text that differs for different messages."""
+    text = repr(message)
+    return text if len(text) <= 120 else f"{text[:60]}... sha256 {hashlib.sha256(text.encode()).hexdigest()[:16]}"
+
+
+@contextlib.contextmanager
+def _returning(message: str) -> Iterator[None]:
+    """Raise `BlockedError` in the main thread if the block of code waits, or computes for too long."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    begin, used, idle = time.monotonic(), time.thread_time(), 0
+
+    def look(*_: object) -> None:
+        nonlocal used, idle
+        before, used = used, time.thread_time()
+        idle = idle + 1 if used - before < IDLE_CPU_S else 0
+        if idle * TICK_S >= IDLE_S:
+            raise BlockedError(f"{message} waits for what only another callback can bring")
+        if time.monotonic() - begin > BUSY_S:
+            raise BlockedError(f"{message} has not returned within {BUSY_S:g} s")
+
+    handler = signal.signal(signal.SIGALRM, look)
+    left_s, period_s = signal.setitimer(signal.ITIMER_REAL, TICK_S, TICK_S)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, handler)
+        if left_s:
+            signal.setitimer(signal.ITIMER_REAL, max(left_s - (time.monotonic() - begin), 1e-3), period_s)
