@@ -101,7 +101,7 @@ def scans_since(rig: ScheduledRig, since: int) -> int:
 
 
 class OrderOfTopics(Planted):
-    """Expects the calibration before the first scans."""
+    """Node that expects the calibration before the first scans."""
 
     def begin(self) -> None:
         self.rate_hz: float | None = None
@@ -122,7 +122,7 @@ class OrderOfTopics(Planted):
 
 
 class StaleParameter(Planted):
-    """Reads its parameter once."""
+    """Node that reads its parameter only once."""
 
     inputs: ClassVar = {"parameters": {"gain": st.sampled_from([1.0, 2.0, 3.0])}}
 
@@ -138,7 +138,7 @@ class StaleParameter(Planted):
 
 
 class TimerAgainstMessage(Planted):
-    """Publishes the newest block by a timer, also before there is one."""
+    """Node whose timer publishes the newest block, also before there is one."""
 
     def begin(self) -> None:
         self.widths: list[int] = []
@@ -154,7 +154,7 @@ class TimerAgainstMessage(Planted):
 
 
 class DoubleStart(Planted):
-    """Creates a further timer with each start."""
+    """Node that creates a further timer with each start."""
 
     inputs: ClassVar = {"messages": {"start": st.none()}}
 
@@ -171,7 +171,7 @@ class DoubleStart(Planted):
 
 
 class LostFirstMessage(Planted):
-    """Numbers the blocks from the first that arrives."""
+    """Node that numbers the blocks from the first that arrives."""
 
     def begin(self) -> None:
         self.number = 0
@@ -186,7 +186,7 @@ class LostFirstMessage(Planted):
 
 
 class BlockingCallback(Planted):
-    """Waits in a callback for a message that only another callback can receive."""
+    """Node that waits in a callback for a message that only another callback can receive."""
 
     def begin(self) -> None:
         self.known = threading.Event()
@@ -204,7 +204,7 @@ class BlockingCallback(Planted):
 
 
 class CountedTwice(Planted):
-    """Counts a message again when it is delivered again."""
+    """Node that counts a message again when it is delivered again."""
 
     def begin(self) -> None:
         self.total = 0
@@ -221,7 +221,7 @@ class CountedTwice(Planted):
 
 
 class KeptAcrossReset(Planted):
-    """Goes on counting when the rig was reset."""
+    """Node that continues to count after a reset of the rig."""
 
     inputs: ClassVar = {"topics": ("daq/scan", "rig/journal")}
 
@@ -244,7 +244,7 @@ class KeptAcrossReset(Planted):
 
 
 class SumOverLateJoiner(Planted):
-    """Divides by the scans since the rig's start, also if it joined later."""
+    """Node that divides by the scans since the rig's start, also if it joined later."""
 
     def begin(self) -> None:
         self.on("daq/scan", self.on_scan)
@@ -260,7 +260,7 @@ class SumOverLateJoiner(Planted):
 
 
 class QosMismatch(Planted):
-    """Asks for latched scans, which no rig offers, and receives none."""
+    """Node that asks for latched scans, which no rig offers, and receives none."""
 
     def begin(self) -> None:
         self.on("daq/scan", lambda message: self.say(message.width), qos=DEEP if self.is_sound else LATCHED)
@@ -270,7 +270,7 @@ class QosMismatch(Planted):
 
 
 class OffByOne(Planted):
-    """Counts one scan too many for each gap."""
+    """Node that counts one scan too many for each gap."""
 
     def begin(self) -> None:
         self.next_ns: int | None = None
@@ -290,7 +290,7 @@ class OffByOne(Planted):
 
 
 class ShortQueue(Planted):
-    """Keeps one message only, and needs all."""
+    """Node that keeps one message only, and needs all."""
 
     def begin(self) -> None:
         self.on("daq/scan", self.on_scan, qos=DEEP if self.is_sound else QoSProfile(depth=1))
@@ -304,7 +304,7 @@ class ShortQueue(Planted):
 
 
 class ChangedBetween(Planted):
-    """Reads a parameter in two callbacks that must agree."""
+    """Node that reads a parameter in two callbacks that must agree."""
 
     inputs: ClassVar = {"parameters": {"window": st.integers(1, 5)}}
 
@@ -327,7 +327,7 @@ class ChangedBetween(Planted):
 
 
 class TicksAsTime(Planted):
-    """Counts the calls of a timer as time, although late timers skip calls."""
+    """Node that counts the calls of a timer as time, although late timers skip calls."""
 
     def begin(self) -> None:
         self.first_ns: int | None = None
@@ -345,7 +345,7 @@ class TicksAsTime(Planted):
 
 
 class CommandIsNoFact(Planted):
-    """Takes its command for what the shaker does, although the rig may reject it."""
+    """Node that takes its command for what the shaker does, although the rig may reject it."""
 
     inputs: ClassVar = {"messages": {"goal": st.sampled_from([8.5, 10.0, 500.0])}}
 
@@ -369,7 +369,7 @@ class CommandIsNoFact(Planted):
 
 
 class StopIgnored(Planted):
-    """Leaves its timer running after a stop."""
+    """Node whose timer runs on after a stop."""
 
     inputs: ClassVar = {"messages": {"run": st.booleans()}}
 
@@ -391,7 +391,7 @@ class StopIgnored(Planted):
 
 
 class ReceiptTime(Planted):
-    """Takes the time of receipt for the time of the measurement."""
+    """Node that takes the time of receipt for the time of the measurement."""
 
     def begin(self) -> None:
         self.on("daq/scan", self.on_scan)
@@ -404,7 +404,7 @@ class ReceiptTime(Planted):
 
 
 class SleepingCallback(Planted):
-    """Sleeps for three blocks in the callback of each."""
+    """Node that sleeps for three blocks in the callback of each."""
 
     def begin(self) -> None:
         self.on("daq/scan", self.on_scan, qos=QoSProfile(depth=10))
@@ -420,7 +420,7 @@ class SleepingCallback(Planted):
 
 
 class PairedByArrival(Planted):
-    """Pairs the blocks of two topics in the order of their arrival."""
+    """Node that pairs the blocks of two topics in the order of their arrival."""
 
     inputs: ClassVar = {"topics": ("daq/scan", "truth/scan")}
 
@@ -443,7 +443,7 @@ class PairedByArrival(Planted):
 
 
 class ServiceBeforeData(Planted):
-    """Answers a request from the last block, also before there is one."""
+    """Node that answers a request from the last block, also before there is one."""
 
     inputs: ClassVar = {"services": ("zero",)}
 

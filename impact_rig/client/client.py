@@ -436,6 +436,12 @@ class Client:
         self.executor.add_node(node)
         return node
 
+    def evict(self, node: Any) -> None:
+        """End a node that this client hosts."""
+        self._hosted.remove(node)
+        self.executor.remove_node(node)
+        node.destroy_node()
+
     def acknowledge_callbacks(self, node: Any) -> int:
         """Acknowledge every block of daq/scan for a hosted node, after its callback has returned or raised.
 

@@ -180,6 +180,9 @@ class RosRig(RigDriver):
                 self._connect_stream()
             if running or self.config.time.mode == "realtime":
                 self._join()
+            self._analysis, self._records_temporarily = analysis, record is True
+            self._own = {*self._peers}, {*self.processes.running}, {*self.client.node.subscriptions}
+            self._tested: list[Any] = []
             if running:  # an earlier stop is irrelevant
                 self._journal_read = len(self._collectors[topics.JOURNAL.name])
             self._stack = stack.pop_all()
@@ -242,6 +245,7 @@ class RosRig(RigDriver):
         node = self.client.host(make_node, **kwargs)
         if not self.client.acknowledge_callbacks(node):
             raise ConfigError(f"node {node.get_name()!r} does not subscribe to {SCANS}")
+        self._tested.append(node)
         self._add_peer(node.get_name())
         return node
 
@@ -415,12 +419,36 @@ class RosRig(RigDriver):
                 self._stopped = ""
         return self._stopped
 
+    def renew(self, config: RigConfig) -> None:
+        """Start again as new with another configuration, in the same processes and without the nodes under test.
+
+        Raises:
+            ImpactRigError: a node of the rig has ended or does not answer.
+        """
+        peers, processes, subscriptions = self._own
+        self._listeners.clear()
+        while self._tested:
+            self.client.evict(self._tested.pop())
+        if own := set(self.processes.running) - processes:
+            self.processes.stop(*own)
+        for subscription in set(self.client.node.subscriptions) - subscriptions:
+            self.client.node.destroy_subscription(subscription)
+        self._peers = [peer for peer in self._peers if peer in peers]
+        self._injected.clear()
+        self.scenario = ""
+        before, record = self._run, None
+        if self._records_temporarily:
+            record = Path(tempfile.mkdtemp(dir=self.directory)) / RUN
+        self.restart(config, self._analysis or {}, record)
+        if before is not None and self._records_temporarily:
+            shutil.rmtree(before, ignore_errors=True)
+
     def restart(self, config: RigConfig, analysis: Mapping[str, ParameterValue], record: Path | None = None) -> RosRig:
         """Start again with another configuration, as in new processes; rate and block length must stay the same.
 
         Args:
             config: configuration of the rig.
-            analysis: parameters of the analysis, which the rig must have.
+            analysis: parameters of the analysis, if the rig has one.
             record: directory of the run that the recorder writes; None means no recording.
 
         Raises:
@@ -428,28 +456,33 @@ class RosRig(RigDriver):
         """
         client = self.client
         self.stop_recording()
-        if record is not None and self._recorder not in self.processes.running:
+        if record is not None and self._hosted_recorder is None and self._recorder not in self.processes.running:
             self._start("recorder", {"record": False})
             client.wait_active(self._recorder)
             self._peers.append(self._recorder)
         if self.stopped:  # the latch survives the transitions
             client.trigger("rig/clear_trip")
-        client.change_state("analysis", "deactivate")
+        if self._measurements:
+            client.change_state("analysis", "deactivate")
         client.change_state("rig", "deactivate")
         client.change_state("rig", "cleanup")  # its publishers take their history with them
+        client.spin_pending()
+        for collector in self._collectors.values():
+            collector.clear()
         values = {name: value for name, value in to_flat(config).items() if not name.startswith(FIXED)}
         client.set_parameters("rig", {**values, "time.peers": self._peers})
-        client.set_parameters("analysis", analysis)
-        for node, transition in (("rig", "configure"), ("rig", "activate"), ("analysis", "activate")):
+        transitions = [("rig", "configure"), ("rig", "activate")]
+        if self._measurements:
+            client.set_parameters("analysis", analysis)
+            transitions.append(("analysis", "activate"))
+        for node, transition in transitions:
             if not client.change_state(node, transition):
                 raise ImpactRigError(f"{node} did not {transition}: {client.status(node).message}")
-        client.wait_active("rig", "analysis")
+        client.wait_active(*(node for node, transition in transitions if transition == "activate"))
         if record is not None:
             client.set_parameters(self._recorder, {"directory": str(record.parent), "name": record.name})
             client.trigger(f"{self._recorder}/start")
             self._run = record
-        for collector in self._collectors.values():
-            collector.clear()
         self.config, self.sample = config, 0
         self._kept_from = self._lost_before = self._journal_read = 0
         self._stopped = ""

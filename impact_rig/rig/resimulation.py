@@ -169,6 +169,14 @@ class Resimulation:
         if self.rig.config.drive.waveform == "stream":
             self.rig.stream.buffer = RecordedSamples(self.rig, inputs, waveform)
 
+    def later_configurations(self) -> Iterator[RigConfig]:
+        """Yield the configurations after the changes that the blocks taken so far have not reached."""
+        config = self.rig.config
+        for entry in self._coming:
+            if entry.kind is InputKind.PARAMETER:
+                config = from_flat(config, entry.values)
+                yield config
+
     def finish(self, until_ns: int) -> None:
         """Apply the journal up to the time of a reset."""
         while self._coming and (

@@ -626,7 +626,7 @@ class _OtherTopics:
                 lag_ns=lag_ns if last else 0,
             )
         self._compare_journal(reset_ns is not None, lag_ns)
-        for config in self._again.configurations:
+        for config in (*self._again.configurations, *self._again.later_configurations()):
             self._configurations.append(_deciding(config))
             self._descriptions.add(robot_description(config))
 

@@ -13,6 +13,8 @@
 # limitations under the License.
 """Pytest plugin: fixtures that start and end rigs, and keep the run of every failed test as MCAP.
 
+With `scope="module"` or `scope="session"`, the function of a fixture starts a rig once and resets it for each test.
+
 Pytest loads it through its entry point wherever the package is installed, so it imports neither rclpy nor numba; a
 fixture imports them when it is used.
 
@@ -26,6 +28,7 @@ fixture imports them when it is used.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import re
 import shutil
@@ -43,6 +46,7 @@ if TYPE_CHECKING:
 
 DEFAULT_DIRECTORY = "failed_runs"
 _RIGS = pytest.StashKey[list["RigDriver"]]()
+_SHARED = pytest.StashKey[dict[str, tuple[Any, Any]]]()  # arguments -> rig and its configuration at the start
 R = TypeVar("R", bound="RigDriver")
 _UNSAFE = re.compile(r"[^\w.-]+")
 
@@ -163,17 +167,55 @@ def _directory(item: pytest.Item) -> Path:
 def _starting(request: pytest.FixtureRequest, make: Callable[..., R]) -> Iterator[Callable[..., R]]:
     """Yield `make` with a name for each rig of a test; keep the rigs for the test's report, then close them."""
     rigs = request.node.stash.setdefault(_RIGS, [])
+    shared: list[RigDriver] = []
 
-    def start(*args: Any, **kwargs: Any) -> R:
+    def start(*args: Any, scope: str = "function", **kwargs: Any) -> R:
         rigs[:] = [rig for rig in rigs if not rig.closed]
         taken = {rig.name for rig in rigs}
         free = (name for name in itertools.chain(["rig"], map("rig{}".format, itertools.count(2))) if name not in taken)
         kwargs.setdefault("name", next(free))
-        rig = make(*args, **kwargs)
+        if scope == "function":
+            rig = make(*args, **kwargs)
+        else:
+            rig = _reset_or_start(request, scope, make, args, kwargs)
+            shared.append(rig)
         rigs.append(rig)
         return rig
 
     start.__name__ = str(request.fixturename)
     yield start
     while rigs:
-        rigs.pop().close()
+        rig = rigs.pop()
+        if rig not in shared:
+            rig.close()
+
+
+def _reset_or_start(
+    request: pytest.FixtureRequest, scope: str, make: Callable[..., R], args: tuple[Any, ...], kwargs: dict[str, Any]
+) -> R:
+    """Return the rig that earlier tests of the scope used with the same arguments, as new, or a new one.
+
+    A rig in this process starts in milliseconds and is always a new one; so is one that cannot be reset.
+
+    Raises:
+        pytest.UsageError: unknown scope.
+    """
+    nodes = {"module": request.node.getparent(pytest.Module), "session": request.session}
+    if scope not in nodes:
+        raise pytest.UsageError(f"scope of a rig must be function, module or session, got {scope!r}")
+    node = nodes[scope]
+    if _SHARED not in node.stash:
+        node.stash[_SHARED] = {}
+        node.addfinalizer(lambda: [rig.close() for rig, _ in node.stash[_SHARED].values()])
+    kept, key = node.stash[_SHARED], repr((request.fixturename, args, kwargs))
+    if key in kept:
+        rig, config = kept.pop(key)
+        with contextlib.suppress(Exception):  # its processes have ended, or a save has ended its recorder
+            if hasattr(rig, "renew"):
+                rig.renew(config)
+                kept[key] = rig, config
+                return rig
+        rig.close()
+    rig = make(*args, **kwargs)
+    kept[key] = rig, rig.config
+    return rig

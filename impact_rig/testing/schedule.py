@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Schedules: a rig in this process that runs the callbacks of ROS nodes in an order that a scenario decides.
+"""Rig in this process that runs the callbacks of ROS nodes in an order that a scenario decides.
 
 `ScheduledRig.host` creates a node with real subscriptions, timers, parameters and clock, and runs its callbacks one by
 one in rig time, as a single-threaded executor does. Messages pass through a model of the transport instead of the

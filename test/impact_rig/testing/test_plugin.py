@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import runpy
 import subprocess
 import sys
@@ -25,6 +26,8 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
+from impact_rig.recording import open_run
+from impact_rig.runs.verification import verify
 from impact_rig.testing import LocalRig, plugin
 
 ROOT = Path(__file__).parents[3]
@@ -65,6 +68,78 @@ def test_no_two_rigs_of_a_test_have_one_name(request: pytest.FixtureRequest) -> 
     first.close()
     assert (first.name, second.name, start().name, start().name) == ("rig", "rig2", "rig", "rig3")
     assert next(started, None) is None
+
+
+SHARED = """
+import numpy as np
+import pytest
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+
+seen = []
+
+class Raises(Node):
+    def __init__(self):
+        super().__init__("raises")
+        self.create_subscription(PointCloud2, "daq/scan", self.on_scan, 10)
+
+    def on_scan(self, message):
+        raise RuntimeError("of a node")
+
+@pytest.fixture
+def rig(FIXTURE):
+    rig = FIXTURE({"daq.rate_hz": 1000, "barriers.gap_m": 0.004}, scope="SCOPE", **OPTIONS)
+    assert (rig.sample, rig.config.barriers.gap_m, rig.faults, rig.stopped) == (0, 0.004, [], "")
+    rig.command(9.1, 0.5, at_sample=100)
+    rig.step(20)
+    seen.append((id(rig), rig.rows().tobytes(), len(rig.journal())))
+    yield rig
+
+@pytest.mark.parametrize("number", range(2))
+def test_disturbs(rig, number):
+    rig.configure({"barriers.gap_m": 0.006})
+    rig.connect(lambda block: 1 / 0)
+    assert number == 0
+
+def test_ends_with_a_node(rig):
+    if hasattr(rig, "host"):
+        rig.host(Raises)
+        rig.step()
+
+def test_all_rigs_are_as_new(rig):
+    assert len({rows for _, rows, _ in seen}) == 1
+    assert len({entries for _, _, entries in seen}) == 1
+    print("different rigs:", len({number for number, _, _ in seen}))
+    assert False
+"""
+
+
+@pytest.mark.ros
+@pytest.mark.pipeline
+@pytest.mark.parametrize(
+    ("fixture", "options", "scope", "different", "failed"),
+    [
+        ("ros_rig", {"hosted": True}, "module", 1, 3),
+        ("ros_rig", {}, "session", 1, 3),
+        ("virtual_rig", {}, "module", 4, 2),  # a new one takes milliseconds
+    ],
+)
+def test_a_rig_of_a_module_or_session_is_as_new_in_each_test(
+    tmp_path: Path, fixture: str, options: dict[str, Any], scope: str, different: int, failed: int
+) -> None:
+    text = SHARED.replace("FIXTURE", fixture).replace("SCOPE", scope).replace("OPTIONS", repr(options))
+    (tmp_path / "test_shared.py").write_text(text)
+    words = [sys.executable, "-m", "pytest", "-q", "-p", "impact_rig.testing.plugin", "-p", "no:cacheprovider"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [*words, "test_shared.py"], cwd=tmp_path, env=environment, check=False, capture_output=True, text=True
+    )
+    assert f"{failed} failed, {4 - failed} passed" in done.stdout, done.stdout
+    assert f"different rigs: {different}" in done.stdout, done.stdout
+    for run in (tmp_path / "failed_runs").iterdir():
+        with open_run(run / "rig") as left:
+            assert str(verify(left)).startswith("identical"), run
+    assert len(list((tmp_path / "failed_runs").iterdir())) == failed
 
 
 MARKED = """
