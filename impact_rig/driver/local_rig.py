@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any  # value of a parameter
@@ -51,7 +51,9 @@ from impact_rig.simtime import stamp_ns
 
 BATCH_BLOCKS = 50
 TYPES = {topic.name: topic.type_name for topic in topics.COMMON}
-KEPT_BYTES = 256_000_000  # tables beyond this size are dropped, oldest first: 10 minutes at 10 kS/s
+KEPT_BYTES = 256_000_000  # what is beyond this size is dropped, oldest first: 10 minutes at 10 kS/s
+KEPT_FAULTS = 1000  # injected ones, for reports
+OBJECT_BYTES = 700  # of a table or entry, besides its rows
 ANALYSED = (topics.IMPACTS.name, topics.TRANSMISSIBILITY_TABLE.name, topics.ANALYSIS_SETTINGS.name)
 """Tables of the analysis."""
 NAMESPACE = "/rig"  # namespace of the topics in a recording made while the rig moves
@@ -73,7 +75,8 @@ class LocalRig(RigDriver):
             no analysis.
         record: directory of a run to write while the rig moves; None means no recording.
         also: further topics whose tables are kept, such as `truth/scan`.
-        kept_bytes: limit of the size of the kept tables [bytes]; None means no limit.
+        kept_bytes: limit of the memory [bytes] for kept tables and entries; at most half of it is for those that every
+            run needs (journal, commands, calibration). None means no limit.
 
     Attributes:
         core: the rig itself, for calls that this class does not offer (pluck, stop, clear_trip, ...).
@@ -107,12 +110,13 @@ class LocalRig(RigDriver):
         settings, gap_m = _settings(analysis or {})
         self.core = Rig(self.config)
         self.tracker = None if analysis is None else Tracker(settings)
-        self._injected: list[Fault] = []
+        self._injected: deque[Fault] = deque(maxlen=KEPT_FAULTS)
         names = dict.fromkeys((*TOPICS, *also, *(ANALYSED if analysis is not None else ())))
         self._kept: dict[str, deque[Any]] = {topic: deque() for topic in names}
         self._order: deque[tuple[str, Table | JournalEntry]] = deque()
-        self._early: list[tuple[str, Table | JournalEntry]] = []
-        self._bytes, self._kept_bytes = 0, kept_bytes
+        self._early: deque[tuple[str, Table | JournalEntry]] = deque()  # of `ESSENTIAL`, before what is kept
+        self._early_counts: Counter[str] = Counter()
+        self._bytes, self._early_bytes, self._kept_bytes = 0, 0, kept_bytes
         stream = (topics.WAVEFORM.name, topics.STREAM.name) if self.core.takes_samples else ()
         self._recording = None if record is None else self._new_recording(record, (*names, *stream), NAMESPACE)
         if self._recording is not None:
@@ -196,7 +200,7 @@ class LocalRig(RigDriver):
 
     @property
     def faults(self) -> list[Fault]:
-        """Planned and injected faults."""
+        """Planned faults, and the last 1,000 injected ones."""
         return [*super().faults, *self._injected]
 
     def save(self, directory: Path) -> Path:
@@ -279,9 +283,11 @@ class LocalRig(RigDriver):
         self._record(topic, one)
         self._kept[topic].append(one)
         self._order.append((topic, one))
-        self._bytes += one.rows.nbytes if isinstance(one, Table) else 0  # journal entries are few
+        self._bytes += _size(one)
         while self._kept_bytes is not None and self._bytes > self._kept_bytes and len(self._order) > 1:
             self._forget_oldest()
+            while self._early_bytes > self._kept_bytes // 2 and self._forget_early():
+                pass
             if self._kept[SCANS]:
                 self._kept_from = self.first_scan(self._kept[SCANS][0])
 
@@ -296,11 +302,30 @@ class LocalRig(RigDriver):
     def _forget_oldest(self) -> None:
         """Drop the oldest table, except those that every run needs."""
         topic, one = self._order.popleft()
-        if isinstance(one, JournalEntry) or topic in ESSENTIAL:
+        if topic in ESSENTIAL:
             self._early.append((topic, one))
+            self._early_counts[topic] += 1
+            self._early_bytes += _size(one)
             return
         self._kept[topic].popleft()
-        self._bytes -= one.rows.nbytes
+        self._bytes -= _size(one)
+
+    def _forget_early(self) -> bool:
+        """Drop the oldest table of `ESSENTIAL` that a later one replaces; return whether there is one."""
+        for index, (topic, one) in enumerate(self._early):
+            if self._early_counts[topic] > 1:
+                del self._early[index]
+                self._early_counts[topic] -= 1
+                self._kept[topic].popleft()
+                self._early_bytes -= _size(one)
+                self._bytes -= _size(one)
+                return True
+        return False
+
+
+def _size(one: Table | JournalEntry) -> int:
+    """Return about how many bytes a table or entry takes."""
+    return OBJECT_BYTES + (one.rows.nbytes if isinstance(one, Table) else len(one.text))
 
 
 def _encoded(one: Table | JournalEntry) -> bytes:

@@ -15,6 +15,8 @@
 
 from __future__ import annotations
 
+import gc
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -134,6 +136,34 @@ def test_what_is_forgotten_in_a_long_test_is_the_oldest(tmp_path: Path) -> None:
     rig.save(tmp_path / "run")
     with open_run(tmp_path / "run") as run:
         assert str(verify(run)).startswith("identical")
+
+
+@pytest.mark.parametrize("what", ["nothing", "commands", "changes", "faults"])
+def test_a_long_test_takes_bounded_memory(what: str) -> None:
+    """Of scans, journal and what changes with every block: no more after 1,800 blocks than after 900."""
+    rig = LocalRig({**LINEAR, "daq.rate_hz": 1000, "daq.block_scans": 10}, kept_bytes=250_000)
+
+    def run(blocks: int) -> int:
+        for number in range(blocks):
+            if what == "commands":
+                rig.command(9.0 + 0.01 * (number % 10), 0.1)
+            elif what == "changes":
+                rig.configure({"barriers.gap_m": 0.004 + 0.001 * (number % 2)})
+            elif what == "faults":
+                rig.inject(Fault(kind="saturation", channel="laser", start_sample=rig.frontier_sample, samples=5))
+            rig.step()
+        gc.collect()
+        return tracemalloc.get_traced_memory()[0]
+
+    tracemalloc.start()
+    try:
+        before, after = run(900), run(900)
+    finally:
+        tracemalloc.stop()
+    assert before < 600_000
+    assert after - before < 15_000
+    assert len(rig.tables("daq/info")) >= 1
+    assert len(rig.tables("shaker/applied")) >= 1
 
 
 @pytest.mark.ros
