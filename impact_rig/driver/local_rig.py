@@ -52,7 +52,7 @@ from impact_rig.simtime import stamp_ns
 BATCH_BLOCKS = 50
 TYPES = {topic.name: topic.type_name for topic in topics.COMMON}
 KEPT_BYTES = 256_000_000  # what is beyond this size is dropped, oldest first: 10 minutes at 10 kS/s
-KEPT_FAULTS = 1000  # injected ones, for reports
+KEPT_FAULTS = 100  # injected ones, for reports
 OBJECT_BYTES = 700  # of a table or entry, besides its rows
 ANALYSED = (topics.IMPACTS.name, topics.TRANSMISSIBILITY_TABLE.name, topics.ANALYSIS_SETTINGS.name)
 """Tables of the analysis."""
@@ -200,7 +200,7 @@ class LocalRig(RigDriver):
 
     @property
     def faults(self) -> list[Fault]:
-        """Planned faults, and the last 1,000 injected ones."""
+        """Planned faults, and the last 100 injected ones."""
         return [*super().faults, *self._injected]
 
     def save(self, directory: Path) -> Path:
