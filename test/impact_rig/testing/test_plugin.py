@@ -142,6 +142,18 @@ def test_a_rig_of_a_module_or_session_is_as_new_in_each_test(
     assert len(list((tmp_path / "failed_runs").iterdir())) == failed
 
 
+@pytest.mark.ros
+@pytest.mark.pipeline
+def test_each_failure_names_a_complete_run_in_an_environment_like_that_of_a_container() -> None:
+    """Ten tests of the fifty that `qualification/container_tests.py` runs."""
+    program = [sys.executable, str(ROOT / "qualification/container_tests.py"), "--tests", "10"]
+    if os.getuid() == 0 and subprocess.run(["unshare", "--mount", "true"], check=False).returncode:
+        pytest.skip("this machine allows no mounts of one's own")
+    done = subprocess.run(program, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "10 tests, 5 failures, each with a complete run" in done.stdout
+
+
 MARKED = """
 import pytest
 pytestmark = pytest.mark.requirement("R1")
