@@ -188,7 +188,7 @@ $(ADAPTERS)/ready: requirements/run.txt requirements/$(ROS).txt requirements/ada
 
 adapters: $(ADAPTERS)/ready kernels ## test examples/adapters with the real Gymnasium and LDAQ; RATTLESNAKE=DIR (a clone) adds it
 	@$(if $(filter wheels,$(ROS)),AMENT_PREFIX_PATH='$(CURDIR)/$(ADAPTERS)') PYTHONPATH=$(CURDIR):$(CURDIR)/examples/adapters \
-	    RATTLESNAKE='$(RATTLESNAKE)' $(ADAPTERS)/bin/python -m pytest -c /dev/null -p no:cacheprovider -ra examples/adapters $(ARGS)
+	    RATTLESNAKE='$(RATTLESNAKE)' IMPACT_RIG='$(CURDIR)/$(VENV)/bin/impact-rig' $(ADAPTERS)/bin/python -m pytest -c /dev/null -p no:cacheprovider -ra examples/adapters $(ARGS)
 
 release: $(TEST) kernels ## build and check wheels and source distribution in build/release; ARGS=--try also installs them
 	@$(VENV)/bin/python -m tools.release $(ARGS)

@@ -19,6 +19,7 @@ RATTLESNAKE names the folder of a clone of github.com/sandialabs/rattlesnake-vib
 import multiprocessing
 import os
 import pathlib
+import subprocess
 import sys
 
 import numpy as np
@@ -45,9 +46,11 @@ from rattlesnake_hardware import replace_state_space
 from rattlesnake_law import control_law
 
 from impact_rig.client.processes import Processes, isolated_domain
+from impact_rig.recording import open_run
 
 NAME, AMPLITUDE_A, SECONDS = "Random", 0.2, 6
-CHANNELS = ("laser", "base", "current")
+UNITS = {"laser": "m", "base": "m", "current": "A"}
+CHANNELS = tuple(UNITS)
 STATE_SPACE = 5
 
 
@@ -59,7 +62,7 @@ def channel(name):
         "abort_level",
     ), "")  # fmt: skip
     drives = {"feedback_device": "rig", "feedback_channel": "0"} if name == "current" else {}
-    return Channel(**{**fields, "physical_channel": name, **drives})
+    return Channel(**{**fields, "physical_channel": name, "comment": name, "unit": UNITS[name], **drives})
 
 
 def read_log(log):
@@ -139,6 +142,15 @@ def test_its_processes_drive_the_rig_and_stream_what_they_read(rate_hz, tmp_path
     with netCDF4.Dataset(tmp_path / "run.nc4") as stored:
         assert stored.variables["time_data"].shape[0] == len(CHANNELS)
         assert stored.variables["time_data"].shape[1] >= len(read)
+        streamed = stored.variables["time_data"][:].data
+    names = [f"{name}={name}" for name in CHANNELS]
+    run = tmp_path / "run"
+    command = [os.environ["IMPACT_RIG"], "import", str(tmp_path / "run.nc4"), "--output", str(run), "--gap", "none"]
+    subprocess.run([*command, "--channel", *names], check=True)
+    with open_run(run) as imported:
+        rows = np.concatenate([table.rows for table in imported.tables("daq/scan")])
+    for name, values in zip(CHANNELS, streamed, strict=True):
+        np.testing.assert_array_equal(rows[name], values)
 
 
 def test_the_law_reaches_a_density_of_the_base():
