@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Check what failed tests of a pipeline leave, in an environment like that of a container.
+"""Check the runs of failed tests in an environment like that of a container.
 
 `python qualification/container_tests.py [--tests 50]` writes a folder of tests of which five fail, runs it with `pytest
 -n 2 --junitxml`, and reads the JUnit file. As root it runs as another user (`--user`) whose home is empty, with a small
@@ -155,7 +155,7 @@ def _mounts(folder: Path) -> str:
 
 
 def _wrong_with(case: ET.Element, environment: dict[str, str]) -> list[str]:
-    """Return what is wrong with the XML of a failed test and with its run."""
+    """Return the errors in the XML of a failed test and in its run."""
     name = str(case.get("name"))
     properties = {str(one.get("name")): str(one.get("value")) for one in case.iter("property")}
     missing = [key for key in ("rig.run", "rig.report", "rig.seed") if not properties.get(key)]
