@@ -31,6 +31,7 @@ import hashlib
 import importlib.util
 import json
 import os
+import struct
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -166,22 +167,39 @@ def digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
+def is_cut_off(path: Path) -> bool:
+    """Return whether an ELF file (64 bit, little-endian) ends before its section headers, which linkers write last.
+
+    The system's loader does not check this: the process would be ended by a signal.
+    """
+    with path.open("rb") as file:
+        head = file.read(64)
+    if len(head) < 64 or head[:6] != b"\x7fELF\x02\x01":
+        return False
+    (begin,) = struct.unpack_from("<Q", head, 40)
+    size, count = struct.unpack_from("<HH", head, 58)
+    return bool(path.stat().st_size < begin + size * count)
+
+
 def library() -> ModuleType | None:
     """Return the shared library if it can be loaded and was built from the present sources; otherwise warn."""
-    if importlib.util.find_spec(f"{__name__}._library") is None:
+    spec = importlib.util.find_spec(f"{__name__}._library")
+    if spec is None or spec.origin is None:
         return None
+    why: object = "its end is missing"
     try:
-        from impact_rig.kernels import _library as found  # type: ignore[attr-defined]  # noqa: PLC0415  # where it is built
-    except ImportError as error:  # built for another machine, or incomplete
-        sys.stderr.write(f"impact_rig: the library of kernels cannot be loaded ({error}); run `make kernels`\n")
+        found = None if is_cut_off(Path(spec.origin)) else importlib.import_module(f"{__name__}._library")
+    except ImportError as error:  # built for another machine, or damaged
+        found, why = None, error
+    if found is None:
+        sys.stderr.write(f"impact_rig: the library of kernels cannot be loaded ({why}); run `make kernels`\n")
         return None
 
     sources: dict[str, str] = json.loads(found.sources())
     paths = ((PACKAGE / name, known) for name, known in sources.items())
-    whole: ModuleType = found
     changed = next((path for path, known in paths if not path.exists() or digest(path) != known), None)
     if changed is None:
-        return whole
+        return found
     # without this message, a program would seem to hang for minutes of compiling after an edit
     sys.stderr.write(f"impact_rig: {changed} has changed since the kernels were built; run `make kernels`\n")
     return None

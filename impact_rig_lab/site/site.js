@@ -93,14 +93,16 @@ byId("gap").addEventListener("change", () => send({ type: "gap", gap: knob("gap"
 byId("preset").addEventListener("change", () => send({ type: "rig", name: byId("preset").value }));
 byId("pace").addEventListener("change", () => { now.speed = knob("pace"); send({ type: "pace", speed: now.speed }); });
 byId("reset").addEventListener("click", () => send({ type: "reset" }));
-byId("theme").addEventListener("click", () => {
-  const root = document.documentElement;
-  root.dataset.theme = root.dataset.theme === "dark" ? "" : "dark";
+const preference = matchMedia("(prefers-color-scheme: dark)");
+function theme(dark) {
+  document.documentElement.dataset.theme = dark ? "dark" : "";
   forgetColours();
   scope.make();
   view.make();
-});
-if (matchMedia("(prefers-color-scheme: dark)").matches) byId("theme").click();
+}
+byId("theme").addEventListener("click", () => theme(document.documentElement.dataset.theme !== "dark"));
+preference.addEventListener("change", () => theme(preference.matches));
+if (preference.matches) theme(true);
 send({ type: "start", ...start });
 setInterval(showFigures, 200);
 requestAnimationFrame(frame);

@@ -85,3 +85,16 @@ def test_the_page_can_be_used_by_everybody(page_file: Path, browser: Browser) ->
     assert page.js("document.documentElement.scrollWidth") <= 400
     page.write("#gap", "1000000")
     page.wait("document.getElementById('answer').textContent === 'a value is out of range'", "the answer")
+
+
+def test_the_page_follows_its_window_and_the_preferred_colours_while_it_runs(page_file: Path, browser: Browser) -> None:
+    """The scope kept its first width, so a narrowed page scrolled sideways; colours were chosen once, at the start."""
+    page = browser.page(1440, 900)
+    page.goto(page_file.as_uri())
+    page.wait("lab.now.scans > 0", "the rig to run")
+    page.size(400, 900)
+    page.wait("document.querySelector('#scope canvas').clientWidth < 400", "the scope to become narrow")
+    assert page.js("document.documentElement.scrollWidth") <= 400
+    assert page.js("document.documentElement.dataset.theme") != "dark"
+    page.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": "dark"}])
+    page.wait("document.documentElement.dataset.theme === 'dark'", "the dark colours")

@@ -145,10 +145,23 @@ def test_a_library_of_other_sources_is_not_loaded_and_says_so(
     assert "has changed since the kernels were built; run `make kernels`" in capsys.readouterr().err
 
 
+@needs_library
+@pytest.mark.parametrize("kept", [0.0, 0.05, 0.5, 0.999])
+def test_a_library_that_was_cut_off_costs_one_line(tmp_path: Path, kept: float) -> None:
+    """The system's loader maps what is not there: the process once ended with SIGBUS."""
+    whole = next(kernels.PACKAGE.glob("kernels/_library*.so")).read_bytes()
+    end_with_one_line(tmp_path, whole[: int(kept * len(whole))])
+
+
 def test_a_library_that_cannot_be_loaded_costs_one_line(tmp_path: Path) -> None:
     """That of another machine ended every import of the package."""
+    end_with_one_line(tmp_path, b"\x7fELF, and no more")
+
+
+def end_with_one_line(tmp_path: Path, library: bytes) -> None:
+    """Import the kernels of a copy of the package with this library, and check what is said."""
     copied = shutil.copytree(kernels.PACKAGE, tmp_path / "impact_rig", ignore=shutil.ignore_patterns("__pycache__"))
-    (copied / "kernels/_library.abi3.so").write_bytes(b"\x7fELF, and no more")
+    (copied / "kernels/_library.abi3.so").write_bytes(library)
     code = "from impact_rig import kernels; print(kernels.__file__, kernels.MODE)"
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False,
@@ -162,7 +175,7 @@ def test_a_library_that_cannot_be_loaded_costs_one_line(tmp_path: Path) -> None:
 def test_the_cpu_follows_from_the_machine() -> None:
     assert [build.cpu(machine) for machine in ("x86_64", "aarch64", "arm64")] == ["x86-64", "generic", "generic"]
     with pytest.raises(
-        SystemExit, match="kernels are compiled for x86_64 and aarch64 and arm64, this machine is riscv64"
+        SystemExit, match="compiled for x86_64, aarch64, arm64, not for riscv64: or set IMPACT_RIG_KERNELS="
     ):
         build.cpu("riscv64")
 
