@@ -44,6 +44,8 @@ CLOCKS_HZ = (51_200.0, 102_400.0, 204_800.0, 65_536.0, 131_072.0, 48_000.0, 96_0
 LARGEST_DIVISOR = 4096
 EXACT = 1e-9  # relative uncertainty of a rate that is written with all its digits
 DECIMALS = 9
+RESAMPLED_VALUES, RESAMPLED_PER_VALUE = 3_000_000, 20
+"""Values that resampling may make: so many, or so many per value of the file."""
 MOSTLY = 0.9
 FEWEST = 2  # scans that several time bases must have in common
 Rate = int | float  # scans per second: int for a whole number
@@ -248,7 +250,9 @@ def _resampled(
     """
     if not exact * (1.0 - 1e-4) <= rate <= MOST_HZ:
         raise ConfigError(f"{path}: resample to at least its {exact:.6g} Hz, at most {MOST_HZ:g}, got {rate}")
-    budget.allow("values after resampling", float(times[-1]) * rate * len(found), VALUES)
+    given = sum(map(len, found.values()))
+    most = min(VALUES, max(RESAMPLED_VALUES, RESAMPLED_PER_VALUE * given))
+    budget.allow("values after resampling", float(times[-1]) * rate * len(found), most)
     for name, values in found.items():
         if not np.all(np.isfinite(values)):
             wrong = int(np.argmin(np.isfinite(values)))
