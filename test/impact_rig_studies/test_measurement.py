@@ -249,6 +249,7 @@ STEADY = lines(lambda k: f"{k / 100},{k},{k}", "t,x1,xb")
         (STEADY, "channels: {laser: {column: 0x" + 5000 * "f" + "}}", "no signal 'a number too large"),
         (STEADY, MM + "\nrate_hz: 1.0e-50\nresample_hz: 200", "its times span"),
         (STEADY, MM + "\nrate_hz: 1.0e-6\nresample_hz: 200", "values after resampling"),
+        (STEADY, MM + "\nrate_hz: 0.02\nresample_hz: 2000", "values after resampling"),  # 400 MiB of 24 scans
         (STEADY, MM + "\nresample_hz: 50", "resample to at least its 100"),
         ("some words\n", "{}", "no row of numbers"),
     ],
