@@ -159,7 +159,7 @@ def test_a_library_that_cannot_be_loaded_costs_one_line(tmp_path: Path) -> None:
 
 
 def end_with_one_line(tmp_path: Path, library: bytes) -> None:
-    """Import the kernels of a copy of the package with this library, and check what is said."""
+    """Import the kernels of a copy of the package with this library, and check the message."""
     copied = shutil.copytree(kernels.PACKAGE, tmp_path / "impact_rig", ignore=shutil.ignore_patterns("__pycache__"))
     (copied / "kernels/_library.abi3.so").write_bytes(library)
     code = "from impact_rig import kernels; print(kernels.__file__, kernels.MODE)"
