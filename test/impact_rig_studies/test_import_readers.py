@@ -819,3 +819,18 @@ def test_frequency_and_gap_of_a_file_name(stem: str, hz: float | None, gap_m: fl
     """Where several numbers contradict each other none is guessed; a gap that is named so is."""
     assert file_names.frequency_hz(stem) == hz
     assert file_names.gap_m(stem) == (None if gap_m is None else pytest.approx(gap_m))
+
+
+def test_a_recorder_that_writes_a_chunk_for_each_sample_is_read(tmp_path: Path) -> None:
+    """Rattlesnake streams so. HDF5 takes 2 kB for each chunk that one request names, and that was more than allowed."""
+    h5py = pytest.importorskip("h5py")
+    values = np.arange(2 * 90_000, dtype=float).reshape(2, -1)
+    with h5py.File(tmp_path / "own.nc4", "w") as file:
+        file.attrs["sample_rate"] = 10_000.0
+        data = file.create_dataset("time_data", values.shape, "f8", chunks=(2, 1), maxshape=(2, None))
+        for k in range(values.shape[1]):
+            data.id.write_direct_chunk((0, k), np.ascontiguousarray(values[:, k]).tobytes())
+        about = file.create_group("channels")
+        about["comment"], about["unit"] = ["base", "laser"], ["mm", "mm"]
+    found = readers.read(tmp_path / "own.nc4")
+    assert [one.values.tolist() for one in found.signals.values()] == values.tolist()

@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Iterator
 from types import ModuleType
 from typing import Any  # objects of h5py, which is of an extra
@@ -29,6 +30,7 @@ from impact_rig_studies.importing.limits import COLUMNS, allow_columns, allow_va
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 DEEPEST = 8
+CHUNKS_AT_ONCE = 4096  # of a dataset; the library takes about 2 kB for each chunk of one request
 PLACES = (0, 512, 1024, 2048)  # offsets at which the content of a file may begin
 
 
@@ -75,7 +77,7 @@ class Hdf5Tree:
         if dataset.shape is None:
             self.left_out[name] = "empty"
             return None
-        return np.asarray(dataset[...])
+        return _whole(dataset)
 
     def texts(self, name: str, dataset: Any) -> list[str]:
         """Return a dataset of texts as a list."""
@@ -83,6 +85,20 @@ class Hdf5Tree:
         words = [] if values is None else values.reshape(-1).tolist()
         allow_columns(len(words))
         return [one.decode("utf-8", "replace") if isinstance(one, bytes) else str(one) for one in words]
+
+
+def _whole(dataset: Any) -> NDArray[Any]:
+    """Return a dataset, read in slabs of a bounded number of chunks: some programs write a chunk for each sample."""
+    counts = [-(-length // size) for length, size in zip(dataset.shape, dataset.chunks or dataset.shape, strict=True)]
+    if math.prod(counts) <= CHUNKS_AT_ONCE:
+        return np.asarray(dataset[...])
+    axis = int(np.argmax(counts))
+    step = max(1, CHUNKS_AT_ONCE * counts[axis] // math.prod(counts)) * dataset.chunks[axis]
+    found = np.empty(dataset.shape, dataset.dtype)
+    for begin in range(0, dataset.shape[axis], step):
+        slab = (*[slice(None)] * axis, slice(begin, begin + step))
+        found[slab] = dataset[slab]
+    return found
 
 
 def attribute(holder: Any, name: str) -> Any:
