@@ -87,6 +87,6 @@ def describe(error: BaseException) -> str:
     return f"{type(error).__name__}: {error}{where}"
 
 
-def in_words(error: BaseException) -> str:
+def reason_of(error: BaseException) -> str:
     """Return the reason of a rejection: the message of our own errors, a description of unexpected ones."""
     return str(error) if isinstance(error, ImpactRigError) else describe(error)

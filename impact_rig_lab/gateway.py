@@ -40,7 +40,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from impact_rig import states, topics
 from impact_rig.client.client import Client, ros_parameters
-from impact_rig.errors import ImpactRigError, in_words
+from impact_rig.errors import ImpactRigError, reason_of
 from impact_rig.instruments.fault import fault_line
 from impact_rig.instruments.instrument import FAULT_KINDS
 from impact_rig.nodes import messages
@@ -232,7 +232,7 @@ class Gateway:
         elif error is None:
             running.answer(True, running.task.result())
         else:  # any exception: other actions and the page continue
-            running.answer(False, in_words(error))
+            running.answer(False, reason_of(error))
 
     @property
     def is_busy(self) -> bool:

@@ -46,7 +46,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from impact_rig import codec, graph, states, topics
 from impact_rig.blocks import FRAME_DAQ, Table
 from impact_rig.config.tree import Tree
-from impact_rig.errors import CodecError, ImpactRigError, describe, in_words
+from impact_rig.errors import CodecError, ImpactRigError, describe, reason_of
 from impact_rig.names import one_line
 from impact_rig.nodes import messages, rclpy_internals
 from impact_rig.nodes.parameters import FOREIGN, Parameters, Proposal, set_one_by_one
@@ -511,7 +511,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return TransitionCallbackReturn.SUCCESS
 
     def _failed(self, what: str, error: Exception) -> TransitionCallbackReturn:
-        message = in_words(error)
+        message = reason_of(error)
         self._last_error = (float("inf") if what == "configure" else time.monotonic(), f"cannot {what}: {message}")
         self.get_logger().error(one_line(f"cannot {what}: {message}"))
         return TransitionCallbackReturn.FAILURE
@@ -566,7 +566,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
                 self.parameters.settings = proposed.settings
                 self.report_change()
         except Exception as error:  # an exception rejects the values with its reason and is never fatal
-            result = SetParametersResult(successful=False, reason=one_line(in_words(error)))
+            result = SetParametersResult(successful=False, reason=one_line(reason_of(error)))
         finally:
             self._proposed = None
         return result
@@ -592,7 +592,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
             if self._proposed.changes:
                 self.settings_changed(self._proposed.settings, self._proposed.changes)
         except Exception as error:  # an exception rejects the values with its reason and is never fatal
-            return SetParametersResult(successful=False, reason=in_words(error))
+            return SetParametersResult(successful=False, reason=reason_of(error))
         return SetParametersResult(successful=True)
 
     # Diagnostics

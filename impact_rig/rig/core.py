@@ -47,7 +47,7 @@ from impact_rig.rig.journal import (
     PLANNED,
     InputKind,
     Journal,
-    PlanInForce,
+    PlannedFaults,
     Value,
     deciding_samples,
     is_mechanics,
@@ -180,7 +180,7 @@ class Rig:
     _generator: FunctionGenerator
     _simulation: Simulation
     _interlock: Interlock
-    _planned_faults: PlanInForce
+    _planned_faults: PlannedFaults
     _chain: Chain
     _truth: Truth
 
@@ -497,7 +497,7 @@ class Rig:
         values = {name: value for name, value in deciding_samples(changed).items() if name != PLANNED}
         if values:
             self._add_entry(InputKind.PARAMETER, values=values)
-        self._planned_faults.put_into_force(replan, self._clear_if_there, self.inject)
+        self._planned_faults.apply(replan, self._clear_if_there, self.inject)
         if new_instruments:
             self._info_sample, self._certificate = self.frontier_sample, None
 
@@ -585,7 +585,7 @@ class Rig:
         self._info_sample = 0
         self._certificate = None
         self._interlock = Interlock()
-        self._planned_faults = PlanInForce(config.instruments.faults.planned, self.rate_hz)
+        self._planned_faults = PlannedFaults(config.instruments.faults.planned, self.rate_hz)
         self._truth = Truth(self.rate_hz, config.output.monitor_rate_hz, config.output.truth_scan)
         self._add_entry(kind, text=impact_rig.__version__, values=not_default(config))
         self._add_applied()

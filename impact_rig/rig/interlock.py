@@ -126,21 +126,21 @@ def _gain(tick_s: float) -> float:
 
 @entry(*SAMPLED, QUERY, float, REALS_2D)
 def travel_and_current(
-    model: Model, trajectory: Trajectory, work: SamplingWorkspace, looks: Query, spacing_s: float, found: Reals
+    model: Model, trajectory: Trajectory, work: SamplingWorkspace, query: Query, spacing_s: float, found: Reals
 ) -> None:
     """Compute each tick's largest |travel| [m] and mean square of the current [A²], into `found` of shape (ticks, 2).
 
-    `looks` requests travel, its rate and the current at all sampled instants: `spacing_s` [s] apart, from the start of
+    `query` requests travel, its rate and the current at all sampled instants: `spacing_s` [s] apart, from the start of
     each tick to its end, which is also the start of the next tick.
     """
-    looks_per_tick = looks.tick.shape[0] // found.shape[0]
-    for i in range(looks.tick.shape[0]):
-        looks.tick[i], looks.offset[i] = trajectory.first_tick + i // looks_per_tick, (i % looks_per_tick) * spacing_s
-    sample(model, trajectory, work, looks)
+    per_tick = query.tick.shape[0] // found.shape[0]
+    for i in range(query.tick.shape[0]):
+        query.tick[i], query.offset[i] = trajectory.first_tick + i // per_tick, (i % per_tick) * spacing_s
+    sample(model, trajectory, work, query)
     for tick in range(found.shape[0]):
-        tick_looks = looks.out[:, tick * looks_per_tick : (tick + 1) * looks_per_tick]
-        found[tick, 0] = largest_travel(tick_looks[0], tick_looks[1], spacing_s)
-        found[tick, 1] = mean_square(tick_looks[2])
+        within = query.out[:, tick * per_tick : (tick + 1) * per_tick]
+        found[tick, 0] = largest_travel(within[0], within[1], spacing_s)
+        found[tick, 1] = mean_square(within[2])
 
 
 @kernel

@@ -357,7 +357,7 @@ class FaultChange:
     new: tuple[tuple[str, Fault], ...]
 
 
-class PlanInForce:
+class PlannedFaults:
     """Assignment of active faults to lines of the plan.
 
     Args:
@@ -372,7 +372,7 @@ class PlanInForce:
             self._numbers[line].append(number)
 
     def replan(self, lines: Iterable[str], sample: int) -> FaultChange:
-        """Return the change from the present lines to these; nothing changes before `put_into_force`.
+        """Return the change from the present lines to these; nothing changes before `apply`.
 
         Args:
             lines: the new lines.
@@ -386,17 +386,17 @@ class PlanInForce:
         new = tuple((line, self._fault(line, sample)) for line in (after - before).elements())
         return FaultChange(tuple((before - after).elements()), new)
 
-    def put_into_force(self, replan: FaultChange, clear: Callable[[int], None], inject: Callable[[Fault], int]) -> None:
+    def apply(self, change: FaultChange, clear: Callable[[int], None], inject: Callable[[Fault], int]) -> None:
         """Clear the faults of removed lines, then inject those of added lines.
 
         Args:
-            replan: result of `replan`, with no other change in between.
+            change: result of `replan`, with no other change in between.
             clear: ends the fault of a number, which may have ended already.
             inject: starts a fault and returns its number.
         """
-        for line in replan.gone:
+        for line in change.gone:
             clear(self._numbers[line].pop())
-        for line, fault in replan.new:
+        for line, fault in change.new:
             self._numbers[line].append(inject(fault))
 
     def _fault(self, line: str, sample: int) -> Fault:
