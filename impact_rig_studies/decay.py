@@ -321,7 +321,7 @@ _PATTERN = re.compile(rf"\s*drop\s+h0_m\s*=\s*(?P<h0>{_NUMBER})\s+h1_m\s*=\s*(?P
 
 
 @attrs.frozen
-class Drop:
+class DropHeights:
     """Heights of one drop [m]: at the release and after the rebound."""
 
     h0_m: float
@@ -332,13 +332,13 @@ class Drop:
         return f"drop h0_m={self.h0_m!r} h1_m={self.h1_m!r}"
 
 
-def parse_drop(remark: str) -> Drop | None:
+def parse_drop(remark: str) -> DropHeights | None:
     """Parse the drop in a remark; return None for any other remark."""
     match = _PATTERN.fullmatch(remark)
     if match is None:
         return None
     try:
-        return Drop(float(match["h0"]), float(match["h1"]))
+        return DropHeights(float(match["h0"]), float(match["h1"]))
     except ValueError:
         return None
 

@@ -21,10 +21,10 @@ from impact_rig.errors import RecordingError
 from impact_rig.recording import Run
 from impact_rig.runs.reanalysis import remarks
 from impact_rig.states import Status
-from impact_rig_studies.decay import Drop, DropTest, parse_drop, restitution_of_drops
+from impact_rig_studies.decay import DropHeights, DropTest, parse_drop, restitution_of_drops
 
 
-def drops_of(run: Run, u_m: float) -> tuple[list[Drop], DropTest]:
+def drops_of(run: Run, u_m: float) -> tuple[list[DropHeights], DropTest]:
     """Return the drops noted with a run, and their coefficient of restitution.
 
     Args:
@@ -36,7 +36,7 @@ def drops_of(run: Run, u_m: float) -> tuple[list[Drop], DropTest]:
     """
     drops = [drop for drop in map(parse_drop, remarks(run)) if drop is not None]
     if not drops:
-        raise RecordingError(f"{run.path} holds no remark on `notes` like {Drop(0.2, 0.0245).text()!r}")
+        raise RecordingError(f"{run.path} holds no remark on `notes` like {DropHeights(0.2, 0.0245).text()!r}")
     found = restitution_of_drops(np.array([one.h0_m for one in drops]), np.array([one.h1_m for one in drops]), u_m, u_m)
     if found.status is not Status.OK:
         raise RecordingError(f"{run.path}: its {len(drops)} drops give no restitution: {found.status.value}")

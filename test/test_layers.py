@@ -150,7 +150,7 @@ def test_instructions_to_build_kernels_name_the_version_of_numba():
     for name in (
         "docs/tutorials/first_node.md",
         ".github/workflows/ci.yaml",
-        "pyproject.toml",
+        "Dockerfile",
         "requirements/kernels.txt",
     ):
         text = (ROOT / name).read_text(encoding="utf-8")

@@ -26,7 +26,7 @@ from impact_rig.cli import main
 from impact_rig.physics.contact import from_config
 from impact_rig.rig.config import RigConfig
 from impact_rig.testing import LocalRig
-from impact_rig_studies.decay import Drop, parse_drop
+from impact_rig_studies.decay import DropHeights, parse_drop
 
 pytestmark = pytest.mark.ros  # runs carry the schemas of the messages
 
@@ -45,7 +45,8 @@ def test_drops_noted_with_a_run_give_the_restitution_of_the_law(
     """A sphere that falls from h0 comes back to e² h0, where e is what the law of the configuration returns."""
     e = from_config(RigConfig().contact).realised_restitution()
     rng = np.random.default_rng(1)
-    noted = [Drop(0.2 + 0.01 * k, round(e**2 * (0.2 + 0.01 * k) + 2e-4 * rng.standard_normal(), 5)) for k in range(8)]
+    heights = [(0.2 + 0.01 * k, e**2 * (0.2 + 0.01 * k) + 2e-4 * rng.standard_normal()) for k in range(8)]
+    noted = [DropHeights(before, round(after, 5)) for before, after in heights]
     rig = LocalRig(RIG)
     rig.run(seconds=1.0)
     remarks = ["the sphere is new", *(drop.text() for drop in noted)]
@@ -81,4 +82,4 @@ def test_a_drop_test_that_is_none_says_so(
 )
 def test_other_remarks_are_no_drops(remark: str) -> None:
     assert parse_drop(remark) is None
-    assert parse_drop(f"  {Drop(0.1, 1e-3).text()} ") == Drop(0.1, 1e-3)
+    assert parse_drop(f"  {DropHeights(0.1, 1e-3).text()} ") == DropHeights(0.1, 1e-3)
