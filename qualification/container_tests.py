@@ -13,7 +13,7 @@
 # limitations under the License.
 """Qualification of the runs that failed tests leave, in an environment like that of a container.
 
-`python qualification/container_tests.py [--tests 50]` writes a folder of tests of which five fail, runs it with `pytest
+`python -m qualification.container_tests [--tests 50]` writes a folder of tests of which five fail, runs it with `pytest
 -n 2 --junitxml`, and reads the JUnit file. As root it runs as another user (`--user`) whose home is empty, with a small
 /dev/shm and TMPDIR elsewhere; without root only the directories differ. Exit code 1 if a failure names no complete run.
 """

@@ -16,7 +16,7 @@
 Each node exists with its mistake and without it. The search must find the mistake, reduce it to at most three actions
 and repeat the callbacks byte for byte; it must find nothing in the node without the mistake.
 
-Run it with `python qualification/planted_mistakes.py [NAME...]`. Exit code 1 if fewer than 18 mistakes are found within
+Run it with `python -m qualification.planted_mistakes [NAME...]`. Exit code 1 if fewer than 18 mistakes are found within
 two minutes each, or a sound node fails.
 """
 
@@ -26,7 +26,9 @@ import argparse
 import ast
 import itertools
 import json
+import runpy
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable
@@ -511,7 +513,10 @@ def replay(kind: type[Planted], scenario: str) -> bytes:
 
     error = ""
     try:
-        exec(scenario, {"make_rig": make_rig, "check": checked(kind)})
+        with tempfile.NamedTemporaryFile("w", suffix=".py", encoding="utf-8") as file:
+            file.write(scenario)
+            file.flush()
+            runpy.run_path(file.name, {"make_rig": make_rig, "check": checked(kind)})
     except Exception as found:
         error = f"{type(found).__name__}: {found}"
     made[0].close()

@@ -51,7 +51,7 @@ _NUMBERS = ("start_s", "duration_s", "value", "seed", "rate_hz")
 class Fault:
     """One fault of an instrument or of the whole board, with times in scans since the reset.
 
-    Args:
+    Attributes:
         kind: kind of fault, such as `dropout`, `stuck` or `offset_step`; docs/reference/instruments.md lists all kinds.
         channel: channel that it acts on; empty for faults of the whole board.
         start_sample: first scan that it acts on.

@@ -184,13 +184,15 @@ def is_cut_off(path: Path) -> bool:
 def library() -> ModuleType | None:
     """Return the shared library if it can be loaded and was built from the present sources; otherwise warn."""
     spec = importlib.util.find_spec(f"{__name__}._library")
-    if spec is None or spec.origin is None:
+    if spec is None:
         return None
+    found: ModuleType | None = None
     why: object = "its end is missing"
-    try:
-        found = None if is_cut_off(Path(spec.origin)) else importlib.import_module(f"{__name__}._library")
-    except ImportError as error:  # built for another machine, or damaged
-        found, why = None, error
+    if spec.origin is None or not is_cut_off(Path(spec.origin)):
+        try:
+            from impact_rig.kernels import _library as found  # type: ignore[attr-defined,no-redef]  # noqa: PLC0415  # where it is built
+        except ImportError as error:  # built for another machine, or damaged
+            why = error
     if found is None:
         sys.stderr.write(f"impact_rig: the library of kernels cannot be loaded ({why}); run `make kernels`\n")
         return None

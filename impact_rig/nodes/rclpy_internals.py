@@ -172,6 +172,12 @@ def call_subscription(subscription: Any, message: tuple[Any, Any]) -> None:
     subscription.callback(*(message if subscription._callback_type is WITH_INFO else message[:1]))
 
 
+def call_timer(timer: Any) -> None:
+    """Mark a timer as called and call its callback, as any executor would."""
+    timer.handle.call_timer()
+    timer.callback()
+
+
 def _answer(client: Any, header: Any, response: Any) -> None:
     try:
         future = client.get_pending_request(header.request_id.sequence_number)

@@ -57,7 +57,7 @@ from impact_rig.driver.local_rig import LocalRig
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.nodes import messages
 from impact_rig.nodes.publishers import Monitors
-from impact_rig.nodes.rclpy_internals import call_subscription
+from impact_rig.nodes.rclpy_internals import call_subscription, call_timer
 from impact_rig.rig import Block, journal
 from impact_rig.rig.journal import JournalEntry
 from impact_rig.simtime import NS_PER_S, stamp_ns
@@ -418,10 +418,9 @@ class ScheduledRig(LocalRig):
         for planned in self._planned:
             planned[0] -= 1
         if ready.is_timer:
-            ready.entity.handle.call_timer()
             self._note(hosted, f"timer of {ready.entity.timer_period_ns / NS_PER_S:g} s")
             with self._running(hosted, "its timer"):
-                ready.entity.callback()
+                call_timer(ready.entity)
         else:
             number, data = ready.entity.queue.popleft()
             subscription = ready.entity.subscription
