@@ -25,6 +25,7 @@ from impact_rig.cli.quantities import GAP
 from impact_rig.errors import ImpactRigError
 from impact_rig.rig.config import RigConfig, from_flat, load_config
 from impact_rig.rig.gaps import NO_SPHERE, gap_values
+from impact_rig.system.files import free_path
 
 if TYPE_CHECKING:
     from impact_rig.driver import RigDriver
@@ -102,7 +103,7 @@ def run_directory(wanted: Path | None, what: str) -> Path:
     Raises:
         ImpactRigError: the directory is not empty.
     """
-    directory = (wanted or Path("runs") / time.strftime(f"{what}_%Y%m%d_%H%M%S")).resolve()
+    directory = (wanted or free_path(Path("runs") / time.strftime(f"{what}_%Y%m%d_%H%M%S"))).resolve()
     if directory.exists() and any(directory.iterdir()):
         raise ImpactRigError(f"{directory} is not empty: nothing is overwritten, choose another --output")
     return directory

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import itertools
 import json
 import math
 import os
@@ -57,6 +56,7 @@ from impact_rig.recording import (
 )
 from impact_rig.recording.losses import REPLACED
 from impact_rig.simtime import NS_PER_S
+from impact_rig.system.files import free_path
 from impact_rig.system.machine import identity
 
 FLUSH_S = 0.2
@@ -294,7 +294,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     def _open(self, configuration: str | None) -> RunWriter:
         settings = self.settings
         directory = run_directory(settings.directory)
-        name = settings.name or _free_name(directory, time.strftime("run_%Y%m%d_%H%M%S"))
+        name = settings.name or free_path(directory / time.strftime("run_%Y%m%d_%H%M%S")).name
         values: dict[str, Any] = {}
         with contextlib.suppress(ConfigError):  # received from the network
             values = parameters_in(configuration or "")
@@ -488,12 +488,6 @@ def run_directory(text: str) -> Path:
         return Path(text).expanduser()
     except RuntimeError as error:  # an unknown user, as in ~unknown
         raise RecordingError(f"directory {text!r} cannot be used: {error}") from error
-
-
-def _free_name(directory: Path, name: str) -> str:
-    """Return the name, with a number if it exists: two recordings within one second are no reason for an error."""
-    numbered = (f"{name}_{number}" for number in itertools.count(2))
-    return next(found for found in itertools.chain([name], numbered) if not (directory / found).exists())
 
 
 def calibration_yaml(info: Table) -> str:

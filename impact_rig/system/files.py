@@ -32,6 +32,7 @@ import csv
 import errno
 import fcntl
 import io
+import itertools
 import math
 import os
 import secrets
@@ -213,6 +214,12 @@ def translate_errors(what: str) -> Iterator[None]:
         raise
     except OSError as error:
         raise RecordingError(f"{what}: {error.strerror}") from error
+
+
+def free_path(path: Path) -> Path:
+    """Return the path, with a number if it exists: two runs within one second are no reason for an error."""
+    numbered = (path.with_name(f"{path.name}_{number}") for number in itertools.count(2))
+    return next(found for found in itertools.chain([path], numbered) if not found.exists())
 
 
 def make_folder(path: Path) -> None:

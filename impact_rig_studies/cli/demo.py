@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import datetime as dt
 import json
 import time
 from pathlib import Path
@@ -28,6 +27,7 @@ from rich.progress import BarColumn, Progress, TaskID, TimeElapsedColumn
 
 from impact_rig import topics
 from impact_rig.analysis.calibration import Calibration
+from impact_rig.cli.rig_options import run_directory
 from impact_rig.cli.terminal import (
     Commands,
     Console,
@@ -221,15 +221,12 @@ def _scanned_s(run: RunInfo) -> float:
 
 
 def _new_directory(wanted: Path | None) -> Path:
-    stamp = dt.datetime.now().astimezone().strftime("%Y%m%d_%H%M%S")
-    directory = wanted or Path("runs") / f"demo_{stamp}"
-    if directory.exists() and any(directory.iterdir()):
-        raise ImpactRigError(f"{directory} exists and is not empty: nothing is overwritten, choose another --output")
+    directory = run_directory(wanted, "demo")
     try:
         files.make_folder(directory)
     except OSError as error:
         raise ImpactRigError(f"{directory} cannot be made: {error.strerror}") from error
-    return directory.resolve()
+    return directory
 
 
 def _print_table(console: Console, reductions: Reductions, closed_form: float) -> None:

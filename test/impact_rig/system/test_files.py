@@ -206,3 +206,12 @@ def test_state_is_kept_in_the_users_folder_else_in_a_temporary_one(
     found = files.state_dir("logs")
     assert found.parent == tmp_path
     assert found.is_dir()
+
+
+def test_a_path_that_exists_gets_a_number(tmp_path: Path) -> None:
+    """Two commands without --output that began within one second had one folder, and the second one failed."""
+    taken = []
+    for _ in range(3):
+        taken.append(files.free_path(tmp_path / "hold_20261128_034830"))
+        taken[-1].mkdir()
+    assert [one.name.removeprefix("hold_20261128_034830") for one in taken] == ["", "_2", "_3"]
