@@ -61,7 +61,8 @@ PLACEHOLDER = re.compile(r"(?<![\w=])(?!(ARGS|ONLY|SHUFFLE|ROS|SECONDS|MEMORY_S|
 DOMAIN = "75"
 """ROS domain of the journeys, different from that of `make`, which another terminal may be using."""
 LIMIT_S = 1200.0
-HOST = ("ROS_", "AMENT_", "PYTHON", "VIRTUAL_ENV", "XDG_", "MPL", "IMPACT_RIG", "OPENBLAS", "MAKE", "MFLAGS")
+HOST = ("ROS_", "AMENT_", "PYTHON", "VIRTUAL_ENV", "XDG_", "MPL", "IMPACT_RIG", "OPENBLAS", "MAKE", "MFLAGS", "ARGS")
+"""Beginnings of variables that journeys do not inherit; `make journeys ARGS=PAGE` exports ARGS to each inner `make`."""
 
 
 @attrs.frozen(kw_only=True)
