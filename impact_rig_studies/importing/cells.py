@@ -18,7 +18,7 @@ from __future__ import annotations
 import datetime as dt
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,19 +28,15 @@ from impact_rig_studies.importing.signals import Real
 
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d{1,4})?", re.ASCII)
 _NOT_A_NUMBER = frozenset({
-    "", "nan", "+nan", "-nan", "qnan", "snan", "n/a", "na", "<na>", "nat", "null", "nil", "none", "missing",
+    "", "qnan", "snan", "n/a", "na", "<na>", "nat", "null", "nil", "none", "missing",
     "#n/a", "#nv", "#value!", "#div/0!", "#num!", "#wert!", "#ref!", "#bezug!", "#name?",
     "-", "--", "---", ".", "?",
     "ol", "ovl", "ovld", "ovfl", "over", "overload", "overflow", "overrange", "underflow", "under",
 })  # fmt: skip
 """Cells for a missing number, in lower case: empty ones, and the output of C libraries and spreadsheets."""
-_INFINITE = {
-    "inf": math.inf, "+inf": math.inf, "-inf": -math.inf, "infinity": math.inf, "-infinity": -math.inf,
-    "∞": math.inf, "-∞": -math.inf,
-}  # fmt: skip
-_MICROSOFT = re.compile(r"([+-]?)1\.(?:#(inf|[a-z]+)\d*|\$)", re.ASCII)
-"""What is no number as the C library of Microsoft prints it; few digits cut the word: `1.#QO`, `1.#J`, `1.$`."""
-_OTHER_NAN = re.compile(r"[+-]?nan\(\w*\)|\*+", re.ASCII)  # with a payload; a number too wide for its column
+_INFINITE = re.compile(r"([+-]?)(?:inf(?:inity)?|∞|1\.#inf\d*)", re.ASCII)
+_OTHER_NAN = re.compile(r"[+-]?(?:nan(?:\(\w*\))?|1\.(?:#[a-z]+\d*|\$))|\*+", re.ASCII)
+"""NaN with a payload, a number too wide for its column, and the output of Microsoft's library: `1.#QNAN`, `1.$`."""
 SCPI_NAN, SCPI_INFINITY = 9.91e37, 9.9e37  # of instruments (SCPI 1999.0, section 7.2.1.4 and 7.2.1.5)
 _GROUPED = re.compile(r"[+-]?\d{1,3}(?:[ '.,\u00a0\u202f\u2019]\d{3})+(?:[.,]\d*)?", re.ASCII)
 _SPACES = str.maketrans("", "", " '\u00a0\u202f\u2019")
@@ -65,9 +61,9 @@ def number(cell: str, decimal: str = ".") -> float | None:
         text = text.translate(_SPACES)
         return float(text) if _NUMBER.fullmatch(text) else None
     lower = text.lower()
-    if match := _MICROSOFT.fullmatch(lower):
-        return float(f"{match[1]}inf") if match[2] == "inf" else math.nan
-    return math.nan if lower in _NOT_A_NUMBER or _OTHER_NAN.fullmatch(lower) else _INFINITE.get(lower)
+    if match := _INFINITE.fullmatch(lower):
+        return float(f"{match[1]}inf")
+    return math.nan if lower in _NOT_A_NUMBER or _OTHER_NAN.fullmatch(lower) else None
 
 
 def without_markers(values: Real) -> Real:
@@ -96,50 +92,45 @@ def decimal_sign(cells: Sequence[str], delimiter: str | None) -> str:
     return "," if commas and not points else "."
 
 
-_CLOCK = r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,:](\d{1,12}))?)?\s*(?:([AaPp])\.?[Mm]\.?)?\s*(Z|[+-]\d{2}:?\d{2})?"
-_MINUTES = re.compile(r"(\d{1,3}):(\d{2})[.,](\d{1,9})", re.ASCII)
-_ONLY_CLOCK = re.compile(_CLOCK, re.ASCII)
-_YEAR_FIRST = re.compile(rf"(\d{{4}})[-/.](\d{{1,2}})[-/.](\d{{1,2}})(?:[T ,;]\s*{_CLOCK})?", re.ASCII)
-_YEAR_LAST = re.compile(rf"(\d{{1,2}})([-/.])(\d{{1,2}})[-/.](\d{{4}}|\d{{2}})(?:[T ,;]\s*{_CLOCK})?", re.ASCII)
-_DAYS_OFF = re.compile(r"(\d{1,6}) days?,? \+?(.*)", re.ASCII)  # as pandas prints a duration
-_COMPACT = re.compile(r"(\d{4})(\d\d)(\d\d)[T_ -](\d\d)(\d\d)(\d\d)(.*)", re.ASCII)
-_DAY_NAMED_MONTH = re.compile(r"(\d{1,2})[-./ ]{1,2}([A-Za-zä]{3,9})[-./, ]{1,2}(\d{4}|\d\d)\b(.*)")
-_NAMED_MONTH_DAY = re.compile(r"([A-Za-zä]{3,9})[. ]{1,2}(\d{1,2}),? (\d{4})\b(.*)")
 _MONTHS = {
     "jan": 1, "feb": 2, "mar": 3, "mär": 3, "mrz": 3, "apr": 4, "may": 5, "mai": 5, "jun": 6, "jul": 7, "aug": 8,
     "sep": 9, "oct": 10, "okt": 10, "nov": 11, "dec": 12, "dez": 12,
 }  # fmt: skip
 """Months by their first three letters, English and German."""
-_UTC = re.compile(r"\s*(?:UTC|GMT)$")
+_FRACTION = r"(?:[.,:](?P<fraction>\d{1,12}))?"
+_END = r" ?(?:(?P<half>[AaPp])\.?[Mm]\.?)? ?(?P<zone>Z|UTC|GMT|[+-]\d{2}:?\d{2})?"
+_CLOCK = rf"(?P<hour>\d{{1,2}}):(?P<minute>\d{{2}})(?::(?P<second>\d{{2}}){_FRACTION})?{_END}"
+_LATER = rf"(?:[T ,;] ?{_CLOCK})?"
+_DAYS = r"(?:(?P<days>\d{1,6}) days?,? \+?)?"  # as pandas and Python print a duration
+_NAME = rf"(?i:(?P<name>{'|'.join(_MONTHS)})[a-zä]{{0,6}})"
+_DAY_MONTH_YEAR = re.compile(
+    r"(?P<day>\d{1,2})(?P<separator>[-/.])(?P<month>\d{1,2})[-/.](?P<year>\d{4}|\d{2})" + _LATER, re.ASCII
+)
+_TIMES = (
+    re.compile(r"(?P<year>\d{4})[-/.](?P<month>\d{1,2})[-/.](?P<day>\d{1,2})" + _LATER, re.ASCII),
+    _DAY_MONTH_YEAR,
+    re.compile(_DAYS + _CLOCK, re.ASCII),
+    re.compile(_DAYS + r"(?P<minute>\d{1,3}):(?P<second>\d{2})[.,](?P<fraction>\d{1,9})", re.ASCII),
+    re.compile(
+        r"(?P<year>\d{4})(?P<month>\d\d)(?P<day>\d\d)[T_ -](?P<hour>\d\d)(?P<minute>\d\d)(?P<second>\d\d)"
+        + _FRACTION + _END, re.ASCII,
+    ),
+    re.compile(r"(?P<day>\d{1,2})[-./ ]{1,2}" + _NAME + r"[-./, ]{1,2}(?P<year>\d{4}|\d{2})" + _LATER, re.ASCII),
+    re.compile(_NAME + r"[. ]{1,2}(?P<day>\d{1,2}),? (?P<year>\d{4})" + _LATER, re.ASCII),
+)  # fmt: skip
+"""Notations of dates, times of day and both."""
 _DAY_NS = 86_400 * NS_PER_S
 _EPOCH_DAY = dt.date(1970, 1, 1).toordinal()
 
 
 def is_time(cell: str) -> bool:
     """Return whether a cell is a date, a time of day or both."""
-    text = cell.strip()
-    if len(text) > LONGEST_CELL:
-        return False
-    _, text = _plain_time(text)
-    return any(pattern.fullmatch(text) for pattern in (_YEAR_FIRST, _YEAR_LAST, _ONLY_CLOCK, _MINUTES))
+    return _time(cell) is not None
 
 
-def _plain_time(text: str) -> tuple[int, str]:
-    """Return whole days that a cell counts, and the rest with months as numbers."""
-    text = _UTC.sub("Z", text)
-    if match := _DAYS_OFF.fullmatch(text):
-        return int(match[1]), match[2]
-    if match := _COMPACT.fullmatch(text):
-        return 0, f"{match[1]}-{match[2]}-{match[3]} {match[4]}:{match[5]}:{match[6]}{match[7]}"
-    if match := _DAY_NAMED_MONTH.fullmatch(text):
-        day, month, year, clock = match.groups()
-    elif match := _NAMED_MONTH_DAY.fullmatch(text):
-        month, day, year, clock = match.groups()
-    else:
-        return 0, text
-    number = _MONTHS.get(month[:3].lower())
-    year = year if len(year) == 4 else f"20{year}"
-    return 0, text if number is None else f"{year}-{number}-{day}{clock}"
+def _time(cell: str) -> re.Match[str] | None:
+    text = " ".join(cell[: LONGEST_CELL + 1].split()) if len(cell.strip()) <= LONGEST_CELL else ""
+    return next(filter(None, (notation.fullmatch(text) for notation in _TIMES)), None)
 
 
 class Times:
@@ -155,7 +146,7 @@ class Times:
         self._month_first = self._is_month_first(cells)
         days, clocks = np.zeros(len(cells), np.int64), np.zeros(len(cells), np.int64)
         for place, cell in enumerate(cells):
-            days[place], clocks[place] = self._parse(cell.strip())
+            days[place], clocks[place] = self._parse(cell)
         if not self.has_date:  # a clock without a date continues past midnight
             ns = days * _DAY_NS + clocks
             days += np.cumsum(np.diff(ns, prepend=ns[:1]) < -_DAY_NS // 2)
@@ -172,62 +163,45 @@ class Times:
         """Return whether the month precedes the day: a second part above 12 shows that, else the separator decides."""
         slash = False
         for cell in cells:
-            match = _YEAR_LAST.fullmatch(cell.strip())
-            if match is None:
+            match = _time(cell)
+            if match is None or match.re is not _DAY_MONTH_YEAR:
                 return False
-            slash |= match[2] == "/"
-            if int(match[1]) > 12:
+            slash |= match["separator"] == "/"
+            if int(match["day"]) > 12:
                 return False
-            if int(match[3]) > 12:
+            if int(match["month"]) > 12:
                 return True
         return slash
 
-    def _parse(self, text: str) -> tuple[int, int]:
-        """Return days since 1970 and nanoseconds since midnight."""
-        if len(text) > LONGEST_CELL:
-            raise ValueError(text[:LONGEST_CELL])
-        offset, text = _plain_time(text)
-        days, ns = self._parse_plain(text)
-        return days + offset, ns
-
-    def _parse_plain(self, text: str) -> tuple[int, int]:
-        if match := _YEAR_FIRST.fullmatch(text):
-            year, month, day, clock = int(match[1]), int(match[2]), int(match[3]), match.groups()[3:]
-        elif match := _YEAR_LAST.fullmatch(text):
-            first, second, year, clock = int(match[1]), int(match[3]), int(match[4]), match.groups()[4:]
-            month, day = (first, second) if self._month_first else (second, first)
-            year += 2000 if year < 100 else 0
-        elif match := _ONLY_CLOCK.fullmatch(text):
-            if match := _MINUTES.fullmatch(text):
-                pass
-            else:
-                self.has_clock = True
-                return 0, self._clock(_ONLY_CLOCK.fullmatch(text).groups())  # type: ignore[union-attr]  # it matched
-        elif not (match := _MINUTES.fullmatch(text)):
-            raise ValueError(text)
-        if match.re is _MINUTES:
-            self.has_clock = True
-            return 0, (60 * int(match[1]) + int(match[2])) * NS_PER_S + int(match[3].ljust(9, "0"))
+    def _parse(self, cell: str) -> tuple[int, int]:
+        """Return days since 1970, or of a duration, and nanoseconds since midnight."""
+        match = _time(cell)
+        if match is None:
+            raise ValueError(cell.strip()[:LONGEST_CELL])
+        parts = match.groupdict("")
+        self.has_clock |= bool(parts["minute"])
+        if "year" not in parts:
+            return int(parts.get("days") or 0), self._clock(parts)
         self.has_date = True
+        year, day = int(parts["year"]), int(parts["day"])
+        month = _MONTHS[parts["name"].lower()] if "name" in parts else int(parts["month"])
+        if self._month_first:
+            day, month = month, day
         try:
-            days = dt.date(year, month, day).toordinal() - _EPOCH_DAY
+            date = dt.date(year + 2000 if year < 100 else year, month, day)
         except ValueError:
-            raise ValueError(text) from None
-        if clock[0] is None:
-            return days, 0
-        self.has_clock = True
-        return days, self._clock(clock)
+            raise ValueError(cell.strip()) from None
+        return date.toordinal() - _EPOCH_DAY, self._clock(parts)
 
     @staticmethod
-    def _clock(parts: Sequence[str | None]) -> int:
+    def _clock(parts: Mapping[str, str]) -> int:
         """Return a time of day in nanoseconds, minus its offset from UTC."""
-        hour, minute, second, fraction, half, zone = parts
-        hours = int(hour or 0)
+        hours, minutes, seconds = (int(parts.get(unit) or 0) for unit in ("hour", "minute", "second"))
+        half, zone = parts.get("half"), parts.get("zone", "").lstrip("ZUTCGM")
         if half:
             hours = hours % 12 + (12 if half in "pP" else 0)
-        ns = ((60 * hours + int(minute or 0)) * 60 + int(second or 0)) * NS_PER_S
-        ns += int((fraction or "0")[:9].ljust(9, "0"))
-        if zone and zone != "Z":
+        ns = ((60 * hours + minutes) * 60 + seconds) * NS_PER_S + int(parts["fraction"][:9].ljust(9, "0"))
+        if zone:
             offset = int(zone[1:3]) * 60 + int(zone[-2:])
             ns -= (-offset if zone[0] == "-" else offset) * 60 * NS_PER_S
         return ns

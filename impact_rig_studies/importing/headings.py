@@ -39,13 +39,11 @@ _UNIT_OF_NAME = {
     "seconds": "s", "second": "s", "sekunden": "s", "secs": "s", "sec": "s", "milliseconds": "ms", "msec": "ms",
     "microseconds": "us", "usec": "us",
 }  # fmt: skip
-_SUFFIXES = {
-    "mm": "mm", "um": "um", "cm": "cm", "ms2": "m/s^2", "mps2": "m/s^2", "ms": "ms", "us": "us", "ns": "ns", "s": "s",
-    "mmps": "mm/s", "mps": "m/s", "m": "m", "sec": "s",
+_SIGNAL_SUFFIXES = {
+    "mm": "mm", "um": "um", "cm": "cm", "ms2": "m/s^2", "mps2": "m/s^2", "mmps": "mm/s", "mps": "m/s",
 }  # fmt: skip
-"""Suffixes after an underscore that are units: all for times, for other columns those without another meaning."""
+"""Suffixes after an underscore that are units; others may be part of a name: `base_m`."""
 _TIME_SUFFIX = re.compile(r"(.+?)(?:_(?i:(s|ms|us|ns|sec))|(?<=[a-z])(S|Ms|Us|Ns|Sec))")
-_SIGNAL_SUFFIXES = ("mm", "um", "cm", "ms2", "mps2", "mmps", "mps")
 _UNIT_LABELS = frozenset({"unit", "units", "einheit", "einheiten", "unité", "unidad"})
 _NOT_LETTERS = re.compile(r"[\W\d_]+")
 _RATE_NAMES = frozenset({
@@ -100,7 +98,7 @@ def rate_hz(name: str, value: float) -> float | None:
 def time_unit(name: str, unit: str) -> str:
     """Return the unit of a column of times according to its heading; empty if there is none."""
     suffix = _time_suffix(name)
-    return unit or _UNIT_OF_NAME.get(bare(name), "") or (_SUFFIXES[suffix] if suffix else "")
+    return unit or _UNIT_OF_NAME.get(suffix or bare(name), suffix or "")
 
 
 def split_unit(heading: str) -> tuple[str, str]:
@@ -121,7 +119,7 @@ def split_unit(heading: str) -> tuple[str, str]:
             return head.strip(), tail.strip()
     _, underscore, tail = text.rpartition("_")
     if underscore and tail in _SIGNAL_SUFFIXES:
-        return text, _SUFFIXES[tail]
+        return text, _SIGNAL_SUFFIXES[tail]
     return text, ""
 
 

@@ -94,9 +94,9 @@ def find_layout(lines: Sequence[str]) -> Layout | None:
     """Return separator, decimal sign, width and first row of a table, or None if it has no rows of numbers."""
     sample = _sample(lines)
     best: tuple[int, int, int] = (0, 0, 0)
-    found: tuple[str | None, int, frozenset[int], frozenset[int]] | None = None
+    layout: Layout | None = None
     for preference, delimiter in enumerate(DELIMITERS):
-        if delimiter is None and found is not None and found[1] > 1:
+        if delimiter is None and layout is not None and layout.width > 1:
             break  # blanks separate only if nothing else does: times contain them, too
         rows = [split(line, delimiter) for line in sample]
         if not rows:
@@ -111,13 +111,12 @@ def find_layout(lines: Sequence[str]) -> Layout | None:
         rank = (len(fitting) * (width - len(words)) if width > 1 else 1, -len(words), -preference)
         if rank > best:
             empty = frozenset(j for j in range(width) if not filled[j])
-            best, found = rank, (delimiter, width, words, empty)
-    if found is None:
+            best, layout = rank, Layout(delimiter, ".", width, 0, words, empty)
+    if layout is None:
         return None
-    delimiter, width, words, empty = found
-    rows = [row for row in (split(line, delimiter) for line in sample) if len(row) == width]
-    decimal = cells.decimal_sign([cell for row in rows for cell in row], delimiter)
-    layout = Layout(delimiter, decimal, width, 0, words, empty)
+    rows = [row for row in (split(line, layout.delimiter) for line in sample) if len(row) == layout.width]
+    decimal = cells.decimal_sign([cell for row in rows for cell in row], layout.delimiter)
+    layout = attrs.evolve(layout, decimal=decimal)
     for number, line in enumerate(lines[: HEADER_LINES + 1]):
         if is_row(line, layout):
             return attrs.evolve(layout, first=number)
@@ -155,10 +154,9 @@ def is_row(line: str, layout: Layout) -> bool:
         return False
     shown = [row[j] for j in range(layout.width) if j not in layout.words | layout.empty]
     numbers = [cells.number(cell, layout.decimal) for cell in shown]
-    times = [one is None and cells.is_time(cell) for one, cell in zip(numbers, shown, strict=True)]
-    return all(one is not None or time for one, time in zip(numbers, times, strict=True)) and any(
-        time or not math.isnan(math.nan if one is None else one) for one, time in zip(numbers, times, strict=True)
-    )
+    if any(one is None and not cells.is_time(cell) for one, cell in zip(numbers, shown, strict=True)):
+        return False
+    return any(one is None or not math.isnan(one) for one in numbers)
 
 
 def _end(lines: Sequence[str], layout: Layout) -> int:
