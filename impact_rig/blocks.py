@@ -49,7 +49,7 @@ class Column:
     most: float = attrs.field(default=math.inf, kw_only=True)  # largest value
     whole: bool = attrs.field(default=False, kw_only=True)  # whether values are integers
     is_part: bool = attrs.field(default=False, kw_only=True)
-    """Whether a text may be part of a longer one, and so need not be UTF-8 by itself."""
+    """Permission for a text to be part of a longer one, which need not be UTF-8 by itself."""
 
     def __attrs_post_init__(self) -> None:
         assert self.kind == NUMBER or not self.is_bounded, f"{self.name}: a column with a bound must be {NUMBER}"

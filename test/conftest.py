@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What every test gets: its own ROS domain, strict message types, nothing left behind, one order after another."""
+"""Environment of every test: its own ROS domain, strict message types, a check of what it leaves behind, its order."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ pytestmark = pytest.mark.timeout(900)  # on a busy machine with an empty cache t
 
 @attrs.frozen
 class Recorded:
-    """What a process recorded: digests, and what it said of differences."""
+    """Record of a process: digests, and its lines about differences."""
 
     digests: digests.Digests
     said: dict[str, str]

@@ -38,7 +38,7 @@ pytestmark = pytest.mark.heavy
 ROOT = Path(__file__).parents[1]
 REQUIREMENTS = ROOT / "requirements"
 EXTRAS = {"argcomplete", "distributed", "hypothesis", "pint", "pytest", "rosbags"}
-"""What the package imports only for who has the extra, which is in the tests' part."""
+"""Packages that are imported only for users of an extra, which is in the tests' part."""
 
 IN_ORDER = True
 
@@ -68,7 +68,7 @@ def installed() -> dict[str, metadata.Distribution]:
 
 @functools.cache
 def required(name: str) -> list[Requirement]:
-    """What a distribution that is installed here needs."""
+    """Return the requirements of a distribution that is installed here."""
     return [Requirement(text) for text in installed()[name].requires or ()]
 
 

@@ -141,7 +141,7 @@ class Copy:
         return done.stdout
 
     def state(self) -> dict[str, str]:
-        """What is in it: a digest of each file."""
+        """Return a digest of each file in it."""
         files = (path for path in self.root.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
         return {str(path.relative_to(self.root)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What is made from the code is as the code has it."""
+"""Generated files agree with the code."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ DEFINED, PASSED = FIRST, FIRST + len(SOURCE) - 1
 
 PROGRAM = "import os; from impact_rig import simtime; "
 TESTED = "import os, sys, pytest; sys.exit(pytest.main(['-c', os.devnull, '-p', 'no:cacheprovider', sys.argv[1]]))"
-"""Where a checkout is installed, pytest imports all of the package by itself, to rewrite what a plugin asserts."""
+"""Program that runs pytest, which imports all of an installed checkout to rewrite a plugin's assertions."""
 
 
 @pytest.mark.parametrize(

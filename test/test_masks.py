@@ -73,7 +73,7 @@ def test_every_openblas_chose_its_oldest_core(masked: Machine) -> None:
 
 
 def test_glibc_chose_other_functions(masked: Machine, bare: Machine) -> None:
-    """Where a CPU has FMA: sin lies elsewhere in libm, and exp, log and pow (wrappers) give other last bits."""
+    """On a CPU with FMA, sin has another address in libm, and exp, log and pow (wrappers) give other last bits."""
     if not bare.vectors:
         pytest.skip("this CPU has no AVX: glibc has nothing to choose from")
     assert masked.glibc.keys() == bare.glibc.keys()

@@ -54,6 +54,24 @@ def test_a_property_begins_with_a_noun_phrase_or_with_return(line, count):
 
 
 @pytest.mark.parametrize(
+    "template",
+    [
+        '"""{}"""',
+        'class A:\n    """{}"""',
+        'def test_a():\n    """{}"""',
+        'A = 1\n"""{}"""',
+        'class A:\n    a: int\n    """{}"""',
+    ],
+)
+@pytest.mark.parametrize(
+    ("line", "count"), [("Scans of a block.", 0), ("Whether a scan is lost.", 1), ("Of a scan.", 1)]
+)
+def test_no_docstring_of_a_test_or_an_attribute_begins_with_a_question(template, line, count):
+    found = prose_lint.of_python("test/x.py", template.format(line))
+    assert [one.rule for one in found] == ["head"] * count
+
+
+@pytest.mark.parametrize(
     ("option", "count"),
     [
         (', help="number of frames to average"', 0),

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What docs/explanation/security.md promises: local traffic by default, no code from data, a policy that fits."""
+"""Promises of docs/explanation/security.md: local traffic by default, no code from data, a policy that fits."""
 
 from __future__ import annotations
 

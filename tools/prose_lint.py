@@ -15,7 +15,8 @@
 
 It checks what can be counted:
 
-- `head`: the first words of docstrings. Modules and classes begin with a noun phrase, functions with an imperative.
+- `head`: the first words of docstrings. Modules and classes begin with a noun phrase, functions with an imperative;
+  no docstring, of a test or an attribute either, begins with a word of `QUESTIONS`.
 - `help`: options without help text, and help texts that begin with a preposition, a relative or a finite verb.
 - `phrase`: expressions of `PHRASES` in docstrings, comments, messages, help texts and documentation.
 - `history`: comments about earlier versions of the code.
@@ -30,6 +31,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import inspect
 import io
 import re
 import statistics
@@ -58,6 +60,7 @@ def words(text: str) -> set[str]:
     return set(text.split())
 
 
+QUESTIONS = words("how of what where whether who")  # first words of no docstring, those of tests included
 RELATIVES = words("what which who whom whose how where when why that")
 CONJUNCTIONS = words("and as because but if or so than then though unless while whatever")
 PREPOSITIONS = words("""
@@ -155,26 +158,32 @@ def is_imperative(line: str) -> bool:
     return first != "return" or second not in {"what", "who", "where"}
 
 
+def docstrings(tree: ast.Module) -> Iterator[tuple[ast.AST, ast.Expr]]:
+    """Yield each docstring with its module, class, function or assignment."""
+    for node in ast.walk(tree):
+        body = node.body if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef) else []
+        for subject, one in zip([node, *body], body, strict=False):
+            documented = subject is node or isinstance(subject, ast.Assign | ast.AnnAssign)
+            if documented and isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant):
+                yield subject, one
+
+
 def of_docstrings(file: str, tree: ast.Module, *, heads: bool) -> Iterator[Finding]:
     """Yield the findings about the docstrings of a module."""
-    for node in ast.walk(tree):
-        if not isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            continue
-        text = ast.get_docstring(node)
-        if not text:
-            continue
-        line = node.body[0].lineno
+    for subject, node in docstrings(tree):
+        text = inspect.cleandoc(str(ast.literal_eval(node.value)))
         first = text.split("\n", maxsplit=1)[0]
-        decorators = " ".join(ast.unparse(one) for one in getattr(node, "decorator_list", ()))
-        if isinstance(node, ast.Module | ast.ClassDef) or "property" in decorators:
+        decorators = " ".join(ast.unparse(one) for one in getattr(subject, "decorator_list", ()))
+        good = first.partition(" ")[0].lower() not in QUESTIONS
+        if heads and (isinstance(subject, ast.Module | ast.ClassDef) or "property" in decorators):
             good = is_noun_phrase(first) or first.startswith("`python")
-        else:
+        elif heads and isinstance(subject, ast.FunctionDef | ast.AsyncFunctionDef):
             good = is_imperative(first)
-        if heads and not good:
-            yield Finding(file, line, "head", first[:80])
-        yield from of_phrases(file, line, text)
+        if not good:
+            yield Finding(file, node.lineno, "head", first[:80])
+        yield from of_phrases(file, node.lineno, text)
         for sentence in sentences(text):
-            yield from of_sentence(file, line, sentence)
+            yield from of_sentence(file, node.lineno, sentence)
 
 
 def of_strings(file: str, tree: ast.Module) -> Iterator[Finding]:
@@ -237,7 +246,7 @@ def of_names(file: str, tree: ast.Module) -> Iterator[Finding]:
 
 
 def of_python(file: str, source: str) -> Iterator[Finding]:
-    """Yield the findings of a Python file; the first words of docstrings are free in tests and examples."""
+    """Yield the findings of a Python file; tests and examples may begin a docstring with a sentence."""
     tree = ast.parse(source)
     yield from of_docstrings(file, tree, heads=not file.startswith(("test/", "examples/")))
     yield from of_strings(file, tree)

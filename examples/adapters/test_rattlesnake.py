@@ -154,7 +154,7 @@ def test_its_processes_drive_the_rig_and_stream_what_they_read(rate_hz, tmp_path
 
 
 def test_the_law_reaches_a_density_of_the_base():
-    """Of the lines of a linear rig's response, all are within 3 dB after three corrections."""
+    """All lines of a linear rig's response are within 3 dB after three corrections."""
     transfer = np.random.default_rng(2).standard_normal((400, 1, 1)) * (1.0 + 1.0j)
     wanted = np.full((400, 1, 1), 1e-6, complex)
     estimate, output, response = 2.0 * transfer, None, None

@@ -125,7 +125,7 @@ class Calibration:
     converter_noise: Real
     high_pass: Real  # corner of a first-order high-pass [Hz]; 0 for none
     truncates: NDArray[np.bool_] = attrs.field(factory=lambda: np.zeros(len(CHANNELS), np.bool_), kw_only=True)
-    """Whether the source of a channel's steps may truncate instead of round."""
+    """Channels whose converter may truncate instead of round."""
     present: NDArray[np.bool_] = attrs.field(factory=lambda: np.ones(len(CHANNELS), np.bool_), kw_only=True)  # measured
     derivative: NDArray[np.int64] = attrs.field(factory=lambda: np.zeros(len(CHANNELS), np.int64), kw_only=True)
     """Derivative of the motion that a channel measures: 0 displacement, 1 velocity, 2 acceleration; 0 for accelerometer

@@ -66,8 +66,9 @@ MIN_RATE_HZ = 2_000
 
 
 IMPACT = np.dtype([("scan", "f8"), ("peak", "f8"), ("sign", "f8")])
-"""A detected impact: instant of first touch in scans since scan 0, fractions included; peak of the high-passed
-acceleration [m/s²], positive; and sign, +1 if the structure is pushed to the right, so that the right wall is struck.
+"""Detected impact: instant of first touch in scans since scan 0, fractions included, peak and sign.
+
+The peak of the high-passed acceleration [m/s²] is positive. The sign is +1 if the sphere strikes the right wall.
 """
 NO_IMPACTS = np.zeros(0, IMPACT)
 

@@ -44,7 +44,7 @@ PLATFORMS = {
 """Folder of the binaries, by version and machine."""
 MODEL = "impact_rig"
 DRIVES = ("sine", "zero_order", "first_order")
-"""What drives a unit: SNAPSHOT_DRIVE of fmu.c."""
+"""Kinds of drive, in the order of SNAPSHOT_DRIVE in fmu.c."""
 NAMES = {"current": "coil_current"}
 """Names of outputs that differ from those of the quantities."""
 MOTION, IMPACTS, READINGS = 10, 30, 40

@@ -289,7 +289,7 @@ class Acknowledgements:
         catch_up: Callable[[], None] = lambda: None,
     ) -> None:
         self.is_timed = False
-        """Whether the newest block was published in real time, so that the timer acknowledges it."""
+        """True if the newest block was published in real time, so that the timer acknowledges it."""
         self._node = node
         self._may_send = may_send
         self._catch_up = catch_up

@@ -200,7 +200,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def __init__(self, name: str, tree: Tree[S], **kwargs: Any) -> None:
         super().__init__(name, **kwargs)
         self.is_ending: Callable[[], bool] = lambda: False
-        """Whether the process is about to end; the end of other nodes is then expected."""
+        """Query whether the process is about to end; the end of other nodes is then expected."""
         self.quitting = False  # whether a client has requested the end of the process
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.refusals = Refusals()

@@ -72,7 +72,7 @@ class NamespaceLock:
         self._held: int | None = None
         here = ends_here(os.environ, get_rmw_implementation_identifier())
         self.decides = here and files.can_hold(files.PLACES, self._name)
-        """Whether the lock excludes any other rig in this namespace; False means that only the graph can tell."""
+        """True if the lock excludes any other rig in this namespace; False if only the graph can tell."""
 
     def take(self) -> bool:
         """Return whether the namespace is locked by this rig now; True as well if only the graph can tell."""

@@ -87,8 +87,8 @@ from impact_rig.physics.state import (
 )
 
 DONE, NEED_ROOM, STUCK, UNSOLVED = range(4)
-"""Results of `run`: all segments are done; history or impacts need more room, so call again; no progress is made; or no
-solution is found for a step of a contact.
+"""Results of `run`: all segments are done, it needs more room for history or impacts in another call, there is no
+progress, or a step of a contact has no solution.
 """
 
 _SPEED_RESOLUTION = 2.0**-48

@@ -31,10 +31,10 @@ from impact_rig.kernels import with_fields
 from impact_rig.physics.collocation import STAGES
 
 FREE, CONTACT, ATTACHED = range(3)
-"""Phases: the sphere is loose; touches a wall that yields; is one body with the superior base (a flight as well)."""
+"""Phases: the sphere is loose, touches a wall that yields, or is one body with the superior base (a flight as well)."""
 
 NOTHING, SEPARATED, PAUSED, RELEASED, TURNED, RELOADED, FAILED, SETTLED, TOUCHED, STOPPED, PARTED = range(11)
-"""What ends a step of a contact (TURNED, RELOADED, or NOTHING), or a phase; PAUSED: the same phase goes on next.
+"""Ends of a step of a contact (TURNED, RELOADED, or NOTHING), or of a phase; after PAUSED the same phase continues.
 
 See `contact_phase` and the table of `event_loop`."""
 
@@ -117,7 +117,7 @@ COUNTS = np.dtype(
         ("ticks", "i8"),  # ticks that have begun
     ]
 )
-"""How much of its workspace the event loop has filled since it was called anew."""
+"""Used parts of the workspace since the last new call of the event loop."""
 
 FLIGHT = np.dtype(
     [
@@ -142,7 +142,7 @@ FLIGHT = np.dtype(
     ],
     align=True,
 )
-"""What is known of the flight under way."""
+"""State of the current flight."""
 
 POINT = 5  # values that a contact law returns for one point
 CONTACT_STEP = np.dtype(

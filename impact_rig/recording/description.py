@@ -97,7 +97,7 @@ class TopicDescription:
     name: str  # fully qualified
     type_name: str  # `package/msg/Type`
     schema: str = attrs.field(default=attrs.Factory(lambda self: schema_text(self.type_name), takes_self=True))
-    """`.msg` text with dependencies; by default that of the installed type; see `schema_text`."""
+    """`.msg` text with dependencies; by default that of the installed type (`schema_text`)."""
     type_hash: str = ""  # RIHS01 hash of the type description; empty if unknown
     offered_qos: tuple[OfferedQos, ...] = ()  # one entry per publisher; may be empty
     offered_qos_text: str = attrs.field(

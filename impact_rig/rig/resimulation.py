@@ -43,7 +43,7 @@ class Sent(NamedTuple):
     samples: Samples
     received_ns: int = 0
     is_doubtful: bool = False
-    """Whether a reset may have discarded it: it is used for samples that no other block holds."""
+    """True if a reset may have discarded the block; it then serves only for samples that no other block holds."""
 
 
 def resimulate(

@@ -267,7 +267,7 @@ class Agreement:
     identical: bool = False  # whether it agrees bit for bit
     compared: int = 0  # number of rows compared
     elsewhere: bool | None = None
-    """Whether the live analysis ran on another machine or with other libraries; None if not recorded."""
+    """True if the live analysis ran on another machine or with other libraries; None if not recorded."""
     reason: str = ""  # the first difference, or why nothing could be compared; empty if all agrees
     left_out: tuple[int, int] = (0, 0)  # number of live and offline rows that could not be compared
     others: tuple[Compared, ...] = ()  # comparison results of the other topics of the analysis

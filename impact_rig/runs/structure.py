@@ -116,7 +116,7 @@ class Examination:
     changes: tuple[str, ...]
     """Changes made after the recording, detected by the digests, one sentence each."""
     has_digests: bool
-    """Whether every file has digests."""
+    """True if every file has digests."""
 
 
 def examine(run: Run) -> Examination:

@@ -88,7 +88,7 @@ def test_rows_are_a_view_that_cannot_be_written():
 
 
 def test_messages_of_one_length_are_told_apart():
-    """What was read before must not decide what the next message of that length holds."""
+    """The type of the message before does not decide how the next one of the same length is read."""
     one, other = np.dtype([("ab", "<f4"), ("cd", "<u4")]), np.dtype([("cd", "<u4"), ("ab", "<f4")])
     wide, narrow = np.dtype([("ab", "<f8"), ("cd", "<f8")]), np.dtype([("ab", "<f4"), ("cd", "<f4")])
     alike = [

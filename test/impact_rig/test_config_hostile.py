@@ -43,7 +43,7 @@ FIELDS = {name: (about, default) for name, about, default in config.fields()}
 NOMINAL = yaml.safe_load((config_dir() / "nominal.yaml").read_text(encoding="utf-8"))["/**"]["ros__parameters"]
 
 SLIPS = {"m": 1e3, "kg": 1e3, "Pa": 1e-9, "kg/m^3": 1e-3, "H": 1e3}
-"""What a value is multiplied by when somebody writes millimetres, grams, GPa, g/cm³ or mH."""
+"""Factor on a value that a user writes in millimetres, grams, GPa, g/cm³ or mH."""
 
 
 def slipped(name: str) -> object:

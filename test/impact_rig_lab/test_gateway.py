@@ -50,7 +50,7 @@ def test_the_lab_hears_every_topic_once() -> None:
 
 
 def test_a_rig_of_others_is_sent_nothing_sooner_than_our_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whether another user's rig has ended is unknown; our own may be late on a busy machine."""
+    """Another user's rig may have ended unnoticed; our own may be late on a busy machine."""
     with (
         isolated_domain() as domain_id,
         Client(domain_id, "rig") as client,

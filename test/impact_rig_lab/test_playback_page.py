@@ -125,7 +125,7 @@ def recorded() -> Messages:
 
 
 def from_second(found: Messages, second: float) -> Messages:
-    """What a recorder that came late has kept: what is latched, and the scans from then on."""
+    """Return the messages of a recorder that started late: the latched ones, and the scans from then on."""
     return [(name, table) for name, table in found if name != "daq/scan" or table.stamp_ns >= second * 1e9]
 
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Who gets in and what is refused: loopback, token, origin, sizes; and one picture at a time."""
+"""Access to the server: loopback, token, origin, sizes; and one picture at a time."""
 
 from __future__ import annotations
 
@@ -420,7 +420,7 @@ def test_the_token_is_kept_for_this_user_alone(tmp_path: Path, monkeypatch: pyte
 
 
 def test_a_player_ends_with_whoever_asked_for_it(source: FakeSource, sample: Path) -> None:
-    """Of who then asked for no WebSocket the player went on for ever, its thread and its files with it."""
+    """The player also ends after a request that asks for no WebSocket, with its thread and files."""
     before = set(threading.enumerate())
     with Server(source, port=0, runs=sample.parent) as server:
         path = f"/socket?token={server.token}&run={sample.name}"

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What DT with and without the sphere tells of it is what the impacts take from the structure, joule by joule."""
+"""Energy that the impacts take from the structure, from DT with and without the sphere: equal joule by joule."""
 
 from __future__ import annotations
 

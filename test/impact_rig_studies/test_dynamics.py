@@ -263,7 +263,7 @@ def impact_map_exponent(e: float, gamma: float, bounces: int) -> float:
 
 
 def test_the_exponents_of_a_bouncing_ball():
-    """Where the multipliers are a pair, the exponent is ln e: the area shrinks by e² a bounce, alike in both ways."""
+    """The exponent is ln e if the multipliers are a pair: the area shrinks by e² a bounce in both directions."""
     e, gamma = 0.5, 1.2
     found = exponent.largest(Bouncer(e, gamma), bounced(e, gamma), returns=60, windows=6)
     assert found.value == pytest.approx(math.log(e), abs=5e-3)

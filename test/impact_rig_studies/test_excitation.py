@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What drives a rig through its stream reaches what was asked, and what it estimates is the closed form."""
+"""Excitation through the stream of a rig reaches its target, and its estimate is the closed form."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_a_frequency_response_is_within_its_uncertainty_of_the_closed_form(kind)
 
 
 def test_with_the_sphere_it_is_a_linear_approximation_within_its_uncertainty_of_the_linear_rig():
-    """Where coherence is above 0.9: elsewhere the sphere is seen."""
+    """Lines with a coherence above 0.9 count; the sphere disturbs the others."""
     rig = hardware()
     *_, found = measure(rig, Excitation(), "base")
     lines = (found.coherence > 0.9) & (found.frequency_hz > 4.0) & (found.frequency_hz < 60.0)

@@ -398,7 +398,7 @@ def test_a_recorded_pluck_gives_what_a_pluck_of_our_own_gives(directory, tmp_pat
 
 @pytest.mark.parametrize("ended_by", ["lost blocks", "reset"])
 def test_a_recorded_decay_ends_where_its_scans_do_not_follow_one_another(tmp_path, ended_by):
-    """What came later was once joined to it: a jump that was called impacts, or the vibration of the next drive."""
+    """Later scans do not belong to the decay: a jump would count as impacts, the next drive as its vibration."""
     plucked = Rig(from_flat(TRUTH, {"sphere.present": False}))
     plucked.pluck(DISPLACEMENT_M)
     scans = [("daq/scan", block.scan) for block in plucked.advance(8 * NS_PER_S)]

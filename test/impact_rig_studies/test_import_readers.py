@@ -808,7 +808,7 @@ def test_a_channel_of_another_time_base_is_guessed_and_refused_with_a_remedy(tmp
     ],
 )  # fmt: skip
 def test_frequency_and_gap_of_a_file_name(stem: str, hz: float | None, gap_m: float | None) -> None:
-    """Where several numbers contradict each other none is guessed; a gap that is named so is."""
+    """Numbers that contradict each other give no guess; a gap that is named so is read."""
     assert file_names.frequency_hz(stem) == hz
     assert file_names.gap_m(stem) == (None if gap_m is None else pytest.approx(gap_m))
 

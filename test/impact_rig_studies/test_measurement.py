@@ -465,7 +465,7 @@ def test_an_uncertainty_below_a_thousandth_is_not_shown_as_none(
 def test_two_files_of_one_name_are_refused_before_one_is_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str]
 ) -> None:
-    """Of a campaign the first was written, and stood in the way of every later attempt."""
+    """No file of a refused campaign is written, so none blocks a later attempt."""
     turn = 2.0 * np.pi * 9.0 * np.arange(2_000) / RATE_HZ
     files = [tmp_path / folder / "own.npz" for folder in ("a", "b")]
     for file in files:

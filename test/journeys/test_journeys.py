@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What README and docs show works in the environment that each page names; `make journeys` runs all of it."""
+"""Commands of README and docs, in the environment that each page names; `make journeys` runs all of them."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def test_python_needs_no_more_than_its_page_installs() -> None:
 
 @pytest.fixture(scope="module")
 def places(tmp_path_factory: pytest.TempPathFactory) -> Places:
-    """What the run tier has, what the wheel brings: assembled from what the tests have installed."""
+    """Return environments like those of the run tier and of the wheel, assembled from what the tests have installed."""
     try:
         distribution("ros-rclpy")
     except PackageNotFoundError:

@@ -59,7 +59,7 @@ SAYS = """JSON.stringify({
   active: document.activeElement?.id, drawn: {...window.lab?.drawn, trace: undefined},
   rig: window.lab?.now?.rig, recorder: window.lab?.now?.recorder,
 })"""
-"""What tells why a wait was in vain."""
+"""JavaScript whose value explains why a wait timed out."""
 PORT = re.compile(r"//127\.0\.0\.1:(\d+)/")
 
 
@@ -315,7 +315,7 @@ def serious_faults(page: Page) -> list[str]:
 
 
 def wait_until(condition: Callable[[], Any], what: str, timeout_s: float = PATIENCE_S) -> Any:
-    """What `condition` returns as soon as it is true; it is asked again and again."""
+    """Return the result of `condition` as soon as it is true; it is called again and again."""
     deadline = time.monotonic() + timeout_s
     while not (found := condition()):
         if time.monotonic() > deadline:

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Whether stated uncertainties are those of what was drawn, by fewer draws than counting alone would need."""
+"""Comparison of stated uncertainties with the spread of draws, by fewer draws than counting alone would need."""
 
 from __future__ import annotations
 

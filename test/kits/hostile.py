@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What attacks a node: how many cases, values of any kind, and the processes under attack.
+"""Attacks on a node: number of cases, values of any kind, and the processes under attack.
 
 A short slice by default; IMPACT_RIG_HOSTILE=2000 draws that many cases of each kind.
 """
@@ -36,7 +36,7 @@ FIELDS = {name: (about, default) for name, about, default in config.fields()}
 cases = settings(max_examples=CASES, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 
 texts = st.text(st.characters(blacklist_categories=["Cs"], blacklist_characters="\0"), max_size=40)
-"""What a string of ROS can carry: no surrogates, no NUL."""
+"""Texts that a ROS string can carry: no surrogates, no NUL."""
 
 
 class Attacked:

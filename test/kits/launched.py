@@ -37,7 +37,7 @@ class Entity:
 
 
 class Context:
-    """What substitutions are performed in: the arguments by name."""
+    """Context in which substitutions are performed: the arguments by name."""
 
     def __init__(self, arguments: Mapping[str, str], launch_configurations: Mapping[str, str] | None = None) -> None:
         self.arguments = arguments

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What the tests of the mechanics share: rigs by a few words, drive segments, a lock-in, one contact of two bodies."""
+"""Helpers for tests of the mechanics: rigs by a few words, drive segments, a lock-in, one contact of two bodies."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What a piece of work leaves behind in memory."""
+"""Memory that a piece of work leaves behind."""
 
 from __future__ import annotations
 

@@ -36,15 +36,15 @@ EVERYTHING = (
     "test/conftest.py", "test/kits/reach.py", "test/kits/measured.py", "tools/lines_passed/lines_passed.py",
     "impact_rig/client/processes.py",
 )  # fmt: skip
-"""What every test depends on: the environment, how tests are run, and what each of them gets."""
+"""Files that every test depends on: the environment, the way tests are run, and what each of them gets."""
 COMMAND_LINE = "impact_rig/cli/main.py"
 """It loads the entry points of setup.py, which name the modules of the commands."""
 OUTSIDE = ("docs/", "test/", "README", "CONTRIBUTING", "CHANGELOG", ".")
-"""What the package itself cannot read: it is not installed with it."""
+"""Paths that are not installed with the package, which therefore cannot read them."""
 MODULE = re.compile(r"\b(?:impact_rig(?:_studies|_lab)?|qualification|tools|fuzz|benchmarks|kits)(?:\.\w+)*\b")
 FILE = re.compile(r"\b(?!__|conftest)\w+\.py\b")
 BY_NAME = re.compile(r"\b(?:import_module|lazily|iter_modules)\(")
-"""Whoever loads modules by name may load every one of its package."""
+"""Modules that load others by name may load every module of their package."""
 
 
 def changed(since: str) -> list[str]:
@@ -61,7 +61,7 @@ def changed(since: str) -> list[str]:
 
 
 class Reach:
-    """Who names whom in a checkout.
+    """Graph of the files in a checkout that name each other.
 
     Args:
         root: of the checkout.

@@ -29,7 +29,7 @@ PAGES = sorted(path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md"))
 
 
 class Found(HTMLParser):
-    """What a page refers to, which anchors it has, and its blocks of code."""
+    """Content of a page: its links, its anchors and its blocks of code."""
 
     def __init__(self, text: str) -> None:
         super().__init__()

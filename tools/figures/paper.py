@@ -29,7 +29,7 @@ FREQUENCIES_HZ = (
     8.6, 8.7, 8.8, 8.85, 8.9, 8.94, 8.97, 9.0, 9.02, 9.04, 9.06, 9.08, 9.1,
     9.12, 9.15, 9.18, 9.22, 9.27, 9.35, 9.45, 9.6,
 )  # fmt: skip
-"""Of the curve with the sphere: dense where it bends."""
+"""Frequencies of the curve with the sphere, dense where it bends."""
 GAP_M = 10e-3
 CURVE_SETTLE_S = 20.0
 """Enough for a line of two pixels; the five reductions take longer."""

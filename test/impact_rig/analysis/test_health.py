@@ -143,7 +143,7 @@ def test_what_is_only_noise_is_not_called_wired_wrongly():
 
 
 def test_hardly_any_damping_is_no_wire_the_wrong_way_round():
-    """Of ζ = 1e-5 x_1 is opposite to within noise of 0.6°, so it leads in half of the draws."""
+    """With ζ = 1e-5, x_1 is opposite to within noise of 0.6°, so it leads in half of the draws."""
     rng, leads = np.random.default_rng(4), 0
     for _ in range(40):
         rows = steady_record(

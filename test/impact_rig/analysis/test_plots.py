@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What is made for plotters: spectra whose heights are amplitudes, envelopes in which every impact shows."""
+"""Data for plotters: spectra whose heights are amplitudes, and envelopes in which every impact shows."""
 
 from __future__ import annotations
 

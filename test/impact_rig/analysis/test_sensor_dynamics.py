@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What the dynamics of a slow sensor do to DT is corrected from its calibration, or in its uncertainty."""
+"""Effect of a slow sensor on DT: the calibration corrects it, or the uncertainty contains it."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ def test_batch_means_cover_the_mean_of_a_correlated_series(coefficient, batches)
 
 
 def test_batches_that_are_too_alike_are_corrected():
-    """Of batches as long as the correlation the plain scatter gives too little; 2V_b − V_2b gives most of the rest."""
+    """Scatter of batches as long as the correlation is too small; 2V_b − V_2b adds most of the rest."""
     rng = np.random.default_rng(5)
     series = [ar1(rng, 192, 0.9) for _ in range(3000)]
     true = np.var([one.mean() for one in series])

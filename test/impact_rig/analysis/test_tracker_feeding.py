@@ -32,7 +32,7 @@ from impact_rig.simtime import NS_PER_S
 
 @functools.cache
 def usual():
-    """What comes of the scenario in blocks of 20 scans."""
+    """Return the result of the scenario in blocks of 20 scans."""
     return fingerprint(*run_scenario(20)[:2])
 
 

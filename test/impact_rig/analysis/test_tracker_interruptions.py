@@ -180,7 +180,7 @@ def test_a_reset_that_is_announced_late_loses_no_scan(late):
 
 @pytest.mark.parametrize("rate_hz", [RATE, 2 * RATE])
 def test_a_calibration_that_overtakes_the_scans_after_a_reset_acts_from_its_stamp(rate_hz):
-    """Where the reset had changed the rate, it was once taken for another reset, and acted from there on."""
+    """A reset that changes the rate is one reset, not two."""
     reset_ns, changed_s = 2 * NS_PER_S, 6.0
     changed = info_rows(rate_hz, since_start=changed_s)
     changed["sensitivity_uncertainty"] = 0.01

@@ -35,7 +35,7 @@ PARTS = ("arithmetic", "physics", "instruments", "rig", "analysis/impacts.py", "
 EXACT = {"ceil", "floor", "frexp", "rint", "sqrt", "trunc"}
 """Functions of libm whose results IEEE 754 fixes."""
 PLAIN_C = {"abort", "calloc", "free", "memcmp", "memcpy", "memmove", "memset", "strcmp", "strcpy", "strdup", "strlen"}
-"""What `library.c` and copies of records need."""
+"""C functions that `library.c` and copies of records need."""
 
 LIBM = {"exp", "expm1", "exp2", "log", "log2", "log10", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "atan2"}
 LIBM |= {
@@ -92,7 +92,7 @@ def written_down(node: ast.expr) -> bool:
 
 
 def offence(node: ast.AST) -> str | None:
-    """What of this a machine, or a version of Python, may do in its own way."""
+    """Return the part of this node whose result may depend on the machine or the version of Python."""
     match node:
         case ast.Attribute(attr=last) if dotted(node) in FORBIDDEN or last == "reduce":
             return dotted(node)

@@ -200,7 +200,7 @@ def test_json_has_no_number_that_json_lacks(capsys: pytest.CaptureFixture[str]) 
 
 @pytest.mark.parametrize("words", [("check", "{}", "--json"), ("campaign", "{}", "--output", "{}_run")])
 def test_a_name_that_is_no_text_goes_out_as_it_came_in(words: tuple[str, ...], tmp_path: Path) -> None:
-    """Where the locale is strict about UTF-8, what had been found ended in a traceback instead of on the terminal."""
+    """Results appear on the terminal even if the locale is strict about UTF-8."""
     file = tmp_path / os.fsdecode(b"m\xff 1.yaml")
     study = "studies: {one: {frequencies_hz: 9.1, gaps_m: 0.01}}\nset: {daq.rate_hz: 1000}\n"
     file.write_text("daq: {rate_hz: 1000}\n" if words[0] == "check" else study)

@@ -42,7 +42,7 @@ def test_domains_in_use_at_the_same_time_differ() -> None:
 
 @pytest.mark.ros
 def test_ports_of_killed_processes_are_removed_and_those_in_use_are_not(tmp_path: Path) -> None:
-    """What is left of them could crash the next participant on the domain."""
+    """Leftover files could crash the next participant on the domain."""
     from impact_rig.client import Client  # needs rclpy
 
     with isolated_domain() as domain_id, Processes(domain_id, tmp_path) as processes:

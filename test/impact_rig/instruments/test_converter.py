@@ -42,7 +42,7 @@ def test_readings_are_whole_steps_of_16_bits(channel, quantity, peak):
 
 
 def test_codes_end_where_those_of_the_board_do_and_both_ends_are_flagged():
-    """Of 2^16 codes, one more is negative. The sine grows slowly through the ends: some scans just reach them."""
+    """One more of the 2^16 codes is negative. The sine grows slowly through the ends, so some scans just reach them."""
     config = exact_16_bit()
     growing = lambda t: 1751.0 * (0.95 + 0.05 * t) * np.sin(2 * np.pi * 5.0 * t)  # noqa: E731
     scans = measured(Chain(config), AnalyticMotion(a_1=growing), 2.0)
@@ -124,7 +124,7 @@ def test_inverted_wiring_turns_the_sign():
 
 
 def test_exact_means_exact():
-    """What the other tests rely on: every error of the instruments has a switch in the kit."""
+    """Every error of the instruments has a switch in the kit; the other tests rely on it."""
     tolerances = [name for name, value in EXACT.items() if value == 0]
     assert len(tolerances) == 18
     for sensor in sensors(configured(exact=True)):

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What holds for every instrument that is in the folder, present by default or not."""
+"""Properties of every instrument in the folder, present by default or not."""
 
 from __future__ import annotations
 

@@ -35,12 +35,12 @@ pytest.importorskip("numba")
 pytestmark = pytest.mark.timeout(900)  # translates where `make` has left nothing
 EXACT = {"ceil", "floor", "memcpy", "memmove", "memset", "numba_frexp"}
 UNREACHED = {"NRT_MemInfo_call_dtor", "numba_gil_ensure", "numba_gil_release", "numba_unpickle"}
-"""What kernels.c defines for paths that no kernel takes."""
+"""Functions that kernels.c defines for paths that no kernel takes."""
 
 
 @pytest.fixture(scope="session")
 def translated() -> Path:
-    """What `make kernels` keeps."""
+    """Return the folder with the translated kernels that `make kernels` keeps."""
     return build.translated(ROOT / "build" / "kernels")
 
 
@@ -61,7 +61,7 @@ def test_aarch64_neither_contracts_nor_calls_soft_floats(translated: Path, part:
 def test_assembly_builds_the_library_without_numba(
     translated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What a source distribution carries; the library that the build has loaded knows all kernels."""
+    """Assembly from a source distribution becomes a library that knows all kernels."""
     build.write_assembly(translated, tmp_path / "assembly")
     monkeypatch.setattr(build, "ASSEMBLY", tmp_path / "assembly")
     monkeypatch.setattr(build, "translated", None)

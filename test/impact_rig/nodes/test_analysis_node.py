@@ -87,7 +87,7 @@ def test_a_time_that_is_none_is_a_status_and_the_block_is_acknowledged(client: C
 def test_blocks_are_acknowledged_after_a_deactivation_that_failed(
     client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of real time none ever was again: the timer had ended with the activation, and was thought to be there."""
+    """Blocks of real time are acknowledged again, although the timer ended with the activation."""
     client.host(AnalysisNode)
     host_rig(client, "realtime")
     client.wait_active("rig", "analysis")

@@ -211,7 +211,7 @@ class Raw:
 def beside_scans(
     monkeypatch: pytest.MonkeyPatch, since: int = 0, altered: Callable[[Topic, bytes], bytes] = lambda _, data: data
 ) -> list[tuple[str, Any]]:
-    """What a rig publishes in two seconds: journal, scans, and monitors from a block on."""
+    """Return the output of a rig in two seconds: journal, scans, and monitors from a block on."""
     config = from_flat(RigConfig(), {"drive.amplitude": 0.52, "barriers.gap_m": 0.006})
     rig, found = Rig(config), []
     info = rig.info().rows

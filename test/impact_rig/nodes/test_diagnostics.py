@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What the rig says about itself while it runs: the figures are there, in range, and name what is the matter."""
+"""Diagnostics of a running rig: the figures are present, in range, and name the problem."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_a_slow_reader_is_named_in_real_time_and_one_that_leaves_forgotten(clien
 
 
 def test_a_reader_that_is_too_slow_to_get_all_scans_is_named_and_counted(client: Client) -> None:
-    """Of 250 blocks of 0.1 s are kept; what a reader has not processed by then is lost to it."""
+    """The rig keeps 250 blocks of 0.1 s; a slower reader loses the older ones."""
     host_rig(client, "realtime", time__factor=20.0, daq__block_scans=1000)
     client.wait_active("rig")
     silent = False

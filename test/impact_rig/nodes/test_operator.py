@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What an operator's tools show (`ros2 topic`, `param`, `lifecycle`, plotters), by the calls that they make."""
+"""Output of an operator's tools (`ros2 topic`, `param`, `lifecycle`, plotters), by the calls that they make."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ def test_a_run_is_replayed_again_and_again_to_who_acknowledges(
 
 
 def test_a_player_that_was_away_blames_no_peer(client: Client, run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What was acknowledged while this process was suspended waits to be heard; the replay once ended instead."""
+    """Acknowledgements sent while this process was suspended are still read, and the replay continues."""
     monkeypatch.setattr(player, "PEER_TIMEOUT_S", 0.5)
     monkeypatch.setattr(player, "AWAY_S", 0.3)
     with Run(run) as opened:

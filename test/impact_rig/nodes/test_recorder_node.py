@@ -203,7 +203,7 @@ def test_recordings_of_one_second_are_numbered(client: Client, tmp_path: Path) -
 def test_a_recorder_whose_disk_fails_acknowledges_no_more(
     client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What it did not write, a rig in lockstep must not take for recorded."""
+    """A rig in lockstep does not count a block as recorded that the recorder could not write."""
     really = os.write
 
     def full(descriptor: int, data: bytes) -> int:

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""How rig time runs: the modes give the same bits, a pause holds it, a step answers when all is done."""
+"""Rig time: all modes give the same bits, a pause holds it, and a step answers when all is done."""
 
 from __future__ import annotations
 
@@ -252,7 +252,7 @@ def test_blocks_longer_than_the_lag_that_is_given_up_come_in_real_time(client: C
 
 @pytest.mark.parametrize("scans", [700, 730, 2500, 10_000])
 def test_the_work_timer_calls_at_the_end_of_every_block(client: Client, scans: int) -> None:
-    """Where the longest period of the work was no part of a block, it came up to a period late: in the median half."""
+    """A timer period that does not divide the block would call up to one period late."""
     node = host_rig(client, "realtime", daq__block_scans=scans)
     client.wait_active("rig")
     calls = scans / 10_000 / node._session._timer._period_s

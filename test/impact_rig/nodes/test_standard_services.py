@@ -117,7 +117,7 @@ STOPPED, PLAYING, PAUSED, QUITTING = range(4)
 
 @attrs.define
 class StandIn:
-    """What rclpy makes of a service, in one process."""
+    """Service in one process, as rclpy makes it."""
 
     callback: Any
     send_response: Any = None

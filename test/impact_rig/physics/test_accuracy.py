@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""How accurate the integration is: its order, the benchmark problem's reference, tighter tolerances and floors."""
+"""Accuracy of the integration: its order, the benchmark problem's reference, tighter tolerances and floors."""
 
 from __future__ import annotations
 

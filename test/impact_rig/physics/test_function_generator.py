@@ -104,7 +104,7 @@ def test_neither_commands_nor_a_drifting_clock_leave_a_jump(waveform, changes):
 @pytest.mark.parametrize("waveform", ["sine", "chirp"])
 @pytest.mark.parametrize("ticks", [1, 5, 700])
 def test_the_phase_that_is_told_is_the_one_of_the_next_segment(waveform, ticks):
-    """Of a chirp it was once the phase of a sine at the chirp's first frequency."""
+    """Generators report the phase of a chirp, not that of a sine at its first frequency."""
     made = generator(waveform=waveform)
     made.segments(ticks)
     told = made.phase_rad

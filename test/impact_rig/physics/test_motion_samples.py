@@ -223,7 +223,7 @@ def test_a_log_that_is_full_where_a_touch_begins_a_tick_changes_nothing():
 )
 @pytest.mark.parametrize("phase", [0.0, 1.0])
 def test_fundamentals_of_cycles_are_those_of_the_samples(changes, left_out, phase):
-    """Of every phase of the motion, under a growing drive and a steady one; the sums leave out less than 1e-7."""
+    """The sums leave out less than 1e-7 in every phase of the motion, under a growing drive and a steady one."""
     config, cycles, many = rig(**changes), 20, 1 << 14
     simulation, frequency_hz = Simulation(config), 9.1
     simulation.place(x_1=-1e-3, d_rate=0.1)

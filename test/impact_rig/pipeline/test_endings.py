@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""How processes end, are stopped and go on: nothing is left, files are readable, the next start is not hindered."""
+"""Ends of processes, stopped and restarted: nothing is left, files are readable, the next start is not hindered."""
 
 from __future__ import annotations
 

@@ -101,7 +101,7 @@ def test_the_recording_and_reading_examples_run(record, tmp_path, monkeypatch, c
 
 
 def field_exists(type_name, path):
-    """Whether `path`, a list of field names, leads to a number in a message of this type."""
+    """Return whether `path`, a list of field names, leads to a number in a message of this type."""
     fields = dict(get_typestore(Stores.ROS2_JAZZY).fielddefs[type_name][1])
     name, _, part = path[0].partition("[")
     kind, detail = fields.get(name, (None, None))

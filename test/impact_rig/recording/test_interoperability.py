@@ -129,7 +129,7 @@ def every_type():
 
 
 def same_values(ours, theirs, store):
-    """Whether rosbags and mcap_ros2 decoded the same message, field by field, bit for bit."""
+    """Return whether rosbags and mcap_ros2 decoded the same message, field by field, bit for bit."""
     if isinstance(ours, np.ndarray):
         return ours.tobytes() == np.asarray(list(theirs), ours.dtype).tobytes()
     if isinstance(ours, list):

@@ -274,7 +274,7 @@ def test_a_write_that_fails_unforeseen_leaves_whole_records(tmp_path):
 
 
 def test_recording_stops_while_the_disk_still_has_room(record, monkeypatch):
-    """What is free is asked after every chunk; the test raises the bar instead of filling a disk."""
+    """The writer reads the free space after every chunk; the test raises the limit instead of filling a disk."""
     writer = record(chunk_bytes=20_000)
     fill(writer, 20)
     monkeypatch.setattr(recording_writer, "MIN_FREE_BYTES", 2**62)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What goes in comes out: bytes, times, sequence numbers, order, attachments."""
+"""Round trip through a file: bytes, times, sequence numbers, order, attachments."""
 
 from __future__ import annotations
 

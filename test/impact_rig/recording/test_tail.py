@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What was secured survives a process killed at any instant: nothing of it missing, nothing twice, nothing else."""
+"""Secured messages survive a process killed at any instant: none missing, none twice, no others."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What several files compare their rigs with."""
+"""Fixtures with which several files compare their rigs."""
 
 from __future__ import annotations
 

@@ -82,7 +82,7 @@ def test_monitor_instants_are_scans_at_the_asked_rate() -> None:
 
 @pytest.mark.parametrize("then", [{"output.monitor_rate_hz": 20.0}, {"output.truth_scan": True}])
 def test_a_block_holds_the_instants_of_the_rate_at_its_end(then: dict[str, object]) -> None:
-    """What was kept of the same block at another rate before is no monitor instant any more."""
+    """Monitor instants kept at the rate before, in the same block, are discarded."""
     rig = Rig(config(daq__block_scans=2_000, output__monitor_rate_hz=100.0))
     rig.advance(10 * TICK)
     rig.configure(then)
@@ -108,7 +108,7 @@ def test_what_is_changed_and_changed_back_between_two_ticks_changes_no_block() -
 
 
 def test_memory_stays_bounded() -> None:
-    """What is handed out is forgotten: nothing in the rig grows with its running time."""
+    """The rig forgets blocks that it has returned: nothing in it grows with its running time."""
     rig = Rig(config(output__truth_scan=True))
     rig.advance(100 * TICK)  # whatever is made once
     handed_out = sum(block.scan.rows.nbytes + block.truth.rows.nbytes for block in rig.advance(200 * TICK))

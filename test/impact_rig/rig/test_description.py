@@ -44,7 +44,7 @@ RIGS = {
 }
 Masses = dict[str, float]
 Places = Callable[[Mapping[str, float]], dict[str, NDArray[np.float64]]]
-"""Where the links are in the frame `rig`, shape (4, 4) by link, with these joint positions [m]."""
+"""Function from joint positions [m] to the poses of the links in the frame `rig`, shape (4, 4) by link."""
 
 
 def by_pytransform3d(text: str, _path: Path) -> tuple[Masses, Places]:

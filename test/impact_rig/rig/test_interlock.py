@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What protects the shaker: limits that cannot be got round, and the interlock on the true motion."""
+"""Protection of the shaker: limits without a way around them, and the interlock on the true motion."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ _NAMES = st.sampled_from([*to_flat(RigConfig()), "barriers.gap", "", "x" * 400])
 _VALUES = st.one_of(st.floats(), st.integers(), st.booleans(), st.text(max_size=8), st.none(), st.tuples(st.text()))
 
 WORDS = {"always": True, "never": False, "butterworth": True, "none": False}
-"""What a switch of before stands for."""
+"""Old words for switches, and the booleans that replace them."""
 
 
 @given(st.dictionaries(_NAMES, _VALUES, min_size=1, max_size=3))

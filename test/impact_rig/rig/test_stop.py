@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What stops the shaker: the operator, over-travel and over-current; latched until it is cleared."""
+"""Stops of the shaker: the operator, over-travel and over-current; each is latched until it is cleared."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_over_current_trips_on_the_rms_of_the_true_current() -> None:
 
 
 def test_a_trip_for_current_is_cleared_at_once() -> None:
-    """What was averaged before belongs to the past."""
+    """Averages from before the trip do not count."""
     rig = Rig(config(drive__amplitude=0.52, sphere__present=False))
     rig.advance(500 * TICK)
     rig.configure({"shaker.current_limit_a_rms": 0.1})
@@ -121,7 +121,7 @@ DRIVES: list[dict[str, object]] = [
 
 
 def driven(blocks: Iterable[Block], quantity: str = "current") -> np.ndarray:
-    """What the drive prescribes, at every scan of the blocks."""
+    """Return the prescribed drive at every scan of the blocks."""
     return np.concatenate([block.truth.rows[quantity] for block in blocks])
 
 

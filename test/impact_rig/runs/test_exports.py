@@ -141,7 +141,7 @@ def test_rows_published_before_the_recording_began_are_marked(run, tmp_path):
 
 
 def test_a_publish_time_that_only_repeats_the_log_time_says_nothing(tmp_path):
-    """What a rig in one process has published was called earlier, all of it: its log times count from 1970."""
+    """Log times of a rig in one process count from 1970, which makes no message `earlier`."""
     with LocalRig(record=tmp_path / "run") as rig:
         rig.step()
     with open_run(tmp_path / "run") as run, np.load(export(run, "daq/scan", tmp_path / "scan.npz")) as found:

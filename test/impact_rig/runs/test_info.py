@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What `info` says of a run, and the rule by which blocks follow each other."""
+"""Output of `info` about a run, and the rule by which blocks follow each other."""
 
 from __future__ import annotations
 

@@ -180,7 +180,7 @@ def test_a_recording_that_lacks_blocks_is_compared_where_it_has_them(
 def test_an_analysis_that_was_stopped_for_a_while_is_compared_where_it_had_scans(
     long: Messages, tmp_path: Path, begin: int, end: int
 ) -> None:
-    """What was measured here from scans that live had lost is no row that live had missed."""
+    """Rows measured from scans that the live analysis had lost do not count as missed."""
     found = compared(tmp_path, measured_live(long, lambda stamp_ns: not begin * TICK <= stamp_ns < end * TICK))
     assert found.same, found.reason
     assert found.identical
@@ -369,7 +369,7 @@ def test_an_analysis_that_was_started_again_is_compared_until_it_ended(whole: Me
 
 
 def test_two_analyses_that_label_one_run_in_turn_leave_its_gap_unknown(whole: Messages, tmp_path: Path) -> None:
-    """Of two labs in one namespace rows had the gap of either; one started again says nothing of before any more."""
+    """Rows of two labs in one namespace have no gap; a restarted lab says nothing about the time before."""
     found: Messages = []
     for name, table in whole:
         for second, gap_m, started_s in ((3, 0.006, 2.0), (5, 0.010, 1.0), (7, 0.002, 2.0)):

@@ -86,7 +86,7 @@ def read_all(path):
 
 
 def chunk_ends(path):
-    """Where each chunk ends in the file, and how many messages the file holds up to there."""
+    """Return the end of each chunk in the file, and the number of messages up to there."""
     ends, count = [], 0
     with open_run(path) as run:
         for segment in run.sources[0].segments:
@@ -96,7 +96,7 @@ def chunk_ends(path):
 
 
 def record_starts(data):
-    """Where each record of a file begins, and where the last one ends."""
+    """Return the beginning of each record of a file, and the end of the last one."""
     starts = [len(records.MAGIC)]
     while starts[-1] < len(data) - len(records.MAGIC):
         starts.append(starts[-1] + records.RECORD_HEAD.size + records.RECORD_HEAD.unpack_from(data, starts[-1])[1])

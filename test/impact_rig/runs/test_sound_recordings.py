@@ -50,7 +50,7 @@ def agreement(path: Path, rig: str | None = None) -> reanalysis.Agreement:
 
 
 def analysed(rig: Rig, blocks: int, deeds: dict[int, Any], until: int | None = None) -> Messages:
-    """What rig and analysis publish; until: the analysis has come so far when the recorder stops."""
+    """Return the messages of rig and analysis, which has processed blocks up to `until` when the recorder stops."""
     tracker = Tracker()
     tracker.configure(rig.info())
     tracker.label(0.0, 0)

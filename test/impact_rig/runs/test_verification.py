@@ -129,7 +129,7 @@ def test_without_its_whole_journal_a_run_is_not_verifiable(
 
 
 class _OfBefore(Provenance):
-    """What a recorder wrote before there was a version of the arithmetic."""
+    """Provenance from a recorder that wrote no version of the arithmetic."""
 
     def to_record(self) -> dict[str, str]:
         return {key: value for key, value in super().to_record().items() if key != "arithmetic"}

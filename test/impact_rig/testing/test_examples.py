@@ -65,7 +65,7 @@ def test_a_node_of_the_docs_is_the_one_that_is_tested(page: str, name: str) -> N
 
 
 def test_the_pipelines_are_somebody_elses() -> None:
-    """What is under test knows topics and messages, not this package; the analysis of a file may read it with ours."""
+    """Pipelines under test know topics and messages, not this package; only the analysis of a file may import it."""
     for path in EXAMPLES.glob("*.py"):
         ours = re.findall(r"^[ ]*(?:from|import) impact_rig\S*", path.read_text(), re.MULTILINE)
         if not path.name.startswith("test_") and path.name != "launched_rig.py":  # a test for an installed ROS

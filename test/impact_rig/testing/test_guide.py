@@ -58,7 +58,7 @@ def run(commands: str, folder: Path, project: Path = ROOT) -> subprocess.Complet
 
 
 def says(output: str, line: str) -> bool:
-    """Whether a line of the page is in the output: rules may be longer, numbers are cut, paths are absolute."""
+    """Return whether a line of the page is in the output: rules may be longer, numbers are cut, paths are absolute."""
     core = line.strip(" -")
     before, colon, path = core.partition("run: ")
     return (f"{before}{colon}" in output and path in output) if colon else core in output

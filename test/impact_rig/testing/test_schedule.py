@@ -87,7 +87,7 @@ class Observer(Node):
 
 
 def played(actions: list[Any], make_node: Any = Observer, **kwargs: Any) -> list[float]:
-    """What a node publishes in a scenario; a timer is a 0."""
+    """Return the values that a node publishes in a scenario; a timer is a 0."""
     with ScheduledRig(QUICK) as rig:
         out = rig.listen("out")
         repeat(rig, lambda rig: rig.host(make_node, **kwargs) and None, actions)

@@ -235,7 +235,7 @@ def test_the_best_gap_agrees_with_the_prediction(small):
 
 
 def test_what_an_optimum_hangs_on_is_told_at_the_end_of_a_range_too(tmp_path):
-    """Of e = 1 there is no more: the difference to less of it.
+    """At e = 1 the sensitivity is the difference to a smaller e.
 
     Before, an elastic contact's optimum failed after all measurements, because e = 1.005 is not allowed.
     """
@@ -373,7 +373,7 @@ def test_a_map_that_would_take_too_long_is_refused_with_its_time(tmp_path, monke
 
 
 def test_a_map_that_took_long_is_opened_on_any_machine(small, tmp_path, monkeypatch):
-    """What is measured takes no time any more; once it was refused with the time that it would take here."""
+    """Measured points take no time, so the limit on the time does not apply to them."""
     plan, directory = small
     monkeypatch.setattr("impact_rig_studies.maps.plan.LIMIT_S", 1e-6)
     with pytest.raises(BudgetError):

@@ -119,7 +119,7 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Client, di
 def test_every_subscription_of_a_node_takes_anything(
     graph: tuple[Client, dict[str, ManagedNode[Any]]], name: str
 ) -> None:
-    """What is no table of its topic is refused and counted under the topic; nothing is an exception."""
+    """Messages that are no table of their topic are refused and counted under it; none is an exception."""
     node = graph[1][name]
     info = {"source_timestamp": 1, "received_timestamp": 1, "publication_sequence_number": 0}
     tried = 0

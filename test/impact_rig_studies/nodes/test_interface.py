@@ -93,7 +93,7 @@ def test_services_of_the_graph_are_those_of_the_page(running) -> None:
 
 
 def test_parameters_of_the_graph_are_those_of_the_page_with_unit_and_range(running) -> None:
-    """What `ros2 param list` and `ros2 param describe` show."""
+    """Output of `ros2 param list` and `ros2 param describe`."""
     client, nodes = running
     for node in nodes:
         listed = client.call(ListParameters, f"{node}/list_parameters", ListParameters.Request()).result.names

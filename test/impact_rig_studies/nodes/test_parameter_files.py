@@ -80,7 +80,7 @@ def host(client: Client, node: str, values: dict[str, Any]) -> ManagedNode[Any]:
 
 
 def dump(client: Client, node: str, path: Path) -> dict[str, Any]:
-    """What `ros2 param dump` does (ros2param/verb/dump.py); returns the values as well."""
+    """Write parameters as `ros2 param dump` does (ros2param/verb/dump.py), and return the values."""
     names = client.call(ListParameters, f"{node}/list_parameters", ListParameters.Request()).result.names
     answer = client.call(GetParameters, f"{node}/get_parameters", GetParameters.Request(names=names))
     values = {
@@ -99,7 +99,7 @@ def dump(client: Client, node: str, path: Path) -> dict[str, Any]:
 
 
 def load(client: Client, node: str, path: Path) -> list[str]:
-    """What `ros2 param load` does; returns the refusals."""
+    """Set parameters as `ros2 param load` does, and return the refusals."""
     written = list(yaml.safe_load(path.read_text(encoding="utf-8")))  # Kilted wants the name of the node
     parameters = list(parameter_dict_from_yaml_file(str(path), target_nodes=written).values())
     request = SetParameters.Request(parameters=parameters)

@@ -234,7 +234,7 @@ def journal_of_somebody() -> bytes:
 
 
 def test_a_recorder_says_what_it_did_not_get_and_who_wrote_in_anothers_place(client: Client, tmp_path: Path) -> None:
-    """Of either the run cannot be verified."""
+    """Either makes the run impossible to verify."""
     recorder = host_recorder(client, tmp_path)
     host_rig(client, time__peers=["recorder"])
     client.wait_active("rig", "recorder")

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What a user reads: the lines of the log, and the names in diagnostics."""
+"""Text for the user: the lines of the log, and the names in diagnostics."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ FAULT = "saturation channel=laser start_s=0.1 duration_s=0.2 value=1e-5"
 
 
 class Console:
-    """What the nodes of a domain have said on /rosout: (level, node, text)."""
+    """Lines of the nodes of a domain on /rosout: (level, node, text)."""
 
     def __init__(self, client: Client) -> None:
         self.client = client

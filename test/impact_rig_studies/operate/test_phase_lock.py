@@ -45,7 +45,7 @@ from impact_rig_studies.operate.stepped_sine import SweepState
 
 PLAN = LockPlan(start_hz=8.1, current_a=0.2, dwell_s=10.0)
 TRUE_HZ = 9.105 / math.sqrt(1.0 - 4.0 * 0.0044974**2)
-"""Where the superior base is a quarter cycle behind the base: ω² (k_1 m_1 − c_1²) = k_1²."""
+"""Frequency at which the superior base is a quarter cycle behind the base: ω² (k_1 m_1 − c_1²) = k_1²."""
 
 
 class Resonance:

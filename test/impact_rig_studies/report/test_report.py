@@ -231,7 +231,7 @@ def leaves(value):
 
 
 def kept(folder):
-    """What a program can read: numbers, and the numbers written in texts."""
+    """Return the numbers that a program can read, and those written in texts."""
     numbers, written = set(), set()
     report, summary = (json.loads((folder / name).read_text()) for name in ("report.json", "summary.json"))
     del report["figures"]  # thousands of numbers, that no text shows
@@ -247,7 +247,7 @@ def kept(folder):
 
 
 def stands_for(shown, number):
-    """Whether a number as it is read is this one, rounded to the digits that are shown."""
+    """Return whether the shown text is this number, rounded to the digits that are shown."""
     _, _, decimals = shown.partition("e")[0].partition(".")
     digits = len(re.sub(r"e.*|\D", "", shown).lstrip("0").rstrip("0" if not decimals else "")) or 1
     return float(shown) in (round(number, len(decimals)), float(f"{number:.{digits}g}"))
