@@ -16,6 +16,7 @@
     make portability                           every mask, and other CPUs if qemu-x86_64 (qemu-user) is installed
     make portability ARGS=--write              commit this machine's bits as the reference
     make portability ARGS='--only all'         one mask, or one emulated CPU
+    make portability ARGS='--root DIRECTORY'   also an arm64 system with the wheel in /venv; needs root and binfmt_misc
 
 It writes `portable_bits` into build/bench.json: 1 if every digest agrees everywhere, else 0. Masks that change Numba's
 code have separate caches, so the first run with each compiles everything.
@@ -38,6 +39,7 @@ import attrs
 from rich.console import Console
 from rich.table import Table
 
+from impact_rig.kernels import digest
 from qualification.portability import digests
 from qualification.portability.machine import Machine
 from qualification.portability.masks import BARE, MASKS, Mask, full_environment
@@ -47,12 +49,13 @@ FIGURES = Path("build", "bench.json")
 WORK = Path("build", "portability")
 """Caches of compiled code, and error output of the processes."""
 EMULATOR = "qemu-x86_64"
-WASM = "wasm32"
+WASM, ARM = "wasm32", "aarch64"
+INSTALLED = "venv/lib/python3*/site-packages/impact_rig-*.dist-info/RECORD"
 EMULATED = ("Nehalem", "EPYC")
 """An Intel CPU without AVX and an AMD one with AVX2 and FMA; NumPy's wheels need at least SSE4.2."""
 
 
-ALL_RUNS = known((*LONG, *SHORT))
+ALL_RUNS = known((*SHORT, *LONG))
 
 
 @attrs.frozen
@@ -75,9 +78,14 @@ def main() -> int:
     """Run the comparison; return 0 if all bits are the committed ones."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--write", action="store_true", help="rewrite the committed digests with this machine's")
-    names = [mask.name for mask in MASKS] + [*EMULATED, WASM]
+    names = [mask.name for mask in MASKS] + [*EMULATED, WASM, ARM]
     parser.add_argument("--only", choices=names, help="only mask or emulated CPU to run (default: all)")
+    parser.add_argument("--root", type=Path, help="root directory of the arm64 system (default: none)")
     arguments = parser.parse_args()
+    if arguments.root and not [*arguments.root.glob(INSTALLED)]:
+        parser.error(f"no impact_rig in {arguments.root}/venv")
+    if arguments.only == ARM and not arguments.root:
+        parser.error(f"{ARM} needs --root")
     console = Console()
     with tempfile.TemporaryDirectory(prefix="impact_rig_bits_") as scratch:
         bench = Bench(console, Path(scratch))
@@ -95,6 +103,8 @@ def main() -> int:
                 outcomes.append(bench.emulated(cpu, bare))
         if arguments.only in (None, WASM) and all(map(importlib.util.find_spec, ("llvmlite", "wasmtime", "ziglang"))):
             outcomes.append(bench.webassembly())
+        if arguments.only in (None, ARM) and arguments.root:
+            outcomes.append(bench.arm(arguments.root))
     return report(console, outcomes, complete=arguments.only is None)
 
 
@@ -141,6 +151,22 @@ class Bench:
         environment = full_environment(BARE) | {"IMPACT_RIG_KERNELS": "library"}
         found = self.record(WASM, environment, ["long", "short"], program=program)
         return self.judged(WASM, "wasmtime", ALL_RUNS, found)
+
+    def arm(self, root: Path) -> Outcome:
+        """Record every run in an arm64 system, in a process each; another call with the same wheel continues."""
+        (installed,) = root.glob(INSTALLED)
+        inside = f"root/portability-{digest(installed)[:12]}"
+        shutil.copytree("qualification", root / inside / "qualification", dirs_exist_ok=True)
+        command = ["chroot", str(root), "env", "-C", f"/{inside}", "IMPACT_RIG_KERNELS=library", "/venv/bin/python"]
+        command += ["-m", "qualification.portability.child", "digests.txt"]
+        self._said, found = [], digests.Digests()
+        for run in ALL_RUNS:
+            kept, began = root / inside / f"{run.name}.txt", time.monotonic()
+            if not kept.exists() and subprocess.run([*command, run.name], check=False).returncode == 0:
+                (root / inside / "digests.txt").rename(kept)
+                self._console.print(f"{ARM} {run.name}: {time.monotonic() - began:.0f} s")
+            found |= digests.read(kept) if kept.exists() else {}
+        return self.judged(ARM, "qemu-aarch64", ALL_RUNS, found)
 
     def record(
         self,
