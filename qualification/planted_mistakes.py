@@ -42,6 +42,7 @@ from std_msgs.msg import Bool, Empty, Float64, String
 from std_srvs.srv import Trigger
 
 from impact_rig import codec
+from impact_rig.nodes.messages import nanoseconds
 from impact_rig.testing.schedule import ScheduledRig
 from impact_rig.testing.strategies import schedules, search
 
@@ -52,11 +53,6 @@ EXAMPLES = 200
 DEEP = QoSProfile(depth=1000)
 LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 LOSSY = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
-
-
-def stamp_ns(message: Any) -> int:
-    """Return the stamp of a message with a header."""
-    return int(message.header.stamp.sec) * 10**9 + int(message.header.stamp.nanosec)
 
 
 class Planted(Node):
@@ -114,7 +110,7 @@ class OrderOfTopics(Planted):
         self.rate_hz = 1000.0
 
     def on_scan(self, message: PointCloud2) -> None:
-        self.blocks[stamp_ns(message)] = message.width
+        self.blocks[nanoseconds(message.header.stamp)] = message.width
         if self.is_sound and self.rate_hz is None:
             return
         self.say(sum(self.blocks.values()) / self.rate_hz)  # type: ignore[operator]  # the mistake
@@ -180,7 +176,7 @@ class LostFirstMessage(Planted):
         self.on("daq/scan", self.on_scan, qos=LOSSY)
 
     def on_scan(self, message: PointCloud2) -> None:
-        self.say(stamp_ns(message) // BLOCK_NS if self.is_sound else self.number)
+        self.say(nanoseconds(message.header.stamp) // BLOCK_NS if self.is_sound else self.number)
         self.number += 1
 
     def check(self, rig: ScheduledRig, found: list[float], since: int) -> None:
@@ -213,9 +209,9 @@ class CountedTwice(Planted):
         self.on("daq/scan", self.on_scan)
 
     def on_scan(self, message: PointCloud2) -> None:
-        if stamp_ns(message) not in self.blocks or not self.is_sound:
+        if nanoseconds(message.header.stamp) not in self.blocks or not self.is_sound:
             self.total += message.width
-        self.blocks[stamp_ns(message)] = message.width
+        self.blocks[nanoseconds(message.header.stamp)] = message.width
         self.say(self.total)
 
     def check(self, rig: ScheduledRig, found: list[float], since: int) -> None:
@@ -238,7 +234,7 @@ class KeptAcrossReset(Planted):
             self.begin_ns = max(self.begin_ns, entry["stamp_ns"])
 
     def on_scan(self, message: PointCloud2) -> None:
-        self.blocks[stamp_ns(message)] = message.width
+        self.blocks[nanoseconds(message.header.stamp)] = message.width
         self.say(sum(width for stamp, width in self.blocks.items() if stamp >= self.begin_ns))
 
     def check(self, rig: ScheduledRig, found: list[float], since: int) -> None:
@@ -252,7 +248,7 @@ class SumOverLateJoiner(Planted):
         self.on("daq/scan", self.on_scan)
 
     def on_scan(self, message: PointCloud2) -> None:
-        self.blocks[stamp_ns(message)] = message.width
+        self.blocks[nanoseconds(message.header.stamp)] = message.width
         first = min(self.blocks) if self.is_sound else 0
         self.say(sum(self.blocks.values()) * 1e6 / (max(self.blocks) + BLOCK_NS - first))
 
@@ -280,9 +276,9 @@ class OffByOne(Planted):
         self.on("daq/scan", self.on_scan)
 
     def on_scan(self, message: PointCloud2) -> None:
-        if self.next_ns is not None and stamp_ns(message) > self.next_ns:
-            self.lost += (stamp_ns(message) - self.next_ns) // 10**6 + (not self.is_sound)
-        self.next_ns = stamp_ns(message) + BLOCK_NS
+        if self.next_ns is not None and nanoseconds(message.header.stamp) > self.next_ns:
+            self.lost += (nanoseconds(message.header.stamp) - self.next_ns) // 10**6 + (not self.is_sound)
+        self.next_ns = nanoseconds(message.header.stamp) + BLOCK_NS
         self.say(self.lost)
 
     def check(self, rig: ScheduledRig, found: list[float], since: int) -> None:
@@ -298,7 +294,7 @@ class ShortQueue(Planted):
         self.on("daq/scan", self.on_scan, qos=DEEP if self.is_sound else QoSProfile(depth=1))
 
     def on_scan(self, message: PointCloud2) -> None:
-        self.blocks[stamp_ns(message)] = message.width
+        self.blocks[nanoseconds(message.header.stamp)] = message.width
         self.say(sum(self.blocks.values()))
 
     def check(self, rig: ScheduledRig, found: list[float], since: int) -> None:
@@ -399,7 +395,7 @@ class ReceiptTime(Planted):
         self.on("daq/scan", self.on_scan)
 
     def on_scan(self, message: PointCloud2) -> None:
-        self.say(stamp_ns(message) if self.is_sound else self.now_ns() - BLOCK_NS)
+        self.say(nanoseconds(message.header.stamp) if self.is_sound else self.now_ns() - BLOCK_NS)
 
     def check(self, rig: ScheduledRig, found: list[float], since: int) -> None:
         assert sorted(set(found)) == [table.stamp_ns for table in rig.tables() if table.stamp_ns >= since]
@@ -414,7 +410,7 @@ class SleepingCallback(Planted):
     def on_scan(self, message: PointCloud2) -> None:
         if not self.is_sound:
             time.sleep(0.03)
-        self.blocks[stamp_ns(message)] = message.width
+        self.blocks[nanoseconds(message.header.stamp)] = message.width
         self.say(sum(self.blocks.values()))
 
     def check(self, rig: ScheduledRig, found: list[float], since: int) -> None:
@@ -434,8 +430,8 @@ class PairedByArrival(Planted):
 
     def on_block(self, topic: str, message: PointCloud2) -> None:
         self.number[topic] += 1
-        key = stamp_ns(message) if self.is_sound else self.number[topic]
-        self.waiting[topic][key] = stamp_ns(message)
+        key = nanoseconds(message.header.stamp) if self.is_sound else self.number[topic]
+        self.waiting[topic][key] = nanoseconds(message.header.stamp)
         one, other = (waiting.get(key) for waiting in self.waiting.values())
         if one is not None and other is not None:
             self.say(one - other)
@@ -490,7 +486,7 @@ def find(kind: type[Planted], examples: int = EXAMPLES) -> tuple[str, BaseExcept
 
     try:
         search(make_rig, checked(kind), QUICK, schedules(**kind.inputs), examples)
-    except (Exception, AssertionError) as error:
+    except Exception as error:
         return made[0].scenario, error
     finally:
         made[0].close()

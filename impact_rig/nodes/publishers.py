@@ -25,6 +25,7 @@ from rclpy.duration import Duration
 from std_msgs.msg import String
 
 from impact_rig import codec, topics
+from impact_rig.blocks import Table
 from impact_rig.instruments.fault import FaultPlan
 from impact_rig.instruments.instrument import Instrument
 from impact_rig.instruments.section import row_type_of
@@ -60,12 +61,17 @@ DELIVERY = Duration(seconds=0.2)
 Reading = Callable[[int, float, int], bytes]  # renders an instrument's message from (stamp [ns], reading, status bits)
 
 
+def noise_of(info: Table) -> dict[str, float]:
+    """Return the rms noise by channel name, in its unit, from daq/info."""
+    return dict(zip(info.rows["name"].astype(str).tolist(), info.rows["noise"].tolist(), strict=True))
+
+
 class Monitors:
     """Messages of the monitor topics, computed from blocks.
 
     Args:
         config: active configuration, for ranges and variances.
-        noise: rms noise by channel name, in its unit, as in daq/info.
+        noise: as `noise_of` returns it.
         before: the previous monitors; their filter states continue if channels and rate are unchanged.
     """
 
@@ -233,7 +239,7 @@ class Publishers:
         """Publish the configuration, and the calibration if it has changed; update the monitors."""
         self._may_overflow = _may_overflow(rig.config)
         info = rig.info()
-        noise = dict(zip(info.rows["name"].astype(str).tolist(), info.rows["noise"].tolist(), strict=True))
+        noise = noise_of(info)
         decides = rig.config.daq, rig.config.output, attrs.evolve(rig.config.instruments, faults=FaultPlan()), noise
         if decides != self._decides_monitors:
             self._decides_monitors = decides

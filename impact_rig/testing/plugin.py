@@ -15,8 +15,8 @@
 
 With `scope="module"` or `scope="session"`, the function of a fixture starts a rig once and resets it for each test.
 
-Pytest loads it through its entry point wherever the package is installed, so it imports neither rclpy nor numba; a
-fixture imports them when it is used.
+Pytest loads it through its entry point wherever the package is installed, so it imports neither rclpy nor numba; the
+names of `testing` import them when a fixture is used.
 
 | fixture | value |
 |---|---|
@@ -34,20 +34,16 @@ import re
 import shutil
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar  # Any: arguments of a rig
+from typing import Any, TypeVar  # Any: arguments of a rig
 
 import pytest
 
-if TYPE_CHECKING:
-    from impact_rig.driver import LocalRig, RigDriver
-    from impact_rig.driver.ros_rig import RosRig
-    from impact_rig.testing.golden import Golden
-    from impact_rig.testing.schedule import ScheduledRig
+from impact_rig import testing
 
 DEFAULT_DIRECTORY = "failed_runs"
-_RIGS = pytest.StashKey[list["RigDriver"]]()
+_RIGS = pytest.StashKey[list["testing.RigDriver"]]()
 _SHARED = pytest.StashKey[dict[str, tuple[Any, Any]]]()  # arguments -> rig and its configuration at the start
-R = TypeVar("R", bound="RigDriver")
+R = TypeVar("R", bound="testing.RigDriver")
 _UNSAFE = re.compile(r"[^\w.-]+")
 
 
@@ -77,48 +73,28 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 
 @pytest.fixture
-def virtual_rig(request: pytest.FixtureRequest) -> Iterator[Callable[..., LocalRig]]:
+def virtual_rig(request: pytest.FixtureRequest) -> Iterator[Callable[..., testing.LocalRig]]:
     """Return a function that starts a rig in this process: `virtual_rig({"barriers.gap_m": 0.004}, faults=[...])`."""
-
-    def make(*args: Any, **kwargs: Any) -> LocalRig:
-        from impact_rig.driver.local_rig import LocalRig  # noqa: PLC0415  # loads compiled code
-
-        return LocalRig(*args, **kwargs)
-
-    yield from _starting(request, make)
+    yield from _starting(request, testing.LocalRig)
 
 
 @pytest.fixture
-def scheduled_rig(request: pytest.FixtureRequest) -> Iterator[Callable[..., ScheduledRig]]:
+def scheduled_rig(request: pytest.FixtureRequest) -> Iterator[Callable[..., testing.ScheduledRig]]:
     """Return a function that starts a rig in this process that hosts ROS nodes: `scheduled_rig().host(MyNode)`."""
-
-    def make(*args: Any, **kwargs: Any) -> ScheduledRig:
-        from impact_rig.testing.schedule import ScheduledRig  # noqa: PLC0415  # needs ROS
-
-        return ScheduledRig(*args, **kwargs)
-
-    yield from _starting(request, make)
+    yield from _starting(request, testing.ScheduledRig)
 
 
 @pytest.fixture
-def ros_rig(request: pytest.FixtureRequest) -> Iterator[Callable[..., RosRig]]:
+def ros_rig(request: pytest.FixtureRequest) -> Iterator[Callable[..., testing.RosRig]]:
     """Return a function that starts a rig on its own ROS domain: `ros_rig({"barriers.gap_m": 0.004})`."""
-
-    def make(*args: Any, **kwargs: Any) -> RosRig:
-        from impact_rig.driver.ros_rig import RosRig  # noqa: PLC0415  # needs ROS
-
-        return RosRig(*args, **{"record": True, **kwargs})
-
-    yield from _starting(request, make)
+    yield from _starting(request, lambda *args, **kwargs: testing.RosRig(*args, **{"record": True, **kwargs}))
 
 
 @pytest.fixture
-def golden(request: pytest.FixtureRequest) -> Golden:
+def golden(request: pytest.FixtureRequest) -> testing.Golden:
     """Return the golden data of this test, kept in `golden/` next to its file."""
-    from impact_rig.testing.golden import Golden  # noqa: PLC0415  # not needed by most tests
-
     directory = request.path.parent / "golden" / request.path.stem / _UNSAFE.sub("_", request.node.name)
-    return Golden(directory, update=bool(request.config.getoption("--rig-update-golden")))
+    return testing.Golden(directory, update=bool(request.config.getoption("--rig-update-golden")))
 
 
 @pytest.hookimpl(wrapper=True)
@@ -135,7 +111,7 @@ def pytest_runtest_makereport(
     return report
 
 
-def _keep(rig: RigDriver, directory: Path, item: pytest.Item) -> str:
+def _keep(rig: testing.RigDriver, directory: Path, item: pytest.Item) -> str:
     """Save a rig's run and return a line for the report; an error here never hides the test's own error.
 
     The same information is in properties of the test, which a JUnit file contains.
@@ -167,7 +143,7 @@ def _directory(item: pytest.Item) -> Path:
 def _starting(request: pytest.FixtureRequest, make: Callable[..., R]) -> Iterator[Callable[..., R]]:
     """Yield `make` with a name for each rig of a test; keep the rigs for the test's report, then close them."""
     rigs = request.node.stash.setdefault(_RIGS, [])
-    shared: list[RigDriver] = []
+    shared: list[testing.RigDriver] = []
 
     def start(*args: Any, scope: str = "function", **kwargs: Any) -> R:
         rigs[:] = [rig for rig in rigs if not rig.closed]

@@ -16,7 +16,7 @@
 `ScheduledRig.host` creates a node with real subscriptions, timers, parameters and clock, and runs its callbacks one by
 one in rig time, as a single-threaded executor does. Messages pass through a model of the transport instead of the
 middleware: queues of the subscription's depth, qualities of service that must match, and latched messages for
-subscribers that join late. So the order of callbacks depends on nothing but the scenario. `strategies` has the actions.
+subscribers that join late. So the order of callbacks depends only on the scenario. `strategies` has the actions.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ from impact_rig.driver.driver import STEP_TIMEOUT_S
 from impact_rig.driver.local_rig import LocalRig
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.nodes import messages
-from impact_rig.nodes.publishers import Monitors
+from impact_rig.nodes.publishers import Monitors, noise_of
 from impact_rig.nodes.rclpy_internals import call_subscription, call_timer
 from impact_rig.rig import Block, journal
 from impact_rig.rig.journal import JournalEntry
@@ -102,8 +102,13 @@ class _Inbox:
 @attrs.define(eq=False)
 class _Hosted:
     node: Any
-    busy_ns: int = 0  # until then, its executor runs nothing
+    busy_ns: int  # until then, its executor runs nothing
     inboxes: dict[Any, _Inbox] = attrs.field(factory=dict)
+
+    @property
+    def name(self) -> str:
+        """Name of the node, also while it is created."""
+        return "a new node" if self.node is None else str(self.node.get_name())
 
 
 @attrs.frozen(order=True)
@@ -243,11 +248,6 @@ class ScheduledRig(LocalRig):
         """Run the callbacks of a topic or of `TIMERS` before all others for these blocks."""
         self._first[source] = self._after(blocks)
 
-    def occupy(self, blocks: int) -> None:
-        """Let the executors of all hosted nodes be busy for these blocks; then they run what is queued."""
-        self.hold(MESSAGES, blocks)
-        self.hold(TIMERS, blocks)
-
     def duplicate(self, topic: str, count: int = 1) -> None:
         """Deliver the next messages of a topic twice."""
         self._duplicates[topic] += count
@@ -312,9 +312,7 @@ class ScheduledRig(LocalRig):
     def _deliver(self, block: Block) -> None:
         if self._hosted:
             if self._monitors is None:
-                info = self.core.info().rows
-                noise = dict(zip(info["name"].astype(str).tolist(), info["noise"].tolist(), strict=True))
-                self._monitors = Monitors(self.config, noise)
+                self._monitors = Monitors(self.config, noise_of(self.core.info()))
             self._published += self._monitors.messages(block, lambda _: True)
             tables = ((topic, table) for topic, table in block.tables() if topic.name not in self._kept)
             self._published += ((topic, codec.encode(table)) for topic, table in tables)
@@ -338,11 +336,8 @@ class ScheduledRig(LocalRig):
             self._latched[topic].kept.append((self._numbers, data))
         if not self._hosted:
             return
-        copies = 1
-        if self._duplicates[topic]:
-            self._duplicates[topic] -= 1
-            copies = 2
-        is_dropped = self._drops[topic] > 0
+        is_doubled, is_dropped = self._duplicates[topic] > 0, self._drops[topic] > 0
+        self._duplicates[topic] -= is_doubled
         self._drops[topic] -= is_dropped
         for hosted in self._hosted:
             for inbox in hosted.inboxes.values():
@@ -351,7 +346,7 @@ class ScheduledRig(LocalRig):
                 if is_dropped and (inbox.is_lossy or qos.reliability == ReliabilityPolicy.BEST_EFFORT):
                     self._note(hosted, f"{topic}: dropped")
                     continue
-                for _ in range(copies):
+                for _ in range(1 + is_doubled):
                     if inbox.put(self._numbers, data):
                         self._note(hosted, f"{topic}: lost, the queue is full")
 
@@ -361,7 +356,7 @@ class ScheduledRig(LocalRig):
             for timer in hosted.node.timers:
                 if timer.clock.clock_type != ClockType.ROS_TIME:
                     raise ConfigError(
-                        f"a timer of {hosted.node.get_name()} runs by {timer.clock.clock_type.name}; a schedule needs "
+                        f"a timer of {hosted.name} runs by {timer.clock.clock_type.name}; a schedule needs "
                         "timers that follow the node's clock, the default of create_timer"
                     )
             present = list(hosted.node.subscriptions)
@@ -381,20 +376,18 @@ class ScheduledRig(LocalRig):
 
     def _deliver_messages(self) -> None:
         """Run every callback that is due, one after the other."""
-        self._flush()
-        self._find_entities()
         now = Clock(clock=messages.time_message(self._time_ns))
         for hosted in self._hosted:
             for inbox in hosted.inboxes.values():
                 if inbox.topic == topics.CLOCK.name.removeprefix("/"):
                     inbox.subscription.callback(now)
         for _ in range(MOST_CALLBACKS):
+            self._flush()
+            self._find_entities()
             ready = min(self._ready(), default=None)
             if ready is None:
                 return
             self._run(ready)
-            self._flush()
-            self._find_entities()
         raise AssertionError(f"more than {MOST_CALLBACKS} callbacks without rig time passing")
 
     def _ready(self) -> Iterator[_Ready]:
@@ -468,8 +461,7 @@ class ScheduledRig(LocalRig):
             ):
                 stack.callback(setattr, place, name, getattr(place, name))
                 setattr(place, name, value)
-            name = hosted.node.get_name() if hosted.node is not None else "a node"
-            stack.enter_context(_returning(f"{name} blocks: {what}"))
+            stack.enter_context(_returning(f"{hosted.name} blocks: {what}"))
             yield
 
     def _publish_output(self, topic: str, kind: Any, qos: QoSProfile, data: bytes) -> None:
@@ -490,8 +482,7 @@ class ScheduledRig(LocalRig):
         self._route(relative, kind, qos, data)
 
     def _note(self, hosted: _Hosted, text: str) -> None:
-        name = hosted.node.get_name() if hosted.node is not None else "-"
-        self.callbacks.append(f"{self._time_ns / NS_PER_S:.9f} {name}: {text}")
+        self.callbacks.append(f"{self._time_ns / NS_PER_S:.9f} {hosted.name}: {text}")
 
 
 def _match(subscription: Any, kind: Any, qos: QoSProfile) -> bool:
@@ -514,7 +505,7 @@ def _returning(message: str) -> Iterator[None]:
         return
     begin, used, idle = time.monotonic(), time.thread_time(), 0
 
-    def look(*_: object) -> None:
+    def watch(*_: object) -> None:
         nonlocal used, idle
         before, used = used, time.thread_time()
         idle = idle + 1 if used - before < IDLE_CPU_S else 0
@@ -523,7 +514,7 @@ def _returning(message: str) -> Iterator[None]:
         if time.monotonic() - begin > BUSY_S:
             raise BlockedError(f"{message} has not returned within {BUSY_S:g} s")
 
-    handler = signal.signal(signal.SIGALRM, look)
+    handler = signal.signal(signal.SIGALRM, watch)
     left_s, period_s = signal.setitimer(signal.ITIMER_REAL, TICK_S, TICK_S)
     try:
         yield

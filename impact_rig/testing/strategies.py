@@ -160,13 +160,14 @@ class First:
 
 @attrs.frozen
 class Burst:
-    """Executor that is busy for this many blocks, and then runs everything that has queued up."""
+    """Executors that are busy for this many blocks, and then run everything that has queued up."""
 
     blocks: int = 2
 
     def do(self, rig: RigDriver) -> None:
-        """Occupy the executors."""
-        scheduled(rig).occupy(self.blocks)
+        """Hold all messages and timers."""
+        for source in ("messages", "timers"):
+            scheduled(rig).hold(source, self.blocks)
 
 
 @attrs.frozen

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Schedules of callbacks: what the modelled transport delivers is what the middleware delivers, in a decided order."""
+"""Schedules of callbacks: the modelled transport delivers the same messages as the middleware, in a decided order."""
 
 from __future__ import annotations
 
@@ -260,7 +260,7 @@ def test_a_callback_that_waits_for_another_is_named(how: str) -> None:
 
 @pytest.mark.parametrize("how", ["sleep", "clock"])
 def test_what_a_callback_sleeps_is_rig_time(how: str) -> None:
-    """35 ms of each 40 ms; the queue of 4 loses what does not fit."""
+    """Sleep for 35 ms in each callback, so that one of four blocks is processed and the queue of 4 overflows."""
     begin = time.monotonic()
     with ScheduledRig(QUICK) as rig:
         node = rig.host(Waiting, how=how)
@@ -299,7 +299,7 @@ def test_the_run_of_a_reset_rig_is_sound(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["BlockingCallback", "KeptAcrossReset", "TimerAgainstMessage"])
 def test_a_planted_mistake_is_found_shrunk_and_repeated(name: str) -> None:
-    """All 20: `qualification/planted_mistakes.py`."""
+    """Three of the 20 mistakes in `qualification/planted_mistakes.py`."""
     kind = MISTAKES[name]
     failure = find(kind)
     assert failure is not None
