@@ -38,7 +38,7 @@ from impact_rig.client.processes import isolated_domain
 from impact_rig.errors import ConfigError
 from impact_rig.recording import open_run
 from impact_rig.runs.verification import verify
-from impact_rig.testing import LocalRig, ScheduledRig
+from impact_rig.testing import Fault, LocalRig, ScheduledRig
 from impact_rig.testing.schedule import BlockedError
 from impact_rig.testing.strategies import (
     Burst,
@@ -287,14 +287,27 @@ def test_an_action_on_the_transport_needs_a_scheduled_rig() -> None:
 
 def test_the_run_of_a_reset_rig_is_sound(tmp_path: Path) -> None:
     with ScheduledRig(QUICK) as rig:
-        rig.host(Observer)
+        node = rig.host(Observer)
         repeat(rig, lambda _: None, [Command(9.1, 0.5), Pause(20), Reset(after=1), Pause(5), Command(9.3, 0.4)])
         assert rig.lost_samples() == []
+        newest = rig.tables()[-1]
+        assert node.get_clock().now().nanoseconds == newest.stamp_ns + 10_000_000
+        assert rig.first_scan(newest) == rig.sample - 10
         rig.save(tmp_path / "run")
         lines = (tmp_path / "run/callbacks.txt").read_text().splitlines()
         assert lines == list(rig.callbacks)
     with open_run(tmp_path / "run") as run:
         assert str(verify(run)).startswith("identical")
+
+
+def test_scans_lost_after_a_reset_are_counted_from_the_reset() -> None:
+    with ScheduledRig(QUICK) as rig:
+        rig.step(20)
+        rig.clear()
+        rig.reset()
+        rig.inject(Fault(kind="lost_block", start_sample=0, samples=10))
+        rig.step(3)
+        assert rig.lost_samples() == [(0, 10)]
 
 
 @pytest.mark.parametrize("name", ["BlockingCallback", "KeptAcrossReset", "TimerAgainstMessage"])
