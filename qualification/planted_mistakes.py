@@ -405,7 +405,7 @@ class SleepingCallback(Planted):
     """Node that sleeps for three blocks in the callback of each."""
 
     def begin(self) -> None:
-        self.on("daq/scan", self.on_scan, qos=QoSProfile(depth=10))
+        self.on("daq/scan", self.on_scan)
 
     def on_scan(self, message: PointCloud2) -> None:
         if not self.is_sound:
@@ -533,7 +533,7 @@ def main() -> int:
         if failure is not None:
             scenario, error = failure
             traces = {replay(kind, scenario) for _ in range(REPETITIONS)}
-            is_same = len(traces) == 1 and f"\n{type(error).__name__}: " in traces.copy().pop().decode()
+            is_same = len(traces) == 1 and f"\n{type(error).__name__}: " in f"\n{traces.copy().pop().decode()}"
             is_found = seconds <= LIMIT_S and count_actions(scenario) <= MOST_ACTIONS and is_same
             found += is_found
             result = f"{'found' if is_found else 'NOT SHRUNK OR REPEATED'} in {seconds:.1f} s, {type(error).__name__}, "

@@ -267,7 +267,7 @@ def schedules(
         messages: topics on which the nodes receive messages of others, and the values of their field `data`.
         services: services of the nodes; they are called with an empty request.
         most_actions: maximum number of actions.
-        most_blocks: maximum length of a disturbance; 8 blocks fit into a queue of 10 messages.
+        most_blocks: maximum length of one disturbance; overlapping ones can last longer.
     """
     blocks, after = st.integers(1, most_blocks), st.integers(0, 6)
     inputs = (*topics, *(messages or {}))
