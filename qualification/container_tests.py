@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Check that each failed test leaves a complete run, in an environment like that of a container.
+"""Qualification of the runs that failed tests leave, in an environment like that of a container.
 
 `python -m qualification.container_tests [--tests 50]` writes a folder of tests of which five fail, runs it with `pytest
 -n 2 --junitxml`, and reads the JUnit file. As root it runs as another user (`--user`) whose home is empty, with a small

@@ -160,7 +160,7 @@ class First:
 
 @attrs.frozen
 class Burst:
-    """Executors that are busy for this many blocks, and then run everything that has queued up."""
+    """Pause of all executors for this many blocks; then they run everything that has queued up."""
 
     blocks: int = 2
 
