@@ -18,17 +18,21 @@ from __future__ import annotations
 import argparse
 import atexit
 import contextlib
+import multiprocessing
 import sys
 import warnings
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from rich.console import Console
 from rich.table import Table as TextTable
 
+from fuzz.process import PACKAGES, add_branches, branch_coverage, run_one, targets
+from fuzz.target import MEMORY_MIB, Tally, prepared
+
 INPUTS = 10_000
-PACKAGES = ["impact_rig", "impact_rig_studies", "impact_rig_lab"]
 
 
 def main() -> int:
@@ -41,63 +45,47 @@ def main() -> int:
         "--guided", metavar="TARGET", help="target to fuzz with atheris; libFuzzer's options may follow"
     )
     arguments, rest = parser.parse_known_args()
-    warnings.simplefilter("ignore")  # numpy warns about the values that it is asked to compare
-    with _guide() if arguments.guided else _branches() as watching:
-        from fuzz import calls, decoders, importers, sockets, target, validators  # noqa: PLC0415  # measured
-
-        known = {
-            one.name: one
-            for one in (*decoders.TARGETS, *validators.TARGETS, *importers.TARGETS, *sockets.TARGETS, *calls.TARGETS)
-        }
-        unknown = set([arguments.guided] if arguments.guided else arguments.targets) - set(known)
-        if unknown:
-            parser.error(f"targets are {', '.join(known)}; got {', '.join(sorted(unknown))}")
-        if arguments.guided:
-            tally = target.Tally()
-            atexit.register(lambda: print(f"{tally.inputs} inputs, {tally.refused} refused"))
-            test = target.prepared(known[arguments.guided], INPUTS, 0, tally)
-            watching.Setup([sys.argv[0], *arguments.targets, *rest], test.hypothesis.fuzz_one_input)
-            watching.Fuzz()  # ends the process
-        if rest:
-            parser.error(f"unrecognized arguments: {' '.join(rest)}")
-        chosen = [known[name] for name in arguments.targets] or list(known.values())
-        console, table, total = Console(), TextTable(), 0
-        for heading in ("target", "inputs", "refused", "accepted", "slowest [ms]", "memory [MiB]", "wall [s]"):
-            table.add_column(heading, justify="left" if heading == "target" else "right")
+    if arguments.guided:
+        _run_guided(arguments, rest)
+    known = targets()
+    if unknown := set(arguments.targets) - set(known):
+        parser.error(f"targets are {', '.join(known)}; got {', '.join(sorted(unknown))}")
+    if rest:
+        parser.error(f"unrecognized arguments: {' '.join(rest)}")
+    chosen = [known[name] for name in arguments.targets] or list(known.values())
+    console, table, total, reached = Console(), TextTable(), 0, branch_coverage()
+    for heading in ("target", "inputs", "refused", "accepted", "slowest [ms]", "memory [MiB]", "wall [s]"):
+        table.add_column(heading, justify="left" if heading == "target" else "right")
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), max_tasks_per_child=1) as processes:
         for one in chosen:
-            tally = target.run(one, arguments.inputs, arguments.seed)
+            tally, branches = processes.submit(run_one, one.name, arguments.inputs, arguments.seed).result()
             total += tally.inputs
             figures = (tally.inputs, tally.refused, tally.inputs - tally.refused)
             costs = (tally.slowest_s * 1e3, tally.peak_mib, tally.wall_s)
             table.add_row(one.name, *map(str, figures), *(f"{cost:.0f}" for cost in costs))
-            if tally.peak_mib > target.MEMORY_MIB:
-                console.print(
-                    f"{one.name}: a process occupied {tally.peak_mib:.0f} MiB, more than {target.MEMORY_MIB:g}"
-                )
+            if tally.peak_mib > MEMORY_MIB:
+                console.print(f"{one.name}: a process occupied {tally.peak_mib:.0f} MiB, more than {MEMORY_MIB:g}")
                 return 1
             console.print(f"{one.name}: {tally.inputs} inputs, nothing found", style="dim")
+            if branches:
+                add_branches(reached, branches)
     console.print(table)
     console.print(f"{total} inputs, no crash, hang, NaN or silent acceptance")
-    if watching is not None:
+    if reached is not None:
         root = Path(__file__).parents[1]
-        watching.report(include=sorted({str(root / module) for one in chosen for module in one.modules}))
+        reached.report(include=sorted({str(root / module) for one in chosen for module in one.modules}))
     return 0
 
 
-@contextlib.contextmanager
-def _branches() -> Iterator[Any]:
-    """Measure branch coverage if coverage.py is installed."""
-    try:
-        import coverage  # noqa: PLC0415  # optional
-    except ImportError:
-        yield None
-        return
-    measured = coverage.Coverage(branch=True, data_file=None, source=PACKAGES, config_file=False)
-    measured.start()
-    try:
-        yield measured
-    finally:
-        measured.stop()
+def _run_guided(arguments: argparse.Namespace, rest: list[str]) -> NoReturn:
+    """Fuzz one target with libFuzzer, which ends the process."""
+    warnings.simplefilter("ignore")  # as above
+    with _guide() as watching:
+        tally = Tally()
+        atexit.register(lambda: print(f"{tally.inputs} inputs, {tally.refused} refused"))
+        test = prepared(targets()[arguments.guided], INPUTS, 0, tally)
+        watching.Setup([sys.argv[0], *arguments.targets, *rest], test.hypothesis.fuzz_one_input)
+        watching.Fuzz()
 
 
 @contextlib.contextmanager
