@@ -181,6 +181,9 @@ def main() -> int:
         "--user", type=int, default=NOBODY, metavar="ID", help="user that runs them, if started as root"
     )
     options = parser.parse_args()
+    private = [parent for parent in ROOT.parents if not parent.stat().st_mode & 0o001]
+    if private and os.getuid() == 0:
+        parser.error(f"user {options.user} cannot enter {private[0]}: use a checkout that every user can read")
     folder = Path(tempfile.mkdtemp(prefix="container_tests_"))
     folder.chmod(0o755)
     try:
