@@ -104,7 +104,8 @@ def _options(recipe: str, words: list[str], whole: bool) -> str | None:
     path = ROOT / module[1].replace(".", "/") if module else ROOT
     files = (file for file in (path.with_suffix(".py"), *path.glob("*.py")) if file.is_file())
     source = "".join(file.read_text(encoding="utf-8") for file in files)
-    known = (word[0].isdigit() or f'"{word}"' in source or f"/{word}.py" in source for word in words)
+    named = [word.partition("=")[0] for word in words]  # an option, without the value that follows its =
+    known = (word[0].isdigit() or f'"{word}"' in source or f"/{word}.py" in source for word in named)
     return next(
         (f"{path.name} has no {word}" for word, is_known in zip(words, known, strict=True) if not is_known), None
     )
