@@ -40,6 +40,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from impact_rig import states, topics
 from impact_rig.client.client import Client, ros_parameters
+from impact_rig.client.service_call import ServiceCall
 from impact_rig.errors import ImpactRigError, reason_of
 from impact_rig.instruments.fault import fault_line
 from impact_rig.instruments.instrument import FAULT_KINDS
@@ -74,7 +75,7 @@ PARAMETERS = {
     "restitution": ("contact.restitution", "restitution {:g}"),
 }
 """Requests that set one parameter of the rig, and their answers."""
-PREPARED = (*TRIGGERS.values(), "rig/stop", "rig/pluck", "recorder/start", "recorder/stop")
+PREPARED = (*TRIGGERS.values(), f"{SWEEPER}/start", "rig/stop", "rig/pluck", "recorder/start", "recorder/stop")
 """Services whose clients are created early, so that they are discovered by the time they are used."""
 KEPT = (
     topics.INFO, topics.APPLIED, topics.JOURNAL, topics.FAULTS, topics.TRANSMISSIBILITY_TABLE, topics.CONFIGURATION,
@@ -148,7 +149,7 @@ class Gateway:
         for name in PREPARED:
             client.prepare(Trigger, name)
         client.prepare(SetBool, "rig/pause")
-        for node in ("rig", "analysis"):
+        for node in ("rig", "analysis", SWEEPER):
             client.prepare(SetParametersAtomically, f"{node}/set_parameters_atomically")
         for topic in (*COMMANDS.values(), topics.NOTES):
             client.publisher(topic)
@@ -288,13 +289,8 @@ class Gateway:
     async def _call(self, service_type: Any, name: str, request: Any, timeout_s: float = ANSWER_S) -> str:
         client = self.client.prepare(service_type, name)
         await self.until(client.service_is_ready, f"the service {name}; is its node running?", timeout_s)
-        future = client.call_async(request)
-        try:
-            await self.until(future.done, f"an answer of {name}", timeout_s)
-        finally:
-            if not future.done():
-                client.remove_pending_request(future)
-        response = future.result()
+        with ServiceCall(client, request) as call:
+            response = await self.until(call.response, f"an answer of {name}", timeout_s)
         result = getattr(response, "result", None)  # for set parameters
         done, words = (result.successful, result.reason) if result else (response.success, response.message)
         if not done:

@@ -45,7 +45,9 @@ import impact_rig
 assert pathlib.Path(impact_rig.__file__).parent.parent == pathlib.Path.cwd()
 with_ros = importlib.util.find_spec("rclpy") is not None
 for module in pkgutil.walk_packages(impact_rig.__path__, "impact_rig."):
-    needs_ros = module.name.startswith(("impact_rig.nodes", "impact_rig.client.client", "impact_rig.driver.ros_rig"))
+    needs_ros = module.name.startswith((
+        "impact_rig.nodes", "impact_rig.client.client", "impact_rig.client.service_call", "impact_rig.driver.ros_rig",
+    ))
     if not module.name.endswith((".__main__", "._library")) and (with_ros or not needs_ros):
         importlib.import_module(module.name)
         print(module.name)

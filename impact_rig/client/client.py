@@ -46,6 +46,7 @@ from std_srvs.srv import SetBool, Trigger
 from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.client.processes import ParameterValue, Processes
+from impact_rig.client.service_call import ServiceCall
 from impact_rig.errors import CodecError, CommandError, ConfigError, GoneError, ImpactRigError
 from impact_rig.nodes import messages
 from impact_rig.nodes.managed import with_info
@@ -254,7 +255,6 @@ DEFAULT_TIMEOUT_S = 10.0  # discovery takes 0.2 to 2 s; a node may load compiled
 START_TIMEOUT_S = 240.0  # without the library of kernels, the first start of a node compiles the physics
 LIFECYCLE = (ChangeState, GetState)  # services that start and stop rigs; a transition may take minutes
 RIG = "simulation"  # component in the diagnostics of a rig
-AGAIN_S = 2.0  # interval after which a repeatable request is sent again
 
 
 TRANSITIONS = {
@@ -536,7 +536,7 @@ class Client:
 
     def pause(self, paused: bool = True) -> None:
         """Pause or resume the rig."""
-        response = self.call(SetBool, "rig/pause", SetBool.Request(data=paused))
+        response = self.call(SetBool, "rig/pause", SetBool.Request(data=paused), repeatable=True)
         if not response.success:
             raise ServiceFailedError(f"rig/pause: {response.message}")
 
@@ -557,8 +557,8 @@ class Client:
         name: str,
         request: Any,
         timeout_s: float = DEFAULT_TIMEOUT_S,
-        again_s: float = math.inf,
         *,
+        repeatable: bool = False,
         may_be_silent: bool = False,
     ) -> Any:
         """Call any service and return its response.
@@ -568,8 +568,7 @@ class Client:
             name: service name.
             request: the request.
             timeout_s: time limit for the service to appear, and then for its answer.
-            again_s: interval after which a repeatable request is sent again. On a busy machine DDS loses the answer to
-                a client that the server has not discovered within 100 ms.
+            repeatable: whether the request may be sent again if its answer is late, see `ServiceCall`.
             may_be_silent: whether to wait on when the rig does not report for a while.
 
         Raises:
@@ -583,18 +582,8 @@ class Client:
             check = self.given(name, node, may_be_silent=may_be_silent)
         client = self.prepare(service_type, name)
         self.wait_until(client.service_is_ready, f"service {name}", timeout_s, check)
-        left = timeout_s
-        while True:
-            future = client.call_async(request)
-            try:
-                self.wait_until(future.done, f"an answer of {name}", min(again_s, left), check)
-            except WaitTimeoutError:
-                client.remove_pending_request(future)
-                left -= again_s
-                if left <= 0.0:
-                    raise
-            else:
-                return future.result()
+        with ServiceCall(client, request, repeatable=repeatable) as call:
+            return self.wait_until(call.response, f"an answer of {name}", timeout_s, check)
 
     def prepare(self, service_type: Any, name: str) -> Any:
         """Return the client of a service, created if needed.
@@ -618,19 +607,19 @@ class Client:
             parameters=[parameter.to_parameter_msg() for parameter in ros_parameters(values)]
         )
         name = f"{node}/set_parameters_atomically"
-        result = self.call(SetParametersAtomically, name, request, again_s=AGAIN_S).result
+        result = self.call(SetParametersAtomically, name, request).result
         if not result.successful:
             raise ConfigError(result.reason)
 
     def get_parameters(self, node: str, names: Sequence[str]) -> dict[str, Any]:
         """Return parameter values by name."""
         request = GetParameters.Request(names=list(names))
-        response = self.call(GetParameters, f"{node}/get_parameters", request, again_s=AGAIN_S)
+        response = self.call(GetParameters, f"{node}/get_parameters", request)
         return {name: parameter_value_to_python(value) for name, value in zip(names, response.values, strict=True)}
 
     def state(self, node: str, timeout_s: float = DEFAULT_TIMEOUT_S) -> str:
         """Return the label of a node's lifecycle state."""
-        response = self.call(GetState, f"{node}/get_state", GetState.Request(), timeout_s, AGAIN_S)
+        response = self.call(GetState, f"{node}/get_state", GetState.Request(), timeout_s)
         return str(response.current_state.label)
 
     def change_state(self, node: str, transition: str, timeout_s: float = START_TIMEOUT_S) -> bool:

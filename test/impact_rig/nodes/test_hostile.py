@@ -38,7 +38,6 @@ from std_srvs.srv import SetBool, Trigger
 
 from impact_rig import graph, topics
 from impact_rig.client import isolated_domain
-from impact_rig.client.client import AGAIN_S
 from impact_rig.errors import ConfigError
 from impact_rig.nodes import messages
 from impact_rig.nodes.messages import TOPICS
@@ -196,7 +195,7 @@ def test_services_in_any_order_and_state(attacked: Attacked) -> None:
     names = [row.name[2:] for row in graph.SERVICES if row.node == "rig"]
     for name in names:  # DDS may lose the first answer to a client, which is asked for again
         kind = SetBool if name == "pause" else Trigger
-        client.call(kind, f"rig/{name}", kind.Request(), again_s=AGAIN_S)
+        client.call(kind, f"rig/{name}", kind.Request(), repeatable=True)
     attacked.quiet()
     counted = {name: attacked.refused("rig", name) for name in names}
 
