@@ -42,6 +42,7 @@ from impact_rig_lab.gateway import OwnedProcesses
 from impact_rig_lab.live import LiveSource
 from impact_rig_lab.server import MOST_UNDRAWN, Server
 from impact_rig_lab.server import PATIENCE_S as AWAY_S
+from impact_rig_lab.state import DEAD_S
 
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
 
@@ -134,10 +135,12 @@ def answered(page: Page, words: str) -> None:
 
 @contextlib.contextmanager
 def ending(lab: Lab, node: str) -> Iterator[None]:
-    """End a process that the page has started."""
-    try:
+    """End a process that the page has started; after a failure the page must forget it, as the test may be repeated."""
+    with contextlib.ExitStack() as at_the_end:
+        at_the_end.callback(time.sleep, DEAD_S)
+        at_the_end.callback(lambda: node in lab.processes.running and lab.processes.stop(node))
         yield
-    finally:
+        at_the_end.pop_all()
         lab.processes.stop(node)
 
 
