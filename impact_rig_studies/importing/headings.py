@@ -158,37 +158,37 @@ def unit_cells(cells: Sequence[str]) -> list[str]:
     return ["", *units[1:]] if units and units[0].strip(":").lower() in _UNIT_LABELS else units
 
 
-_RATE = re.compile(
-    r"(?:sampl\w{0,8}[\s_-]?(?:rate|freq\w{0,8})|scan[\s_-]?rate|\brate|\bfs|samples\s?(?:per|/)\s?s\w{0,5}|abtast(?:rate|frequenz))\b[^\d\n]{0,20}?"
-    r"(\d[\d.,]{0,20}(?:[eE][+-]?\d{1,3})?)\s*(k?Hz|MHz|k?S/s|1/s|SPS)?",
+_STATED = re.compile(
+    r"(?:(?:sampl\w{0,8}[\s_-]?(?:rate|freq\w{0,8})|scan[\s_-]?rate|\brate|\bfs|samples\s?(?:per|/)\s?s\w{0,5}"
+    r"|abtast(?:rate|frequenz))"
+    r"|(?P<step>delta[\s_-]?[xt]|\bdt|sampl\w{0,8}[\s_-]?(?:interval|period|time)|\bincrement|abtastintervall))\b"
+    r"[^\d\n]{0,20}?(?P<number>\d[\d.,]{0,20}(?:[eE][+-]?\d{1,3})?)\s*(?P<unit>1/s|[^\W\d][^\s\d,;:()\[\]]{0,20})?",
     re.IGNORECASE,
 )
-_STEP = re.compile(
-    r"(?:delta[\s_-]?[xt]|\bdt|sampl\w{0,8}[\s_-]?(?:interval|period|time)|\bincrement|abtastintervall)\b[^\d\n]{0,20}?"
-    r"(\d[\d.,]{0,20}(?:[eE][+-]?\d{1,3})?)\s*(s|ms|us|µs|sec)?\b",
-    re.IGNORECASE,
-)
+_SAMPLES = re.compile(r"([kM]?)(?:sps|sa?/s|samples?\s?(?:/|per)\s?s\w{0,5})", re.IGNORECASE)
 
 
 def stated_rate(lines: Sequence[str]) -> float | None:
-    """Return the rate [Hz] in lines around a table, such as `Sample rate: 51200 Hz` or `Delta_X 0.008`."""
-    for line in lines:
-        for pattern, is_rate in ((_RATE, True), (_STEP, False)):
-            match = pattern.search(line[:300])
-            if match is None:
-                continue
-            try:
-                value = float(_plain(match[1]))
-            except ValueError:
-                continue
-            unit = (match[2] or "").lower()
-            if is_rate:
-                value *= 1e3 if unit.startswith("k") else 1e6 if unit.startswith("m") else 1.0
-            else:
-                value = value * {"ms": 1e-3, "us": 1e-6, "µs": 1e-6}.get(unit, 1.0)
-                value = 1.0 / value if value > 0.0 else 0.0
-            if 0.0 < value < 1e9:
-                return value
+    """Return the rate [Hz] in lines around a table, such as `Sample rate: 51200 Hz` or `Delta_X 0.008`.
+
+    The unit, behind the number or in the heading before it, decides whether the number is a rate or a period; without
+    one, its name does.
+    """
+    for match in (match for line in lines for match in _STATED.finditer(line[:300])):
+        heading = match[0][: match.start("number") - match.start()].rstrip(" \t:=;,")
+        before, behind = (_SAMPLES.sub(r"\1Hz", text) for text in (heading, match["unit"] or ""))
+        units = (behind, split_unit(before)[1], "s" if match["step"] else "Hz")
+        unit, kind = next((text, found) for text in units if (found := quantity(text)))
+        if kind not in ("Hz", "s"):
+            continue  # the rate of something else, as in `feed rate: 5 mm/s`
+        try:
+            value = float(_plain(match["number"])) * (unit_factor(unit, kind) or math.nan)
+        except ValueError:
+            continue
+        if kind == "s":
+            value = 1.0 / value if value > 0.0 else 0.0
+        if 0.0 < value < 1e9:
+            return value
     return None
 
 

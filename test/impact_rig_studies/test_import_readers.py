@@ -276,6 +276,10 @@ def test_a_table_without_headings_keeps_its_first_row() -> None:
         ("Sample rate: 51200 Hz\nbase,laser,x", 51200.0), ("Sampling frequency;12,8 kHz\nbase,laser,x", 12800.0),
         ("fs=1000\nbase,laser,x", 1000.0), ("Delta_X 0.008 s\nbase,laser,x", 125.0), ("dt: 2 ms\nbase,laser,x", 500.0),
         ("Abtastrate 200\nbase,laser,x", 200.0), ("Samples per second: 125\nbase,laser,x", 125.0),
+        ("Sample rate (kHz): 2\nbase,laser,x", 2000.0), ("Sampling interval [ms]: 0.5\nbase,laser,x", 2000.0),
+        ("Sample rate in kHz: 2\nbase,laser,x", 2000.0), ("Sample interval: 500 us\nbase,laser,x", 2000.0),
+        ("Sampling frequency: 2 kilohertz\nbase,laser,x", 2000.0), ("Sample rate: 2 kS/s\nbase,laser,x", 2000.0),
+        ("Sample rate: 0.02 s\nbase,laser,x", 50.0), ("feed rate: 5 mm/s; fs: 50 SPS\nbase,laser,x", 50.0),
     ],
 )  # fmt: skip
 def test_a_rate_in_the_lines_above_a_table(head: str, rate_hz: float) -> None:
