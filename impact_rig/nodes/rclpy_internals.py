@@ -29,6 +29,7 @@ from __future__ import annotations
 import contextlib
 import faulthandler
 import importlib.metadata
+import inspect
 import traceback
 import weakref
 from collections.abc import Callable, Iterator
@@ -133,7 +134,7 @@ class LookingExecutor(EventsExecutor):
         self._known = weakref.WeakSet(found)
 
 
-def _watch(reference: weakref.ref[Any]) -> None:
+async def _watch(reference: weakref.ref[Any]) -> None:
     """Process the items that an entity holds; an item that was also reported is gone when its turn comes."""
     entity = reference()
     if entity is None:
@@ -145,12 +146,14 @@ def _watch(reference: weakref.ref[Any]) -> None:
             hand_over = _taken(entity)
             if hand_over is None:
                 return
-            hand_over()
+            result = hand_over()
+            if inspect.isawaitable(result):
+                await result
         except Exception:  # an exception that leaves a task of this executor ends the process in the middleware
             get_logger("executor").error(traceback.format_exc())
 
 
-def _taken(entity: Any) -> Callable[[], None] | None:
+def _taken(entity: Any) -> Callable[[], Any] | None:
     """Take the next item of an entity, and return a function that processes it as any executor would."""
     handle = entity.handle
     try:
@@ -167,15 +170,15 @@ def _taken(entity: Any) -> Callable[[], None] | None:
         return None
 
 
-def call_subscription(subscription: Any, message: tuple[Any, Any]) -> None:
-    """Call a subscription's callback with a message and its info, as any executor would."""
-    subscription.callback(*(message if subscription._callback_type is WITH_INFO else message[:1]))
+def call_subscription(subscription: Any, message: tuple[Any, Any]) -> Any:
+    """Call a subscription's callback with a message and its info; return what it returns, a coroutine if it is one."""
+    return subscription.callback(*(message if subscription._callback_type is WITH_INFO else message[:1]))
 
 
-def call_timer(timer: Any) -> None:
-    """Mark a timer as called and call its callback, as any executor would."""
+def call_timer(timer: Any) -> Any:
+    """Mark a timer as called and call its callback; return what that returns, a coroutine if it is one."""
     timer.handle.call_timer()
-    timer.callback()
+    return timer.callback()
 
 
 def _answer(client: Any, header: Any, response: Any) -> None:
@@ -186,5 +189,6 @@ def _answer(client: Any, header: Any, response: Any) -> None:
     future.set_result(response)
 
 
-def _serve(service: Any, request: Any, header: Any) -> None:
-    service.send_response(service.callback(request, service.srv_type.Response()), header)
+async def _serve(service: Any, request: Any, header: Any) -> None:
+    response = service.callback(request, service.srv_type.Response())
+    service.send_response(await response if inspect.isawaitable(response) else response, header)

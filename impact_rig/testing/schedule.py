@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import inspect
 import signal
 import threading
 import time
@@ -412,8 +413,7 @@ class ScheduledRig(LocalRig):
             planned[0] -= 1
         if ready.is_timer:
             self._note(hosted, f"timer of {ready.entity.timer_period_ns / NS_PER_S:g} s")
-            with self._running(hosted, "its timer"):
-                call_timer(ready.entity)
+            self._call(hosted, "its timer", call_timer, ready.entity)
         else:
             number, data = ready.entity.queue.popleft()
             subscription = ready.entity.subscription
@@ -424,12 +424,21 @@ class ScheduledRig(LocalRig):
                 "source_timestamp": self._time_ns, "received_timestamp": self._time_ns,
                 "publication_sequence_number": number, "reception_sequence_number": number,
             }  # fmt: skip
-            with self._running(hosted, f"its callback for {ready.source}"):
-                call_subscription(subscription, (message, info))
+            self._call(hosted, f"its callback for {ready.source}", call_subscription, subscription, (message, info))
         due = [action for left, action in self._planned if left <= 0]
         self._planned = [planned for planned in self._planned if planned[0] > 0]
         for action in due:
             action()
+
+    def _call(self, hosted: _Hosted, what: str, callback: Callable[..., Any], *args: Any) -> None:
+        """Run a callback to its end; a coroutine must reach it without waiting."""
+        with self._running(hosted, what):
+            result = callback(*args)
+            if not inspect.iscoroutine(result):
+                return
+            with contextlib.closing(result), contextlib.suppress(StopIteration):
+                result.send(None)
+                raise BlockedError(f"{hosted.name} blocks: {what} awaits what only another callback can bring")
 
     @contextlib.contextmanager
     def _running(self, hosted: _Hosted, what: str) -> Iterator[None]:

@@ -163,8 +163,9 @@ def test_a_look_ends_though_more_comes_all_the_time(executors: list[Any], make_n
     assert len(got) == KEPT.depth
 
 
+@pytest.mark.parametrize("is_coroutine", [False, True])
 def test_requests_and_answers_that_were_never_told_are_handed_over(
-    executors: list[Any], make_node: Callable[[str], Node]
+    executors: list[Any], make_node: Callable[[str], Node], is_coroutine: bool
 ) -> None:
     told, heard = executors
     server, asking = make_node("server"), make_node("asking")
@@ -173,7 +174,10 @@ def test_requests_and_answers_that_were_never_told_are_handed_over(
         response.message = "here"
         return response
 
-    server.create_service(Trigger, "ask", answer)
+    async def answer_later(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return answer(request, response)
+
+    server.create_service(Trigger, "ask", answer_later if is_coroutine else answer)
     client = asking.create_client(Trigger, "ask")
     for node in (server, asking):
         told.add_node(node)

@@ -29,6 +29,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
 from sensor_msgs.msg import Imu, JointState, PointCloud2
 from std_msgs.msg import Bool, Float64, Int64
 from std_srvs.srv import Trigger
@@ -241,6 +242,12 @@ class Waiting(Node):
     def rate(self, _message: PointCloud2) -> None:
         self.create_rate(100).sleep()
 
+    async def future(self, _message: PointCloud2) -> None:
+        await Future()
+
+    async def later(self, _message: PointCloud2) -> None:
+        self.count += 1
+
     def sleep(self, _message: PointCloud2) -> None:
         self.count += 1
         time.sleep(0.035)
@@ -250,12 +257,19 @@ class Waiting(Node):
         self.get_clock().sleep_for(rclpy.duration.Duration(seconds=0.035))
 
 
-@pytest.mark.parametrize("how", ["event", "rate"])
+@pytest.mark.parametrize("how", ["event", "rate", "future"])
 def test_a_callback_that_waits_for_another_is_named(how: str) -> None:
     with ScheduledRig(QUICK) as rig:
         rig.host(Waiting, how=how)
-        with pytest.raises(BlockedError, match="waiting blocks: its callback for daq/scan waits"):
+        with pytest.raises(BlockedError, match=r"waiting blocks: its callback for daq/scan a?waits"):
             rig.step(3)
+
+
+def test_a_coroutine_that_awaits_nothing_runs_as_any_callback() -> None:
+    with ScheduledRig(QUICK) as rig:
+        node = rig.host(Waiting, how="later")
+        rig.step(3)
+        assert node.count == 3
 
 
 @pytest.mark.parametrize("how", ["sleep", "clock"])
