@@ -79,7 +79,7 @@ class LocalRig(RigDriver):
             run needs (journal, commands, calibration). None means no limit.
 
     Attributes:
-        core: the rig itself, for calls that this class does not offer (pluck, stop, clear_trip, ...).
+        core: the rig itself, for calls that this class does not offer (pluck, stop, clear_trip).
         tracker: the analysis, or None.
 
     Raises:
@@ -164,6 +164,13 @@ class LocalRig(RigDriver):
         self.config = self.core.configure(changes)
         self._publish_changes()
         return self.config
+
+    def reset(self) -> None:
+        """Start again at scan 0 with everything at rest, as the service `rig/reset` does; stamps continue."""
+        self.core.reset()
+        self._start_ns, self.sample = self.core.start_ns, 0
+        self._kept_from = self._lost_before = 0
+        self._publish_changes()
 
     def inject(self, fault: Fault) -> int:
         """Start a fault; see `RigDriver`."""

@@ -28,7 +28,7 @@ import signal
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any  # nodes and messages have no common base
 
@@ -60,6 +60,7 @@ from impact_rig.nodes import messages
 from impact_rig.nodes.publishers import Monitors, noise_of
 from impact_rig.nodes.rclpy_internals import call_subscription, call_timer
 from impact_rig.rig import Block, journal
+from impact_rig.rig.config import RigConfig
 from impact_rig.rig.journal import JournalEntry
 from impact_rig.simtime import NS_PER_S, stamp_ns
 
@@ -219,12 +220,12 @@ class ScheduledRig(LocalRig):
             super().step(1, timeout_s)
             self._deliver_messages()
 
-    def reset(self) -> None:
-        """Start again at scan 0 with everything at rest, as the service `rig/reset` does; stamps continue."""
-        self.core.reset()
-        self._start_ns, self.sample = self.core.start_ns, 0
-        self._kept_from = self._lost_before = 0
-        self._publish_changes()
+    def configure(self, changes: Mapping[str, Any]) -> RigConfig:
+        """Change configuration values, also those of the monitor topics; see `RigDriver`."""
+        config = super().configure(changes)
+        if self._monitors is not None:
+            self._monitors = Monitors(config, noise_of(self.core.info()), self._monitors)
+        return config
 
     def save(self, directory: Path) -> Path:
         """Write everything kept as an MCAP run, and the callbacks of hosted nodes as `callbacks.txt` next to it."""

@@ -57,6 +57,24 @@ def test_a_command_in_the_past_is_refused() -> None:
         rig.command(current_a=0.1, at_sample=100)
 
 
+def test_a_rig_starts_again_at_scan_0_with_everything_at_rest() -> None:
+    rig = LocalRig({**LINEAR, "drive.amplitude": 0.3}, analysis={"gap_m": None})
+    rig.run(0.517)
+    rig.command(current_a=0.5)
+    rig.run(0.2)
+    before = rig.rows()
+    rig.reset()
+    assert (rig.sample, rig.time_s) == (0, 0.0)
+    assert rig.command(current_a=0.4) == 0
+    rig.run(0.3)
+    scan = rig.tables()[-1]
+    assert rig.first_scan(scan) + len(scan.rows) == rig.sample == 3000
+    again = rig.rows()[len(before) :]
+    assert len(again) == 3000
+    assert rig.lost_samples() == []
+    assert np.abs(again["laser"][:10]).max() < 1e-4 < np.abs(again["laser"]).max()
+
+
 def test_faults_begin_and_end_at_their_samples_planned_or_injected() -> None:
     """Odd numbers on purpose: a fault need not begin with a block."""
     planned = Fault(kind="saturation", channel="laser", start_sample=4003, samples=17, value=1e-6)

@@ -20,6 +20,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
@@ -30,13 +31,14 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
-from sensor_msgs.msg import Imu, JointState, PointCloud2
+from sensor_msgs.msg import Imu, JointState, PointCloud2, Range
 from std_msgs.msg import Bool, Float64, Int64
 from std_srvs.srv import Trigger
 
 from impact_rig.client import Client
 from impact_rig.client.processes import isolated_domain
 from impact_rig.errors import ConfigError
+from impact_rig.nodes.messages import MONITORS
 from impact_rig.recording import open_run
 from impact_rig.runs.verification import verify
 from impact_rig.testing import Fault, LocalRig, ScheduledRig
@@ -312,6 +314,26 @@ def test_the_run_of_a_reset_rig_is_sound(tmp_path: Path) -> None:
         assert lines == list(rig.callbacks)
     with open_run(tmp_path / "run") as run:
         assert str(verify(run)).startswith("identical")
+
+
+def test_the_monitor_topics_follow_the_configuration() -> None:
+    ranges: list[float] = []
+
+    class Ranges(Node):
+        def __init__(self) -> None:
+            super().__init__("ranges")
+            topic = MONITORS["laser"].name
+            self.create_subscription(Range, topic, lambda message: ranges.append(message.max_range), 10)
+
+    with ScheduledRig(QUICK) as rig:
+        laser = rig.config.instruments.laser
+        rig.host(Ranges)
+        rig.run(0.5)
+        rig.configure({"instruments.laser.half_range_m": 0.02})
+        rig.run(0.5)
+    expected = [np.float32(laser.distance_m + half_range_m) for half_range_m in (laser.half_range_m, 0.02)]
+    assert list(dict.fromkeys(ranges)) == expected
+    assert len(ranges) == 46, "50 Hz, four periods late: the filter does not start again"
 
 
 def test_scans_lost_after_a_reset_are_counted_from_the_reset() -> None:
