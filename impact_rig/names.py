@@ -40,6 +40,7 @@ LONGEST_FILE_NAME = (
 )
 LONGEST_LINE = 2000  # maximum number of characters of a log line or an error
 LONGEST_QUOTE = 200  # maximum number of characters of a value quoted in an error
+RIG_OPTION = "--rig"  # option that selects one of several rigs of a recording
 FIGURE_FORMATS = ("png", "svg", "pdf")  # suffixes of files with figures
 # maximum number of characters of a text in a drawing, and of one at an axis or in a legend
 LONGEST_TITLE, LONGEST_LABEL = 200, 50

@@ -27,7 +27,7 @@ import webbrowser
 from pathlib import Path
 from typing import Any  # a source of either kind
 
-from impact_rig.cli.terminal import Commands, Console, add_rig, subcommand
+from impact_rig.cli.options import Commands, add_recorded_rig, subcommand
 from impact_rig.errors import ImpactRigError
 from impact_rig.system import files
 
@@ -40,7 +40,7 @@ POLL_MS = 1000
 def add_command(commands: Commands) -> None:
     """Register the subcommand."""
     parser = subcommand(
-        commands, "lab", run, "see the rig move and turn its knobs, live, in a browser",
+        commands, "lab", "impact_rig_lab.cli:run", "see the rig move and turn its knobs, live, in a browser",
         [
             ("lab", "starts a rig and opens its page"),
             ("lab --sample", "plays back a short run; needs no ROS 2"),
@@ -57,7 +57,7 @@ def add_command(commands: Commands) -> None:
     parser.add_argument("--sample", action="store_true", help="play back a short run, recorded for this on first use")
     parser.add_argument("--port", type=int, default=8765, help="port of the page; 0: any free one (default: 8765)")
     parser.add_argument("--host", default="127.0.0.1", help="address to serve; other machines may then open the page")
-    add_rig(parser)
+    add_recorded_rig(parser)
     parser.add_argument("--no-browser", action="store_true", help="print the address only")
     parser.add_argument("--scan-rate", type=int, default=10_000, metavar="HZ", help="scans per second (default: 10000)")
     parser.add_argument(
@@ -94,6 +94,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise ImpactRigError(f"the lab needs its extra: pip install 'impact_rig[lab]' ({error})") from error
     check_port(arguments.port)
     branches = [continued(directory) for directory in arguments.branches]
+    from impact_rig.cli.terminal import Console  # noqa: PLC0415  # rich: not for the help
+
     console = Console()
     runs = arguments.runs[0].resolve().parent if arguments.runs else arguments.output
     with contextlib.ExitStack() as stack:

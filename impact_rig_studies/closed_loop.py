@@ -23,7 +23,8 @@ from impact_rig.driver import RigDriver
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig_studies.campaign.job import Job, start_local
 from impact_rig_studies.operate.operator import operate
-from impact_rig_studies.operate.stepped_sine import ControlledSine, HoldPlan
+from impact_rig_studies.operate.plans import HoldPlan
+from impact_rig_studies.operate.stepped_sine import ControlledSine
 
 BLOCKS_PER_S = 20  # blocks of the rig in a loop: rig time passes in steps of 50 ms
 

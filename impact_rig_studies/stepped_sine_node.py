@@ -33,16 +33,9 @@ from impact_rig.nodes.managed import Done, Level, ManagedNode, NodeState
 from impact_rig.nodes.messages import MONITORS
 from impact_rig.rig.journal import InputKind, JournalEntry
 from impact_rig_studies.operate.operator import Applied, ControllerRun, Operator, Update
-from impact_rig_studies.operate.phase_lock import LockedSine, LockPlan, LockSettings
-from impact_rig_studies.operate.stepped_sine import (
-    ControlledSine,
-    Hold,
-    HoldPlan,
-    Setpoint,
-    SteppedSine,
-    SweepPlan,
-    SweepState,
-)
+from impact_rig_studies.operate.phase_lock import LockedSine
+from impact_rig_studies.operate.plans import Hold, HoldPlan, LockPlan, LockSettings, SweepPlan
+from impact_rig_studies.operate.stepped_sine import ControlledSine, Setpoint, SteppedSine, SweepState
 
 WATCH_S = 0.1  # interval at which the node checks for the rig while a sweep waits to start
 STOPPING = {

@@ -49,13 +49,13 @@ from impact_rig_studies.operate.phase_lock import (
     AmplitudePoint,
     AmplitudeSweep,
     LockLoop,
-    LockPlan,
     PhaseLock,
     follow,
     lock_on,
     sweep_amplitude,
 )
-from impact_rig_studies.operate.stepped_sine import Hold, HoldPlan, SweepState
+from impact_rig_studies.operate.plans import Hold, HoldPlan, LockPlan
+from impact_rig_studies.operate.stepped_sine import SweepState
 from impact_rig_studies.prediction import Manifold
 from qualification.prediction import job, tell
 

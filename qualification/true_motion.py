@@ -40,8 +40,9 @@ from impact_rig.analysis.calibration import Real
 from impact_rig.driver import Hardware, LocalRig
 from impact_rig.physics.linear import constants, input_vectors, state_matrix
 from impact_rig_studies.excitation.history import Replicated, ReplicatePlan, replicate
-from impact_rig_studies.excitation.response import KINDS, Excitation, Response, measure
+from impact_rig_studies.excitation.response import Response, measure
 from impact_rig_studies.excitation.shock import Pulse, Shocked, differentiated, shock, shock_response_spectrum
+from impact_rig_studies.excitation.signals import KINDS, Excitation
 from qualification.results import Results
 
 RATE_HZ, SHOCK_HZ = 2_000, 10_000

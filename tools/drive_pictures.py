@@ -24,8 +24,9 @@ from pathlib import Path
 from impact_rig.driver import Hardware, LocalRig
 from impact_rig_studies.excitation.files import load
 from impact_rig_studies.excitation.random import RandomPlan, control
-from impact_rig_studies.excitation.response import Excitation, measure
+from impact_rig_studies.excitation.response import measure
 from impact_rig_studies.excitation.shock import Pulse, shock
+from impact_rig_studies.excitation.signals import Excitation
 from impact_rig_studies.report.excitation import tell
 
 ROOT = Path(__file__).parents[1]

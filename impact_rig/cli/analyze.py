@@ -17,24 +17,20 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable, Iterator
-from importlib import metadata
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import attrs
 import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.transmissibility import note_on
+from impact_rig.cli.options import call
+from impact_rig.cli.parsers import analyses
 from impact_rig.cli.terminal import (
-    Commands,
     Console,
     TextTable,
-    add_figures,
-    add_json,
-    add_run,
     figure,
-    subcommand,
     tell_json,
 )
 from impact_rig.errors import ConfigError
@@ -46,68 +42,17 @@ if TYPE_CHECKING:
 
     from impact_rig.analysis.frf import Frf
 
-WINDOWS = ("hann", "boxcar", "flattop", "blackmanharris")
 LINES = 15  # largest number of printed lines of a frequency response
 DRAWN_CYCLES = 4
-GROUP = "impact_rig.analyses"
-"""Entry points through which packages contribute analyses, each an `Analysis`."""
 
 
-class Analysis(NamedTuple):
-    """Alternative analysis of a run, selected by an option."""
-
-    name: str  # name of its option, without the dashes
-    # function that adds the option; its default is None or False
-    add: Callable[[argparse._MutuallyExclusiveGroup], object]
-    run: Callable[[Console, Run, argparse.Namespace], int]  # function that analyses, prints, and returns the exit code
-
-
-def _analyses() -> Iterator[Analysis]:
-    return (one.load() for one in metadata.entry_points(group=GROUP))
-
-
-def add_command(commands: Commands) -> None:
-    """Register the subcommand."""
-    parser = subcommand(
-        commands, "analyze", _run, "analyse a run again like the live node, and compare the results",
-        [
-            ("analyze runs/demo/gap_6mm", "every measurement in it, and whether the live analysis found the same"),
-            ("analyze runs/demo/gap_6mm --figures pictures", "also draws time traces, phase plane, spectrum, curves"),
-            ("analyze runs/chirp --frf", "frequency response of a chirp, with lines as fine as its resonance needs"),
-        ],
-        "Exit code 0: equal to the live analysis, or no live analysis to compare with; 1: different.",
-    )  # fmt: skip
-    add_json(parser)
-    parser.add_argument("--all", action="store_true", help="also rows without a measurement, with the reason")
-    add_run(parser)
-    instead = parser.add_argument_group("instead").add_mutually_exclusive_group()
-    for analysis in _analyses():
-        analysis.add(instead)
-    parser.add_argument(
-        "--segment", type=float, metavar="S",
-        help="length of a segment with --frf; the lines are 1/S Hz apart (default: as the resonance needs, "
-        "at most 2/5 of the record)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--window", choices=WINDOWS, default="hann",
-        help="window of the segments with --frf; boxcar for a drive that repeats every segment (default: hann)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--damping", type=float, metavar="ZETA", help="damping ratio to resolve with --frf (default: as measured)"
-    )
-    add_figures(
-        parser,
-        "also draw the last settled measurement (time traces, phase plane, spectrum) and the curves, or the "
-        "result of the chosen option",
-    )
-
-
-def _run(arguments: argparse.Namespace) -> int:
+def run_analyze(arguments: argparse.Namespace) -> int:
+    """Run `analyze`."""
     console = Console(quiet=arguments.json)
     with open_run(arguments.path, arguments.rig) as run:
-        for analysis in _analyses():
+        for analysis in analyses():
             if getattr(arguments, analysis.name) not in (None, False):
-                return analysis.run(console, run, arguments)
+                return call(analysis.run, console, run, arguments)
         return _as_live(console, run, arguments)
 
 
@@ -194,7 +139,8 @@ def _places(u: float) -> str:
     return f".{min(max(3, 1 - math.floor(math.log10(u))), 12)}f" if 0.0 < u < math.inf else ".3f"
 
 
-def _frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
+def run_frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
+    """Run `frf`."""
     from impact_rig.analysis.drawings import frequency_response  # noqa: PLC0415  # heavy: after the run is open
     from impact_rig.runs.wholes import response_of  # noqa: PLC0415  # as above
 
@@ -274,7 +220,8 @@ def _resolution(found: Frf, window: str, apart_hz: float) -> list[str]:
     return said
 
 
-def _sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
+def run_sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
+    """Run `sine`."""
     from impact_rig.analysis.drawings import sine_fits  # noqa: PLC0415  # heavy: after the run is open
     from impact_rig.runs import reanalysis  # noqa: PLC0415  # as above
     from impact_rig.runs.wholes import calibration_rows, last_excerpt, sines_of  # noqa: PLC0415  # as above
@@ -335,22 +282,6 @@ def _sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     return 0
 
 
-FRF = Analysis(
-    "frf",
-    lambda instead: instead.add_argument(
-        "--frf", action="store_true", help="frequency response x_1/x_b of a chirp or noise: H1, H2, Hv, coherence"
-    ),
-    _frf,
-)
-SINE = Analysis(
-    "sine",
-    lambda instead: instead.add_argument(
-        "--sine", action="store_true", help="sines fitted to each channel in the last settled measurement"
-    ),
-    _sine,
-)
-
-
 def prepare_figure(arguments: argparse.Namespace, stem: str) -> None:
     """Check that a figure can be written, before it is computed."""
     if arguments.figures is not None:
@@ -369,3 +300,6 @@ def draw_figure(
 
     for file in save(titled(draw(), run), arguments.figures / stem, arguments.formats):
         console.print(f"wrote {file}", soft_wrap=True)
+
+
+from impact_rig.cli.parsers import add_analyze as add_command, FRF, SINE  # noqa: E402, F401, I001  # for environments registered before

@@ -18,12 +18,11 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Sequence
-from pathlib import Path
 
 import attrs
 from rich.text import Text
 
-from impact_rig.cli.terminal import Commands, Console, TextTable, add_json, subcommand, tell_json
+from impact_rig.cli.terminal import Console, TextTable, tell_json
 from impact_rig.errors import ConfigError
 from impact_rig.instruments import check_known_input
 from impact_rig.instruments.checks import ChannelCheck
@@ -34,23 +33,8 @@ from impact_rig.rig.config import load_config
 _POLARITY = {1: "right", 0: "no signal", -1: "reversed"}
 
 
-def add_command(commands: Commands) -> None:
-    """Register the subcommand."""
-    parser = subcommand(
-        commands, "check", _run, "validate a configuration file without starting anything",
-        [
-            ("check config/nominal.yaml", "names key, value, range and file of a mistake"),
-            ("check my_rig.yaml --instruments", "also puts a known sine into every channel"),
-        ],
-    )  # fmt: skip
-    parser.add_argument("path", type=Path, metavar="FILE", help="configuration of the rig, as YAML")
-    add_json(parser)
-    parser.add_argument(
-        "--instruments", action="store_true", help="put a known sine into every channel: gain, phase, noise, polarity"
-    )
-
-
-def _run(arguments: argparse.Namespace) -> int:
+def run_check(arguments: argparse.Namespace) -> int:
+    """Run `check`."""
     config = load_config(arguments.path)
     try:
         Rig(config)  # individually valid values may be jointly invalid
@@ -88,3 +72,6 @@ def _print_instruments(checks: Sequence[ChannelCheck], console: Console) -> None
             _POLARITY[check.polarity], Text("ok", "green") if check.ok else Text("not ok", "red"),
         )  # fmt: skip
     console.print(table)
+
+
+from impact_rig.cli.parsers import add_check as add_command  # noqa: E402, F401  # for environments registered before

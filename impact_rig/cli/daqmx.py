@@ -18,41 +18,15 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
-from pathlib import Path
 
 from impact_rig import driver
-from impact_rig.cli.terminal import Commands, Console, subcommand
+from impact_rig.cli.terminal import Console
 from impact_rig.errors import ImpactRigError
 from impact_rig.rig.config import RigConfig, load_config
 
-PORT = 31763  # port of the NI gRPC Device Server
 
-
-def add_command(commands: Commands) -> None:
-    """Register the subcommand."""
-    parser = subcommand(
-        commands, "daqmx", _run, "serve the rig to scripts that use NI's nidaqmx package",
-        [
-            ("daqmx", "a simulated rig as Dev1, on this machine only"),
-            ("daqmx --config my_rig.yaml --device cDAQ1Mod1 cDAQ1Mod2", "another rig, named as in a script"),
-            ("daqmx --namespace /rig", "a running rig, in real time with drive.waveform: stream"),
-        ],
-    )  # fmt: skip
-    parser.set_defaults(until_told=True)
-    parser.add_argument("--config", type=Path, metavar="FILE", help="rig configuration (default: the paper's rig)")
-    parser.add_argument("--namespace", help="namespace of a running rig (default: a rig is simulated here)")
-    parser.add_argument(
-        "--device", nargs="+", default=["Dev1"], metavar="NAME", help="names of the board (default: Dev1)"
-    )
-    parser.add_argument(
-        "--host",
-        default="127.0.0.1",
-        help="address to serve; others can then drive the rig (default: %(default)s)",
-    )
-    parser.add_argument("--port", type=int, default=PORT, help="port to serve; 0: any free one (default: %(default)s)")
-
-
-def _run(arguments: argparse.Namespace) -> int:
+def run_daqmx(arguments: argparse.Namespace) -> int:
+    """Run `daqmx`."""
     from impact_rig.driver import daqmx_board, daqmx_server  # noqa: PLC0415  # load compiled code
 
     if not 0 <= arguments.port <= 65535:
@@ -68,3 +42,6 @@ def _run(arguments: argparse.Namespace) -> int:
         Console().print(f"nidaqmx server: {arguments.host}:{port}; Ctrl-C ends it", soft_wrap=True)
         server.wait_for_termination()
     return 0
+
+
+from impact_rig.cli.parsers import add_daqmx as add_command  # noqa: E402, F401  # for environments registered before

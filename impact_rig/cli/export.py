@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.cli.terminal import Commands, Console, add_run, subcommand
+from impact_rig.cli.terminal import Console
 from impact_rig.errors import ConfigError
 from impact_rig.recording import open_run
 from impact_rig.runs import export
@@ -42,25 +42,8 @@ def _exporters() -> Iterator[Exporter]:
     return (one.load() for one in metadata.entry_points(group=GROUP))
 
 
-def add_command(commands: Commands) -> None:
-    """Register the subcommand."""
-    parser = subcommand(
-        commands, "export", _run, "write a table of a run, campaign, map or study as .csv, .npz, .parquet or .uff",
-        [
-            ("export runs/demo/gap_6mm transmissibility/table dt.csv", "the measurements"),
-            ("export runs/demo/gap_6mm daq/scan scans.npz", "every scan, for NumPy"),
-            ("export runs/campaign_paper points curves.uff", "curves as a universal file (dataset 58)"),
-            ("export runs/dynamics_nominal bifurcation rows.csv", "the rows of a study of dynamics"),
-        ],
-    )  # fmt: skip
-    add_run(parser, "a run, or the directory of a campaign, a map or studies of dynamics")
-    parser.add_argument(
-        "topic", help="e.g. transmissibility/table; for a campaign or a map: points; for dynamics: the kind of study"
-    )
-    parser.add_argument("target", type=Path, metavar="FILE", help="file to write; its suffix selects the format")
-
-
-def _run(arguments: argparse.Namespace) -> int:
+def run_export(arguments: argparse.Namespace) -> int:
+    """Run `export`."""
     path, target = arguments.path, arguments.target
     tables = next((found for exporter in _exporters() if (found := exporter(path)) is not None), None)
     if tables is not None:
@@ -74,3 +57,6 @@ def _run(arguments: argparse.Namespace) -> int:
             written = export(run, arguments.topic, target)
     Console().print(str(written))
     return 0
+
+
+from impact_rig.cli.parsers import add_export as add_command  # noqa: E402, F401  # for environments registered before

@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any  # what JSON holds
 
-from impact_rig.cli.terminal import Commands, Console, TextTable, add_json, subcommand, tell_json
+from impact_rig.cli.terminal import Console, TextTable, tell_json
 from impact_rig.errors import ConfigError
 from impact_rig.system import files
 
@@ -34,22 +34,8 @@ CLIENTS = ("client", "peers")  # publishers of the rig's inputs
 Row = dict[str, Any]
 
 
-def add_command(commands: Commands) -> None:
-    """Register the subcommand."""
-    parser = subcommand(
-        commands, "interface", _run,
-        "topics, services and parameters as a document, or its incompatibilities with another one",
-        [
-            ("interface --json > interface.json", "types, qualities of service, columns, ranges, defaults"),
-            ("interface --against older.json", "changes that break a client of that version, and additions"),
-        ],
-        "Exit code 1 if a change breaks clients; docs/reference/interface.md lists such changes.",
-    )  # fmt: skip
-    add_json(parser)
-    parser.add_argument("--against", type=Path, metavar="FILE", help="document of an earlier version")
-
-
-def _run(arguments: argparse.Namespace) -> int:
+def run_interface(arguments: argparse.Namespace) -> int:
+    """Run `interface`."""
     present = read(DOCUMENT)
     if not arguments.against:
         if arguments.json:
@@ -173,3 +159,5 @@ _BREAKS: dict[str, Callable[[Any, Any, Row], bool]] = {
     "choices": lambda was, now, _: now is not None and not set(was or ()) <= set(now),
 }
 """Key of a row -> function that returns whether a change breaks a client (before, after, row); other keys always do."""
+
+from impact_rig.cli.parsers import add_interface as add_command  # noqa: E402, F401  # for environments registered before

@@ -26,10 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig import topics
-from impact_rig.cli.quantities import Quantity, positive
-from impact_rig.cli.rig_options import RUNNING, add_rig, add_way, open_rig, rig_of, run_directory
-from impact_rig.cli.terminal import Commands, Console, Counted, TextTable, add_json, figure, subcommand, tell_results
-from impact_rig.config import Drive, FieldInfo
+from impact_rig.cli.options import RUNNING
+from impact_rig.cli.parsers import CURRENT_A, FREQUENCY_HZ
+from impact_rig.cli.rig_options import open_rig, rig_of, run_directory
+from impact_rig.cli.terminal import Console, Counted, TextTable, figure, tell_results
 from impact_rig.errors import CommandError, ConfigError, ImpactRigError
 from impact_rig.recording import open_run
 from impact_rig.rig import Rig
@@ -37,44 +37,13 @@ from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.gaps import NO_SPHERE, case_of
 from impact_rig.system.endings import defer_signals
 
-SECONDS = 60.0
 SCANS_TIMEOUT_S = 30.0  # largest wall time of a rig for one block of scans
-FREQUENCY_HZ, CURRENT_A = 9.1, 0.52  # values of the paper
-CURRENT = Quantity(FieldInfo("Peak current.", "A", low=0.0))
 NEGLIGIBLE = 1e-6  # share of the variance below which a line of the budget is not printed
 OF_THE_RIG = ("config", "gap", "sphere_start", "seed", "scan_rate")
 
 
-def add_command(commands: Commands) -> None:
-    """Register the subcommand."""
-    parser = subcommand(
-        commands, "record", _run, "record one run at one frequency and current, and measure its DT",
-        [
-            ("record --frequency 9.1 --current 0.52 --gap 6mm", "60 s of rig time, in this process"),
-            ("record --gap none --seconds 30 --output runs/no_sphere", "without the sphere"),
-            ("record --through running --namespace /rig --seconds 20", "a running rig, with its present drive"),
-        ],
-        "The last line is the directory of the run. Exit code 0: DT was measured; 1: not, for the printed reason.",
-    )  # fmt: skip
-    parser.add_argument(
-        "--frequency", type=Quantity.of(attrs.fields(Drive).frequency_hz), metavar="HZ",
-        help=f"drive frequency (default: {FREQUENCY_HZ}Hz; running rig: unchanged)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--current", type=CURRENT, metavar="A", help=f"peak current (default: {CURRENT_A}A; running rig: unchanged)"
-    )
-    parser.add_argument(
-        "--seconds", type=positive("s"), default=SECONDS, metavar="S", help=f"rig time (default: {SECONDS:g})"
-    )
-    add_rig(parser)
-    parser.add_argument("--seed", type=int, metavar="N", help="seed of noise and calibration errors")
-    parser.add_argument("--scan-rate", type=int, metavar="HZ", help="scans per second (default: the configuration's)")
-    add_way(parser)
-    parser.add_argument("--output", type=Path, metavar="DIR", help="directory of the run (default: runs/record_<time>)")
-    add_json(parser)
-
-
-def _run(arguments: argparse.Namespace) -> int:
+def run_record(arguments: argparse.Namespace) -> int:
+    """Run `record`."""
     config, gap_m = _config(arguments)
     directory = run_directory(arguments.output, "record")
     console = Console(quiet=arguments.json)
@@ -237,3 +206,6 @@ def _content(found: RunMeasurements) -> dict[str, object]:
         "phase_rad": last["phase"], "settled_measurements": len(found.rows),
         "current_amplitude_a": last["current_amplitude"], "budget": [attrs.asdict(part) for part in whole.parts],
     }  # fmt: skip
+
+
+from impact_rig.cli.parsers import add_record as add_command  # noqa: E402, F401  # for environments registered before

@@ -18,33 +18,20 @@ from __future__ import annotations
 import argparse
 import math
 import os
-from pathlib import Path
 
 import attrs
 from rich.progress import BarColumn, Progress, TimeRemainingColumn
 
-from impact_rig.cli.terminal import Commands, Console, Steps, TextTable, Words, add_json, add_run, subcommand, tell_json
+from impact_rig.cli.parsers import INCOMPLETE
+from impact_rig.cli.terminal import Console, Steps, TextTable, Words, tell_json
 from impact_rig.errors import ImpactRigError
 from impact_rig.recording import Run, open_run
 from impact_rig.runs import RecoverReport, RunInfo, info, recover
 from impact_rig.simtime import NS_PER_S
 
 
-def add_info(commands: Commands) -> None:
-    """Register the subcommand."""
-    parser = subcommand(
-        commands, "info", _info, "contents of a run, and whether it is complete",
-        [
-            ("info runs/demo/gap_6mm", "verdict, duration, topics"),
-            ("info runs/demo/gap_6mm --json", "the same for a script"),
-        ],
-        "Exit code 0: every checksum fits and nothing is known to be missing; 1: otherwise.",
-    )  # fmt: skip
-    add_json(parser)
-    parser.add_argument("path", type=Path, metavar="RUN", help="run directory or .mcap file")
-
-
-def _info(arguments: argparse.Namespace) -> int:
+def run_info(arguments: argparse.Namespace) -> int:
+    """Run `info`."""
     found = info(arguments.path)
     if arguments.json:
         tell_json(_info_content(found))
@@ -98,18 +85,8 @@ def _info_content(found: RunInfo) -> dict[str, object]:
     }
 
 
-def add_verify(commands: Commands) -> None:
-    """Register the subcommand."""
-    parser = subcommand(
-        commands, "verify", _verify, "re-simulate a run from its journal and compare all that the rig published",
-        [("verify runs/demo/gap_6mm", "`identical` or the first difference, then a line per topic")],
-        "Exit code 0: identical; 1: different, or not verifiable.",
-    )  # fmt: skip
-    add_run(parser)
-    add_json(parser)
-
-
-def _verify(arguments: argparse.Namespace) -> int:
+def run_verify(arguments: argparse.Namespace) -> int:
+    """Run `verify`."""
     with open_run(arguments.path, arguments.rig) as run:
         from impact_rig.runs.verification import verify  # noqa: PLC0415
 
@@ -128,28 +105,11 @@ def _verify(arguments: argparse.Namespace) -> int:
     return 0 if found.identical else 1
 
 
-INCOMPLETE = 3  # exit code if the new run lacks parts of the old one
 LISTED = 20  # largest number of places that are listed
 
 
-def add_recover(commands: Commands) -> None:
-    """Register the subcommand."""
-    parser = subcommand(
-        commands, "recover", _recover, "save every intact chunk of a damaged or unfinished run",
-        [("recover runs/killed runs/saved", "writes the intact data to a new run, and lists what is missing")],
-        f"Exit code 0: all data found is intact; {INCOMPLETE}: something is missing; 1: nothing was saved.",
-    )  # fmt: skip
-    parser.add_argument("path", type=Path, metavar="RUN", help="run directory or .mcap file")
-    add_json(parser)
-    parser.add_argument("out", type=Path, metavar="OUT", help="new run directory")
-    parser.add_argument(
-        "--accept-unchecked",
-        action="store_true",
-        help="also save chunks without a checksum, as written by rosbag2, which may be damaged",
-    )
-
-
-def _recover(arguments: argparse.Namespace) -> int:
+def run_recover(arguments: argparse.Namespace) -> int:
+    """Run `recover`."""
     report = recover(arguments.path, arguments.out, accept_unchecked=arguments.accept_unchecked)
     if arguments.json:
         tell_json(_recover_content(report))
@@ -212,33 +172,8 @@ def _recover_content(report: RecoverReport) -> dict[str, object]:
     }  # fmt: skip
 
 
-FASTEST = "max"
-LONGEST_DELAY_S = 3600.0
-
-
-def add_replay(commands: Commands) -> None:
-    """Register the subcommand."""
-    parser = subcommand(
-        commands, "replay", _replay, "publish a run on its topics again, with /clock",
-        [
-            ("replay runs/demo/gap_6mm", "in real time"),
-            ("replay runs/demo/gap_6mm --rate max --peers analysis", "as fast as the analysis follows"),
-        ],
-    )  # fmt: skip
-    add_run(parser)
-    parser.add_argument(
-        "--rate", type=_rate, default=1.0, metavar="X", help="multiple of real time, or max (default: 1)"
-    )
-    parser.add_argument("--peers", nargs="+", default=[], metavar="NODE", help="nodes that must not lose a block")
-    parser.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="topics to publish (default: all)")
-    parser.add_argument("--loop", action="store_true", help="restart at the end, until Ctrl-C")
-    parser.add_argument("--paused", action="store_true", help="start paused, until the service /player/pause is called")
-    parser.add_argument(
-        "--delay", type=_delay, default=1.0, metavar="S", help="wait for the discovery of subscribers [s] (default: 1)"
-    )
-
-
-def _replay(arguments: argparse.Namespace) -> int:
+def run_replay(arguments: argparse.Namespace) -> int:
+    """Run `replay`."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     with open_run(arguments.path, arguments.rig) as opened:
         return _play(opened, arguments)
@@ -273,19 +208,4 @@ def _play(opened: Run, arguments: argparse.Namespace) -> int:
                 return 0
 
 
-def _delay(text: str) -> float:
-    return _number(text, 0.0, LONGEST_DELAY_S, "a number of seconds")
-
-
-def _rate(text: str) -> float:
-    return math.inf if text == FASTEST else _number(text, 0.001, 1000.0, f"{FASTEST} or a number")
-
-
-def _number(text: str, least: float, most: float, what: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not least <= value <= most:
-        raise argparse.ArgumentTypeError(f"must be {what} from {least:g} to {most:g}, got {text!r}")
-    return value
+from impact_rig.cli.parsers import add_info, add_recover, add_replay, add_verify  # noqa: E402, F401  # for environments registered before

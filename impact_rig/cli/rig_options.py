@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Options of commands that drive a rig: which rig, where it runs, and the directory of its run."""
+"""Values of the options of a command that drives a rig: its configuration, where it runs, the directory of its run."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from impact_rig.cli.quantities import GAP
+from impact_rig.cli.options import PROCESS, RUNNING
 from impact_rig.errors import ImpactRigError
 from impact_rig.rig.config import RigConfig, from_flat, load_config
 from impact_rig.rig.gaps import NO_SPHERE, gap_values
@@ -29,21 +29,6 @@ from impact_rig.system.files import free_path
 
 if TYPE_CHECKING:
     from impact_rig.driver import RigDriver
-
-PROCESS, ROS, RUNNING = WAYS = ("process", "ros", "running")
-
-
-def add_rig(parser: argparse.ArgumentParser) -> None:
-    """Add the options that select a rig."""
-    parser.add_argument("--config", type=Path, metavar="FILE", help="rig configuration (default: the paper's rig)")
-    parser.add_argument(
-        "--gap", type=GAP, metavar="LENGTH",
-        help="gap with its unit, e.g. 6mm; none: no sphere (default: the configuration's)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--sphere-start", choices=("left", "centre", "right"),
-        help="position of the sphere at the start (default: the configuration's)",
-    )  # fmt: skip
 
 
 def rig_of(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
@@ -58,15 +43,6 @@ def rig_of(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
         changes["sphere.start"] = arguments.sphere_start
     config = from_flat(config, changes)
     return config, config.barriers.gap_m if config.sphere.present else NO_SPHERE
-
-
-def add_way(parser: argparse.ArgumentParser, needs: str = "") -> None:
-    """Add the options that select where the rig runs."""
-    parser.add_argument(
-        "--through", choices=WAYS, default=PROCESS,
-        help=f"rig in this process (default), behind topics, or already running{needs}",
-    )  # fmt: skip
-    parser.add_argument("--namespace", default="/rig", help="namespace of the rig (default: /rig)")
 
 
 def open_rig(

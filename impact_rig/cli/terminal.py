@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Common parts of all commands: their registration, and the output of text to the terminal.
+"""Output of text to the terminal, common to all commands.
 
 No part of a text is interpreted as markup, emoji or control character, because names of files and topics and texts of
 recordings and campaigns may contain anything. Colours are set by `style`, never inside a text. `NO_COLOR` in the
@@ -20,15 +20,13 @@ environment switches all colours off.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import re
 import sys
-import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeAlias  # what rich's methods take
+from typing import Any  # what rich's methods take
 
 from rich import box
 from rich import console as rich_console
@@ -44,14 +42,11 @@ from rich.progress import (
 )
 from rich.text import Text
 
-from impact_rig.names import FIGURE_FORMATS, one_line, visible
-from impact_rig.recording.rigs import OPTION
+from impact_rig.names import one_line, visible
 from impact_rig.system.files import plain
 
 __all__ = ["Console", "Counted", "Steps", "TextTable", "Words", "figure", "tell_json", "tell_program", "tell_results"]
 
-Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
-"""Commands of the program, or subcommands of one, to which a parser is added."""
 LONGEST_HEADING = 11  # longest heading, in characters, above numbers that stays in one line
 LONGEST_WORD = 12  # longest word, in characters, in a cell that is not split
 LARGEST_WIDTH = 10_000  # largest width of a table, in characters
@@ -177,11 +172,6 @@ class Counted(Progress):
         super().stop()
 
 
-def add_json(parser: argparse.ArgumentParser) -> None:
-    """Add the option for output as JSON."""
-    parser.add_argument("--json", action="store_true", help="print the results as JSON instead")
-
-
 def tell_json(content: object) -> None:
     """Print results as JSON; numbers that do not exist are null."""
     text = json.dumps(plain(content), indent=2, ensure_ascii=False)
@@ -200,62 +190,3 @@ def tell_results(directory: Path, content: Mapping[str, object], *, as_json: boo
 def tell_program(path: Path) -> None:
     """Print a path as the last line: unchanged for a program that reads it, with visible characters for a terminal."""
     print(visible(str(path)) if sys.stdout.isatty() else path)  # noqa: T201  # a command line tool talks
-
-
-def add_figures(parser: argparse.ArgumentParser, what: str) -> None:
-    """Add the options for figures: their directory and formats."""
-    parser.add_argument("--figures", type=Path, metavar="DIR", help=what)
-    parser.add_argument(
-        "--format", dest="formats", nargs="+", choices=FIGURE_FORMATS, default=FIGURE_FORMATS,
-        metavar="FORMAT",
-        help=f"formats of the figures: {', '.join(FIGURE_FORMATS)} (default: all)",
-    )  # fmt: skip
-
-
-WIDTH = 78  # width of help pages, for a terminal of 80 columns
-
-
-def add_rig(parser: argparse.ArgumentParser) -> None:
-    """Add the option that selects a rig of a recording with several rigs."""
-    parser.add_argument(
-        OPTION, dest="rig", metavar="NAMESPACE", help="rig to read (default: the only one in the recording)"
-    )
-
-
-def add_run(parser: argparse.ArgumentParser, what: str = "run directory or .mcap file") -> None:
-    """Add the arguments that select a recorded run and, if it contains several rigs, one of them."""
-    parser.add_argument("path", type=Path, metavar="RUN", help=what)
-    add_rig(parser)
-
-
-def subcommand(
-    commands: Commands,
-    name: str,
-    run: Callable[[argparse.Namespace], int] | None,
-    sentence: str,
-    examples: Sequence[tuple[str, str]],
-    more: str = "",
-) -> argparse.ArgumentParser:
-    """Register a subcommand and return its parser.
-
-    Args:
-        commands: parsers of the program.
-        name: name of the subcommand.
-        run: function that runs it and returns the exit code; None if it has subcommands.
-        sentence: its effect, for the list of commands and the head of its page.
-        examples: commands without the program's name, and their purposes.
-        more: further information, printed below the examples.
-    """
-    lines = [f"  impact-rig {words}\n      {what}" for words, what in examples]
-    head = "example:" if len(lines) == 1 else "examples:"
-    epilog = "\n".join([head, *lines, *(["", textwrap.fill(more, WIDTH)] if more else [])])
-    parser = commands.add_parser(
-        name,
-        help=sentence,
-        description=textwrap.fill(f"{sentence[:1].upper()}{sentence[1:]}.", WIDTH),
-        epilog=epilog,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    if run is not None:
-        parser.set_defaults(run=run)
-    return parser

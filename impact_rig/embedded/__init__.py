@@ -12,3 +12,6 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """Rig without Python: rig.c, the snapshot that initialises it, and the formats that embed it."""
+
+VERSIONS = ("3.0", "2.0")
+"""Versions of FMI."""

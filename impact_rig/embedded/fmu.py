@@ -27,7 +27,7 @@ from pathlib import Path
 
 import numpy as np
 
-from impact_rig import __version__
+from impact_rig import __version__, embedded
 from impact_rig.embedded.snapshot import SETUP, snapshot
 from impact_rig.errors import ImpactRigError
 from impact_rig.kernels.build import FOLDER, OBJECT
@@ -36,7 +36,7 @@ from impact_rig.rig.config import RigConfig
 from impact_rig.system.files import atomic_write
 
 HERE = Path(__file__).parent
-VERSIONS = ("3.0", "2.0")
+VERSIONS = embedded.VERSIONS
 PLATFORMS = {
     "3.0": {"x86_64": "x86_64-linux", "aarch64": "aarch64-linux"},
     "2.0": {"x86_64": "linux64", "aarch64": "linuxaarch64"},

@@ -24,9 +24,7 @@ from collections.abc import Iterable, Mapping
 
 from impact_rig import topics
 from impact_rig.errors import RecordingError
-
-OPTION = "--rig"
-"""Command line option that selects one of several rigs."""
+from impact_rig.names import RIG_OPTION
 
 _RELATIVE = sorted((topic for topic in topics.COMMON if not topic.name.startswith("/")), key=lambda one: -len(one.name))
 
@@ -83,5 +81,5 @@ def choose(known: Iterable[str], wanted: str | None, where: object) -> str:
             raise RecordingError(f"no rig {wanted!r} in {where}; there are: {names}")
         return chosen[0]
     if len(found) > 1:
-        raise RecordingError(f"{where} holds several rigs: {names}; choose one with {OPTION} NAMESPACE")
+        raise RecordingError(f"{where} holds several rigs: {names}; choose one with {RIG_OPTION} NAMESPACE")
     return found[0] if found else "/"

@@ -41,9 +41,7 @@ import stat
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import BinaryIO, TypeVar
-
-import numpy as np
+from typing import Any, BinaryIO, TypeVar
 
 from impact_rig.errors import ImpactRigError, RecordingError
 from impact_rig.names import csv_cell
@@ -188,21 +186,21 @@ def results_in(directory: Path, prepare: Callable[[], T]) -> Iterator[T]:
         raise
 
 
-def plain(value: object) -> object:
+def plain(value: Any) -> object:  # Any: NumPy's types, without importing NumPy
     """Convert a value to JSON types: no NaN, no infinity, no numpy, no bytes."""
     if isinstance(value, (bool, int, str)) or value is None:
         return value
-    if isinstance(value, (float, np.floating)):
+    if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple, np.ndarray)):
+    if isinstance(value, (list, tuple)):
         return [plain(item) for item in value]
-    if isinstance(value, np.void):
-        return {name: plain(value[name]) for name in value.dtype.names or ()}
     if isinstance(value, bytes):
         return value.decode(errors="replace")
-    return int(value) if isinstance(value, np.integer) else bool(value) if isinstance(value, np.bool_) else str(value)
+    if names := getattr(getattr(value, "dtype", None), "names", None):  # a record of NumPy, or an array of them
+        return {name: plain(value[name]) for name in names} if not value.shape else [plain(row) for row in value]
+    return plain(value.tolist()) if hasattr(value, "tolist") else str(value)
 
 
 @contextlib.contextmanager

@@ -45,7 +45,8 @@ from impact_rig.rig.gaps import case_of
 from impact_rig.rig.journal import not_default
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 from impact_rig_studies.operate.operator import OnUpdate, ignore, operate
-from impact_rig_studies.operate.stepped_sine import Direction, SteppedSine, SweepPlan, SweepState
+from impact_rig_studies.operate.plans import Direction, SweepPlan
+from impact_rig_studies.operate.stepped_sine import SteppedSine, SweepState
 
 UPDATES_PER_S = 4
 """Interval of rig time in which the operator reads the measurements and sends commands.

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.uncertainty_budget import combined
 from impact_rig.rig.gaps import NO_SPHERE
-from impact_rig_studies.operate.stepped_sine import SweepPlan
+from impact_rig_studies.operate.plans import SweepPlan
 from impact_rig_studies.reduction import reduction
 
 TITLE = "Modeling of an impact damper submitted to forced vibration from a nonlinear contact force model"

@@ -37,7 +37,7 @@ from impact_rig_studies.campaign import axes
 from impact_rig_studies.campaign.job import Job
 from impact_rig_studies.campaign.paper import CURRENT_A
 from impact_rig_studies.campaign.tasks import load_plan
-from impact_rig_studies.operate.stepped_sine import Direction
+from impact_rig_studies.operate.plans import Direction
 
 RESET = "reset"  # direction of a study whose points each start with a reset rig
 DIRECTIONS = (RESET, *(direction.value for direction in Direction))

@@ -33,7 +33,7 @@ from impact_rig.system import files
 from impact_rig_studies.campaign.job import Outcome
 from impact_rig_studies.campaign.paper import REDUCTION_PERCENT, Reductions
 from impact_rig_studies.campaign.plan import RESET, Planned
-from impact_rig_studies.operate.stepped_sine import Direction
+from impact_rig_studies.operate.plans import Direction
 
 NAN = math.nan
 SKIPPED = "over_range"

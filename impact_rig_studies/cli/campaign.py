@@ -19,18 +19,12 @@ import argparse
 import contextlib
 import json
 import time
-from pathlib import Path
 
 from impact_rig.cli.terminal import (
-    Commands,
     Console,
     Counted,
     TextTable,
-    add_figures,
-    add_json,
-    add_rig,
     figure,
-    subcommand,
     tell_program,
     tell_results,
 )
@@ -49,39 +43,8 @@ WAYS = ("process", "ros", "dask")
 SHOWN = 20  # largest number of failing points that are printed; the CSV contains all
 
 
-def add_command(commands: Commands) -> None:
-    """Register the subcommand."""
-    parser = subcommand(
-        commands, "campaign", _run, "measure all points of a campaign file; run again to resume",
-        [
-            ("campaign config/paper.yaml", "the whole paper, on all cores"),
-            ("campaign config/paper.yaml --only curves --check", "its 60 points; exit code 1 if they are wrong"),
-            ("campaign my.yaml --through ros --record --output runs/mine", "through the real graph, with recordings"),
-        ],
-        "The last line is the directory of the results; `impact-rig report` makes a page of it.",
-    )  # fmt: skip
-    add_json(parser)
-    parser.add_argument("file", nargs="?", type=Path, metavar="FILE", help="campaign file, e.g. config/paper.yaml")
-    parser.add_argument(
-        "--through", nargs="+", default=["process"], metavar="WAY",
-        help="way of measuring: process (all cores; default), ros (the real graph) or dask ADDRESS (a Dask cluster)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--output", type=Path, metavar="DIR", help="results, resumed if they exist (default: runs/campaign_<file>)"
-    )
-    parser.add_argument("--only", nargs="+", default=(), metavar="STUDY", help="studies to run (default: all)")
-    parser.add_argument(
-        "--seed", type=int, metavar="N", help="seed of noise and calibration errors (default: the file's)"
-    )
-    parser.add_argument("--scan-rate", type=int, metavar="HZ", help="scans per second (default: the file's)")
-    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
-    parser.add_argument("--record", action="store_true", help="record every run as MCAP (with --through ros)")
-    parser.add_argument(
-        "--check", action="store_true", help="exit with 1 if a point failed or a measurement contradicts the paper"
-    )
-
-
-def _run(arguments: argparse.Namespace) -> int:
+def run_campaign(arguments: argparse.Namespace) -> int:
+    """Run `campaign`."""
     file, directory, way, address = tasks.words(arguments, "campaign", "campaign config/paper.yaml", WAYS)
     overrides = {"daq.seed": arguments.seed, "daq.rate_hz": arguments.scan_rate}
     campaign = load_campaign(file, {name: value for name, value in overrides.items() if value is not None})
@@ -232,32 +195,8 @@ def _print_failed(console: Console, done: run.Finished) -> None:
     console.print(table)
 
 
-def add_report(commands: Commands) -> None:
-    """Register `report`: the page of a campaign."""
-    parser = subcommand(
-        commands, "report", _report,
-        "write the report of a campaign or a run: one HTML page, figures as PNG, SVG and PDF, numbers as JSON",
-        [
-            ("report runs/campaign_paper", "writes runs/campaign_paper/report.html"),
-            ("report runs/demo/gap_6mm", "one run: result, uncertainty, conditions, motion"),
-            ("report runs/campaign_paper --margins runs/campaign_margins", "with sensitivities to constants"),
-        ],
-    )  # fmt: skip
-    parser.add_argument("directory", type=Path, metavar="DIR", help="directory of a campaign, or a run")
-    parser.add_argument("--output", type=Path, metavar="DIR", help="directory of the page (default: DIR)")
-    parser.add_argument(
-        "--margins", type=Path, metavar="DIR",
-        help="campaign with varied constants (config/campaigns/margins.yaml), for the statements' sensitivity",
-    )  # fmt: skip
-    parser.add_argument(
-        "--branches", type=Path, metavar="DIR", nargs="+", default=(),
-        help="directories of `impact-rig dynamics continue`, whose motions are drawn next to the measurements",
-    )  # fmt: skip
-    add_figures(parser, "directory of the figures (default: figures in that of the page)")
-    add_rig(parser)
-
-
-def _report(arguments: argparse.Namespace) -> int:
+def run_report(arguments: argparse.Namespace) -> int:
+    """Run `report`."""
     from impact_rig_studies.report import build_report  # noqa: PLC0415  # loads SciPy, which no other command needs
 
     path = build_report(
@@ -266,3 +205,6 @@ def _report(arguments: argparse.Namespace) -> int:
     )  # fmt: skip
     tell_program(path)
     return 0
+
+
+from impact_rig_studies.cli.parsers import add_campaign as add_command, add_report  # noqa: E402, F401, I001  # for environments registered before

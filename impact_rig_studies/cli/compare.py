@@ -17,20 +17,14 @@ from __future__ import annotations
 
 import argparse
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from impact_rig.cli.terminal import (
-    Commands,
     Console,
     TextTable,
-    add_figures,
-    add_json,
-    add_run,
     figure,
-    subcommand,
     tell_json,
 )
 from impact_rig.recording import open_run
@@ -42,27 +36,8 @@ if TYPE_CHECKING:
 FAR_OFF = 2.0  # standard uncertainties from which a difference is marked
 
 
-def add_command(commands: Commands) -> None:
-    """Register the subcommand."""
-    parser = subcommand(
-        commands, "compare", _run, "compare a measurement with the model, and fit the model's constants",
-        [
-            ("compare runs/mine --config my_rig.yaml", "the model of that rig, driven by the measured current"),
-            ("compare runs/mine --drive base --figures build/mine", "driven by the measured base, with a figure"),
-        ],
-        "Works with recorded and imported runs: docs/tutorials/own_measurement.md.",
-    )  # fmt: skip
-    add_json(parser)
-    add_run(parser)
-    parser.add_argument("--config", type=Path, metavar="FILE", help="model's configuration (default: that of the run)")
-    parser.add_argument(
-        "--drive", choices=("current", "base"), help="drive of the model (default: current if it was measured)"
-    )
-    add_figures(parser, "also draw model and measurement")
-    parser.add_argument("--no-fit", action="store_true", help="skip the search for better constants")
-
-
-def _run(arguments: argparse.Namespace) -> int:
+def run_compare(arguments: argparse.Namespace) -> int:
+    """Run `compare`."""
     from impact_rig.rig.config import load_config  # noqa: PLC0415  # heavy: after the signals are taken
     from impact_rig_studies.comparison import compare, drawn  # noqa: PLC0415  # as above
 
@@ -139,3 +114,6 @@ def _print(console: Console, found: Comparison) -> None:
         print_identified(console, found.constants)
     else:
         console.print("constants: none can be determined; this needs DT without the sphere, and a measured current")
+
+
+from impact_rig_studies.cli.parsers import add_compare as add_command  # noqa: E402, F401  # for environments registered before

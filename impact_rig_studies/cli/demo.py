@@ -29,14 +29,11 @@ from impact_rig import topics
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.cli.rig_options import run_directory
 from impact_rig.cli.terminal import (
-    Commands,
     Console,
     Steps,
     TextTable,
     Words,
-    add_json,
     figure,
-    subcommand,
     tell_results,
 )
 from impact_rig.errors import ImpactRigError
@@ -63,27 +60,7 @@ RUNS = {NO_SPHERE: "no_sphere", **{gap_m: f"gap_{gap_m * 1e3:g}mm" for gap_m in 
 """Name of the run's directory, by gap [m]."""
 
 
-def add_command(commands: Commands) -> None:
-    """Register the subcommand."""
-    parser = subcommand(
-        commands, "demo", run, "measure the paper's five reductions through the topics",
-        [
-            ("demo", "three processes, six runs recorded below runs/, a table and a figure"),
-            ("demo --scan-rate 50000 --seed 7 --output runs/fast", "other instruments, read faster"),
-        ],
-        "The last line is the directory of the results. Exit code 0: every reduction within 3 points of the paper.",
-    )  # fmt: skip
-    add_json(parser)
-    parser.add_argument(
-        "--output", type=Path, metavar="DIR", help="directory for runs, figure and summary (default: runs/demo_<date>)"
-    )
-    parser.add_argument("--scan-rate", type=int, default=10_000, metavar="HZ", help="scans per second (default: 10000)")
-    parser.add_argument(
-        "--seed", type=int, default=1, metavar="N", help="seed of noise and calibration errors (default: 1)"
-    )
-
-
-def run(arguments: argparse.Namespace) -> int:
+def run_demo(arguments: argparse.Namespace) -> int:
     """Run the demo and return the exit code: 0 if every reduction is within 3 points of the paper."""
     console = Console(quiet=arguments.json)
     directory = _new_directory(arguments.output)
@@ -245,3 +222,6 @@ def _print_table(console: Console, reductions: Reductions, closed_form: float) -
         )  # fmt: skip
     console.print(table)
     console.print(f"largest difference {reductions.max_abs_error():.1f} points, rms {reductions.rms_error():.1f}")
+
+
+from impact_rig_studies.cli.parsers import add_demo as add_command  # noqa: E402, F401  # for environments registered before

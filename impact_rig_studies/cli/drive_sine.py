@@ -26,9 +26,9 @@ from typing import Any
 import attrs
 import numpy as np
 
-from impact_rig.cli.quantities import add_field, positive
-from impact_rig.cli.rig_options import add_rig, rig_of, run_directory
-from impact_rig.cli.terminal import Commands, Console, TextTable, add_json, figure, subcommand, tell_results
+from impact_rig.cli.quantities import positive
+from impact_rig.cli.rig_options import rig_of, run_directory
+from impact_rig.cli.terminal import Console, TextTable, figure, tell_results
 from impact_rig.driver import LocalRig, RigDriver
 from impact_rig.errors import ConfigError
 from impact_rig.rig.config import RigConfig, differences
@@ -43,101 +43,15 @@ from impact_rig_studies.operate.phase_lock import (
     AmplitudePoint,
     AmplitudeSweep,
     LockLoop,
-    LockPlan,
     lock_on,
     mean,
     sweep_amplitude,
 )
-from impact_rig_studies.operate.stepped_sine import (
-    ControlledSine,
-    Direction,
-    Hold,
-    HoldPlan,
-    SteppedSine,
-    SweepPlan,
-    SweepState,
-)
+from impact_rig_studies.operate.plans import Direction, Hold, HoldPlan, LockPlan
+from impact_rig_studies.operate.stepped_sine import ControlledSine, SteppedSine, SweepState
 
 HELD_UNITS: Mapping[str, str] = {Hold.BASE: "m", Hold.SUPERIOR: "m", Hold.CURRENT: "A"}
 SHOWN = 12  # largest number of samples of a lock that are printed; the CSV contains all
-
-
-def add_hold(tests: Commands) -> None:
-    """Register `hold`."""
-    parser = subcommand(
-        tests, "hold", _hold, "step the frequency at a controlled amplitude",
-        [("drive hold base 60um --frequencies 8.8 9.1 9.4", "the base at 60 µm, at three frequencies")],
-    )  # fmt: skip
-    parser.add_argument("what", choices=[*Hold], help="controlled amplitude")
-    parser.add_argument("target", metavar="PEAK", help="its peak with the unit, e.g. 60um, or 0.5A for the current")
-    _add_points(parser)
-    add_field(parser, attrs.fields(HoldPlan).tolerance, "X")
-    _add_current(parser)
-    _add_options(parser, "hold")
-
-
-def add_sweep(tests: Commands) -> None:
-    """Register `sweep`."""
-    parser = subcommand(
-        tests, "sweep", _sweep, "step the frequency at a constant current",
-        [("drive sweep --gap 6mm --direction up_down", "DT over the frequency, upwards and downwards")],
-    )  # fmt: skip
-    _add_points(parser)
-    _add_current(parser)
-    _add_options(parser, "sweep")
-
-
-def add_lock(tests: Commands) -> None:
-    """Register `lock`."""
-    parser = subcommand(
-        tests, "lock", _lock, "find a resonance, track it, and dwell there",
-        [("drive lock --gap none", "the resonance without a sphere")],
-    )  # fmt: skip
-    add_field(parser, attrs.fields(LockPlan).dwell_s, "S", "--dwell")
-    _add_search(parser)
-    _add_current(parser)
-    _add_options(parser, "lock")
-
-
-def add_backbone(tests: Commands) -> None:
-    """Register `backbone`."""
-    parser = subcommand(
-        tests, "backbone", _backbone, "follow a resonance over the current, up and down",
-        [("drive backbone --currents 0.1 0.2 0.4", "frequency and amplitude of the resonance at three currents")],
-    )  # fmt: skip
-    parser.add_argument(
-        "--currents", type=float, nargs="+", required=True, metavar="A", help="peak currents in ascending order"
-    )
-    _add_search(parser)
-    _add_options(parser, "backbone")
-
-
-def _add_points(parser: argparse.ArgumentParser) -> None:
-    plan = attrs.fields(SweepPlan)
-    add_field(parser, plan.frequencies_hz, "HZ", "--frequencies")
-    add_field(parser, plan.direction)
-    add_field(parser, plan.measurements_per_point, "N", "--measurements")
-
-
-def _add_search(parser: argparse.ArgumentParser) -> None:
-    add_field(parser, attrs.fields(LockPlan).start_hz, "HZ", "--start")
-    add_field(parser, attrs.fields(LockPlan).reference)
-
-
-def _add_current(parser: argparse.ArgumentParser) -> None:
-    add_field(parser, attrs.fields(SweepPlan).current_a, "A", "--current")
-
-
-def _add_options(parser: argparse.ArgumentParser, test: str) -> None:
-    parser.add_argument(
-        "--through", choices=("process", "ros"), default="process",
-        help="rig in this process (default), or behind topics",
-    )  # fmt: skip
-    add_rig(parser)
-    add_json(parser)
-    parser.add_argument(
-        "--output", type=Path, metavar="DIR", help=f"directory of the results (default: runs/{test}_<time>)"
-    )
 
 
 @contextlib.contextmanager
@@ -166,7 +80,8 @@ def _job(arguments: argparse.Namespace) -> Job:
     )
 
 
-def _hold(arguments: argparse.Namespace) -> int:
+def run_hold(arguments: argparse.Namespace) -> int:
+    """Run the test `hold`."""
     unit = HELD_UNITS[arguments.what]
     try:
         target = positive(unit).number(arguments.target)
@@ -177,7 +92,8 @@ def _hold(arguments: argparse.Namespace) -> int:
     return _measure_curve(arguments, job, sweep, f"{arguments.what} held at {target:g} {unit}")
 
 
-def _sweep(arguments: argparse.Namespace) -> int:
+def run_sweep(arguments: argparse.Namespace) -> int:
+    """Run the test `sweep`."""
     job = _job(arguments)
     return _measure_curve(arguments, job, SteppedSine(job.plan()), f"Sweep at {job.current_a:g} A")
 
@@ -225,7 +141,8 @@ def _texts(row: np.void) -> list[object]:
     return [cell.decode() if isinstance(cell, bytes) else cell for cell in row.tolist()]
 
 
-def _lock(arguments: argparse.Namespace) -> int:
+def run_lock(arguments: argparse.Namespace) -> int:
+    """Run the test `lock`."""
     config, _ = rig_of(arguments)
     plan = LockPlan(
         start_hz=arguments.start, current_a=arguments.current, reference=arguments.reference, dwell_s=arguments.dwell
@@ -267,7 +184,8 @@ def _lock(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _backbone(arguments: argparse.Namespace) -> int:
+def run_backbone(arguments: argparse.Namespace) -> int:
+    """Run the test `backbone`."""
     config, gap_m = rig_of(arguments)
     currents = tuple(arguments.currents)
     if list(currents) != sorted(set(currents)) or currents[0] <= 0.0:

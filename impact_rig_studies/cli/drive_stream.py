@@ -26,10 +26,9 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.analysis.scans import CHANNELS
-from impact_rig.cli.quantities import positive
-from impact_rig.cli.rig_options import RUNNING, add_rig, add_way, open_rig, rig_of, run_directory
-from impact_rig.cli.terminal import Commands, Console, add_json, subcommand, tell_results
+from impact_rig.cli.options import RUNNING
+from impact_rig.cli.rig_options import open_rig, rig_of, run_directory
+from impact_rig.cli.terminal import Console, tell_results
 from impact_rig.driver.hardware import Hardware
 from impact_rig.errors import CommandError, ConfigError, ImpactRigError
 from impact_rig.names import visible
@@ -37,124 +36,14 @@ from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.gaps import NO_SPHERE, case_of
 from impact_rig.system import files
 from impact_rig.system.endings import defer_signals
+from impact_rig_studies.cli.parsers import EXCITATION, SI
 
-RATE_HZ, FAST_HZ = 2_000, 10_000  # default rates of samples and scans: enough for 200 Hz, and for a shock
 P = TypeVar("P", bound=attrs.AttrsInstance)
-PLAN = "settings of the test, e.g. config/excitation/{}.yaml"
-EXCITATION = {name: name for name in ("kind", "frames", "frame_s", "low_hz", "high_hz", "rms")} | {"drive_seed": "seed"}
-"""Option of `frf` -> setting of its excitation."""
 Work = Callable[[Hardware], Iterator[object]]  # function that drives the rig and yields its latest results
 
 
-def add_play(tests: Commands) -> None:
-    """Register `play`."""
-    parser = subcommand(
-        tests, "play", _play, "drive the rig with a signal of a file or of a run",
-        [
-            ("drive play road.csv --signal drive --scale 0.5", "half of a column, resampled to the rig's rate"),
-            ("drive play runs/demo/gap_6mm --seconds 30", "the current that a recorded run measured"),
-        ],
-    )  # fmt: skip
-    parser.add_argument("file", type=Path, metavar="FILE", help="signal: a file as of import, or a run")
-    _add_signal(parser)
-    parser.add_argument("--seconds", type=positive("s"), metavar="S", help="longest rig time (default: all of it)")
-    parser.add_argument(
-        "--clip", type=positive("A"), metavar="A", help="largest sample (default: a larger one ends the test)"
-    )
-    _add_options(parser, "play", FAST_HZ)
-
-
-def add_frf(tests: Commands) -> None:
-    """Register `frf`."""
-    from impact_rig_studies.excitation.response import BURST, KINDS, Excitation  # noqa: PLC0415  # scipy
-
-    default = Excitation()
-    parser = subcommand(
-        tests, "frf", _frf, "measure a frequency response with random noise or a chirp",
-        [
-            ("drive frf --gap none", "base over current, with bursts of noise"),
-            ("drive frf --response laser --reference base --kind chirp", "structure over base"),
-        ],
-    )  # fmt: skip
-    parser.add_argument("--kind", choices=KINDS, default=BURST, help=f"signal of the drive (default: {BURST})")
-    parser.add_argument("--response", choices=CHANNELS, default="base", help="channel of the response (default: base)")
-    parser.add_argument(
-        "--reference", choices=CHANNELS, default="current", help="channel of the reference (default: current)"
-    )
-    for option, metavar, text in (
-        ("frames", "N", "number of frames to average"), ("frame_s", "S", "length of a frame"),
-        ("low_hz", "HZ", "lower edge of the band"), ("high_hz", "HZ", "upper edge of the band"),
-        ("rms", "A", "RMS current of the drive"), ("drive_seed", "N", "seed of the drive's random numbers"),
-    ):  # fmt: skip
-        value = getattr(default, EXCITATION[option])
-        parser.add_argument(
-            f"--{option.replace('_', '-')}", type=type(value), default=value, metavar=metavar,
-            help=f"{text} (default: {value})",
-        )  # fmt: skip
-    _add_options(parser, "frf", RATE_HZ)
-
-
-def add_random(tests: Commands) -> None:
-    """Register `random`."""
-    parser = subcommand(
-        tests, "random", _random, "hold a power spectral density",
-        [("drive random --gap none", "a power spectral density of the base's acceleration, 5 to 200 Hz")],
-    )  # fmt: skip
-    parser.add_argument("plan", nargs="?", type=Path, metavar="FILE", help=PLAN.format("random"))
-    _add_options(parser, "random", RATE_HZ)
-
-
-def add_replicate(tests: Commands) -> None:
-    """Register `replicate`."""
-    parser = subcommand(
-        tests, "replicate", _replicate, "make a response follow a history",
-        [("drive replicate road.csv --signal base --unit mm", "the base follows a column of a file")],
-    )  # fmt: skip
-    parser.add_argument("file", type=Path, metavar="FILE", help="history: a file as of import, or a run")
-    _add_signal(parser)
-    parser.add_argument("--plan", type=Path, metavar="FILE", help=PLAN.format("replicate"))
-    _add_options(parser, "replicate", RATE_HZ)
-
-
-def add_shock(tests: Commands) -> None:
-    """Register `shock`."""
-    parser = subcommand(
-        tests, "shock", _shock, "make the base follow a compensated half sine",
-        [("drive shock", "20 m/s², 11 ms")],
-    )  # fmt: skip
-    parser.add_argument("plan", nargs="?", type=Path, metavar="FILE", help=PLAN.format("shock"))
-    _add_options(parser, "shock", FAST_HZ)
-
-
-def _add_signal(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--signal", metavar="NAME", help="column of the file, or channel of the run")
-    parser.add_argument("--unit", default="", metavar="UNIT", help="unit of the values (default: the file's, else SI)")
-    parser.add_argument("--scale", type=float, default=1.0, metavar="X", help="factor of the values (default: 1)")
-    parser.add_argument("--file-rate", type=float, metavar="HZ", help="samples per second of a file without times")
-
-
-def _add_options(parser: argparse.ArgumentParser, test: str, rate_hz: int) -> None:
-    add_rig(parser)
-    add_way(parser, " (drive.waveform: stream)")
-    parser.add_argument(
-        "--scan-rate", type=int, default=rate_hz, metavar="HZ",
-        help=f"scans per second, and samples of the drive (default: {rate_hz})",
-    )  # fmt: skip
-    parser.add_argument(
-        "--abort",
-        nargs="+",
-        type=_limit,
-        default=[],
-        metavar="CHANNEL=X",
-        help="end the test beyond a reading, e.g. laser=5mm current=2A",
-    )
-    parser.add_argument(
-        "--output", type=Path, metavar="DIR", help=f"directory of the results (default: runs/{test}_<time>)"
-    )
-    add_json(parser)
-
-
-def _play(arguments: argparse.Namespace) -> int:
+def run_play(arguments: argparse.Namespace) -> int:
+    """Run the test `play`."""
     from impact_rig_studies.excitation.history import play  # noqa: PLC0415  # scipy
 
     samples = _history(arguments, "A")
@@ -173,9 +62,11 @@ def _refuse_zeros(arguments: argparse.Namespace, samples: NDArray[np.float64]) -
         raise ConfigError(f"{arguments.file}: the signal is zero throughout, so no error relative to it exists")
 
 
-def _frf(arguments: argparse.Namespace) -> int:
+def run_frf(arguments: argparse.Namespace) -> int:
+    """Run the test `frf`."""
     from impact_rig_studies.excitation.files import read  # noqa: PLC0415  # scipy
-    from impact_rig_studies.excitation.response import Excitation, measure  # noqa: PLC0415
+    from impact_rig_studies.excitation.response import measure  # noqa: PLC0415
+    from impact_rig_studies.excitation.signals import Excitation  # noqa: PLC0415
 
     excitation = read({name: getattr(arguments, option) for option, name in EXCITATION.items()}, Excitation)
     title = f"Frequency response: {arguments.response} over {arguments.reference}, {arguments.kind.replace('_', ' ')}"
@@ -186,9 +77,6 @@ def _frf(arguments: argparse.Namespace) -> int:
     )  # fmt: skip
 
 
-SI = {"accelerometer": "(m/s²)", "laser": "m", "base": "m", "current": "A"}
-
-
 def _plan(arguments: argparse.Namespace, kind: type[P]) -> P:
     """Return the plan in the given file, or else the default plan of its kind."""
     from impact_rig_studies.excitation.files import load as load_plan  # noqa: PLC0415  # scipy
@@ -196,7 +84,8 @@ def _plan(arguments: argparse.Namespace, kind: type[P]) -> P:
     return load_plan(arguments.plan, kind) if arguments.plan else kind()
 
 
-def _random(arguments: argparse.Namespace) -> int:
+def run_random(arguments: argparse.Namespace) -> int:
+    """Run the test `random`."""
     from impact_rig_studies.excitation.random import RandomPlan, control  # noqa: PLC0415  # scipy
 
     plan = _plan(arguments, RandomPlan)
@@ -204,7 +93,8 @@ def _random(arguments: argparse.Namespace) -> int:
     return _drive(arguments, title, plan.response.unit, lambda rig: control(rig, plan))
 
 
-def _replicate(arguments: argparse.Namespace) -> int:
+def run_replicate(arguments: argparse.Namespace) -> int:
+    """Run the test `replicate`."""
     from impact_rig_studies.excitation.history import ReplicatePlan, replicate  # noqa: PLC0415  # scipy
 
     plan = _plan(arguments, ReplicatePlan)
@@ -214,7 +104,8 @@ def _replicate(arguments: argparse.Namespace) -> int:
     return _drive(arguments, title, plan.response.unit, lambda rig: replicate(rig, asked, plan))
 
 
-def _shock(arguments: argparse.Namespace) -> int:
+def run_shock(arguments: argparse.Namespace) -> int:
+    """Run the test `shock`."""
     from impact_rig_studies.excitation.shock import Pulse, shock  # noqa: PLC0415  # scipy
 
     pulse = _plan(arguments, Pulse)
@@ -298,15 +189,3 @@ def _connected(arguments: argparse.Namespace, config: RigConfig, directory: Path
     }
     with open_rig(arguments, config, directory, required) as rig:
         yield Hardware(rig, dict(arguments.abort))
-
-
-def _limit(text: str) -> tuple[str, float]:
-    channel, _, value = text.partition("=")
-    if channel not in CHANNELS:
-        raise argparse.ArgumentTypeError(
-            f"must be CHANNEL=X with a channel of {', '.join(CHANNELS)}, e.g. laser=5mm, got {text!r}"
-        )
-    try:
-        return channel, positive(SI[channel].strip("()")).number(value)
-    except ConfigError as error:
-        raise argparse.ArgumentTypeError(f"{channel}: {error}") from error

@@ -20,24 +20,13 @@ import math
 
 import numpy as np
 
-from impact_rig.cli.analyze import Analysis, draw_figure, prepare_figure
-from impact_rig.cli.quantities import Quantity
+from impact_rig.cli.analyze import draw_figure, prepare_figure
 from impact_rig.cli.terminal import Console, TextTable, tell_json
-from impact_rig.config.fields import FieldInfo
 from impact_rig.recording import Run
 
-HEIGHT_UNCERTAINTY = Quantity(FieldInfo("Standard uncertainty of a height.", "m", low=0.0))
 
-
-def _add(instead: argparse._MutuallyExclusiveGroup) -> None:
-    instead.add_argument(
-        "--drop", type=HEIGHT_UNCERTAINTY, metavar="LENGTH",
-        help="coefficient of restitution from remarks like `drop h0_m=0.2 h1_m=0.0245`, with this standard uncertainty "
-        "of a height, e.g. 0.5mm",
-    )  # fmt: skip
-
-
-def _run(console: Console, run: Run, arguments: argparse.Namespace) -> int:
+def run_drop(console: Console, run: Run, arguments: argparse.Namespace) -> int:
+    """Run `drop`."""
     from impact_rig.analysis.drawings import restitution_by_drop  # noqa: PLC0415  # heavy: after the run is open
     from impact_rig_studies.drops import drops_of  # noqa: PLC0415  # as above
 
@@ -63,4 +52,4 @@ def _run(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     return 0
 
 
-DROP = Analysis("drop", _add, _run)
+from impact_rig_studies.cli.parsers import DROP  # noqa: E402, F401  # for environments registered before

@@ -18,18 +18,13 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from pathlib import Path
 
 import numpy as np
 
 from impact_rig.cli.terminal import (
-    Commands,
     Console,
     TextTable,
-    add_json,
-    add_rig,
     figure,
-    subcommand,
     tell_json,
     tell_program,
 )
@@ -54,7 +49,6 @@ from impact_rig_studies.identification.fit import (
     logarithms,
 )
 from impact_rig_studies.identification.measurements import (
-    U_RESTITUTION,
     Gains,
     Measured,
     measured_decay,
@@ -66,39 +60,8 @@ from impact_rig_studies.identification.measurements import (
 JSON_FILE, CONFIGURATION_FILE = "identification.json", "identified.yaml"
 
 
-def add_command(commands: Commands) -> None:
-    """Register the subcommand."""
-    parser = subcommand(
-        commands, "identify", _run, "determine constants of the rig from measured runs",
-        [
-            ("identify runs/campaign_paper", "from its curves, its reductions and a free decay"),
-            ("identify --paper", "what the paper's own numbers determine"),
-        ],
-    )  # fmt: skip
-    add_json(parser)
-    parser.add_argument("directory", nargs="?", type=Path, metavar="DIR", help="directory of a campaign")
-    parser.add_argument("--decay", type=Path, metavar="RUN", help="recorded run with a pluck (default: pluck the rig)")
-    add_rig(parser)
-    parser.add_argument(
-        "--decrement", action="store_true", help="evaluate the free decay by its logarithmic decrement instead of a fit"
-    )
-    parser.add_argument(
-        "--without",
-        nargs="+",
-        choices=("decay", "sine", "reductions"),
-        default=(),
-        metavar="DATA",
-        help="data to leave out: decay, sine, reductions",
-    )
-    parser.add_argument(
-        "--e-uncertainty", type=float, default=U_RESTITUTION, metavar="U",
-        help=f"standard uncertainty of the configuration's e, 0 if it is exact (default: {U_RESTITUTION:g})",
-    )  # fmt: skip
-    parser.add_argument("--paper", action="store_true", help="fit the default rig to the paper's numbers instead")
-    parser.add_argument("--config", type=Path, metavar="FILE", help="configuration with known constants (with --paper)")
-
-
-def _run(arguments: argparse.Namespace) -> int:
+def run_identify(arguments: argparse.Namespace) -> int:
+    """Run `identify`."""
     console = Console(quiet=arguments.json)
     if arguments.paper:
         base = load_config(arguments.config) if arguments.config else RigConfig()
@@ -294,3 +257,6 @@ def identified_content(found: Identified) -> dict[str, object]:
         "converged": found.converged,
         "consistent": found.consistent,
     }
+
+
+from impact_rig_studies.cli.parsers import add_identify as add_command  # noqa: E402, F401  # for environments registered before

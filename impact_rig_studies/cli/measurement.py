@@ -17,15 +17,12 @@ from __future__ import annotations
 
 import argparse
 import re
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import attrs
 import numpy as np
 
-from impact_rig.cli.quantities import GAP, Quantity
-from impact_rig.cli.terminal import Commands, Console, TextTable, add_json, subcommand, tell_json, tell_program
-from impact_rig.config.fields import FieldInfo
+from impact_rig.cli.terminal import Console, TextTable, tell_json, tell_program
 from impact_rig.errors import ConfigError
 from impact_rig.system import files
 
@@ -34,63 +31,9 @@ if TYPE_CHECKING:
     from impact_rig_studies.importing.mapping import Mapping
     from impact_rig_studies.importing.signals import ImportedSignals
 
-FREQUENCY = Quantity(FieldInfo("Frequency of the drive.", "Hz", low=0.0), names=True)
-GAP_LABEL = attrs.evolve(GAP, names=True)
 
-
-def add_import(commands: Commands) -> None:
-    """Register the subcommand."""
-    parser = subcommand(
-        commands, "import", _import, "import a measurement of your own rig as a run, or several as a campaign",
-        [
-            ("import test.csv --output runs/mine --dry-run", "shows the assignment of the columns, and writes nothing"),
-            ("import test.csv --output runs/mine --channel laser=ai0 mm --gap 6mm", "column ai0 is the laser, in mm"),
-            (
-                'import two.tdms --output runs/two --channel base="ai0 V, 100 mV/g"',
-                "column ai0 is an accelerometer on the base, in volts, with its sensitivity",
-            ),
-            ("import sweep/*.mat --output runs/my_sweep --campaign", "frequency and gap of each point in a file name"),
-        ],
-        "Reads text tables (CSV, TSV, LVM), TDMS, universal files (dataset 58), MATLAB, WAV, Parquet, npz, "
-        "Rattlesnake netCDF4 and ROS bags. DT needs laser (motion of the structure) and base (motion below "
-        "the structure), each as displacement, velocity or acceleration: docs/tutorials/own_measurement.md.",
-    )  # fmt: skip
-    add_json(parser)
-    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="file of a measurement")
-    parser.add_argument(
-        "--output", type=Path, required=True, metavar="DIR", help="directory of the run, or of the campaign"
-    )
-    parser.add_argument("--dry-run", action="store_true", help="show what would be written, and write nothing")
-    parser.add_argument("--mapping", type=Path, metavar="YAML", help="YAML file with channels, units and calibration")
-    parser.add_argument(
-        "--channel", action="append", nargs="+", default=[], metavar="NAME=SIGNAL",
-        help="signal of a channel, with unit and sensitivity if the file has none: laser=ai0, laser='ai0 mm', "
-        "laser='ai0 V, 500 mV/mm'; channels: laser, base, accelerometer (also detects impacts), current",
-    )  # fmt: skip
-    parser.add_argument("--scan-rate", type=float, metavar="HZ", help="scans per second (default: the file's)")
-    parser.add_argument(
-        "--resample", type=int, metavar="HZ", help="rate for resampling scans that are not uniform in time"
-    )
-    parser.add_argument(
-        "--frequency", type=FREQUENCY, metavar="HZ|SIGNAL",
-        help="drive frequency, e.g. 9.1Hz, or the name of its signal (default: from the file name, else the base)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--gap", type=GAP_LABEL, metavar="LENGTH|SIGNAL",
-        help="gap with its unit, e.g. 6mm, none (no sphere), or the name of its signal (default: from the file name)",
-    )  # fmt: skip
-    parser.add_argument("--commands", type=Path, metavar="FILE", help="table of the commands: time, frequency, current")
-    parser.add_argument(
-        "--calibration", type=Path, metavar="FILE", help="table with columns of daq/info, one row per channel"
-    )
-    parser.add_argument("--note", action="append", default=[], metavar="TEXT", help="remark for the run; repeatable")
-    parser.add_argument("--campaign", action="store_true", help="make one campaign, for report and identify")
-    parser.add_argument(
-        "--config", type=Path, metavar="FILE", help="rig configuration, with --campaign (default: the paper's rig)"
-    )
-
-
-def _import(arguments: argparse.Namespace) -> int:
+def run_import(arguments: argparse.Namespace) -> int:
+    """Run `import`."""
     from impact_rig_studies.importing import store  # noqa: PLC0415  # heavy: after the signals are taken
     from impact_rig_studies.importing.assignment import guess  # noqa: PLC0415  # as above
     from impact_rig_studies.importing.conversion import convert  # noqa: PLC0415  # as above
@@ -211,3 +154,6 @@ def _print(console: Console, found: ImportedRun) -> None:
         console.print(f"... {len(found.drive)} settings of the drive in all")
     for label in found.labels:
         console.print(f"remark: {label}")
+
+
+from impact_rig_studies.cli.parsers import add_import  # noqa: E402, F401  # for environments registered before

@@ -19,11 +19,10 @@ import argparse
 import json
 import math
 from collections import Counter
-from pathlib import Path
 
 import numpy as np
 
-from impact_rig.cli.terminal import Commands, Console, TextTable, figure, subcommand, tell_results
+from impact_rig.cli.terminal import Console, TextTable, figure, tell_results
 from impact_rig.errors import ConfigError
 from impact_rig.states import Regime
 from impact_rig.system import files
@@ -45,25 +44,8 @@ SHOWN = {
 MOST_ROWS = 40
 
 
-def add_map(commands: Commands) -> None:
-    """Register the subcommand."""
-    parser = subcommand(
-        commands, "map", _map, "map DT and regimes over two or three parameters; run again to resume",
-        [
-            ("map config/maps/gap_frequency.yaml", "on all cores; draws the map next to its table"),
-            ("map my_map.yaml --through dask tcp://host:8786", "on a Dask cluster"),
-        ],
-    )  # fmt: skip
-    parser.add_argument(
-        "file", nargs="?", type=Path, metavar="FILE", help="map file, e.g. config/maps/gap_frequency.yaml"
-    )
-    parser.add_argument(
-        "--exponent", action="store_true", help="measure the largest exponent of every motion that does not repeat"
-    )
-    tasks.add_words(parser, "map")
-
-
-def _map(arguments: argparse.Namespace) -> int:
+def run_map(arguments: argparse.Namespace) -> int:
+    """Run `map`."""
     file, directory, _, address = tasks.words(arguments, "map", "map config/maps/gap_frequency.yaml")
     runner = tasks.runner(measure_line, address, arguments.workers)
     plan = load_map(file, cluster_threads(address) if address else arguments.workers)
@@ -133,22 +115,8 @@ def _print_optimum(console: Console, best: optimum.Optimum) -> None:
     console.print(table)
 
 
-def add_dynamics(commands: Commands) -> None:
-    """Register the subcommand."""
-    parser = subcommand(
-        commands, "dynamics", _dynamics, "compute sections, bifurcations, basins, orbits, branches or exponents",
-        [
-            ("dynamics continue config/dynamics/nominal.yaml", "stable and unstable motions over the gap, with folds"),
-            ("dynamics basin config/dynamics/two_motions.yaml", "the motion reached from each start of the sphere"),
-        ],
-        more="All studies use the mechanics without instruments. Run the command again to resume it.",
-    )  # fmt: skip
-    parser.add_argument("kind", choices=plans.KINDS, help="kind of study: a section of the file")
-    parser.add_argument("file", nargs="?", type=Path, metavar="FILE", help="plan, e.g. config/dynamics/nominal.yaml")
-    tasks.add_words(parser, "dynamics")
-
-
-def _dynamics(arguments: argparse.Namespace) -> int:
+def run_dynamics(arguments: argparse.Namespace) -> int:
+    """Run `dynamics`."""
     kind = arguments.kind
     file, directory, _, address = tasks.words(arguments, "dynamics", f"dynamics {kind} config/dynamics/nominal.yaml")
     runner = tasks.runner(plans.run, address, arguments.workers)
@@ -237,3 +205,6 @@ def _show(console: Console, plan: Plan, rows: list[Row]) -> None:
     for row in _named(plan, _printed(plan, rows)[:MOST_ROWS], shown):
         table.add_row(*(f"{cell:.5g}" if isinstance(cell, float) else str(cell or "-") for cell in row.values()))
     console.print(table)
+
+
+from impact_rig_studies.cli.parsers import add_dynamics, add_map  # noqa: E402, F401  # for environments registered before

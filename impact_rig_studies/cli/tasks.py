@@ -22,7 +22,7 @@ from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import TypeVar
 
-from impact_rig.cli.terminal import Console, Counted, add_figures, add_json
+from impact_rig.cli.terminal import Console, Counted
 from impact_rig.errors import ConfigError
 from impact_rig.system import files
 from impact_rig_studies.campaign.pool import in_parallel, on_cluster
@@ -33,21 +33,6 @@ WAYS = ("process", "dask")
 P = TypeVar("P", bound=WorkItem)
 R = TypeVar("R")
 T = TypeVar("T", bound=Task)
-
-
-def add_words(parser: argparse.ArgumentParser, what: str) -> None:
-    """Add the arguments that every such command has."""
-    parser.add_argument(
-        "--through", nargs="+", default=["process"], metavar="WAY",
-        help="way of measuring: process (all cores; default) or dask ADDRESS (a Dask cluster)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--output", type=Path, metavar="DIR", help=f"results, resumed if they exist (default: runs/{what}_<file>)"
-    )
-    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
-    add_json(parser)
-    parser.add_argument("--no-figures", action="store_true", help="draw no figures")
-    add_figures(parser, "directory of the figures (default: figures in that of the results)")
 
 
 def words(

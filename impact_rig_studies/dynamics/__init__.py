@@ -15,3 +15,6 @@
 
 All results concern the mechanics alone, with exact events and without instruments, and are labelled so.
 """
+
+KINDS = ("section", "bifurcation", "basin", "orbit", "continue", "exponent")
+"""Kinds of studies, each a section of a plan."""

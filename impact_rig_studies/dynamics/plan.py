@@ -27,6 +27,7 @@ import numpy as np
 from impact_rig.config.tree import Value
 from impact_rig.errors import ConfigError, SimulationError
 from impact_rig.rig.config import RigConfig, differences, from_flat, to_flat
+from impact_rig_studies import dynamics
 from impact_rig_studies.campaign import axes, tables
 from impact_rig_studies.campaign.paper import CURRENT_A, FREQUENCY_HZ
 from impact_rig_studies.campaign.plan import STARTS
@@ -49,9 +50,7 @@ from impact_rig_studies.maps.plan import (
     refuse_owned,
 )
 
-SECTION, BIFURCATION, BASIN, ORBIT, CONTINUE, EXPONENT = KINDS = (
-    "section", "bifurcation", "basin", "orbit", "continue", "exponent",
-)  # fmt: skip
+SECTION, BIFURCATION, BASIN, ORBIT, CONTINUE, EXPONENT = KINDS = dynamics.KINDS
 POINT = ("x_1_m", "v_1_m_s", "x_2_m", "v_2_m_s")
 STATE = ("x_1_m", "v_1_m_s", "x_b_m", "v_b_m_s", "coil_a", "d_m", "d_rate_m_s")
 MOST_STATES = len(STATE)

@@ -37,7 +37,8 @@ from numpy.typing import NDArray
 
 from impact_rig.analysis.calibration import Calibration, Complex, Real
 from impact_rig.driver.hardware import Exchange, Hardware
-from impact_rig_studies.excitation.response import PSEUDO, Excitation, Response
+from impact_rig_studies.excitation.response import Response
+from impact_rig_studies.excitation.signals import PSEUDO, Excitation
 
 LEAST_GAIN = 0.2  # a trial that is worse with a smaller gain than this ends the learning
 

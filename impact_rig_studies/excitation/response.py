@@ -28,17 +28,13 @@ from collections.abc import Iterator
 
 import attrs
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from impact_rig.analysis.calibration import Calibration, Real
 from impact_rig.analysis.frf import Frf, frf
 from impact_rig.analysis.scans import CHANNELS
 from impact_rig.driver.hardware import Exchange, Hardware
-from impact_rig.errors import ConfigError
-from impact_rig.system import budget
-
-BURST, PSEUDO, CHIRP = KINDS = ("burst_random", "pseudo_random", "chirp")
+from impact_rig_studies.excitation.signals import Excitation
 
 
 class Response(enum.StrEnum):
@@ -114,52 +110,6 @@ def motion(values: Real, calibration: Calibration, channel: int, top_hz: float, 
     spectrum[seen] /= response[seen]
     found: Real = np.fft.irfft(spectrum, len(mirrored))[around : around + len(values)]
     return found
-
-
-MOST_SAMPLES = 50_000_000  # limit for an excitation in memory
-
-
-@attrs.frozen(kw_only=True)
-class Excitation:
-    """Excitation for a frequency response."""
-
-    kind: str = attrs.field(default=BURST, validator=attrs.validators.in_(KINDS))  # one of `KINDS`
-    frames: int = attrs.field(default=20, validator=attrs.validators.ge(3))
-    """Number of measured frames; a repeated one is preceded by one more."""
-    frame_s: float = attrs.field(default=8.0, validator=attrs.validators.gt(0.0))  # length of a frame [s]
-    burst: float = attrs.field(default=0.5, validator=[attrs.validators.gt(0.0), attrs.validators.le(1.0)])
-    """Fraction of a frame that a burst fills."""
-    low_hz: float = attrs.field(default=4.0, validator=attrs.validators.gt(0.0))  # lower edge of the band
-    high_hz: float = attrs.field(default=60.0, validator=attrs.validators.gt(0.0))  # upper edge
-    rms: float = attrs.field(default=0.2, validator=attrs.validators.gt(0.0))  # rms of the drive while it is on [A]
-    seed: int = attrs.field(default=1, validator=attrs.validators.ge(0))  # seed of the random numbers
-
-    def samples(self, rate_hz: int) -> Real:
-        """Return all frames one after the other, shape (n,)."""
-        length, random = round(self.frame_s * rate_hz), np.random.default_rng(self.seed)
-        budget.allow(f"samples of {self.frames} frames at {rate_hz} Hz", (self.frames + 1) * length, MOST_SAMPLES)
-        if not self.low_hz < self.high_hz < 0.5 * rate_hz:
-            raise ConfigError(
-                f"the band must be within 0 to {0.5 * rate_hz:g} Hz, got {self.low_hz:g} to {self.high_hz:g}"
-            )
-        if self.kind == BURST:
-            on = round(self.burst * length)
-            sections = scipy.signal.butter(4, (self.low_hz, self.high_hz), "bandpass", fs=rate_hz, output="sos")
-            fade = scipy.signal.windows.tukey(on, 0.1)
-            frames = np.zeros((self.frames, length))
-            noise = random.standard_normal((self.frames, 2 * on))
-            frames[:, :on] = fade * scipy.signal.sosfilt(sections, noise)[:, on:]
-            frames *= self.rms / np.sqrt(np.mean(frames[:, :on] ** 2))
-            return frames.ravel()
-        if self.kind == PSEUDO:
-            lines = np.fft.rfftfreq(length, 1.0 / rate_hz)
-            inside = (lines >= self.low_hz) & (lines <= self.high_hz)
-            frame = np.fft.irfft(inside * np.exp(2j * np.pi * random.random(len(lines))), length)
-        else:
-            t = np.arange(length) / rate_hz
-            frame = scipy.signal.chirp(t, self.low_hz, self.frame_s, self.high_hz)
-            frame *= scipy.signal.windows.tukey(length, 0.05)
-        return np.tile(frame * (self.rms / frame.std()), self.frames + 1)
 
 
 def measure(hardware: Hardware, excitation: Excitation, channel: str, reference: str = "current") -> Iterator[Frf]:

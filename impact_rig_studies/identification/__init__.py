@@ -12,3 +12,6 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """Identification of the rig's constants from measurements, including what the measurements cannot determine."""
+
+U_RESTITUTION = 0.02
+"""Standard uncertainty of the nominal e by default: several reductions determine it better."""

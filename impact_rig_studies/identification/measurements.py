@@ -42,6 +42,7 @@ from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Regime
 from impact_rig_studies.campaign.results import Curves, Point
 from impact_rig_studies.decay import Decay, DecayMethod, fit_decay, measure_decay
+from impact_rig_studies.identification import U_RESTITUTION
 from impact_rig_studies.reduction import repeatability
 
 LEAST_NOISE = 1e-4  # relative; smallest repeatability assumed, even if a few seconds of signal suggest a smaller one
@@ -49,8 +50,6 @@ CALIBRATION = ("gain laser", "gain base", "gain current", "curve laser", "curve 
 NUISANCES = (*CALIBRATION, "DT without sphere")
 """Errors shared by several data. "DT without sphere" is the noise of the reference point of all reductions."""
 GAIN_CURRENT = NUISANCES.index("gain current")
-U_RESTITUTION = 0.02
-"""Standard uncertainty of the nominal e by default: several reductions determine it better."""
 
 
 @attrs.frozen(eq=False)

@@ -35,7 +35,7 @@ import cmath
 import enum
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import attrs
 import numpy as np
@@ -46,19 +46,11 @@ from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.scans import BASE, CHANNELS, CURRENT, LASER
 from impact_rig.analysis.spread import student_factor, variance_of_mean
 from impact_rig.blocks import SWEEP, Table
-from impact_rig.config.fields import choice, quantity
 from impact_rig.driver import RigDriver
-from impact_rig.errors import ConfigError
 from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Status
-from impact_rig_studies.operate.stepped_sine import (
-    SAME,
-    Setpoint,
-    SweepState,
-    current_field,
-    superior_limit_field,
-    sweep_rows,
-)
+from impact_rig_studies.operate.plans import LockPlan, Reference
+from impact_rig_studies.operate.stepped_sine import SAME, Setpoint, SweepState, sweep_rows
 
 MIN_CYCLES = 2
 
@@ -131,58 +123,6 @@ PHASE_LOCK = np.dtype([
     )
 ])  # fmt: skip
 """Columns of `blocks.SWEEP` that a sample of a phase lock has; the phase is that against the reference."""
-
-
-class Reference(enum.StrEnum):
-    """Reference of the superior base's phase."""
-
-    BASE = "base"
-    CURRENT = "current"
-
-
-def _amount(default: float, unit: str, doc: str) -> Any:
-    return quantity(default, unit, doc, above=0)
-
-
-@attrs.frozen(kw_only=True, slots=False)  # one of several bases of the node's parameters
-class LockSettings:
-    """Settings of a phase lock that are also parameters of the stepped-sine node."""
-
-    reference: str = choice("base", tuple(Reference), "Reference of the superior base's phase.")
-    within_deg: float = quantity(
-        2.0, "deg", "Deviation of a second's mean phase up to which it counts as locked.", above=0, at_most=90
-    )
-    dwell_s: float = quantity(30.0, "s", "Rig time at the resonance, from the first lock on.", above=0, at_most=1e9)
-
-
-@attrs.frozen(kw_only=True)
-class LockPlan(LockSettings):
-    """Plan of the search for a resonance, of its tracking and of the dwell there.
-
-    Raises:
-        ConfigError: an invalid value; the message names it.
-    """
-
-    start_hz: float = _amount(9.0, "Hz", "Frequency where the search begins.")
-    current_a: float = current_field()
-    low_hz: float = _amount(5.0, "Hz", "Lowest frequency.")
-    high_hz: float = _amount(20.0, "Hz", "Highest frequency.")
-    step_hz: float = _amount(0.2, "Hz", "Step of the coarse search.")
-    seek_s: float = _amount(1.5, "s", "Rig time at each step of the search.")
-    sample_s: float = _amount(0.5, "s", "Rig time between two corrections of the frequency.")
-    time_constant_s: float = _amount(
-        3.0, "s", "Time constant of the correction; longer than the structure takes to respond."
-    )
-    seek_limit_s: float = _amount(60.0, "s", "Rig time until the first lock after which the search ends.")
-    lose_limit_s: float = _amount(20.0, "s", "Rig time without lock after which the run ends.")
-    superior_limit_m: float = superior_limit_field()
-
-    def __attrs_post_init__(self) -> None:
-        if not self.low_hz < self.start_hz < self.high_hz:
-            raise ConfigError(
-                f"start_hz must be within low_hz = {self.low_hz:g} and high_hz = {self.high_hz:g}, "
-                f"got {self.start_hz:g}"
-            )
 
 
 class Stage(enum.StrEnum):

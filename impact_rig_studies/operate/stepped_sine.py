@@ -29,7 +29,6 @@ from __future__ import annotations
 import enum
 import math
 from collections.abc import Mapping
-from typing import Any
 
 import attrs
 import numpy as np
@@ -37,18 +36,9 @@ from numpy.lib import recfunctions
 from numpy.typing import NDArray
 
 from impact_rig.blocks import SWEEP, TRANSMISSIBILITY, Table
-from impact_rig.config.fields import Origin, choice, integer, quantities, quantity, switch
-from impact_rig.errors import ConfigError
 from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Status
-
-
-class Direction(enum.StrEnum):
-    """Order of the points; up_down keeps the state of the rig between the two."""
-
-    UP = "up"
-    DOWN = "down"
-    UP_DOWN = "up_down"
+from impact_rig_studies.operate.plans import Hold, HoldPlan, SweepPlan
 
 
 @attrs.frozen
@@ -57,62 +47,6 @@ class Setpoint:
 
     frequency_hz: float
     current_a: float
-
-
-def current_field() -> Any:
-    """Return the field of the current that a sweep or a search sets."""
-    return quantity(0.52, "A", "Peak current (m or V by drive.kind).", Origin.IDENTIFIED, above=0, at_most=1000)
-
-
-def superior_limit_field() -> Any:
-    """Return the field of the largest motion of the superior base that a controller accepts."""
-    return quantity(
-        0.05,
-        "m",
-        "Amplitude of the superior base above which a controller aborts.",
-        above=0,
-        at_most=1,
-    )
-
-
-@attrs.frozen(kw_only=True)
-class SweepPlan:
-    """Points and limits of a stepped sweep; its fields are also parameters of the stepped-sine node.
-
-    Raises:
-        ConfigError: an invalid value; the message names it.
-    """
-
-    frequencies_hz: tuple[float, ...] = quantities(
-        (7.5, 8.0, 8.5, 8.9, 9.0, 9.1, 9.2, 9.5, 10.0, 10.5),
-        "Hz",
-        "Frequencies of the points.",
-        Origin.PAPER,
-        above=0,
-        at_most=10_000,
-    )
-    current_a: float = current_field()
-    direction: str = choice("up", tuple(Direction), "Order of the points; up_down keeps the state between the two.")
-    measurements_per_point: int = integer(1, "-", "Number of measurements at each point.", at_least=1, at_most=1000)
-    dwell_limit_s: float = quantity(
-        150.0, "s", "Rig time at one point after which the sweep is aborted.", above=0, at_most=1e9
-    )
-    accept_limit_s: float = quantity(
-        5.0, "s", "Rig time within which a command must be accepted.", above=0, at_most=1e5
-    )
-    retries: int = integer(2, "-", "Number of rejected measurements tolerated per point.", at_least=0, at_most=1000)
-    skip_over_range: bool = switch(True, "Skip a point where a sensor is over range, instead of aborting.")
-    keep_unsettled: bool = switch(True, "Accept a response that does not settle within the analysis' limit.")
-
-    def __attrs_post_init__(self) -> None:
-        if len(set(self.frequencies_hz)) != len(self.frequencies_hz):
-            raise ConfigError(f"frequencies_hz must not repeat a frequency, got {self.frequencies_hz!r}")
-
-    def points(self) -> tuple[float, ...]:
-        """Return the frequencies in the order of measurement."""
-        up = tuple(sorted(self.frequencies_hz))
-        down = up[::-1]
-        return {Direction.UP: up, Direction.DOWN: down, Direction.UP_DOWN: up + down}[Direction(self.direction)]
 
 
 SAME = 1e-9  # relative difference up to which two frequencies or currents are equal
@@ -300,14 +234,6 @@ class SteppedSine:
         return Setpoint(self.frequency_hz, 0.0)
 
 
-class Hold(enum.StrEnum):
-    """Held quantity."""
-
-    CURRENT = "current"
-    BASE = "base"
-    SUPERIOR = "superior"
-
-
 COLUMN: Mapping[str, str] = {
     Hold.CURRENT: "current_amplitude",
     Hold.BASE: "base_amplitude",
@@ -316,30 +242,6 @@ COLUMN: Mapping[str, str] = {
 """Column of `transmissibility/table` for each quantity."""
 LARGEST_STEP = 3.0  # largest factor of a single change of the current
 SLOPES = (0.3, 3.0)  # range of d ln amplitude / d ln current that a correction uses
-
-
-@attrs.frozen(kw_only=True, slots=False)  # one of several bases of the node's parameters
-class HoldPlan:
-    """Controlled amplitude, and limits of its control; its fields are also parameters of the stepped-sine node.
-
-    Raises:
-        ConfigError: an invalid value; the message names it.
-    """
-
-    hold: str = choice("base", tuple(Hold), "Controlled amplitude.")
-    target: float = quantity(
-        60e-6, "m or A", "Held amplitude, peak; ignored if hold is command or phase.", above=0, at_most=1000
-    )
-    tolerance: float = quantity(
-        2e-3, "-", "Relative error up to which the amplitude counts as held.", above=0, at_most=0.5
-    )
-    corrections: int = integer(
-        8, "-", "Maximum number of adjustments of the current per point.", at_least=1, at_most=1000
-    )
-    current_limit_a: float = quantity(
-        15.0, "A", "Current above which a held amplitude aborts the sweep.", above=0, at_most=1000
-    )
-    superior_limit_m: float = superior_limit_field()
 
 
 class ControlledSine(SteppedSine):

@@ -32,8 +32,9 @@ from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig_studies.excitation.files import history, load
 from impact_rig_studies.excitation.history import ReplicatePlan
 from impact_rig_studies.excitation.random import RandomPlan, control
-from impact_rig_studies.excitation.response import BURST, CHIRP, PSEUDO, Excitation, Response, measure
+from impact_rig_studies.excitation.response import Response, measure
 from impact_rig_studies.excitation.shock import Pulse, half_sine_spectrum, shock_response_spectrum
+from impact_rig_studies.excitation.signals import BURST, CHIRP, PSEUDO, Excitation
 from qualification.true_motion import accelerometer, replicated, shocked
 
 pytestmark = pytest.mark.heavy

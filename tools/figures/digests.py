@@ -48,8 +48,9 @@ from impact_rig.rig.config import RigConfig
 from impact_rig_studies import comparison, prediction
 from impact_rig_studies.excitation.files import load
 from impact_rig_studies.excitation.random import RandomPlan, control
-from impact_rig_studies.excitation.response import Excitation, measure
+from impact_rig_studies.excitation.response import measure
 from impact_rig_studies.excitation.shock import Pulse, shock
+from impact_rig_studies.excitation.signals import Excitation
 from impact_rig_studies.report.excitation import tell
 from qualification import closed_loop, foreign_rig
 from qualification import prediction as prediction_test

@@ -20,7 +20,7 @@ import pytest
 from impact_rig.errors import ConfigError
 from impact_rig.system.files import config_dir
 from impact_rig_studies.campaign.plan import load_campaign
-from impact_rig_studies.operate.stepped_sine import Direction
+from impact_rig_studies.operate.plans import Direction
 
 
 @pytest.fixture

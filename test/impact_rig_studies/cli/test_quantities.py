@@ -27,7 +27,7 @@ from impact_rig.cli.quantities import GAP, Quantity, positive
 from impact_rig.config import FieldInfo
 from impact_rig.config.sections import Drive
 from impact_rig.errors import ConfigError
-from impact_rig_studies.cli.measurement import GAP_LABEL
+from impact_rig_studies.cli.parsers import GAP_LABEL
 
 LENGTH_OPTIONS = {"--gap", "--drop", "--abort"}
 

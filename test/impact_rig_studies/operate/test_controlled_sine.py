@@ -30,7 +30,8 @@ from impact_rig.states import Status
 from impact_rig_studies.campaign.job import execute
 from impact_rig_studies.closed_loop import hold
 from impact_rig_studies.operate.operator import operate
-from impact_rig_studies.operate.stepped_sine import ControlledSine, Hold, HoldPlan, Setpoint, SweepPlan, SweepState
+from impact_rig_studies.operate.plans import Hold, HoldPlan, SweepPlan
+from impact_rig_studies.operate.stepped_sine import ControlledSine, Setpoint, SweepState
 from qualification import prediction as by_test
 
 PLAN = SweepPlan(frequencies_hz=(8.0, 9.0), current_a=0.3, direction="up_down")

@@ -24,7 +24,8 @@ from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
 from impact_rig_studies.operate.operator import Applied, Operator, Update
-from impact_rig_studies.operate.phase_lock import LockedSine, LockPlan
+from impact_rig_studies.operate.phase_lock import LockedSine
+from impact_rig_studies.operate.plans import LockPlan
 from impact_rig_studies.operate.stepped_sine import Setpoint, SweepState
 
 LINEAR = from_flat(RigConfig(), {"sphere.present": False, "daq.block_scans": 500})

@@ -22,7 +22,8 @@ from impact_rig.blocks import APPLIED, TRANSMISSIBILITY, Table
 from impact_rig.errors import CommandError
 from impact_rig.simtime import NS_PER_S
 from impact_rig_studies.operate.operator import Applied, Operator, Update, operate
-from impact_rig_studies.operate.stepped_sine import Setpoint, SteppedSine, SweepPlan, SweepState
+from impact_rig_studies.operate.plans import SweepPlan
+from impact_rig_studies.operate.stepped_sine import Setpoint, SteppedSine, SweepState
 
 PLAN = SweepPlan(frequencies_hz=(9.0, 8.0), current_a=0.5, measurements_per_point=2)
 

@@ -31,9 +31,7 @@ from impact_rig_studies.closed_loop import with_short_blocks
 from impact_rig_studies.operate.phase_lock import (
     AmplitudeSweep,
     LockLoop,
-    LockPlan,
     PhaseLock,
-    Reference,
     Sample,
     Stage,
     follow,
@@ -41,6 +39,7 @@ from impact_rig_studies.operate.phase_lock import (
     mean,
     sweep_amplitude,
 )
+from impact_rig_studies.operate.plans import LockPlan, Reference
 from impact_rig_studies.operate.stepped_sine import SweepState
 
 PLAN = LockPlan(start_hz=8.1, current_a=0.2, dwell_s=10.0)

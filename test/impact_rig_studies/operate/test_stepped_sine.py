@@ -24,7 +24,8 @@ from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import TRANSMISSIBILITY, Table
 from impact_rig.errors import ConfigError
 from impact_rig.simtime import NS_PER_S
-from impact_rig_studies.operate.stepped_sine import Direction, Setpoint, SteppedSine, SweepPlan, SweepState
+from impact_rig_studies.operate.plans import Direction, SweepPlan
+from impact_rig_studies.operate.stepped_sine import Setpoint, SteppedSine, SweepState
 
 S = NS_PER_S
 POINTS = (9.0, 8.0, 10.0)

@@ -1,0 +1,121 @@
+# Copyright 2026 The impact_rig developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Parts of parsers that several commands share: registration of a command, and common options."""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import textwrap
+from collections.abc import Sequence
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import TypeAlias
+
+from impact_rig.cli.quantities import GAP
+from impact_rig.names import FIGURE_FORMATS, RIG_OPTION
+
+Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+"""Commands of the program, or subcommands of one, to which a parser is added."""
+WIDTH = 78  # width of help pages, for a terminal of 80 columns
+PROCESS, ROS, RUNNING = WAYS = ("process", "ros", "running")
+
+
+def call(function: str, *arguments: object) -> int:
+    """Import a function, given as `module:function`, and return its exit code."""
+    code: int = EntryPoint("", function, "").load()(*arguments)
+    return code
+
+
+def subcommand(
+    commands: Commands,
+    name: str,
+    run: str | None,
+    sentence: str,
+    examples: Sequence[tuple[str, str]],
+    more: str = "",
+) -> argparse.ArgumentParser:
+    """Register a subcommand and return its parser.
+
+    Args:
+        commands: parsers of the program.
+        name: name of the subcommand.
+        run: function that runs it and returns the exit code, as `module:function`; None if it has subcommands.
+        sentence: its effect, for the list of commands and the head of its page.
+        examples: commands without the program's name, and their purposes.
+        more: further information, printed below the examples.
+    """
+    lines = [f"  impact-rig {words}\n      {what}" for words, what in examples]
+    head = "example:" if len(lines) == 1 else "examples:"
+    epilog = "\n".join([head, *lines, *(["", textwrap.fill(more, WIDTH)] if more else [])])
+    parser = commands.add_parser(
+        name,
+        help=sentence,
+        description=textwrap.fill(f"{sentence[:1].upper()}{sentence[1:]}.", WIDTH),
+        epilog=epilog,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    if run is not None:
+        parser.set_defaults(run=functools.partial(call, run))
+    return parser
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Add the option for output as JSON."""
+    parser.add_argument("--json", action="store_true", help="print the results as JSON instead")
+
+
+def add_figures(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add the options for figures: their directory and formats."""
+    parser.add_argument("--figures", type=Path, metavar="DIR", help=what)
+    parser.add_argument(
+        "--format", dest="formats", nargs="+", choices=FIGURE_FORMATS, default=FIGURE_FORMATS,
+        metavar="FORMAT",
+        help=f"formats of the figures: {', '.join(FIGURE_FORMATS)} (default: all)",
+    )  # fmt: skip
+
+
+def add_run(parser: argparse.ArgumentParser, what: str = "run directory or .mcap file") -> None:
+    """Add the arguments that select a recorded run and, if it contains several rigs, one of them."""
+    parser.add_argument("path", type=Path, metavar="RUN", help=what)
+    add_recorded_rig(parser)
+
+
+def add_recorded_rig(parser: argparse.ArgumentParser) -> None:
+    """Add the option that selects a rig of a recording with several rigs."""
+    parser.add_argument(
+        RIG_OPTION, dest="rig", metavar="NAMESPACE", help="rig to read (default: the only one in the recording)"
+    )
+
+
+def add_rig(parser: argparse.ArgumentParser) -> None:
+    """Add the options that select a rig."""
+    parser.add_argument("--config", type=Path, metavar="FILE", help="rig configuration (default: the paper's rig)")
+    parser.add_argument(
+        "--gap", type=GAP, metavar="LENGTH",
+        help="gap with its unit, e.g. 6mm; none: no sphere (default: the configuration's)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--sphere-start", choices=("left", "centre", "right"),
+        help="position of the sphere at the start (default: the configuration's)",
+    )  # fmt: skip
+
+
+def add_way(parser: argparse.ArgumentParser, needs: str = "") -> None:
+    """Add the options that select where the rig runs."""
+    parser.add_argument(
+        "--through", choices=WAYS, default=PROCESS,
+        help=f"rig in this process (default), behind topics, or already running{needs}",
+    )  # fmt: skip
+    parser.add_argument("--namespace", default="/rig", help="namespace of the rig (default: /rig)")

@@ -1,0 +1,324 @@
+# Copyright 2026 The impact_rig developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Parsers of the commands of this package; the module of a command is imported when the command runs."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable, Iterator
+from importlib import metadata
+from pathlib import Path
+from typing import NamedTuple
+
+import attrs
+
+from impact_rig.cli.options import Commands, add_figures, add_json, add_rig, add_run, add_way, subcommand
+from impact_rig.cli.quantities import Quantity, positive
+from impact_rig.config import Drive, FieldInfo
+from impact_rig.embedded import VERSIONS
+
+SECONDS = 60.0
+FREQUENCY_HZ, CURRENT_A = 9.1, 0.52  # values of the paper
+CURRENT = Quantity(FieldInfo("Peak current.", "A", low=0.0))
+
+
+def add_record(commands: Commands) -> None:
+    """Register `record`."""
+    parser = subcommand(
+        commands, "record", "impact_rig.cli.record:run_record",
+        "record one run at one frequency and current, and measure its DT",
+        [
+            ("record --frequency 9.1 --current 0.52 --gap 6mm", "60 s of rig time, in this process"),
+            ("record --gap none --seconds 30 --output runs/no_sphere", "without the sphere"),
+            ("record --through running --namespace /rig --seconds 20", "a running rig, with its present drive"),
+        ],
+        "The last line is the directory of the run. Exit code 0: DT was measured; 1: not, for the printed reason.",
+    )  # fmt: skip
+    parser.add_argument(
+        "--frequency", type=Quantity.of(attrs.fields(Drive).frequency_hz), metavar="HZ",
+        help=f"drive frequency (default: {FREQUENCY_HZ}Hz; running rig: unchanged)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--current", type=CURRENT, metavar="A", help=f"peak current (default: {CURRENT_A}A; running rig: unchanged)"
+    )
+    parser.add_argument(
+        "--seconds", type=positive("s"), default=SECONDS, metavar="S", help=f"rig time (default: {SECONDS:g})"
+    )
+    add_rig(parser)
+    parser.add_argument("--seed", type=int, metavar="N", help="seed of noise and calibration errors")
+    parser.add_argument("--scan-rate", type=int, metavar="HZ", help="scans per second (default: the configuration's)")
+    add_way(parser)
+    parser.add_argument("--output", type=Path, metavar="DIR", help="directory of the run (default: runs/record_<time>)")
+    add_json(parser)
+
+
+def add_info(commands: Commands) -> None:
+    """Register the subcommand."""
+    parser = subcommand(
+        commands, "info", "impact_rig.cli.recorded:run_info", "contents of a run, and whether it is complete",
+        [
+            ("info runs/demo/gap_6mm", "verdict, duration, topics"),
+            ("info runs/demo/gap_6mm --json", "the same for a script"),
+        ],
+        "Exit code 0: every checksum fits and nothing is known to be missing; 1: otherwise.",
+    )  # fmt: skip
+    add_json(parser)
+    parser.add_argument("path", type=Path, metavar="RUN", help="run directory or .mcap file")
+
+
+WINDOWS = ("hann", "boxcar", "flattop", "blackmanharris")
+GROUP = "impact_rig.analyses"
+"""Entry points through which packages contribute analyses, each an `Analysis`."""
+
+
+class Analysis(NamedTuple):
+    """Alternative analysis of a run, selected by an option."""
+
+    name: str  # name of its option, without the dashes
+    # function that adds the option; its default is None or False
+    add: Callable[[argparse._MutuallyExclusiveGroup], object]
+    run: str  # `module:function` that analyses a run with console and arguments, prints, and returns the exit code
+
+
+def analyses() -> Iterator[Analysis]:
+    """Return the installed analyses."""
+    return (one.load() for one in metadata.entry_points(group=GROUP))
+
+
+def add_analyze(commands: Commands) -> None:
+    """Register `analyze`."""
+    parser = subcommand(
+        commands, "analyze", "impact_rig.cli.analyze:run_analyze",
+        "analyse a run again like the live node, and compare the results",
+        [
+            ("analyze runs/demo/gap_6mm", "every measurement in it, and whether the live analysis found the same"),
+            ("analyze runs/demo/gap_6mm --figures pictures", "also draws time traces, phase plane, spectrum, curves"),
+            ("analyze runs/chirp --frf", "frequency response of a chirp, with lines as fine as its resonance needs"),
+        ],
+        "Exit code 0: equal to the live analysis, or no live analysis to compare with; 1: different.",
+    )  # fmt: skip
+    add_json(parser)
+    parser.add_argument("--all", action="store_true", help="also rows without a measurement, with the reason")
+    add_run(parser)
+    instead = parser.add_argument_group("instead").add_mutually_exclusive_group()
+    for analysis in analyses():
+        analysis.add(instead)
+    parser.add_argument(
+        "--segment", type=float, metavar="S",
+        help="length of a segment with --frf; the lines are 1/S Hz apart (default: as the resonance needs, "
+        "at most 2/5 of the record)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--window", choices=WINDOWS, default="hann",
+        help="window of the segments with --frf; boxcar for a drive that repeats every segment (default: hann)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--damping", type=float, metavar="ZETA", help="damping ratio to resolve with --frf (default: as measured)"
+    )
+    add_figures(
+        parser,
+        "also draw the last settled measurement (time traces, phase plane, spectrum) and the curves, or the "
+        "result of the chosen option",
+    )
+
+
+FRF = Analysis(
+    "frf",
+    lambda instead: instead.add_argument(
+        "--frf", action="store_true", help="frequency response x_1/x_b of a chirp or noise: H1, H2, Hv, coherence"
+    ),
+    "impact_rig.cli.analyze:run_frf",
+)
+
+
+SINE = Analysis(
+    "sine",
+    lambda instead: instead.add_argument(
+        "--sine", action="store_true", help="sines fitted to each channel in the last settled measurement"
+    ),
+    "impact_rig.cli.analyze:run_sine",
+)
+
+
+def add_verify(commands: Commands) -> None:
+    """Register the subcommand."""
+    parser = subcommand(
+        commands, "verify", "impact_rig.cli.recorded:run_verify",
+        "re-simulate a run from its journal and compare all that the rig published",
+        [("verify runs/demo/gap_6mm", "`identical` or the first difference, then a line per topic")],
+        "Exit code 0: identical; 1: different, or not verifiable.",
+    )  # fmt: skip
+    add_run(parser)
+    add_json(parser)
+
+
+def add_replay(commands: Commands) -> None:
+    """Register the subcommand."""
+    parser = subcommand(
+        commands, "replay", "impact_rig.cli.recorded:run_replay", "publish a run on its topics again, with /clock",
+        [
+            ("replay runs/demo/gap_6mm", "in real time"),
+            ("replay runs/demo/gap_6mm --rate max --peers analysis", "as fast as the analysis follows"),
+        ],
+    )  # fmt: skip
+    add_run(parser)
+    parser.add_argument(
+        "--rate", type=_rate, default=1.0, metavar="X", help="multiple of real time, or max (default: 1)"
+    )
+    parser.add_argument("--peers", nargs="+", default=[], metavar="NODE", help="nodes that must not lose a block")
+    parser.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="topics to publish (default: all)")
+    parser.add_argument("--loop", action="store_true", help="restart at the end, until Ctrl-C")
+    parser.add_argument("--paused", action="store_true", help="start paused, until the service /player/pause is called")
+    parser.add_argument(
+        "--delay", type=_delay, default=1.0, metavar="S", help="wait for the discovery of subscribers [s] (default: 1)"
+    )
+
+
+FASTEST = "max"
+LONGEST_DELAY_S = 3600.0
+
+
+def _delay(text: str) -> float:
+    return _number(text, 0.0, LONGEST_DELAY_S, "a number of seconds")
+
+
+def _rate(text: str) -> float:
+    return math.inf if text == FASTEST else _number(text, 0.001, 1000.0, f"{FASTEST} or a number")
+
+
+def _number(text: str, least: float, most: float, what: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not least <= value <= most:
+        raise argparse.ArgumentTypeError(f"must be {what} from {least:g} to {most:g}, got {text!r}")
+    return value
+
+
+INCOMPLETE = 3  # exit code if the new run lacks parts of the old one
+
+
+def add_recover(commands: Commands) -> None:
+    """Register the subcommand."""
+    parser = subcommand(
+        commands, "recover", "impact_rig.cli.recorded:run_recover",
+        "save every intact chunk of a damaged or unfinished run",
+        [("recover runs/killed runs/saved", "writes the intact data to a new run, and lists what is missing")],
+        f"Exit code 0: all data found is intact; {INCOMPLETE}: something is missing; 1: nothing was saved.",
+    )  # fmt: skip
+    parser.add_argument("path", type=Path, metavar="RUN", help="run directory or .mcap file")
+    add_json(parser)
+    parser.add_argument("out", type=Path, metavar="OUT", help="new run directory")
+    parser.add_argument(
+        "--accept-unchecked",
+        action="store_true",
+        help="also save chunks without a checksum, as written by rosbag2, which may be damaged",
+    )
+
+
+def add_export(commands: Commands) -> None:
+    """Register `export`."""
+    parser = subcommand(
+        commands, "export", "impact_rig.cli.export:run_export",
+        "write a table of a run, campaign, map or study as .csv, .npz, .parquet or .uff",
+        [
+            ("export runs/demo/gap_6mm transmissibility/table dt.csv", "the measurements"),
+            ("export runs/demo/gap_6mm daq/scan scans.npz", "every scan, for NumPy"),
+            ("export runs/campaign_paper points curves.uff", "curves as a universal file (dataset 58)"),
+            ("export runs/dynamics_nominal bifurcation rows.csv", "the rows of a study of dynamics"),
+        ],
+    )  # fmt: skip
+    add_run(parser, "a run, or the directory of a campaign, a map or studies of dynamics")
+    parser.add_argument(
+        "topic", help="e.g. transmissibility/table; for a campaign or a map: points; for dynamics: the kind of study"
+    )
+    parser.add_argument("target", type=Path, metavar="FILE", help="file to write; its suffix selects the format")
+
+
+def add_fmu(commands: Commands) -> None:
+    """Register `fmu`."""
+    parser = subcommand(
+        commands, "fmu", "impact_rig.cli.fmu:run_fmu", "write the rig as a co-simulation unit (FMI 3.0 or 2.0)",
+        [
+            ("fmu rig.fmu", "the paper's rig, for FMI 3.0"),
+            ("fmu --config my_rig.yaml --fmi 2.0 my_rig.fmu", "another rig, for tools that know FMI 2.0"),
+        ],
+    )  # fmt: skip
+    parser.add_argument("path", type=Path, metavar="OUT.fmu", help="file to write")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="configuration (default: the paper's rig)")
+    parser.add_argument("--fmi", choices=VERSIONS, default=VERSIONS[0], help="version of FMI (default: %(default)s)")
+    parser.add_argument(
+        "--kernels", type=Path, metavar="DIR",
+        help="folder of compiled kernels, for another machine (default: those of this package)",
+    )  # fmt: skip
+
+
+PORT = 31763  # port of the NI gRPC Device Server
+
+
+def add_daqmx(commands: Commands) -> None:
+    """Register `daqmx`."""
+    parser = subcommand(
+        commands, "daqmx", "impact_rig.cli.daqmx:run_daqmx", "serve the rig to scripts that use NI's nidaqmx package",
+        [
+            ("daqmx", "a simulated rig as Dev1, on this machine only"),
+            ("daqmx --config my_rig.yaml --device cDAQ1Mod1 cDAQ1Mod2", "another rig, named as in a script"),
+            ("daqmx --namespace /rig", "a running rig, in real time with drive.waveform: stream"),
+        ],
+    )  # fmt: skip
+    parser.set_defaults(until_told=True)
+    parser.add_argument("--config", type=Path, metavar="FILE", help="rig configuration (default: the paper's rig)")
+    parser.add_argument("--namespace", help="namespace of a running rig (default: a rig is simulated here)")
+    parser.add_argument(
+        "--device", nargs="+", default=["Dev1"], metavar="NAME", help="names of the board (default: Dev1)"
+    )
+    parser.add_argument(
+        "--host",
+        default="127.0.0.1",
+        help="address to serve; others can then drive the rig (default: %(default)s)",
+    )
+    parser.add_argument("--port", type=int, default=PORT, help="port to serve; 0: any free one (default: %(default)s)")
+
+
+def add_check(commands: Commands) -> None:
+    """Register `check`."""
+    parser = subcommand(
+        commands, "check", "impact_rig.cli.check:run_check", "validate a configuration file without starting anything",
+        [
+            ("check config/nominal.yaml", "names key, value, range and file of a mistake"),
+            ("check my_rig.yaml --instruments", "also puts a known sine into every channel"),
+        ],
+    )  # fmt: skip
+    parser.add_argument("path", type=Path, metavar="FILE", help="configuration of the rig, as YAML")
+    add_json(parser)
+    parser.add_argument(
+        "--instruments", action="store_true", help="put a known sine into every channel: gain, phase, noise, polarity"
+    )
+
+
+def add_interface(commands: Commands) -> None:
+    """Register `interface`."""
+    parser = subcommand(
+        commands, "interface", "impact_rig.cli.interface:run_interface",
+        "topics, services and parameters as a document, or its incompatibilities with another one",
+        [
+            ("interface --json > interface.json", "types, qualities of service, columns, ranges, defaults"),
+            ("interface --against older.json", "changes that break a client of that version, and additions"),
+        ],
+        "Exit code 1 if a change breaks clients; docs/reference/interface.md lists such changes.",
+    )  # fmt: skip
+    add_json(parser)
+    parser.add_argument("--against", type=Path, metavar="FILE", help="document of an earlier version")

@@ -1,0 +1,526 @@
+# Copyright 2026 The impact_rig developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Parsers of the commands of this package; the module of a command is imported when the command runs."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import attrs
+
+from impact_rig.cli.options import (
+    Commands,
+    add_figures,
+    add_json,
+    add_recorded_rig,
+    add_rig,
+    add_run,
+    add_way,
+    subcommand,
+)
+from impact_rig.cli.parsers import Analysis
+from impact_rig.cli.quantities import GAP, Quantity, add_field, positive
+from impact_rig.config import FieldInfo
+from impact_rig.errors import ConfigError
+from impact_rig_studies.dynamics import KINDS
+from impact_rig_studies.excitation import signals
+from impact_rig_studies.identification import U_RESTITUTION
+from impact_rig_studies.operate.plans import Hold, HoldPlan, LockPlan, SweepPlan
+
+
+def add_demo(commands: Commands) -> None:
+    """Register `demo`."""
+    parser = subcommand(
+        commands, "demo", "impact_rig_studies.cli.demo:run_demo",
+        "measure the paper's five reductions through the topics",
+        [
+            ("demo", "three processes, six runs recorded below runs/, a table and a figure"),
+            ("demo --scan-rate 50000 --seed 7 --output runs/fast", "other instruments, read faster"),
+        ],
+        "The last line is the directory of the results. Exit code 0: every reduction within 3 points of the paper.",
+    )  # fmt: skip
+    add_json(parser)
+    parser.add_argument(
+        "--output", type=Path, metavar="DIR", help="directory for runs, figure and summary (default: runs/demo_<date>)"
+    )
+    parser.add_argument("--scan-rate", type=int, default=10_000, metavar="HZ", help="scans per second (default: 10000)")
+    parser.add_argument(
+        "--seed", type=int, default=1, metavar="N", help="seed of noise and calibration errors (default: 1)"
+    )
+
+
+def add_compare(commands: Commands) -> None:
+    """Register `compare`."""
+    parser = subcommand(
+        commands, "compare", "impact_rig_studies.cli.compare:run_compare",
+        "compare a measurement with the model, and fit the model's constants",
+        [
+            ("compare runs/mine --config my_rig.yaml", "the model of that rig, driven by the measured current"),
+            ("compare runs/mine --drive base --figures build/mine", "driven by the measured base, with a figure"),
+        ],
+        "Works with recorded and imported runs: docs/tutorials/own_measurement.md.",
+    )  # fmt: skip
+    add_json(parser)
+    add_run(parser)
+    parser.add_argument("--config", type=Path, metavar="FILE", help="model's configuration (default: that of the run)")
+    parser.add_argument(
+        "--drive", choices=("current", "base"), help="drive of the model (default: current if it was measured)"
+    )
+    add_figures(parser, "also draw model and measurement")
+    parser.add_argument("--no-fit", action="store_true", help="skip the search for better constants")
+
+
+FREQUENCY = Quantity(FieldInfo("Frequency of the drive.", "Hz", low=0.0), names=True)
+GAP_LABEL = attrs.evolve(GAP, names=True)
+
+
+def add_import(commands: Commands) -> None:
+    """Register the subcommand."""
+    parser = subcommand(
+        commands, "import", "impact_rig_studies.cli.measurement:run_import",
+        "import a measurement of your own rig as a run, or several as a campaign",
+        [
+            ("import test.csv --output runs/mine --dry-run", "shows the assignment of the columns, and writes nothing"),
+            ("import test.csv --output runs/mine --channel laser=ai0 mm --gap 6mm", "column ai0 is the laser, in mm"),
+            (
+                'import two.tdms --output runs/two --channel base="ai0 V, 100 mV/g"',
+                "column ai0 is an accelerometer on the base, in volts, with its sensitivity",
+            ),
+            ("import sweep/*.mat --output runs/my_sweep --campaign", "frequency and gap of each point in a file name"),
+        ],
+        "Reads text tables (CSV, TSV, LVM), TDMS, universal files (dataset 58), MATLAB, WAV, Parquet, npz, "
+        "Rattlesnake netCDF4 and ROS bags. DT needs laser (motion of the structure) and base (motion below "
+        "the structure), each as displacement, velocity or acceleration: docs/tutorials/own_measurement.md.",
+    )  # fmt: skip
+    add_json(parser)
+    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="file of a measurement")
+    parser.add_argument(
+        "--output", type=Path, required=True, metavar="DIR", help="directory of the run, or of the campaign"
+    )
+    parser.add_argument("--dry-run", action="store_true", help="show what would be written, and write nothing")
+    parser.add_argument("--mapping", type=Path, metavar="YAML", help="YAML file with channels, units and calibration")
+    parser.add_argument(
+        "--channel", action="append", nargs="+", default=[], metavar="NAME=SIGNAL",
+        help="signal of a channel, with unit and sensitivity if the file has none: laser=ai0, laser='ai0 mm', "
+        "laser='ai0 V, 500 mV/mm'; channels: laser, base, accelerometer (also detects impacts), current",
+    )  # fmt: skip
+    parser.add_argument("--scan-rate", type=float, metavar="HZ", help="scans per second (default: the file's)")
+    parser.add_argument(
+        "--resample", type=int, metavar="HZ", help="rate for resampling scans that are not uniform in time"
+    )
+    parser.add_argument(
+        "--frequency", type=FREQUENCY, metavar="HZ|SIGNAL",
+        help="drive frequency, e.g. 9.1Hz, or the name of its signal (default: from the file name, else the base)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--gap", type=GAP_LABEL, metavar="LENGTH|SIGNAL",
+        help="gap with its unit, e.g. 6mm, none (no sphere), or the name of its signal (default: from the file name)",
+    )  # fmt: skip
+    parser.add_argument("--commands", type=Path, metavar="FILE", help="table of the commands: time, frequency, current")
+    parser.add_argument(
+        "--calibration", type=Path, metavar="FILE", help="table with columns of daq/info, one row per channel"
+    )
+    parser.add_argument("--note", action="append", default=[], metavar="TEXT", help="remark for the run; repeatable")
+    parser.add_argument("--campaign", action="store_true", help="make one campaign, for report and identify")
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="rig configuration, with --campaign (default: the paper's rig)"
+    )
+
+
+def add_drive(commands: Commands) -> None:
+    """Register the command and its tests, in the order of the help."""
+    parser = subcommand(
+        commands, "drive", None, "drive a rig: signals, sine sweeps, controlled amplitudes, resonances, shocks",
+        [
+            ("drive play road.csv --signal drive --scale 0.5", "half of a column as the current"),
+            ("drive sweep --gap 6mm", "DT over the frequency at a constant current"),
+            ("drive hold base 60um --frequencies 8.8 9.1 9.4", "the base at 60 µm, at three frequencies"),
+            ("drive lock --gap none", "find the resonance without a sphere, and track it"),
+            ("drive random --gap none", "a power spectral density of the base's acceleration, 5 to 200 Hz"),
+        ],
+        "`impact-rig drive TEST --help` shows the options of a test. Each writes its results to a new directory, whose "
+        "name is the last line of its output.",
+    )  # fmt: skip
+    tests = parser.add_subparsers(dest="test", required=True, metavar="TEST", help="kind of test")
+    for add in (
+        _add_play, _add_frf, _add_hold, _add_sweep, _add_lock,
+        _add_backbone, _add_random, _add_replicate, _add_shock,
+    ):  # fmt: skip
+        add(tests)
+
+
+RATE_HZ, FAST_HZ = 2_000, 10_000  # default rates of samples and scans: enough for 200 Hz, and for a shock
+PLAN = "settings of the test, e.g. config/excitation/{}.yaml"
+EXCITATION = {name: name for name in ("kind", "frames", "frame_s", "low_hz", "high_hz", "rms")} | {"drive_seed": "seed"}
+"""Option of `frf` -> setting of its excitation."""
+
+
+SI = {"accelerometer": "(m/s²)", "laser": "m", "base": "m", "current": "A"}
+
+
+def _add_play(tests: Commands) -> None:
+    """Register `play`."""
+    parser = subcommand(
+        tests, "play", "impact_rig_studies.cli.drive_stream:run_play",
+        "drive the rig with a signal of a file or of a run",
+        [
+            ("drive play road.csv --signal drive --scale 0.5", "half of a column, resampled to the rig's rate"),
+            ("drive play runs/demo/gap_6mm --seconds 30", "the current that a recorded run measured"),
+        ],
+    )  # fmt: skip
+    parser.add_argument("file", type=Path, metavar="FILE", help="signal: a file as of import, or a run")
+    _add_signal(parser)
+    parser.add_argument("--seconds", type=positive("s"), metavar="S", help="longest rig time (default: all of it)")
+    parser.add_argument(
+        "--clip", type=positive("A"), metavar="A", help="largest sample (default: a larger one ends the test)"
+    )
+    _add_stream_options(parser, "play", FAST_HZ)
+
+
+def _add_frf(tests: Commands) -> None:
+    """Register `frf`."""
+    default = signals.Excitation()
+    parser = subcommand(
+        tests, "frf", "impact_rig_studies.cli.drive_stream:run_frf",
+        "measure a frequency response with random noise or a chirp",
+        [
+            ("drive frf --gap none", "base over current, with bursts of noise"),
+            ("drive frf --response laser --reference base --kind chirp", "structure over base"),
+        ],
+    )  # fmt: skip
+    parser.add_argument(
+        "--kind", choices=signals.KINDS, default=default.kind, help=f"signal of the drive (default: {default.kind})"
+    )
+    parser.add_argument("--response", choices=tuple(SI), default="base", help="channel of the response (default: base)")
+    parser.add_argument(
+        "--reference", choices=tuple(SI), default="current", help="channel of the reference (default: current)"
+    )
+    for option, metavar, text in (
+        ("frames", "N", "number of frames to average"), ("frame_s", "S", "length of a frame"),
+        ("low_hz", "HZ", "lower edge of the band"), ("high_hz", "HZ", "upper edge of the band"),
+        ("rms", "A", "RMS current of the drive"), ("drive_seed", "N", "seed of the drive's random numbers"),
+    ):  # fmt: skip
+        value = getattr(default, EXCITATION[option])
+        parser.add_argument(
+            f"--{option.replace('_', '-')}", type=type(value), default=value, metavar=metavar,
+            help=f"{text} (default: {value})",
+        )  # fmt: skip
+    _add_stream_options(parser, "frf", RATE_HZ)
+
+
+def _add_random(tests: Commands) -> None:
+    """Register `random`."""
+    parser = subcommand(
+        tests, "random", "impact_rig_studies.cli.drive_stream:run_random", "hold a power spectral density",
+        [("drive random --gap none", "a power spectral density of the base's acceleration, 5 to 200 Hz")],
+    )  # fmt: skip
+    parser.add_argument("plan", nargs="?", type=Path, metavar="FILE", help=PLAN.format("random"))
+    _add_stream_options(parser, "random", RATE_HZ)
+
+
+def _add_replicate(tests: Commands) -> None:
+    """Register `replicate`."""
+    parser = subcommand(
+        tests, "replicate", "impact_rig_studies.cli.drive_stream:run_replicate", "make a response follow a history",
+        [("drive replicate road.csv --signal base --unit mm", "the base follows a column of a file")],
+    )  # fmt: skip
+    parser.add_argument("file", type=Path, metavar="FILE", help="history: a file as of import, or a run")
+    _add_signal(parser)
+    parser.add_argument("--plan", type=Path, metavar="FILE", help=PLAN.format("replicate"))
+    _add_stream_options(parser, "replicate", RATE_HZ)
+
+
+def _add_shock(tests: Commands) -> None:
+    """Register `shock`."""
+    parser = subcommand(
+        tests, "shock", "impact_rig_studies.cli.drive_stream:run_shock", "make the base follow a compensated half sine",
+        [("drive shock", "20 m/s², 11 ms")],
+    )  # fmt: skip
+    parser.add_argument("plan", nargs="?", type=Path, metavar="FILE", help=PLAN.format("shock"))
+    _add_stream_options(parser, "shock", FAST_HZ)
+
+
+def _add_signal(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--signal", metavar="NAME", help="column of the file, or channel of the run")
+    parser.add_argument("--unit", default="", metavar="UNIT", help="unit of the values (default: the file's, else SI)")
+    parser.add_argument("--scale", type=float, default=1.0, metavar="X", help="factor of the values (default: 1)")
+    parser.add_argument("--file-rate", type=float, metavar="HZ", help="samples per second of a file without times")
+
+
+def _add_stream_options(parser: argparse.ArgumentParser, test: str, rate_hz: int) -> None:
+    add_rig(parser)
+    add_way(parser, " (drive.waveform: stream)")
+    parser.add_argument(
+        "--scan-rate", type=int, default=rate_hz, metavar="HZ",
+        help=f"scans per second, and samples of the drive (default: {rate_hz})",
+    )  # fmt: skip
+    parser.add_argument(
+        "--abort",
+        nargs="+",
+        type=_limit,
+        default=[],
+        metavar="CHANNEL=X",
+        help="end the test beyond a reading, e.g. laser=5mm current=2A",
+    )
+    parser.add_argument(
+        "--output", type=Path, metavar="DIR", help=f"directory of the results (default: runs/{test}_<time>)"
+    )
+    add_json(parser)
+
+
+def _limit(text: str) -> tuple[str, float]:
+    channel, _, value = text.partition("=")
+    if channel not in SI:
+        raise argparse.ArgumentTypeError(
+            f"must be CHANNEL=X with a channel of {', '.join(SI)}, e.g. laser=5mm, got {text!r}"
+        )
+    try:
+        return channel, positive(SI[channel].strip("()")).number(value)
+    except ConfigError as error:
+        raise argparse.ArgumentTypeError(f"{channel}: {error}") from error
+
+
+def _add_hold(tests: Commands) -> None:
+    """Register `hold`."""
+    parser = subcommand(
+        tests, "hold", "impact_rig_studies.cli.drive_sine:run_hold", "step the frequency at a controlled amplitude",
+        [("drive hold base 60um --frequencies 8.8 9.1 9.4", "the base at 60 µm, at three frequencies")],
+    )  # fmt: skip
+    parser.add_argument("what", choices=[*Hold], help="controlled amplitude")
+    parser.add_argument("target", metavar="PEAK", help="its peak with the unit, e.g. 60um, or 0.5A for the current")
+    _add_points(parser)
+    add_field(parser, attrs.fields(HoldPlan).tolerance, "X")
+    _add_current(parser)
+    _add_sine_options(parser, "hold")
+
+
+def _add_sweep(tests: Commands) -> None:
+    """Register `sweep`."""
+    parser = subcommand(
+        tests, "sweep", "impact_rig_studies.cli.drive_sine:run_sweep", "step the frequency at a constant current",
+        [("drive sweep --gap 6mm --direction up_down", "DT over the frequency, upwards and downwards")],
+    )  # fmt: skip
+    _add_points(parser)
+    _add_current(parser)
+    _add_sine_options(parser, "sweep")
+
+
+def _add_lock(tests: Commands) -> None:
+    """Register `lock`."""
+    parser = subcommand(
+        tests, "lock", "impact_rig_studies.cli.drive_sine:run_lock", "find a resonance, track it, and dwell there",
+        [("drive lock --gap none", "the resonance without a sphere")],
+    )  # fmt: skip
+    add_field(parser, attrs.fields(LockPlan).dwell_s, "S", "--dwell")
+    _add_search(parser)
+    _add_current(parser)
+    _add_sine_options(parser, "lock")
+
+
+def _add_backbone(tests: Commands) -> None:
+    """Register `backbone`."""
+    parser = subcommand(
+        tests, "backbone", "impact_rig_studies.cli.drive_sine:run_backbone",
+        "follow a resonance over the current, up and down",
+        [("drive backbone --currents 0.1 0.2 0.4", "frequency and amplitude of the resonance at three currents")],
+    )  # fmt: skip
+    parser.add_argument(
+        "--currents", type=float, nargs="+", required=True, metavar="A", help="peak currents in ascending order"
+    )
+    _add_search(parser)
+    _add_sine_options(parser, "backbone")
+
+
+def _add_points(parser: argparse.ArgumentParser) -> None:
+    plan = attrs.fields(SweepPlan)
+    add_field(parser, plan.frequencies_hz, "HZ", "--frequencies")
+    add_field(parser, plan.direction)
+    add_field(parser, plan.measurements_per_point, "N", "--measurements")
+
+
+def _add_search(parser: argparse.ArgumentParser) -> None:
+    add_field(parser, attrs.fields(LockPlan).start_hz, "HZ", "--start")
+    add_field(parser, attrs.fields(LockPlan).reference)
+
+
+def _add_current(parser: argparse.ArgumentParser) -> None:
+    add_field(parser, attrs.fields(SweepPlan).current_a, "A", "--current")
+
+
+def _add_sine_options(parser: argparse.ArgumentParser, test: str) -> None:
+    parser.add_argument(
+        "--through", choices=("process", "ros"), default="process",
+        help="rig in this process (default), or behind topics",
+    )  # fmt: skip
+    add_rig(parser)
+    add_json(parser)
+    parser.add_argument(
+        "--output", type=Path, metavar="DIR", help=f"directory of the results (default: runs/{test}_<time>)"
+    )
+
+
+def add_campaign(commands: Commands) -> None:
+    """Register `campaign`."""
+    parser = subcommand(
+        commands, "campaign", "impact_rig_studies.cli.campaign:run_campaign",
+        "measure all points of a campaign file; run again to resume",
+        [
+            ("campaign config/paper.yaml", "the whole paper, on all cores"),
+            ("campaign config/paper.yaml --only curves --check", "its 60 points; exit code 1 if they are wrong"),
+            ("campaign my.yaml --through ros --record --output runs/mine", "through the real graph, with recordings"),
+        ],
+        "The last line is the directory of the results; `impact-rig report` makes a page of it.",
+    )  # fmt: skip
+    add_json(parser)
+    parser.add_argument("file", nargs="?", type=Path, metavar="FILE", help="campaign file, e.g. config/paper.yaml")
+    parser.add_argument(
+        "--through", nargs="+", default=["process"], metavar="WAY",
+        help="way of measuring: process (all cores; default), ros (the real graph) or dask ADDRESS (a Dask cluster)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--output", type=Path, metavar="DIR", help="results, resumed if they exist (default: runs/campaign_<file>)"
+    )
+    parser.add_argument("--only", nargs="+", default=(), metavar="STUDY", help="studies to run (default: all)")
+    parser.add_argument(
+        "--seed", type=int, metavar="N", help="seed of noise and calibration errors (default: the file's)"
+    )
+    parser.add_argument("--scan-rate", type=int, metavar="HZ", help="scans per second (default: the file's)")
+    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
+    parser.add_argument("--record", action="store_true", help="record every run as MCAP (with --through ros)")
+    parser.add_argument(
+        "--check", action="store_true", help="exit with 1 if a point failed or a measurement contradicts the paper"
+    )
+
+
+def add_report(commands: Commands) -> None:
+    """Register `report`: the page of a campaign."""
+    parser = subcommand(
+        commands, "report", "impact_rig_studies.cli.campaign:run_report",
+        "write the report of a campaign or a run: one HTML page, figures as PNG, SVG and PDF, numbers as JSON",
+        [
+            ("report runs/campaign_paper", "writes runs/campaign_paper/report.html"),
+            ("report runs/demo/gap_6mm", "one run: result, uncertainty, conditions, motion"),
+            ("report runs/campaign_paper --margins runs/campaign_margins", "with sensitivities to constants"),
+        ],
+    )  # fmt: skip
+    parser.add_argument("directory", type=Path, metavar="DIR", help="directory of a campaign, or a run")
+    parser.add_argument("--output", type=Path, metavar="DIR", help="directory of the page (default: DIR)")
+    parser.add_argument(
+        "--margins", type=Path, metavar="DIR",
+        help="campaign with varied constants (config/campaigns/margins.yaml), for the statements' sensitivity",
+    )  # fmt: skip
+    parser.add_argument(
+        "--branches", type=Path, metavar="DIR", nargs="+", default=(),
+        help="directories of `impact-rig dynamics continue`, whose motions are drawn next to the measurements",
+    )  # fmt: skip
+    add_figures(parser, "directory of the figures (default: figures in that of the page)")
+    add_recorded_rig(parser)
+
+
+def add_map(commands: Commands) -> None:
+    """Register the subcommand."""
+    parser = subcommand(
+        commands, "map", "impact_rig_studies.cli.mechanics:run_map",
+        "map DT and regimes over two or three parameters; run again to resume",
+        [
+            ("map config/maps/gap_frequency.yaml", "on all cores; draws the map next to its table"),
+            ("map my_map.yaml --through dask tcp://host:8786", "on a Dask cluster"),
+        ],
+    )  # fmt: skip
+    parser.add_argument(
+        "file", nargs="?", type=Path, metavar="FILE", help="map file, e.g. config/maps/gap_frequency.yaml"
+    )
+    parser.add_argument(
+        "--exponent", action="store_true", help="measure the largest exponent of every motion that does not repeat"
+    )
+    _add_task_options(parser, "map")
+
+
+def add_dynamics(commands: Commands) -> None:
+    """Register the subcommand."""
+    parser = subcommand(
+        commands, "dynamics", "impact_rig_studies.cli.mechanics:run_dynamics",
+        "compute sections, bifurcations, basins, orbits, branches or exponents",
+        [
+            ("dynamics continue config/dynamics/nominal.yaml", "stable and unstable motions over the gap, with folds"),
+            ("dynamics basin config/dynamics/two_motions.yaml", "the motion reached from each start of the sphere"),
+        ],
+        more="All studies use the mechanics without instruments. Run the command again to resume it.",
+    )  # fmt: skip
+    parser.add_argument("kind", choices=KINDS, help="kind of study: a section of the file")
+    parser.add_argument("file", nargs="?", type=Path, metavar="FILE", help="plan, e.g. config/dynamics/nominal.yaml")
+    _add_task_options(parser, "dynamics")
+
+
+def _add_task_options(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add the arguments that every such command has."""
+    parser.add_argument(
+        "--through", nargs="+", default=["process"], metavar="WAY",
+        help="way of measuring: process (all cores; default) or dask ADDRESS (a Dask cluster)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--output", type=Path, metavar="DIR", help=f"results, resumed if they exist (default: runs/{what}_<file>)"
+    )
+    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
+    add_json(parser)
+    parser.add_argument("--no-figures", action="store_true", help="draw no figures")
+    add_figures(parser, "directory of the figures (default: figures in that of the results)")
+
+
+def add_identify(commands: Commands) -> None:
+    """Register `identify`."""
+    parser = subcommand(
+        commands, "identify", "impact_rig_studies.cli.identify:run_identify",
+        "determine constants of the rig from measured runs",
+        [
+            ("identify runs/campaign_paper", "from its curves, its reductions and a free decay"),
+            ("identify --paper", "what the paper's own numbers determine"),
+        ],
+    )  # fmt: skip
+    add_json(parser)
+    parser.add_argument("directory", nargs="?", type=Path, metavar="DIR", help="directory of a campaign")
+    parser.add_argument("--decay", type=Path, metavar="RUN", help="recorded run with a pluck (default: pluck the rig)")
+    add_recorded_rig(parser)
+    parser.add_argument(
+        "--decrement", action="store_true", help="evaluate the free decay by its logarithmic decrement instead of a fit"
+    )
+    parser.add_argument(
+        "--without",
+        nargs="+",
+        choices=("decay", "sine", "reductions"),
+        default=(),
+        metavar="DATA",
+        help="data to leave out: decay, sine, reductions",
+    )
+    parser.add_argument(
+        "--e-uncertainty", type=float, default=U_RESTITUTION, metavar="U",
+        help=f"standard uncertainty of the configuration's e, 0 if it is exact (default: {U_RESTITUTION:g})",
+    )  # fmt: skip
+    parser.add_argument("--paper", action="store_true", help="fit the default rig to the paper's numbers instead")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="configuration with known constants (with --paper)")
+
+
+HEIGHT_UNCERTAINTY = Quantity(FieldInfo("Standard uncertainty of a height.", "m", low=0.0))
+
+
+def _add_drop(instead: argparse._MutuallyExclusiveGroup) -> None:
+    instead.add_argument(
+        "--drop", type=HEIGHT_UNCERTAINTY, metavar="LENGTH",
+        help="coefficient of restitution from remarks like `drop h0_m=0.2 h1_m=0.0245`, with this standard uncertainty "
+        "of a height, e.g. 0.5mm",
+    )  # fmt: skip
+
+
+DROP = Analysis("drop", _add_drop, "impact_rig_studies.cli.drops:run_drop")
