@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+import argparse
 import importlib
 import importlib.util
 import json
@@ -40,15 +41,14 @@ PARTS = (
 RESULTS = Path("build") / "bench.json"
 
 
-def main(wanted: list[str]) -> int:
+def main() -> int:
     """Run the named parts, or all that exist; return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("parts", nargs="*", choices=PARTS, help="parts to run (default: all)")
+    wanted = parser.parse_args().parts or PARTS
     console = Console()
-    unknown = [part for part in wanted if part not in PARTS]
-    if unknown:
-        console.print(f"no benchmark {unknown[0]!r}; there are {', '.join(PARTS)}")
-        return 2
     figures: dict[str, float] = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
-    for part in wanted or PARTS:
+    for part in wanted:
         if importlib.util.find_spec(f"benchmarks.{part}") is None:
             continue
         console.rule(part)
@@ -67,4 +67,4 @@ def main(wanted: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

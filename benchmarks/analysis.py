@@ -136,8 +136,3 @@ def run() -> dict[str, float]:
         "analysis_tracker_x_realtime_50kSps": SECONDS / alone,
         "analysis_tracker_us_per_block": alone / len(tables) * 1e6,
     }
-
-
-if __name__ == "__main__":
-    for name, value in run().items():
-        print(f"{name:40} {value:12.1f}")

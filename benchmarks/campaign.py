@@ -38,8 +38,3 @@ def _campaign() -> float:
         command = [sys.executable, "-c", script, "campaign", str(FILE), "--only", STUDY, "--output", output]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
         return time.monotonic() - began
-
-
-if __name__ == "__main__":
-    for name, value in run().items():
-        print(f"{name:40} {value:.4g}")

@@ -146,7 +146,3 @@ def _print(
     table.add_row("mechanics beside them", f"{mechanics * 1e3:.2f}", f"{1 / mechanics:.0f} x real time")
     table.add_row("instruments, 10 ms per call", f"{live * 1e3:.2f}", f"{1 / live:.0f} x real time")
     Console().print(table)
-
-
-if __name__ == "__main__":
-    print(run())

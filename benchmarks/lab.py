@@ -241,8 +241,3 @@ def _usual_mb(pid: int, client: Client) -> float:
         client.spin_for(0.25)
         readings.append(resident_mb(pid))
     return statistics.median(readings)
-
-
-if __name__ == "__main__":
-    for name, value in run().items():
-        print(f"{name:40} {value:.4g}")

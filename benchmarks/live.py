@@ -186,8 +186,3 @@ def graph(parameters: Mapping[str, ParameterValue]) -> Iterator[tuple[Client, Pr
             client.wait_until(lambda: client.status("recorder").message == "recording", "the recorder")
             client.wait_until(lambda: "rig_time_s" in client.figures("rig"), "the rig to begin")
             yield client, processes, Path(name)
-
-
-if __name__ == "__main__":
-    for name, value in run().items():
-        print(f"{name:40} {value:.4g}")

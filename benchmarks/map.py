@@ -59,8 +59,3 @@ def _whole(plan: MapPlan, points: int, wall_s: float) -> float:
     """Return the time of 100 × 100 places at this rate [s]."""
     assert points == plan.points
     return 10_000 * wall_s / points
-
-
-if __name__ == "__main__":
-    for name, value in run().items():
-        print(f"{name:40} {value:.4g}")

@@ -124,8 +124,3 @@ def run() -> dict[str, float]:
                 place / f"read_{compression}", compression, sent
             )
     return figures
-
-
-if __name__ == "__main__":
-    for name, value in run().items():
-        print(f"{name:40} {value:12.1f}")

@@ -123,8 +123,3 @@ def memory(seconds: float) -> dict[str, float]:
 def noted() -> dict[str, float]:
     """Return the latest figures that other programs stored."""
     return {path.name: float(path.read_text()) for path in sorted(NOTED.glob("*_*"))}
-
-
-if __name__ == "__main__":
-    for name, value in run().items():
-        print(f"{name:40} {value:.4g}")

@@ -102,7 +102,3 @@ def _late(stream: Collector, before: float) -> float | None:
     """Return the number of late samples, once it has grown."""
     late = max((float(table.rows["late"][0]) for table in stream.tables()), default=0.0)
     return late if late > before else None
-
-
-if __name__ == "__main__":
-    print(run())

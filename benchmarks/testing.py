@@ -18,6 +18,7 @@ python -m benchmarks.testing
 
 from __future__ import annotations
 
+import argparse
 import subprocess
 import sys
 import time
@@ -63,8 +64,10 @@ def minute(kind: str) -> None:
 
 
 if __name__ == "__main__":
-    if sys.argv[1:]:
-        minute(sys.argv[1])
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("kind", nargs="?", choices=KINDS, help="kind of rig that runs once (default: measure all)")
+    if chosen := parser.parse_args().kind:
+        minute(chosen)
     else:
         for figure, value in run().items():
             print(f"{figure:40} {value:.4g}")

@@ -206,6 +206,8 @@ def _spinner(node: Node) -> Callable[[], None]:
 
 if __name__ == "__main__":
     match sys.argv[1:]:
+        case ["-h" | "--help", *_]:
+            print(f"usage: python -m benchmarks.wire [SECONDS]\n\n{__doc__}")
         case ["source", seconds, window, *_]:
             rclpy.init()
             _source(float(seconds), int(window))

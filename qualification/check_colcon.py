@@ -20,6 +20,7 @@ the names of some quick tests. The tests must run on the installed package and i
 
 from __future__ import annotations
 
+import argparse
 import os
 import shutil
 import subprocess
@@ -152,6 +153,7 @@ def check_changelog() -> None:
 
 def main() -> None:
     """Build, install, test and start the package, and print a summary."""
+    _, for_pytest = argparse.ArgumentParser(description=__doc__, allow_abbrev=False).parse_known_args()
     check_changelog()
     shutil.rmtree(WORKSPACE, ignore_errors=True)
     for name in tracked():
@@ -167,7 +169,7 @@ def main() -> None:
     if missing:
         raise SystemExit("not installed, or different from the sources:\n" + "\n".join(missing))
     start_everything()
-    chosen = [f" {argument}" for argument in (*sys.argv[1:], *QUICK)]  # the blank keeps colcon from parsing options
+    chosen = [f" {argument}" for argument in (*for_pytest, *QUICK)]  # the blank keeps colcon from parsing options
     colcon("test", *places, "--return-code-on-test-failure", "--pytest-args", *chosen)
     check_package_under_test()
     tests = tests_run()

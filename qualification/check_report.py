@@ -22,6 +22,7 @@ exit code is 1 if a problem is found.
 
 from __future__ import annotations
 
+import argparse
 import base64
 import contextlib
 import sys
@@ -94,10 +95,12 @@ def troubles(page: Page) -> list[str]:
 
 def main() -> int:
     """Print the problems in every view, and keep the pictures."""
-    if len(sys.argv) not in (2, 3):
-        raise SystemExit(__doc__)
-    file = Path(sys.argv[1]).resolve()
-    folder = Path(sys.argv[2] if len(sys.argv) == 3 else file.parent / "screenshots").resolve()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("report", type=Path, help="the HTML file of the report")
+    parser.add_argument("screenshots", nargs="?", type=Path, help="folder (default: next to the report)")
+    arguments = parser.parse_args()
+    file = arguments.report.resolve()
+    folder = (arguments.screenshots or file.parent / "screenshots").resolve()
     folder.mkdir(parents=True, exist_ok=True)
     wrong = []
     with contextlib.closing(Browser()) as browser:

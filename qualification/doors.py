@@ -20,6 +20,7 @@ matters. `make bench ONLY=start` repeats the time of the demo from a clone, and 
 
 from __future__ import annotations
 
+import argparse
 import os
 import signal
 import subprocess
@@ -114,6 +115,7 @@ def note(figure: str, value: float) -> None:
 
 def main() -> None:
     """Print the table."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
     with tempfile.TemporaryDirectory(prefix="impact_rig_doors_") as directory:
         measure(lambda what, seconds: print(f"{what:60} {seconds:6.0f} s", flush=True), Path(directory))  # noqa: T201
 

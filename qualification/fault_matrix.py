@@ -27,6 +27,7 @@ blocks flow again. At the end the recording is checked: it must contain every bl
 
 from __future__ import annotations
 
+import argparse
 import functools
 import math
 import signal
@@ -390,9 +391,10 @@ def sensors(console: Console) -> bool:
 
 def main() -> int:
     """Return 0 if no wrong row looked good, no block was lost and everything recovered."""
-    wanted = set(sys.argv[1:]) or {"sensors", "processes"}
-    if not wanted <= {"sensors", "processes"}:
-        raise SystemExit(__doc__)
+    parser = argparse.ArgumentParser(description=__doc__)
+    parts = ("sensors", "processes")
+    parser.add_argument("parts", nargs="*", choices=parts, help="parts to run (default: both)")
+    wanted = parser.parse_args().parts or parts
     console = Console(soft_wrap=True, markup=False, highlight=False)
     good = sensors(console) if "sensors" in wanted else True
     return 0 if (processes(console) if "processes" in wanted else True) and good else 1

@@ -20,6 +20,7 @@ file and send no control character to the terminal. The table is shown in docs/e
 
 from __future__ import annotations
 
+import argparse
 import itertools
 import json
 import os
@@ -339,6 +340,7 @@ def words(command: str, path: Path, folder: Path) -> list[str | Path]:
 
 def main() -> int:
     """Generate all inputs, measure all commands and print the table; return 1 if there is a deviation."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
     table = TextTable(title="peak memory [MB] / CPU time [s] / wall time [s] / exit code")
     for heading in ("", *COMMANDS):
         table.add_column(heading, justify="left" if not heading else "right")

@@ -21,6 +21,7 @@ classified differently.
 
 from __future__ import annotations
 
+import argparse
 import math
 import sys
 import tempfile
@@ -77,6 +78,7 @@ def compared(line: MapLine) -> list[tuple[str, str, float]]:
 
 def main() -> int:
     """Compare and print."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
     console = Console()
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "map.yaml"

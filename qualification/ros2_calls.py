@@ -21,6 +21,7 @@ lines on top of rclpy.
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import itertools
 import sys
@@ -254,6 +255,7 @@ def two_rigs(calls: Calls, directory: Path) -> None:
 
 def main() -> int:
     """Make every call; return 0 if all answered as documented."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
     calls = Calls(print)
     with tempfile.TemporaryDirectory() as directory:
         two_rigs(calls, Path(directory))

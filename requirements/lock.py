@@ -23,6 +23,7 @@ again, for every supported Python, and pip is run again with those that it has l
 
 from __future__ import annotations
 
+import argparse
 import json
 import subprocess
 import sys
@@ -186,7 +187,9 @@ def check(parts: Sequence[str]) -> None:
 
 def main() -> None:
     """Write the files unless they are only to be checked, and check them."""
-    if sys.argv[1:] != ["--check"]:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--check", action="store_true", help="only check the present versions")
+    if not parser.parse_args().check:
         for section, lines in {**choose(), KILTED: choose(KILTED)[KILTED]}.items():
             text = "".join(f"{lines[name]}\n" for name in sorted(lines))
             (HERE / f"{section}.txt").write_text(HEADER + text, encoding="utf-8")

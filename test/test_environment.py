@@ -21,6 +21,7 @@ import importlib
 import importlib.util
 import os
 import re
+import runpy
 import subprocess
 import sys
 import zipfile
@@ -168,6 +169,33 @@ def test_every_benchmark_can_begin() -> None:
     from benchmarks.__main__ import PARTS
 
     assert all(callable(importlib.import_module(f"benchmarks.{part}").run) for part in PARTS)
+
+
+PROGRAMS = sorted(
+    str(path.relative_to(ROOT).with_suffix(""))
+    for folder in ("benchmarks", "fuzz", "impact_rig", "impact_rig_lab", "impact_rig_studies", "qualification", "tools")
+    for path in (ROOT / folder).rglob("*.py")
+    if '\nif __name__ == "__main__":\n' in path.read_text(encoding="utf-8")
+)
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("program", [*PROGRAMS, "requirements/lock"])
+def test_every_program_tells_its_use_and_does_nothing_else(
+    program: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Bugs once: `tools.release --help` built a release in a folder `--help`, `lock.py --help` chose new versions."""
+    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", [program, "--help"])
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    try:
+        runpy.run_path(str(ROOT / f"{program}.py"), run_name="__main__")
+    except SystemExit as ended:
+        assert not ended.code  # noqa: PT017  # some programs return
+    assert "usage:" in (said := capsys.readouterr()).out
+    assert said.err == ""
+    assert not [*tmp_path.iterdir()]
 
 
 # --- An installation: real pip, real environment, three tiny packages -------------------------------------------------

@@ -19,11 +19,11 @@ and the scripts as separate files, for pages that embed the rig.
 
 from __future__ import annotations
 
+import argparse
 import base64
 import json
 import re
 import shutil
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import quote
@@ -116,5 +116,7 @@ def build(directory: Path) -> Path:
 
 
 if __name__ == "__main__":
-    made = build(Path(sys.argv[1] if len(sys.argv) > 1 else "build/rig"))
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("directory", nargs="?", type=Path, default="build/rig", help="destination (default: build/rig)")
+    made = build(parser.parse_args().directory)
     print(f"{made}: {made.stat().st_size} bytes")  # noqa: T201  # a program

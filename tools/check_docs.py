@@ -35,6 +35,7 @@ script does not compare the values; the reader can do so with the owner.
 
 from __future__ import annotations
 
+import argparse
 import itertools
 import re
 import sys
@@ -229,6 +230,7 @@ def figure_faults(page: Page) -> Iterator[str]:
 
 def main() -> int:
     """Print every fault and return the exit code."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
     found = [fault for page in pages().values() for fault in faults(page)]
     blocks = [block for page in pages().values() for block in page.blocks]
     sys.stdout.write("".join(f"{fault}\n" for fault in found))

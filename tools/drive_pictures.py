@@ -18,6 +18,7 @@ They take some ten minutes of rig time, and a minute of one core.
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -52,6 +53,7 @@ def hardware(rate_hz: int, **changes: object) -> Hardware:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__).parse_args()
     for reached, unit in results():
         drawn = tell(reached, unit).draw()[0]
         (ROOT / "docs" / "images" / f"drive_{drawn.name}.png").write_bytes(drawn.content("png"))

@@ -18,6 +18,7 @@ The page itself draws the animation; Pillow, which is installed with matplotlib,
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import io
 import sys
@@ -44,6 +45,7 @@ FRAMES, FRAME_MS = 24, 60
 
 def main() -> None:
     """Take all pictures."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
     IMAGES.mkdir(parents=True, exist_ok=True)
     with contextlib.closing(Browser()) as browser, tempfile.TemporaryDirectory() as directory:
         live(browser, Path(directory))

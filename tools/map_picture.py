@@ -13,11 +13,12 @@
 # limitations under the License.
 """Pictures of the maps and the dynamics in the docs: measured on the mechanics and drawn, some minutes.
 
-With the argument `dynamics` the program makes only the pictures of the page of that name.
+`python -m tools.map_picture dynamics` makes only the pictures of the page of that name.
 """
 
 from __future__ import annotations
 
+import argparse
 import shutil
 import sys
 import tempfile
@@ -58,4 +59,6 @@ def draw(page: str) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(draw(sys.argv[1] if len(sys.argv) > 1 else ""))
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("page", nargs="?", choices=("map", "dynamics"), help="page of the pictures (default: both)")
+    sys.exit(draw(parser.parse_args().page or ""))

@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+import argparse
 import re
 
 from tools.doc_paths import ROOT
@@ -35,6 +36,7 @@ def files(section: str) -> dict[str, str]:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__).parse_args()
     for name, content in files(PAGE.read_text(encoding="utf-8")).items():
         with (ROOT / name).open("x", encoding="utf-8") as file:
             file.write(content)

@@ -24,6 +24,7 @@ source distribution on the installed package. In a second environment pip builds
 
 from __future__ import annotations
 
+import argparse
 import os
 import platform
 import shutil
@@ -247,15 +248,26 @@ def use(sdist: Path, index: Path) -> None:
 
 def main() -> None:
     """Build, check and, if requested, try the release, and print its files."""
-    arguments = [argument for argument in sys.argv[1:] if argument != "--try"]
-    directory = Path(arguments[0] if arguments else ROOT / "build" / "release").absolute()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument(
+        "directory",
+        nargs="?",
+        type=Path,
+        default=ROOT / "build" / "release",
+        help="destination (default: build/release)",
+    )
+    parser.add_argument(
+        "--try", action="store_true", dest="tried", help="install the release in empty environments and use it"
+    )
+    arguments = parser.parse_args()
+    directory = arguments.directory.absolute()
     sdist, *wheels = build(directory)
     wrong = [line for wheel in wheels for line in differences(sdist, wheel)]
     if wrong:
         raise SystemExit("\n".join(dict.fromkeys(wrong)))
     index = write_index(directory, (sdist, *wheels))
     print(*(sdist, *wheels), f"hold what the repository holds; index: {index.as_uri()}", sep="\n", flush=True)  # noqa: T201  # a program
-    if "--try" in sys.argv:
+    if arguments.tried:
         use(sdist, index)
         print("wheel and source distribution work in empty environments")  # noqa: T201  # as above
     unfilled = placeholders()

@@ -19,6 +19,7 @@ bases and the sphere are displaced by the values of a run at 6 mm, enlarged twel
 
 from __future__ import annotations
 
+import argparse
 import itertools
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -110,4 +111,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__).parse_args()
     main()

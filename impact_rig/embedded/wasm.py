@@ -20,6 +20,7 @@ functions.
 
 from __future__ import annotations
 
+import argparse
 import subprocess
 import sys
 import tempfile
@@ -86,4 +87,6 @@ def build_wasm(path: Path, keep: Path) -> None:
 
 
 if __name__ == "__main__":
-    build_wasm(Path(sys.argv[1]), Path("build", "kernels"))
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("file", type=Path, help="destination, such as rig.wasm")
+    build_wasm(parser.parse_args().file, Path("build", "kernels"))

@@ -18,6 +18,7 @@ Imports are light: signal handlers and the watch on the parent process are set u
 
 from __future__ import annotations
 
+import argparse
 import functools
 import importlib
 import itertools
@@ -123,4 +124,6 @@ def _end(ending: Ending) -> None:
 
 
 if __name__ == "__main__":
-    _run(sys.argv.pop(1))
+    parser = argparse.ArgumentParser(prog="python -m impact_rig.nodes", description=__doc__)
+    parser.add_argument("node", choices=NODES, help="node to run; its options follow")
+    _run(parser.parse_args([sys.argv.pop(1)] if sys.argv[1:] else []).node)

@@ -22,6 +22,7 @@ records a small run with every message type that the rig publishes. Values are c
 # ruff: noqa: S603, S607, T201  (a developer's script: it runs node and npm from the path and prints)
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import hashlib
 import json
@@ -177,11 +178,14 @@ def install() -> None:
 
 def main() -> None:
     """Record or open a run, read it with both readers, and compare."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("run", nargs="?", type=Path, help="run to read (default: a new one)")
+    given = parser.parse_args().run
     install()
     store = get_typestore(Stores.ROS2_JAZZY)
     with tempfile.TemporaryDirectory() as scratch:
-        path = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(scratch) / "run"
-        if len(sys.argv) == 1:
+        path = given or Path(scratch) / "run"
+        if not given:
             record(path, store)
         with open_run(path) as run:
             wanted = expected(run, store)

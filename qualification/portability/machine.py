@@ -18,6 +18,7 @@ python -m qualification.portability.machine     print it as JSON
 
 from __future__ import annotations
 
+import argparse
 import array
 import ctypes
 import functools
@@ -117,4 +118,5 @@ def _libm_variants() -> dict[str, int]:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__).parse_args()
     json.dump(attrs.asdict(this()), sys.stdout)

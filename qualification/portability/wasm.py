@@ -20,6 +20,7 @@ Only the kernels run there. They replace the shared library with the same calls;
 
 from __future__ import annotations
 
+import argparse
 import ctypes
 import importlib.machinery
 import struct
@@ -142,8 +143,11 @@ class Library(types.ModuleType):
 
 
 if __name__ == "__main__":
-    sys.modules[LIBRARY] = Library(Path(sys.argv[1]), Path(sys.argv[2]))
-    del sys.argv[1:3]
+    parser = argparse.ArgumentParser(description=__doc__, allow_abbrev=False)
+    parser.add_argument("module", type=Path, help="kernels as WebAssembly")
+    parser.add_argument("stamps", type=Path, help="list of their sources; then as of qualification.portability.child")
+    given, sys.argv[1:] = parser.parse_known_args()
+    sys.modules[LIBRARY] = Library(given.module, given.stamps)
     from impact_rig import kernels
     from qualification.portability.child import main
 

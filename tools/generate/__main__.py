@@ -15,11 +15,14 @@
 
 from __future__ import annotations
 
+import argparse
+
 from tools.generate import ROOT, generated
 
 
 def main() -> None:
     """Rewrite the generated files."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
     for path, text in generated().items():
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             path.parent.mkdir(exist_ok=True)
