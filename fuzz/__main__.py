@@ -65,6 +65,7 @@ def main() -> int:
             table.add_row(one.name, *map(str, figures), *(f"{cost:.0f}" for cost in costs))
             if tally.peak_mib > MEMORY_MIB:
                 console.print(f"{one.name}: a process occupied {tally.peak_mib:.0f} MiB, more than {MEMORY_MIB:g}")
+                console.print(f"since {tally.largest}", markup=False)
                 return 1
             console.print(f"{one.name}: {tally.inputs} inputs, nothing found", style="dim")
             if branches:

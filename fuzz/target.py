@@ -62,6 +62,7 @@ class Tally:
     refused: int = 0
     slowest_s: float = 0.0
     peak_mib: float = 0.0  # of the largest process so far
+    largest: str = ""  # the first input after which a process had used too much
     wall_s: float = 0.0
 
 
@@ -95,6 +96,8 @@ def prepared(target: Target, examples: int, number: int, tally: Tally) -> Callab
         tally.refused += refused
         tally.slowest_s = max(tally.slowest_s, took)
         tally.peak_mib = max(tally.peak_mib, _peak_mib())
+        if tally.peak_mib > MEMORY_MIB and not tally.largest:
+            tally.largest = repr(value)
         assert took < HANG_S, f"{target.name}: one input took {took:.1f} s"
 
     return each

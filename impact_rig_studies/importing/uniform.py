@@ -44,7 +44,7 @@ CLOCKS_HZ = (51_200.0, 102_400.0, 204_800.0, 65_536.0, 131_072.0, 48_000.0, 96_0
 LARGEST_DIVISOR = 4096
 EXACT = 1e-9  # relative uncertainty of a rate that is written with all its digits
 DECIMALS = 9
-RESAMPLED_VALUES, RESAMPLED_PER_VALUE = 3_000_000, 20
+RESAMPLED_VALUES, RESAMPLED_PER_VALUE = 500_000, 20
 """Values that resampling may make: so many, or so many per value of the file."""
 MOSTLY = 0.9
 FEWEST = 2  # scans that several time bases must have in common

@@ -15,16 +15,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import tracemalloc
 import warnings
 from pathlib import Path
 
+import attrs
 import numpy as np
 import pytest
 
 from impact_rig.cli.main import main
 from impact_rig.recording import open_run
 from impact_rig.runs import export, reanalysis
+from impact_rig.system.budget import BudgetError
 from impact_rig_studies.importing import readers
 from impact_rig_studies.importing.assignment import guess, with_channel
 from impact_rig_studies.importing.conversion import ImportedRun, convert
@@ -102,6 +106,32 @@ def test_noise_at_low_frequencies_is_not_the_drive(unit: str, rate_hz: float, se
         signals[name] = Signal(one.values + noise * np.ptp(one.values) * white, one.unit, one.abscissa)
     ((_, frequency_hz, _),) = imported(ImportedSignals(Path("own.csv"), "text table", signals)).drive
     assert frequency_hz == pytest.approx(HZ, rel=1e-3)
+
+
+@pytest.mark.parametrize(("rate_hz", "seconds", "hz"), [(1e6, 1.0, HZ), (51_200.0, 20.0, 3e3), (102_401.0, 4.0, 0.9)])
+def test_the_frequency_of_a_fast_record_takes_little_memory(rate_hz: float, seconds: float, hz: float) -> None:
+    """A fit of a million scans took 150 MB, and 20 s are fitted."""
+    found = source({"base": "m"}, rate_hz, seconds, hz)
+    tracemalloc.start()
+    ((_, frequency_hz, _),) = imported(found).drive
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert frequency_hz == pytest.approx(hz, rel=1e-4)
+    assert most < 60e6 + 40.0 * len(found.signals["base"].values)
+
+
+@pytest.mark.parametrize("rate_hz", [23, 145, 1000])
+def test_resampling_takes_little_memory(rate_hz: int) -> None:
+    """24 scans and two lines of a mapping took 250 MB."""
+    found = source({"base": "m", "laser": "m"}, float(rate_hz), 24 / rate_hz)
+    mapping = attrs.evolve(guess(found), resample_hz=1_000_000)
+    convert(found, attrs.evolve(mapping, resample_hz=2 * rate_hz))  # imports are not counted
+    tracemalloc.start()
+    with pytest.raises(BudgetError, match="values after resampling") if rate_hz < 50 else contextlib.nullcontext():
+        convert(found, mapping)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 40e6
 
 
 @pytest.mark.parametrize("rate_hz", [51200 / 31 / 8, 51200 / 7 / 32, 99.7, 1000 / 3, 125.0])
