@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import itertools
 import os
 import signal
 import subprocess
@@ -302,8 +303,8 @@ def remove_litter(domain_id: int) -> None:
     is locked and stays. A port that is just being created is not locked yet, so use this in an isolated domain.
     """
     first = FIRST_PORT + PORTS_PER_DOMAIN * domain_id
-    for number in range(first, first + PORTS_PER_DOMAIN):
-        port = segments.SHARED / f"fastrtps_port{number}"
+    for name, number in itertools.product(segments.PORTS, range(first, first + PORTS_PER_DOMAIN)):
+        port = segments.SHARED / f"{name}{number}"
         if port.exists():
             _remove_unless_in_use(port)
 

@@ -40,7 +40,9 @@ POLL_S = 1.0
 
 A process seen doing so twice was killed.
 """
-_PORT = re.compile(r"fastrtps_port\d+")
+PORTS = ("fastrtps_port", "fastdds_port")
+"""Beginnings of the names of ports: of Fast DDS 2, and of Fast DDS 3 (ROS 2 Kilted)."""
+_PORT = re.compile(rf"({'|'.join(PORTS)})\d+")
 _WORD = struct.Struct("<I")
 # first word of a segment, as in Boost's `managed_open_or_create_impl`; 0 and 1 while it is created
 _MADE, _CORRUPT = 2, 3

@@ -29,7 +29,7 @@ import pytest
 from impact_rig.client import ProcessDiedError, Processes, isolated_domain
 from impact_rig.client.processes import FIRST_PORT, PORTS_PER_DOMAIN, _yaml, remove_litter
 from impact_rig.errors import ImpactRigError
-from impact_rig.system.segments import SHARED
+from impact_rig.system.segments import PORTS, SHARED
 
 ROOT = Path(__file__).parents[3]
 
@@ -50,7 +50,7 @@ def test_ports_of_killed_processes_are_removed_and_those_in_use_are_not(tmp_path
 
         def ports() -> set[str]:
             numbers = range(first, first + PORTS_PER_DOMAIN)
-            return {name for n in numbers if (SHARED / (name := f"fastrtps_port{n}")).exists()}
+            return {name for n in numbers for kind in PORTS if (SHARED / (name := f"{kind}{n}")).exists()}
 
         assert not ports(), "an isolated domain begins clean"
         processes.start("analysis")

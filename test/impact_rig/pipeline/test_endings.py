@@ -59,7 +59,7 @@ def blocks(run: Path) -> list[tuple[int, int]]:
 def shared_memory(processes: Processes) -> set[Path]:
     """Return the shared-memory segments of DDS that the processes have open; all processes share the ports."""
     maps = [Path(f"/proc/{process.pid}/maps").read_text() for process in processes.running.values()]
-    return {Path(name) for name in re.findall(r"/dev/shm/fastrtps_[0-9a-f]{16}\b", "\n".join(maps))}
+    return {Path(name) for name in re.findall(r"/dev/shm/fast(?:rtps|dds)_[0-9a-f]{16}\b", "\n".join(maps))}
 
 
 def patient() -> int:

@@ -28,7 +28,8 @@ def word(path: Path) -> int:
     return int(struct.unpack("<I", path.read_bytes()[:4])[0])
 
 
-def test_what_is_half_made_at_two_looks_is_marked_and_nothing_else(tmp_path: Path) -> None:
+@pytest.mark.parametrize("library", ["fastrtps", "fastdds"])
+def test_what_is_half_made_at_two_looks_is_marked_and_nothing_else(tmp_path: Path, library: str) -> None:
     contents = {
         "port1": b"",
         "port2": bytes(64),
@@ -36,22 +37,22 @@ def test_what_is_half_made_at_two_looks_is_marked_and_nothing_else(tmp_path: Pat
         "port4": struct.pack("<I", 2) + bytes(60),
     }
     for name, content in contents.items():
-        (tmp_path / f"fastrtps_{name}").write_bytes(content)
-    others = ["fastrtps_port1_el", "sem.fastrtps_port1_mutex", "fastrtps_0a1b", "another"]
+        (tmp_path / f"{library}_{name}").write_bytes(content)
+    others = [f"{library}_port1_el", f"sem.{library}_port1_mutex", f"{library}_0a1b", "another"]
     for name in others:
         (tmp_path / name).touch()
-    (tmp_path / "fastrtps_port5").symlink_to(tmp_path / "another")
+    (tmp_path / f"{library}_port5").symlink_to(tmp_path / "another")
     before = segments.mark_half_created(tmp_path, set())
-    assert {name for name, _ in before} == {"fastrtps_port1", "fastrtps_port2", "fastrtps_port3"}
-    assert (tmp_path / "fastrtps_port1").stat().st_size == 0, "it may be being made"
-    (tmp_path / "fastrtps_port2").write_bytes(contents["port4"])  # it was
+    assert {name for name, _ in before} == {f"{library}_port1", f"{library}_port2", f"{library}_port3"}
+    assert (tmp_path / f"{library}_port1").stat().st_size == 0, "it may be being made"
+    (tmp_path / f"{library}_port2").write_bytes(contents["port4"])  # it was
     (tmp_path / "new").write_bytes(b"")
-    Path(tmp_path / "new").replace(tmp_path / "fastrtps_port3")  # another one
+    Path(tmp_path / "new").replace(tmp_path / f"{library}_port3")  # another one
     segments.mark_half_created(tmp_path, before)
-    assert word(tmp_path / "fastrtps_port1") == 3
-    assert (tmp_path / "fastrtps_port1").stat().st_size > 4
-    assert word(tmp_path / "fastrtps_port2") == word(tmp_path / "fastrtps_port4") == 2
-    assert [(tmp_path / name).stat().st_size for name in ("fastrtps_port3", *others)] == [0] * 5
+    assert word(tmp_path / f"{library}_port1") == 3
+    assert (tmp_path / f"{library}_port1").stat().st_size > 4
+    assert word(tmp_path / f"{library}_port2") == word(tmp_path / f"{library}_port4") == 2
+    assert [(tmp_path / name).stat().st_size for name in (f"{library}_port3", *others)] == [0] * 5
 
 
 def test_the_watch_ends_with_its_context(tmp_path: Path) -> None:
@@ -73,7 +74,8 @@ def test_a_rig_begins_where_a_killed_process_was_about_to_listen(tmp_path: Path)
     from impact_rig.client import Client, Processes, isolated_domain
 
     with isolated_domain() as domain:
-        left = [segments.SHARED / f"fastrtps_port{7400 + 250 * domain + 11 + 2 * number}" for number in range(3)]
+        numbers = [7400 + 250 * domain + 11 + 2 * number for number in range(3)]
+        left = [segments.SHARED / f"{name}{number}" for name in segments.PORTS for number in numbers]
         for path in left:
             path.touch()
         try:

@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 import socket
@@ -40,6 +41,11 @@ from impact_rig_studies.maps.run import store
 
 WAIT_S = 60.0
 MORE = "  more: {frequencies_hz: {from: 8, to: 10, step: 0.2}, gaps_m: [none, 0.006]}\n"
+TEN_PERCENT_OFF = """
+
+_right = MapRig.measure
+MapRig.measure = lambda *arguments: (right := _right(*arguments))._replace(dt=1.1 * right.dt)
+"""
 
 
 def free_port():
@@ -125,35 +131,54 @@ def test_workers_with_other_code_are_named_and_nothing_of_them_is_stored(cluster
     """One is there from the start, one joins late: results of other code were stored as right."""
     from distributed import Client
 
-    address, _ = cluster
+    address, workers = cluster
+    sound = [worker for worker in workers if worker.poll() is None]
     for package in (impact_rig, impact_rig_studies):
         root = Path(package.__file__).parent
         shutil.copytree(root, tmp_path / "other" / root.name, ignore=shutil.ignore_patterns("__pycache__"))
     changed = tmp_path / "other/impact_rig_studies/maps/measure.py"
-    changed.write_text(changed.read_text(encoding="utf-8") + "\nDT_IS_WRONG = True\n", encoding="utf-8")
-    file, directory = tmp_path / "tiny.yaml", tmp_path / "out"
-    file.write_text(TINY + MORE)
+    changed.write_text(changed.read_text(encoding="utf-8") + TEN_PERCENT_OFF, encoding="utf-8")
+    file, directory = tmp_path / "map.yaml", tmp_path / "out"
+    file.write_text("axes: {gap_m: {from: 0.01, to: 0.02, step: 0.00025}, frequency_hz: [9.0, 9.05, 9.1, 9.15, 9.2]}\n")
     worker = [sys.executable, "-m", "dask", "worker", address, "--host", "127.0.0.1", "--nthreads", "1", "--no-nanny"]
     environment = {**os.environ, "PYTHONPATH": str(tmp_path / "other")}
     quiet = {"cwd": tmp_path, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment}
-    others = []
+    others, named = [], set()
     try:
         with Client(address, timeout=WAIT_S, set_as_default=False) as client:
-            client.wait_for_workers(1, timeout=WAIT_S)
-            before = len(client.nthreads())
-            others.append(subprocess.Popen([*worker, "--no-dashboard"], **quiet))
-            client.wait_for_workers(before + 1, timeout=WAIT_S)
-            process = start(file, directory, address)
-            others.append(subprocess.Popen([*worker, "--no-dashboard"], **quiet))
+
+            def join():
+                before = set(client.nthreads())
+                others.append(subprocess.Popen([*worker, "--no-dashboard"], **quiet))
+                client.wait_for_workers(len(before) + 1, timeout=WAIT_S)
+                (joined,) = set(client.nthreads()) - before
+                named.add(joined)
+
+            client.wait_for_workers(len(sound), timeout=WAIT_S)
+            join()
+            process = start(file, directory, address, "map")
+            deadline = time.monotonic() + WAIT_S
+            while not list(directory.glob("lines/*.json")) and time.monotonic() < deadline and process.poll() is None:
+                time.sleep(0.01)
+            for one in sound:
+                one.send_signal(signal.SIGSTOP)  # nothing ends before the late one is there
+            try:
+                assert process.poll() is None, process.communicate()[0]
+                join()
+            finally:
+                for one in sound:
+                    one.send_signal(signal.SIGCONT)
             output, _ = process.communicate(timeout=2 * WAIT_S)
     finally:
         for one in others:
             one.terminate()
             one.wait(20)
     assert process.returncode == 0, output
-    assert "its results are ignored" in output
-    store = Store(directory)
-    assert all(store.get(job) is not None for job in run.unique_jobs(load_campaign(file).planned()))
+    warned = re.findall(r"worker (\S+) has impact_rig \S+, this is \S+: its results are ignored", output)
+    assert len(warned) == len(named) == 2, output
+    assert set(warned) == named
+    for line in load_map(file).lines():
+        assert store(directory).get(line) == measure_line(line)
 
 
 def test_a_cluster_that_cannot_be_reached_is_one_clear_line(tmp_path):
