@@ -24,7 +24,7 @@ export PYTEST_DISABLE_PLUGIN_AUTOLOAD := 1
 PYTEST_PLUGINS_USED := -p pytest_timeout -p pytest_rerunfailures -p xdist.plugin -p _hypothesis_pytestplugin
 else
 ifeq ($(ROS),kilted)
-ARGS ?= test/impact_rig/nodes
+ARGS ?= test/impact_rig/nodes test/impact_rig_studies/nodes
 else
 ROS := wheels
 endif

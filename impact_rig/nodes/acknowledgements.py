@@ -42,8 +42,11 @@ POLL_S = 0.02  # minimum interval between two graph queries for the peers that a
 GRAPH_POLL_S = 0.5  # minimum interval between two graph queries for all readers
 REALTIME_S = 0.05
 """Interval between acknowledgements of a rig in real time, which waits for no peer and only detects late ones."""
-PRESENT_NS = NS_PER_S
-"""Stamps this close to the system time belong to a rig in real time; in the other modes stamps begin at 0."""
+PRESENT_NS = 86_400 * NS_PER_S
+"""Stamps this close to the system time belong to a rig in real time; in the other modes stamps begin at 0.
+
+A rig in real time that could not keep up gives up the lag, and remains behind the system time from then on.
+"""
 REPEATED_S = 3.25
 """Time within which Fast DDS repeats what a suspended reader has missed: it does so with heartbeats, every 3 s."""
 ALONE_S = 0.004  # a block that arrives this long after the last acknowledgement is acknowledged at once

@@ -41,7 +41,7 @@ from impact_rig.config.fields import choice, integer, quantity, switch, text
 from impact_rig.config.tree import Tree, parameters_in
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.names import FILE_NAME, FILE_NAME_MEANS, one_line
-from impact_rig.nodes.acknowledgements import PRESENT_NS, REPEATED_S, Acknowledgements
+from impact_rig.nodes.acknowledgements import REPEATED_S, Acknowledgements
 from impact_rig.nodes.managed import Done, Level, ManagedNode, NodeState, guarded
 from impact_rig.nodes.messages import TOPICS
 from impact_rig.recording import (
@@ -119,7 +119,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._awaited: set[str] = set()
         self._opened_at = 0.0
         self._opened_ns = 0
-        self._late_at = -math.inf  # time of the last late block in real time, by the monotonic clock
+        self._looked_at = time.monotonic()  # time of the last look at the inbox
+        self._late_at = -math.inf  # last time at which a block or a look at the inbox was late
         self._scans: Any = None
         self._recorded: list[Any] = []
         self._inbox: deque[tuple[topics.Topic, bytes, dict[str, Any]]] = deque()  # received and not processed yet
@@ -140,6 +141,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._failure = ""
         self._configuration, self._configured_at = None, math.inf
         self._newest_ns = None
+        self._looked_at = time.monotonic()
         self.until_deactivated(self.subscribe(topics.CONFIGURATION, self._on_configuration))
         self.every(FLUSH_S, self._on_timer)
         if self.settings.record:
@@ -395,6 +397,10 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             self._take_all()
 
     def _take_all(self) -> None:
+        now = time.monotonic()
+        if now - self._looked_at > LATE_NS / NS_PER_S:  # a timer looks more often, unless this process did not run
+            self._late_at = now
+        self._looked_at = now
         take = guarded(self._take, self.report_failure)  # one by one: an invalid message must not affect the others
         while self._inbox:
             take(*self._inbox.popleft())
@@ -416,7 +422,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         if table is not None and topic is topics.SCAN and not self._failure:
             self._newest_ns = table.stamp_ns
             sent_ns, received_ns = int(info["source_timestamp"]), int(info["received_timestamp"])
-            if received_ns - sent_ns > LATE_NS and abs(sent_ns - table.stamp_ns) < PRESENT_NS:
+            if received_ns - sent_ns > LATE_NS:
                 self._late_at = time.monotonic()
             self._acknowledgements.processed(table.stamp_ns)
 
@@ -465,8 +471,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
                 self._writer.secure()
             except RecordingError as error:
                 self._fail(error)
-        is_recording = self._writer is not None
-        may_lack = is_recording and (self._lacks_messages() or time.monotonic() - self._late_at < REPEATED_S)
+        may_come = self._acknowledgements.is_timed and time.monotonic() - self._late_at < REPEATED_S
+        may_lack = self._writer is not None and (self._lacks_messages() or may_come)
         return not self._failure and not may_lack
 
     def _lost(self) -> dict[str, int]:

@@ -18,6 +18,7 @@ from __future__ import annotations
 import errno
 import functools
 import os
+import time
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -378,6 +379,25 @@ def test_after_a_loss_nothing_is_acknowledged_until_the_recording_is_stopped(
     client.trigger("recorder/stop")
     client.pause(False)
     client.step(3)
+
+
+def test_after_a_stall_nothing_is_acknowledged_while_messages_may_still_be_repeated(
+    client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The rig stalls as well, gives up its lag and sends blocks at once: none of them is late by its own time."""
+    monkeypatch.setattr("impact_rig.nodes.recorder_node.REPEATED_S", 1.5)
+    host_recorder(client, tmp_path)
+    host_rig(client, "realtime", time__peers=["recorder"])
+    client.wait_active("rig", "recorder")
+    heard = client.listen(topics.ACK.name)
+    for _ in range(2):  # after the first stall, stamps are behind the system time
+        before = len(heard)
+        client.wait_until(lambda n=before: len(heard) > n + 5, "acknowledgements")  # type: ignore[misc]
+        begin = time.monotonic()
+        time.sleep(1.2)  # nothing here runs
+        heard.clear()
+        client.wait_until(lambda: len(heard) > 0, "acknowledgements again")
+        assert time.monotonic() - begin > 2.5
 
 
 def test_long_blocks_ahead_of_time_lose_no_monitor_message(client: Client, tmp_path: Path) -> None:
