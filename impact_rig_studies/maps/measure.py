@@ -17,11 +17,11 @@ One drive segment is one cycle, so the record is stroboscopic: the fundamentals 
 sphere at the start of each cycle. A motion that approaches a repeating one has settled when the rest of the transient,
 a geometric series, is negligible.
 
-If a motion has not settled, the structure alone does not show the regime: a chaotic sphere may leave the structure as
-steady as an orbit does. Therefore its largest exponent is measured (`exponent.largest`). If neighbours separate, the
-motion is chaotic. Otherwise `analysis.spread.classify` decides from the structure and the impacts. If they approach one
-another, it may also repeat after more cycles than `classify` considers. Everything is deterministic, and starts either
-from a reset rig or from the state of the previous point.
+If a motion has not settled, `analysis.spread.classify` judges the structure and the impacts. They alone do not show the
+regime: a chaotic sphere may leave the structure as steady as an orbit does. Therefore the largest exponent is measured
+(`exponent.largest`), unless `classify` finds chaos and nothing repeats. If neighbours separate, the motion is chaotic.
+If they approach one another, it may also repeat after more cycles than `classify` considers. Everything is
+deterministic, and starts either from a reset rig or from the state of the previous point.
 """
 
 from __future__ import annotations
@@ -196,19 +196,26 @@ class MapRig:
                 break
             more, rest = done // 2 // _PART * _PART, settings.settle_cycles - done  # checked less often later
             record = record.then(self._run(frequency_hz, amplitude, more if rest > 2 * more else rest))
-        last = record.last(2 * CHUNK)
-        behaviour, drifts = _behaviour(last, settings), self._drifts(last)
-        sign = 0 if drifts else self._parting(frequency_hz, amplitude, last)
-        if drifts or sign > 0 or not math.isfinite(behaviour.period):
-            if done < _FIRST + settings.cycles:
-                record = record.then(self._run(frequency_hz, amplitude, _FIRST + settings.cycles - done))
-            last = record.last(settings.cycles)
-            behaviour = _behaviour(last, settings)
-            if drifts or self._drifts(last):
-                behaviour = attrs.evolve(behaviour, regime=Regime.INTERMITTENT, period=math.nan)
-            elif sign > 0:
+        recent = record.last(2 * CHUNK)
+        behaviour, drifts, sign = _behaviour(recent, settings), self._drifts(recent), 0
+        if math.isfinite(behaviour.period) and not drifts:
+            sign = self._parting(frequency_hz, amplitude, recent)
+            if sign <= 0:
+                return _reading(recent, behaviour, self._config, frequency_hz)
+        if done < _FIRST + settings.cycles:
+            record = record.then(self._run(frequency_hz, amplitude, _FIRST + settings.cycles - done))
+        last = record.last(settings.cycles)
+        behaviour = _behaviour(last, settings)
+        if drifts or self._drifts(last):
+            behaviour = attrs.evolve(behaviour, regime=Regime.INTERMITTENT, period=math.nan)
+        else:
+            period = _long_period(last, frequency_hz, settings)
+            undecided = behaviour.regime is not Regime.CHAOTIC or period is not None
+            if sign == 0 and undecided:
+                sign = self._parting(frequency_hz, amplitude, recent)
+            if sign > 0:
                 behaviour = attrs.evolve(behaviour, regime=Regime.CHAOTIC, period=math.nan)
-            elif sign < 0 and (period := _long_period(last, frequency_hz, settings)):
+            elif sign < 0 and period:
                 behaviour = attrs.evolve(behaviour, regime=Regime.PERIODIC, period=float(period))
         return _reading(last, behaviour, self._config, frequency_hz)
 
@@ -315,10 +322,12 @@ def _long_period(record: _Record, frequency_hz: float, settings: Settings) -> in
     series = np.array([record.cycles[name] for name in ("x_1", "x_2", "v_2")])
     superior = float(np.abs(series[0]).mean())
     sizes = np.array([superior, superior, 2.0 * np.pi * frequency_hz * superior])[:, np.newaxis]
-    for period in range(1, min(LONGEST_LOOKED, series.shape[1] // 3) + 1):
+    longest = min(LONGEST_LOOKED, series.shape[1] // 3)
+    last_apart = (np.abs(series[:, -1:] - series[:, -2 : -2 - longest : -1]) / sizes).max(axis=0)
+    for period in (np.flatnonzero(last_apart <= settings.periodic_tolerance) + 1).tolist():
         apart = np.abs(series[:, -period:] - series[:, -2 * period : -period]) / sizes
         if apart.max() <= settings.periodic_tolerance:
-            return period
+            return int(period)
     return None
 
 
