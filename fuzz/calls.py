@@ -33,6 +33,7 @@ TEXTS = st.sampled_from(
 ENUMERATORS = st.sampled_from([0, 1, 2, 6, 10178, 10123, 10348, 10097, 10158, 10186, 12470, 12509, 12510])
 NUMBERS = st.sampled_from([0, 1, 2, 10, 200, 1000]) | ENUMERATORS
 FLOATS = st.sampled_from([-10.0, -1.0, 0.0, 0.1, 1.0, 10.0, 100.0, 1000.0]) | st.floats()
+SAMPLES = st.lists(FLOATS, max_size=20) | st.just([0.1] * 200)
 ATTRIBUTES = st.sampled_from(
     [value for name, value in vars(messages).items() if "_ATTRIBUTE_" in name and isinstance(value, int)]
 )
@@ -43,6 +44,7 @@ CALLS = (
     "WriteAnalogScalarF64", "GetErrorString", "GetReadAttributeUInt32", "GetTimingAttributeDouble",
     "GetTaskAttributeString", "GetChanAttributeInt32", "GetSystemInfoAttributeString", "GetDeviceAttributeString",
     "SetWriteAttributeInt32", "SetReadAttributeBool", "SetBufferAttributeUInt32", "SetTimingAttributeDouble",
+    "ReadAnalogWaveforms", "WriteAnalogWaveforms", "GetChanAttributeDouble", "SetChanAttributeDouble",
 )  # fmt: skip
 
 
@@ -70,7 +72,9 @@ def _field(field: Any) -> st.SearchStrategy[Any]:
         field.CPPTYPE_UINT64: NUMBERS | st.integers(0, 2**63), field.CPPTYPE_ENUM: NUMBERS,
     }  # fmt: skip
     if field.name == "write_array":
-        return st.lists(FLOATS, max_size=20) | st.just([0.1] * 200)
+        return SAMPLES
+    if field.name == "waveforms":
+        return st.lists(st.builds(dict, y_data=SAMPLES), max_size=2)
     if field.name == "attribute_raw":
         return ATTRIBUTES | NUMBERS
     if field.cpp_type == field.CPPTYPE_MESSAGE:

@@ -109,6 +109,7 @@ class BoardChannel:
         low: smallest value [unit of the channel].
         high: largest value.
         per_volt: value of one volt at the board.
+        unit: unit of the values.
     """
 
     name: str
@@ -116,12 +117,13 @@ class BoardChannel:
     device: str
     low: float
     high: float
-    per_volt: float = 1.0
+    per_volt: float
+    unit: str
 
     @property
     def is_accelerometer(self) -> bool:
         """Return whether its readings are accelerations."""
-        return self.per_volt != 1.0
+        return self.unit != "Volts"
 
 
 @attrs.define(eq=False)
@@ -139,6 +141,7 @@ class DaqmxTask:
         regenerates: whether an output repeats its buffer.
         auto_starts: whether a read starts it.
         run: number of its starts.
+        begin_ns: wall time of its first sample [ns since 1970].
         passed: samples read, of an output those handed to the rig.
         written: samples written to an output.
         error: what ended it.
@@ -157,6 +160,7 @@ class DaqmxTask:
     auto_starts: bool = True
     state: State = State.IDLE
     run: int = 0
+    begin_ns: int = 0
     passed: int = 0
     written: int = 0
     error: DaqmxError | None = None
@@ -290,7 +294,14 @@ class Board:
         return found
 
     def add_channels(
-        self, task: DaqmxTask, kind: str, physical: str, name: str, limits: tuple[float, float], per_volt: float = 1.0
+        self,
+        task: DaqmxTask,
+        kind: str,
+        physical: str,
+        name: str,
+        limits: tuple[float, float],
+        per_volt: float,
+        unit: str,
     ) -> None:
         """Add channels to a task.
 
@@ -307,8 +318,41 @@ class Board:
             if any(one.physical == channel for one in task.channels):
                 raise DaqmxError(Code.CHAN_ALREADY_IN_TASK, f"{device}/{channel} is in the task already")
             named = f"{name}{number if len(found) > 1 else ''}" if name else f"{device}/{channel}"
-            task.channels.append(BoardChannel(named, channel, device, *limits, per_volt))
+            task.channels.append(BoardChannel(named, channel, device, *limits, per_volt, unit))
         task.kind = kind
+
+    def channels(self, task: DaqmxTask, text: str) -> list[BoardChannel]:
+        """Return the channels of a task in a list of names such as `Dev1/ai1:3, laser`; all if it is empty.
+
+        Raises:
+            DaqmxError: the task has no such channel.
+        """
+        known, found = {channel.name: channel for channel in task.channels}, []
+        for part in filter(None, (part.strip() for part in text.split(","))):
+            match = re.fullmatch(r"(.*?)(\d{1,3}):(?:.*?)(\d{1,3})", part, re.ASCII)
+            numbers = range(int(match[2]), int(match[3]) + 1) if match else ()
+            found += [f"{match[1]}{number}" for number in numbers] if match else [part]
+        missing = [name for name in found if name not in known]
+        if missing or not known:
+            raise DaqmxError(
+                Code.PHYSICAL_CHAN_DOES_NOT_EXIST, f"the task has no channel {', '.join(missing) or text!r}"
+            )
+        return [known[name] for name in found] or task.channels
+
+    def configure_range(
+        self, task: DaqmxTask, names: str, *, low: float | None = None, high: float | None = None
+    ) -> None:
+        """Set the smallest or the largest value of channels of a task.
+
+        Raises:
+            DaqmxError: no such channel, or not a number.
+        """
+        self._must_be_idle(task)
+        for channel in self.channels(task, names):
+            limits = channel.low if low is None else low, channel.high if high is None else high
+            if not limits[0] < limits[1]:
+                raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"the range {limits[0]:g} to {limits[1]:g} is empty")
+            task.channels[task.channels.index(channel)] = attrs.evolve(channel, low=limits[0], high=limits[1])
 
     def configure_clock(self, task: DaqmxTask, rate_hz: float, samples: int, *, finite: bool) -> None:
         """Set the sample clock of a task.
@@ -374,6 +418,8 @@ class Board:
         task.run, task.passed, task.error, task.state = task.run + 1, 0, None, State.ARMED
         if task.kind == "ai":
             buffered = max(task.buffer_size, rig.block_scans)
+            if task.samples is not None and buffered >= task.samples:
+                buffered += rig.block_scans  # a trigger can start it within a block, and whole blocks arrive
             task.acquisition = Acquisition(rig, buffer_s=buffered / rig.rate_hz)
         else:
             task.output = AnalogOutput(rig, buffer_s=BUFFER_S, raise_underrun=not task.regenerates)
@@ -616,7 +662,7 @@ class Board:
         for task in tasks:
             if task.acquisition is not None:
                 task.acquisition.start(scan)
-            task.state = State.RUNNING
+            task.begin_ns, task.state = time.time_ns(), State.RUNNING
             self._continue(task, rig)
 
     def _prepare(self, task: DaqmxTask) -> RigDriver:

@@ -20,15 +20,18 @@ is not here is UNIMPLEMENTED, and a property that is not here has the error code
 from __future__ import annotations
 
 import contextlib
+import datetime as dt
 import functools
 from collections.abc import Callable, Iterator, Sequence
 from concurrent import futures
 from typing import Any  # messages of protobuf, whose classes have no static types
 
 import numpy as np
+from numpy.typing import NDArray
 
-from impact_rig.driver.daqmx_board import INPUTS, Board, Code, DaqmxError, DaqmxTask, State
+from impact_rig.driver.daqmx_board import INPUTS, Board, BoardChannel, Code, DaqmxError, DaqmxTask, State
 from impact_rig.errors import ImpactRigError
+from impact_rig.simtime import NS_PER_S, stamp_ns
 from impact_rig.system import extras
 
 MOST_MESSAGE_BYTES = 16_000_000
@@ -41,6 +44,8 @@ VOLTAGE, ACCELERATION = 10322, 10356
 SAMPLE_CLOCK, ON_DEMAND = 10388, 10390
 DIGITAL_EDGE, NO_TRIGGER = 10150, 10230
 VOLTS = 10348
+X_SERIES = 15858  # multiplexed boards of 16 bits, such as this one
+TIMING, PROPERTIES = 1, 2  # bits of what a waveform has besides its samples
 NEW_SESSION, ATTACH = 1, 2
 BY_CHANNEL = 0
 ACQUIRED, TRANSFERRED = 1, 2
@@ -50,7 +55,7 @@ ABORT, START, STOP = 6, 0, 1
 PROPERTY_TYPES = {"Bool": bool, "Double": float, "Int32": int, "String": str, "UInt32": int, "UInt64": int}
 """By the last word of a call, the type of the properties that it gets."""
 VOLTS_PER_SENSITIVITY = {12509: 1e-3, 12510: 1.0}  # mV/g, V/g
-ACCELERATIONS = {10186: 1.0, 12470: 9.80665, 12471: 9.80665 / 0.0254}  # g, m/s², in/s²
+ACCELERATIONS = {10186: (1.0, "g"), 12470: (9.80665, "m/s^2"), 12471: (9.80665 / 0.0254, "in/s^2")}
 
 _load = functools.partial(extras.load, purpose="impact-rig daqmx", extra="nidaqmx")
 
@@ -166,7 +171,8 @@ class Service:
         kind = self._must_be(request, "sensitivity_units", set(VOLTS_PER_SENSITIVITY))
         if not request.sensitivity > 0.0:
             raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"sensitivity must be > 0, got {request.sensitivity:g}")
-        self._add(request, "ai", ACCELERATIONS[units] / (request.sensitivity * VOLTS_PER_SENSITIVITY[kind]))
+        per_g, unit = ACCELERATIONS[units]
+        self._add(request, "ai", per_g / (request.sensitivity * VOLTS_PER_SENSITIVITY[kind]), unit)
 
     @_served
     def CreateAOVoltageChan(self, request: Any, context: Any) -> None:
@@ -215,6 +221,35 @@ class Service:
         return {"read_array": flat, "samps_per_chan_read": values.shape[1]}
 
     @_served
+    def ReadAnalogWaveforms(self, request: Any, context: Any) -> dict[str, Any]:
+        """Read samples as waveforms, which know their time, their channel and their unit."""
+        task = self._task(request)
+        most = MOST_MESSAGE_BYTES // 9 // max(1, len(task.channels))
+        values = self.board.read(task, request.num_samps_per_chan, most, request.timeout, context.is_active)
+        mode, count = _value(request, "waveform_attribute_mode"), values.shape[1]
+        timing = None
+        if mode & TIMING and task.rate_hz:
+            begin_ns = task.begin_ns + stamp_ns(task.passed - count, task.rate_hz)
+            timing = _load("nitypes.waveform").Timing.create_with_regular_interval(
+                _load("hightime").timedelta(seconds=1.0 / task.rate_hz),
+                dt.datetime.fromtimestamp(begin_ns / NS_PER_S, dt.UTC),
+            )
+        return {
+            "waveforms": [
+                self._waveform(channel, row, timing, is_named=bool(mode & PROPERTIES))
+                for channel, row in zip(task.channels, values, strict=True)
+            ],
+            "samps_per_chan_read": count,
+        }
+
+    @staticmethod
+    def _waveform(channel: BoardChannel, samples: NDArray[np.float64], timing: Any, *, is_named: bool) -> Any:
+        waveform = _load("nitypes.waveform").AnalogWaveform.from_array_1d(samples, np.float64, timing=timing)
+        if is_named:
+            waveform.channel_name, waveform.units = channel.name, channel.unit
+        return _load("ni.protobuf.types.waveform_conversion").float64_analog_waveform_to_protobuf(waveform)
+
+    @_served
     def ReadAnalogScalarF64(self, request: Any, context: Any) -> dict[str, Any]:
         """Read one sample of one channel."""
         return {"value": self.board.read(self._task(request), 1, 1, request.timeout, context.is_active)[0, 0]}
@@ -222,9 +257,22 @@ class Service:
     @_served
     def WriteAnalogF64(self, request: Any, context: Any) -> dict[str, Any]:
         """Write samples."""
-        values = np.array(request.write_array, np.float64)
-        if len(values) == 0 or len(values) != request.num_samps_per_chan:
-            raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"{len(values)} values, not {request.num_samps_per_chan}")
+        return self._write(request, context, request.write_array, request.num_samps_per_chan)
+
+    @_served
+    def WriteAnalogWaveforms(self, request: Any, context: Any) -> dict[str, Any]:
+        """Write the samples of a waveform."""
+        if len(request.waveforms) != 1:
+            raise DaqmxError(
+                Code.INVALID_ATTRIBUTE_VALUE, f"{len(request.waveforms)} waveforms for the one output of this board"
+            )
+        samples = request.waveforms[0].y_data
+        return self._write(request, context, samples, len(samples))
+
+    def _write(self, request: Any, context: Any, samples: Sequence[float], count: int) -> dict[str, Any]:
+        values = np.array(samples, np.float64)
+        if len(values) == 0 or len(values) != count:
+            raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"{len(values)} values, not {count}")
         written = self.board.write(
             self._task(request), values, request.timeout, context.is_active, auto_start=request.auto_start
         )
@@ -338,6 +386,7 @@ class Service:
         pb = self._pb
         return {
             pb.DEVICE_ATTRIBUTE_PRODUCT_TYPE: "impact_rig",
+            pb.DEVICE_ATTRIBUTE_PRODUCT_CATEGORY: X_SERIES,
             pb.DEVICE_ATTRIBUTE_IS_SIMULATED: True,
             pb.DEVICE_ATTRIBUTE_SERIAL_NUM: 0,
             pb.DEVICE_ATTRIBUTE_AI_PHYSICAL_CHANS: ", ".join(f"{device}/ai{number}" for number in range(len(INPUTS))),
@@ -346,10 +395,7 @@ class Service:
 
     def _channel_properties(self, task: DaqmxTask, name: str) -> dict[int, Any]:
         pb = self._pb
-        wanted = name.partition(",")[0].strip()
-        channel = next((one for one in task.channels if not name or one.name == wanted), None)
-        if channel is None:
-            raise DaqmxError(Code.PHYSICAL_CHAN_DOES_NOT_EXIST, f"the task has no channel {name!r}")
+        channel = self.board.channels(task, name)[0]
         measured = ACCELERATION if channel.is_accelerometer else VOLTAGE
         return {
             pb.CHANNEL_ATTRIBUTE_CHAN_TYPE: ANALOG_INPUT if task.kind == "ai" else ANALOG_OUTPUT,
@@ -403,6 +449,10 @@ class Service:
             self.board.configure_buffer(task, value)
         elif attribute == pb.TIMING_ATTRIBUTE_SAMP_CLK_RATE:
             self.board.configure_clock(task, value, task.clock_samples, finite=task.samples is not None)
+        elif attribute in {pb.CHANNEL_ATTRIBUTE_AI_MIN, pb.CHANNEL_ATTRIBUTE_AO_MIN}:
+            self.board.configure_range(task, request.channel, low=value)
+        elif attribute in {pb.CHANNEL_ATTRIBUTE_AI_MAX, pb.CHANNEL_ATTRIBUTE_AO_MAX}:
+            self.board.configure_range(task, request.channel, high=value)
         else:
             raise DaqmxError(Code.ATTR_NOT_SUPPORTED, f"property {attribute} of this board cannot be set now")
 
@@ -417,12 +467,12 @@ class Service:
     def _task(self, request: Any) -> DaqmxTask:
         return self.board.find(request.task.name)
 
-    def _add(self, request: Any, kind: str, per_volt: float = 1.0) -> None:
+    def _add(self, request: Any, kind: str, per_volt: float = 1.0, unit: str = "Volts") -> None:
         if request.custom_scale_name:
             raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, "custom scales are not supported by this board")
         self.board.add_channels(
             self._task(request), kind, request.physical_channel, request.name_to_assign_to_channel,
-            (request.min_val, request.max_val), per_volt,
+            (request.min_val, request.max_val), per_volt, unit,
         )  # fmt: skip
 
     @staticmethod

@@ -15,10 +15,12 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import re
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -31,9 +33,18 @@ pytest.importorskip("nidaqmx", reason="the extra nidaqmx is not installed")
 import grpc
 import nidaqmx
 from nidaqmx._stubs.nidaqmx_pb2 import TASK_ATTRIBUTE_NAME
-from nidaqmx.constants import AccelUnits, AcquisitionType, FillMode, RegenerationMode, TaskMode
+from nidaqmx.constants import (
+    AccelUnits,
+    AcquisitionType,
+    FillMode,
+    ProductCategory,
+    RegenerationMode,
+    TaskMode,
+    WaveformAttributeMode,
+)
 from nidaqmx.error_codes import DAQmxErrors
 from nidaqmx.stream_readers import AnalogMultiChannelReader
+from nitypes.waveform import AnalogWaveform
 
 from impact_rig.driver.daqmx_board import MOST_TASKS, Board, DaqmxError
 from impact_rig.driver.daqmx_server import MOST_EVENTS, MOST_MESSAGE_BYTES, serving
@@ -122,6 +133,17 @@ def test_an_output_is_repeated_and_an_input_starts_with_it(task: MakeTask) -> No
     assert ao.timing.samp_clk_rate == RATE_HZ
 
 
+@pytest.mark.parametrize("count", [5, 20, 30, RATE_HZ])
+def test_a_finite_input_with_a_trigger_within_a_block_is_complete(task: MakeTask, count: int) -> None:
+    ai, ao = inputs(task(), samples=count, finite=True), output(task())
+    ai.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ao/StartTrigger")
+    ai.start()
+    ao.write(WAVE, auto_start=True)
+    ai.wait_until_done(20.0)
+    time.sleep(0.05)  # for further blocks
+    np.testing.assert_allclose(ai.read(count), WAVE[:count], atol=1e-9)
+
+
 def test_a_repeated_output_is_overwritten_from_its_begin(task: MakeTask) -> None:
     ai, ao = inputs(task()), output(task(), 400)
     ai.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ao/StartTrigger")
@@ -179,6 +201,64 @@ def test_events_report_samples_that_a_reader_then_reads(task: MakeTask) -> None:
     ai.start()
     assert enough.wait(20.0)
     ai.stop()
+
+
+def test_waveforms_know_their_time_channel_and_unit(task: MakeTask) -> None:
+    ai = inputs(task(), "Dev1/ai2:3")
+    ai.ai_channels.add_ai_accel_chan(
+        "Dev1/ai0", name_to_assign_to_channel="a", units=AccelUnits.METERS_PER_SECOND_SQUARED
+    )
+    before = dt.datetime.now(dt.UTC)
+    ai.start()
+    first, second = ai.read_waveform(100), ai.read_waveform(50)
+    assert [one.channel_name for one in first] == ["Dev1/ai2", "Dev1/ai3", "a"]
+    assert [one.units for one in first] == ["Volts", "Volts", "m/s^2"]
+    assert [one.sample_count for one in (*first, *second)] == [100] * 3 + [50] * 3
+    assert first[0].timing.sample_interval.total_seconds() == 1.0 / RATE_HZ
+    begin = first[0].timing.start_time
+    assert abs((begin - before).total_seconds()) < 1.0
+    assert (second[0].timing.start_time - begin).total_seconds() == pytest.approx(100 / RATE_HZ, abs=2e-6)
+    ai.in_stream.waveform_attribute_mode = WaveformAttributeMode.EXTENDED_PROPERTIES
+    assert not ai.read_waveform(10)[0].timing.has_timestamp
+
+
+def test_a_waveform_is_played(task: MakeTask) -> None:
+    ai, ao = inputs(task(), finite=True), output(task())
+    ai.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ao/StartTrigger")
+    ai.start()
+    assert ao.write(AnalogWaveform.from_array_1d(WAVE, np.float64), auto_start=True) == RATE_HZ
+    read = ai.read_waveform(RATE_HZ)
+    assert np.corrcoef(read.scaled_data, WAVE)[0, 1] > 0.999
+    with pytest.raises(nidaqmx.errors.DaqError) as raised:
+        ao._interpreter.write_analog_waveforms(
+            ao._handle, [AnalogWaveform.from_array_1d(WAVE, np.float64)] * 2, False, 1.0
+        )
+    assert code(raised) is DAQmxErrors.INVALID_ATTRIBUTE_VALUE
+
+
+def test_the_range_of_channels_is_changed_and_read(task: MakeTask) -> None:
+    ai = task()
+    first = ai.ai_channels.add_ai_voltage_chan("Dev1/ai0", min_val=-0.1, max_val=0.1)
+    rest = ai.ai_channels.add_ai_voltage_chan("Dev1/ai1:3", min_val=-10.0, max_val=10.0)
+    first.ai_max = 5.0
+    rest.ai_min = -2.0
+    assert [(one.ai_min, one.ai_max) for one in (first, rest)] == [(-0.1, 5.0), (-2.0, 10.0)]
+    assert ai.ai_channels["Dev1/ai3"].ai_min == -2.0
+    with pytest.raises(nidaqmx.errors.DaqError) as raised:
+        first.ai_min = 5.0
+    assert code(raised) is DAQmxErrors.INVALID_ATTRIBUTE_VALUE
+    ao = task()
+    channel = ao.ao_channels.add_ao_voltage_chan("Dev1/ao0")
+    channel.ao_max = 1.0
+    with pytest.raises(nidaqmx.errors.DaqError) as raised:
+        ao.write(1.5)
+    assert code(raised) is DAQmxErrors.INVALID_AO_DATA_WRITE
+
+
+def test_a_script_finds_the_terminals_of_the_board(task: MakeTask) -> None:
+    """NI's examples look for the first device that is no module of a chassis."""
+    ai = inputs(task())
+    assert ai.devices[0].product_category not in {ProductCategory.C_SERIES_MODULE, ProductCategory.SCXI_MODULE}
 
 
 def test_values_on_demand(task: MakeTask) -> None:
