@@ -34,7 +34,7 @@ import impact_rig
 import impact_rig_studies
 from impact_rig_studies.campaign import run
 from impact_rig_studies.campaign.plan import load_campaign
-from impact_rig_studies.campaign.pool import cluster_threads
+from impact_rig_studies.campaign.pool import AHEAD, cluster_threads, on_cluster
 from impact_rig_studies.campaign.store import Store
 from impact_rig_studies.maps.plan import load_map, measure_line
 from impact_rig_studies.maps.run import store
@@ -104,6 +104,34 @@ def test_a_worker_killed_half_way_costs_nothing(cluster, tmp_path, measured):
         assert found is not None, job.describe()
         if job.key in measured:
             assert_same(found, measured[job.key][1])
+
+
+def test_a_few_jobs_at_a_time_are_submitted_and_their_results_released(cluster, tmp_path):
+    """All were submitted before the first result was taken, and held to the end."""
+    from distributed import Client
+
+    address, workers = cluster
+    file, taken = tmp_path / "map.yaml", []
+    file.write_text("""set: {sphere.present: false}
+axes: {current_a: {from: 0.101, to: 0.2, step: 0.001}, frequency_hz: [9.0, 9.1]}
+""")
+
+    class Jobs(list):
+        def __iter__(self):
+            for job in super().__iter__():
+                taken.append(job)
+                yield job
+
+    lines, most, held = load_map(file).lines(), 2 * AHEAD * len(workers), []
+    assert len(lines) == 100
+    with Client(address, timeout=WAIT_S, set_as_default=False) as client:
+        for n, (line, readings) in enumerate(on_cluster(measure_line, address)(Jobs(lines))):
+            assert len(readings) == len(line.values) == 2
+            assert len(taken) <= n + most
+            if n % 20 == 19:
+                held.append(client.run_on_scheduler(lambda dask_scheduler: len(dask_scheduler.tasks)))
+    assert len(taken) == 100
+    assert max(held) <= most
 
 
 def test_a_time_limit_counts_the_threads_of_the_cluster(cluster):
