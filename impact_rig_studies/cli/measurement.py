@@ -147,11 +147,12 @@ def _print(console: Console, found: ImportedRun) -> None:
     lost = int(found.index[-1] - found.index[0]) + 1 - len(found.index)
     gap = f", {lost} missing between them" if lost else ""
     console.print(f"{len(found.rows)} scans at {found.rate_hz:.9g} Hz, {len(found.rows) / found.rate_hz:.6g} s{gap}")
+    unit = "A" if "current" in found.mapping.channels else "(A of current, or m of base)"
     for instant, frequency, amplitude in found.drive[:10]:
         since = (instant - found.start_ns) / 1e9
-        console.print(f"from {since:.6g} s: {frequency:.6g} Hz, amplitude {amplitude:.4g}")
-    if len(found.drive) > 10:  # as above
-        console.print(f"... {len(found.drive)} settings of the drive in all")
+        console.print(f"from {since:.6g} s: {frequency:.6g} Hz, amplitude {amplitude:.4g} {unit}")
+    if len(found.drive) > 10:
+        console.print(f"... and {len(found.drive) - 10} further settings of the drive")
     for label in found.labels:
         console.print(f"remark: {label}")
 
