@@ -77,7 +77,7 @@ $(DOCS): requirements/run.txt requirements/$(ROS).txt requirements/docs.txt
 $(PACKAGE): $(RUN) setup.py setup.cfg package.xml
 	@requirements/kernels.sh $(VENV)
 	@$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-input \
-	    --no-deps --no-build-isolation --no-index --editable .
+	    --no-deps --no-build-isolation --no-index --config-settings editable_mode=compat --editable .
 	@touch $@
 
 kernels: $(PACKAGE) ## build the library of compiled kernels if their sources have changed

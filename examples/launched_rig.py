@@ -16,8 +16,6 @@
 Not among the examples that this package's tests run, as launch comes with an apt-installed ROS only.
 """
 
-import os
-
 import launch_pytest
 import pytest
 from launch import LaunchDescription
@@ -40,7 +38,7 @@ def description() -> LaunchDescription:
 @pytest.mark.launch(fixture=description)
 def test_the_launched_rig_measures() -> None:
     """A driven rig settles, and its transmissibility is published."""
-    with Client(domain_id=int(os.environ.get("ROS_DOMAIN_ID", "0")), namespace="/rig") as client:
+    with Client(namespace="/rig") as client:
         client.wait_active("rig", "analysis")
         measured = client.collect("transmissibility/table")
         client.command(frequency_hz=9.1, current_a=0.1)

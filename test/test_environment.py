@@ -333,3 +333,14 @@ def test_plugins_of_an_installed_ros_do_not_disturb(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test/impact_rig/test_simtime.py"]
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_the_folder_that_holds_a_clone_does_not_hide_the_package(tmp_path: Path) -> None:
+    """The clone is called `impact_rig`, too: for Python a folder without `__init__.py` is a namespace package."""
+    (tmp_path / "impact_rig").symlink_to(ROOT)
+    program = "import impact_rig; print(impact_rig.simulate.__name__)"
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
+    assert (done.stdout, done.stderr) == ("simulate\n", "")

@@ -22,6 +22,7 @@ import functools
 import io
 import itertools
 import os
+import signal
 import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -146,6 +147,7 @@ def _run(chosen: argparse.Namespace, ending: Ending | None) -> int:
 
     try:
         result: int = chosen.run(chosen)
+        sys.stdout.flush()
     except ImpactRigError as error:
         if ending is None or not ending.received:  # otherwise the error is a consequence of the signal
             about_content = isinstance(error, (ValueError, OSError))  # not the last lines of a process that died
@@ -153,8 +155,11 @@ def _run(chosen: argparse.Namespace, ending: Ending | None) -> int:
             print(f"{PROGRAM} {chosen.command}: {text}", file=sys.stderr)  # noqa: T201  # a command line tool talks
         return EXIT_ERROR
     except OSError as error:
-        if isinstance(error, BrokenPipeError) or (ending is not None and ending.received):
+        if ending is not None and ending.received:
             raise
+        if isinstance(error, BrokenPipeError):  # the reader of the output has ended, as `head` does
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what is still buffered
+            return 128 + signal.SIGPIPE
         where = f"{error.filename}: " if error.filename else ""
         print(f"{PROGRAM} {chosen.command}: {visible(where)}{error.strerror or error}", file=sys.stderr)  # noqa: T201
         return EXIT_ERROR

@@ -29,6 +29,7 @@ from impact_rig.names import FIGURE_FORMATS, RIG_OPTION
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 """Commands of the program, or subcommands of one, to which a parser is added."""
 WIDTH = 78  # width of help pages, for a terminal of 80 columns
+NAMESPACE = "/rig"  # of a running rig
 PROCESS, ROS, RUNNING = WAYS = ("process", "ros", "running")
 
 
@@ -118,4 +119,19 @@ def add_way(parser: argparse.ArgumentParser, needs: str = "") -> None:
         "--through", choices=WAYS, default=PROCESS,
         help=f"rig in this process (default), behind topics, or already running{needs}",
     )  # fmt: skip
-    parser.add_argument("--namespace", default="/rig", help="namespace of the rig (default: /rig)")
+    parser.add_argument("--namespace", help=f"namespace of the running rig (default: {NAMESPACE})")
+
+
+def running_namespace(arguments: argparse.Namespace) -> str:
+    """Return the namespace of the running rig that the options of `add_way` select; empty for a rig to start.
+
+    Raises:
+        ConfigError: `--namespace` was given for a rig to start.
+    """
+    from impact_rig.errors import ConfigError  # noqa: PLC0415  # not for the help
+
+    if arguments.through == RUNNING:
+        return arguments.namespace or NAMESPACE
+    if arguments.namespace is not None:
+        raise ConfigError("--namespace belongs to a running rig: use it with --through running")
+    return ""

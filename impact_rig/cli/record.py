@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig import topics
-from impact_rig.cli.options import RUNNING
+from impact_rig.cli.options import RUNNING, running_namespace
 from impact_rig.cli.parsers import CURRENT_A, FREQUENCY_HZ
 from impact_rig.cli.rig_options import open_rig, rig_of, run_directory
 from impact_rig.cli.terminal import Console, Counted, TextTable, figure, tell_results
@@ -44,12 +44,12 @@ OF_THE_RIG = ("config", "gap", "sphere_start", "seed", "scan_rate")
 
 def run_record(arguments: argparse.Namespace) -> int:
     """Run `record`."""
+    namespace = running_namespace(arguments)
     config, gap_m = _config(arguments)
     directory = run_directory(arguments.output, "record")
     console = Console(quiet=arguments.json)
     done_s, early, interrupted = 0.0, "", None
-    running = arguments.through == RUNNING
-    what = f"the rig in {arguments.namespace}" if running else case_of(gap_m)
+    what = f"the rig in {namespace}" if namespace else case_of(gap_m)
     with contextlib.ExitStack() as ending:  # a second signal does not interrupt the work after the run
         with Counted(Console(stderr=True), "seconds", math.ceil(arguments.seconds)) as shown:
             try:

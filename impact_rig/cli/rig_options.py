@@ -16,12 +16,14 @@
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from impact_rig.cli.options import PROCESS, RUNNING
+from impact_rig.cli.options import PROCESS, running_namespace
+from impact_rig.client.processes import domain_of_environment
 from impact_rig.errors import ImpactRigError
 from impact_rig.rig.config import RigConfig, from_flat, load_config
 from impact_rig.rig.gaps import NO_SPHERE, gap_values
@@ -62,14 +64,17 @@ def open_rig(
         required: configuration values that a running rig must have.
         analysis: parameters of an analysis to start with the rig; None means no analysis.
     """
+    namespace = running_namespace(arguments)
     if arguments.through == PROCESS:
         from impact_rig.driver.local_rig import LocalRig  # noqa: PLC0415  # heavy: after the signals are taken
 
         return LocalRig(config, analysis=analysis, record=record)
     from impact_rig.driver.ros_rig import RosRig  # noqa: PLC0415  # needs rclpy
 
-    if arguments.through == RUNNING:
-        return RosRig(required, record=record, namespace=arguments.namespace)
+    if namespace:
+        where = f"{namespace}, ROS domain {domain_of_environment()}"
+        print(f"waiting for a rig in {where} ...", file=sys.stderr, flush=True)  # noqa: T201  # a command line tool talks
+        return RosRig(required, record=record, namespace=namespace)
     return RosRig(config, analysis=analysis, record=record, mode="free_running")
 
 

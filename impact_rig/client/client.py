@@ -45,7 +45,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from impact_rig import codec, topics
 from impact_rig.blocks import Table
-from impact_rig.client.processes import ParameterValue, Processes
+from impact_rig.client.processes import ParameterValue, Processes, domain_of_environment
 from impact_rig.client.service_call import ServiceCall
 from impact_rig.errors import CodecError, CommandError, ConfigError, GoneError, ImpactRigError
 from impact_rig.nodes import messages
@@ -280,7 +280,7 @@ class Client:
     if a watched node process ends.
 
     Args:
-        domain_id: ROS domain of the rig.
+        domain_id: ROS domain of the rig; None means that of this process, `ROS_DOMAIN_ID`.
         namespace: namespace of the rig's nodes; topics and node names below are relative to it.
         processes: node processes to watch during every wait.
         name: node name, and the name in its acknowledgements.
@@ -295,7 +295,7 @@ class Client:
 
     def __init__(
         self,
-        domain_id: int,
+        domain_id: int | None = None,
         namespace: str = "",
         processes: Processes | None = None,
         name: str = "client",
@@ -305,7 +305,8 @@ class Client:
         self._processes = processes
         self.name = name
         self.context = Context()
-        self.context.init(args=[], domain_id=domain_id)
+        self.domain_id = domain_of_environment() if domain_id is None else domain_id
+        self.context.init(args=[], domain_id=self.domain_id)
         self.executor = make_executor(self.context)
         with patient_threads():
             self.node = Node(
@@ -477,6 +478,7 @@ class Client:
                 continue
             check = self.given(f"{column} = {value:g}")
             self._reach(self.publisher(topic), topic, timeout_s, "rig", check)
+            self.wait_until(lambda: self.figures("rig"), "the rig's diagnostics", timeout_s, check)  # count rejections
             self._receive_applied()
             before = len(self.applied)
             self.publish(topic, Float64(data=value), timeout_s, "rig", check)
@@ -738,7 +740,9 @@ class Client:
                 activation.heard(instance)
 
     def _troubles(self) -> str:
-        """Return the error messages of unhealthy nodes: they usually explain a timeout."""
+        """Return what may explain a timeout: the messages of unhealthy nodes, or that nothing was heard at all."""
+        if not self.diagnostics:
+            return f" (no node has reported in ROS domain {self.domain_id})"
         bad = [f"{name}: {status.message}" for name, status in self.diagnostics.items() if status.level != b"\0"]
         return f" ({'; '.join(bad)})" if bad else ""
 

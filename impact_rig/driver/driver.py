@@ -24,7 +24,7 @@ import math
 import threading
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, Self  # Any: value of a parameter
+from typing import Any, NamedTuple, Self, TypeVar  # Any: value of a parameter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,7 @@ TOPICS = (SCANS, *ESSENTIAL, topics.IMPACTS_TRUTH.name, topics.FAULTS.name)
 STEP_TIMEOUT_S = 240.0  # without the library of kernels, the first step compiles the physics
 _DEFAULTS = to_flat(RigConfig())
 _ROWS = {**{topic.name: topic.columns for topic in topics.COMMON if topic.columns is not None}, SCANS: SCAN}
+_T = TypeVar("_T")
 _HIDDEN = ("time.", "instruments.faults")  # not useful in a report; listed as text
 
 
@@ -162,7 +163,7 @@ class RigDriver(abc.ABC):
         """Return the newest `count` rows of a topic, shape (count,); wait until the last of them has arrived."""
 
     @abc.abstractmethod
-    def save(self, directory: Path) -> Path:
+    def save(self, directory: str | Path) -> Path:
         """Write everything kept as an MCAP run into a new directory, and return the directory.
 
         Raises:
@@ -336,6 +337,18 @@ class RigDriver(abc.ABC):
         return acts_on
 
     # Reference values and losses
+
+    @staticmethod
+    def _kept_of(topic: str, kept: Mapping[str, _T]) -> _T:
+        """Return what is kept of a topic.
+
+        Raises:
+            ConfigError: nothing is; the message has the topics that are.
+        """
+        if topic not in kept:
+            names = ", ".join(sorted(kept))
+            raise ConfigError(f"{topic!r} is not kept, only {names}; the argument `also` of a rig names further topics")
+        return kept[topic]
 
     def rows(self, topic: str = SCANS) -> NDArray[np.void]:
         """Return the rows of all tables of a topic, one after the other; shape (n,)."""

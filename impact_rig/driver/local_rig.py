@@ -149,7 +149,7 @@ class LocalRig(RigDriver):
 
     def tables(self, topic: str = SCANS) -> list[Table]:
         """Return the tables of a topic that are kept, oldest first."""
-        return list(self._kept[topic])
+        return list(self._kept_of(topic, self._kept))
 
     def journal(self) -> list[JournalEntry]:
         """Return the entries of the journal, oldest first."""
@@ -210,12 +210,13 @@ class LocalRig(RigDriver):
         """Planned faults, and the last 100 injected ones."""
         return [*super().faults, *self._injected]
 
-    def save(self, directory: Path) -> Path:
+    def save(self, directory: str | Path) -> Path:
         """Write everything kept as an MCAP run.
 
         Raises:
             RecordingError: it cannot be written.
         """
+        directory = Path(directory)
         if directory.exists():
             raise RecordingError(f"{directory} exists and is not overwritten; choose another directory")
         self._publish_changes()

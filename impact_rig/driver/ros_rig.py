@@ -339,7 +339,7 @@ class RosRig(RigDriver):
 
         Scans, commands and journal are complete when a step returns; `truth/...` of the last blocks may arrive later.
         """
-        return self._collectors[topic].tables()
+        return self._kept_of(topic, self._collectors).tables()
 
     def journal(self) -> list[JournalEntry]:
         """Return the journal entries that arrived, oldest first."""
@@ -494,13 +494,13 @@ class RosRig(RigDriver):
             self._run = None
             self.client.trigger(f"{self._recorder}/stop")
 
-    def save(self, directory: Path) -> Path:
+    def save(self, directory: str | Path) -> Path:
         """Finish the recording and copy it, with the logs next to it; the rig cannot continue after that.
 
         Raises:
             RecordingError: there is no recording, or it cannot be copied.
         """
-        run = self._run
+        directory, run = Path(directory), self._run
         if run is None:
             raise RecordingError("no recording to save: start the rig with record=True")
         try:
@@ -512,7 +512,8 @@ class RosRig(RigDriver):
                 self._hosted_recorder.trigger_deactivate()
         try:
             shutil.copytree(run, directory)
-            shutil.copytree(self.directory / "logs", directory / "logs")
+            if any((self.directory / "logs").iterdir()):  # hosted nodes write none
+                shutil.copytree(self.directory / "logs", directory / "logs")
         except OSError as error:
             raise RecordingError(f"the run cannot be copied to {directory}: {error}") from error
         return directory

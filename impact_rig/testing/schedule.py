@@ -227,9 +227,9 @@ class ScheduledRig(LocalRig):
             self._monitors = Monitors(config, noise_of(self.core.info()), self._monitors)
         return config
 
-    def save(self, directory: Path) -> Path:
+    def save(self, directory: str | Path) -> Path:
         """Write everything kept as an MCAP run, and the callbacks of hosted nodes as `callbacks.txt` next to it."""
-        super().save(directory)
+        directory = super().save(directory)
         if self._hosted:
             (directory / "callbacks.txt").write_text("".join(f"{line}\n" for line in self.callbacks), encoding="utf-8")
         return directory

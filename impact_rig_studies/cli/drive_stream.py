@@ -26,7 +26,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.cli.options import RUNNING
+from impact_rig.cli.options import running_namespace
 from impact_rig.cli.rig_options import open_rig, rig_of, run_directory
 from impact_rig.cli.terminal import Console, tell_results
 from impact_rig.driver.hardware import Hardware
@@ -160,7 +160,7 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work, of:
         }
         rig = case_of(config.barriers.gap_m if config.sphere.present else NO_SPHERE)
         about = [
-            ("Rig", arguments.namespace if arguments.through == RUNNING else rig), ("Through", arguments.through),
+            ("Rig", running_namespace(arguments) or rig), ("Through", arguments.through),
             ("Rate", f"{arguments.scan_rate} Hz"),
             ("Recording", f"{visible(directory.name)}; impact-rig verify re-simulates it"),
         ]  # fmt: skip
@@ -180,8 +180,6 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work, of:
 @contextlib.contextmanager
 def _connected(arguments: argparse.Namespace, config: RigConfig, directory: Path) -> Iterator[Hardware]:
     """Yield a rig's hardware, with a recording into a directory."""
-    if arguments.through == RUNNING:
-        Console(quiet=arguments.json).print(f"waiting for a rig in {arguments.namespace} ...")
     required = {
         "drive.waveform": "stream",
         "drive.stream_rate_hz": arguments.scan_rate,

@@ -22,6 +22,7 @@ import math
 import os
 import re
 import shlex
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -63,6 +64,15 @@ def pages(
 
 
 PAGES = dict(pages(command_line()))
+
+
+def test_a_reader_that_ends_early_ends_the_program_quietly() -> None:
+    """As in `impact-rig interface --json | head`."""
+    with subprocess.Popen([*PROGRAM, "interface", "--json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert (process.stderr.read(), process.wait()) == (b"", 128 + signal.SIGPIPE)
 
 
 def test_the_help_lists_the_commands_under_headings() -> None:

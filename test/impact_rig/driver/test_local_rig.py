@@ -135,7 +135,7 @@ def test_the_run_it_leaves_is_proved_bit_for_bit(tmp_path: Path) -> None:
     rig.run(0.5)
     rig.configure({"barriers.gap_m": 0.004})
     rig.run(0.5)
-    rig.save(tmp_path / "run")
+    rig.save(str(tmp_path / "run"))
     with open_run(tmp_path / "run") as run:
         assert str(verify(run)) == f"identical: {rig.sample} scans re-simulated bit for bit"
         assert run.provenance["seed"] == "7"

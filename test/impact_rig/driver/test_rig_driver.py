@@ -130,3 +130,10 @@ def test_the_truth_of_every_scan_is_there_when_it_is_asked_for(start: Start) -> 
     rig.clear()
     rig.step(3)
     assert len(rig.newest("truth/scan", 300)) == 300
+
+
+def test_a_topic_that_is_not_kept_is_named_with_those_that_are(start: Start) -> None:
+    rig = start(LINEAR)
+    for read in (rig.tables, rig.rows):
+        with pytest.raises(ConfigError, match=r"'truth/scan' is not kept, only daq/info, daq/scan, .*`also`"):
+            read("truth/scan")

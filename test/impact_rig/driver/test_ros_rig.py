@@ -171,7 +171,7 @@ def test_processes_die_with_their_last_words_and_leave_a_whole_run(tmp_path: Pat
         rig.processes.running["rig"].process.kill()
         with pytest.raises(RuntimeError, match="the rig process was ended by SIGKILL"):
             rig.run(0.5)
-        rig.save(tmp_path / "saved")
+        rig.save(str(tmp_path / "saved"))
     finally:
         rig.close()
     assert {path.name for path in (tmp_path / "saved" / "logs").glob("*.log")} >= {"rig.log", "recorder.log"}
