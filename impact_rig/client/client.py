@@ -740,7 +740,7 @@ class Client:
                 activation.heard(instance)
 
     def _troubles(self) -> str:
-        """Return what may explain a timeout: the messages of unhealthy nodes, or that nothing was heard at all."""
+        """Return possible causes of a timeout: the messages of unhealthy nodes, or that nothing was heard at all."""
         if not self.diagnostics:
             return f" (no node has reported in ROS domain {self.domain_id})"
         bad = [f"{name}: {status.message}" for name, status in self.diagnostics.items() if status.level != b"\0"]

@@ -340,7 +340,7 @@ class RigDriver(abc.ABC):
 
     @staticmethod
     def _kept_of(topic: str, kept: Mapping[str, _T]) -> _T:
-        """Return what is kept of a topic.
+        """Return the messages that are kept of a topic.
 
         Raises:
             ConfigError: nothing is; the message has the topics that are.
