@@ -20,6 +20,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+import attrs
 import numpy as np
 from numpy.typing import NDArray
 
@@ -41,13 +42,20 @@ from impact_rig_studies.campaign.run import (
     unique_jobs,
     write_results,
 )
+from impact_rig_studies.importing.store import estimated
 
 STUDY = "measured"
-SAME_HZ = 0.002  # frequencies of two files that differ by less are equal: each was measured, or typed with other digits
+# values of two files that differ by less are equal: each was measured, or typed with other digits
+SAME_HZ, SAME_M = 0.002, 1e-9
+SAME_RATE = 1e-3  # relative difference of two rates, found from times of few digits, that counts as none
+STATED = tuple(name for name in DAQ_INFO.names or () if name not in ("name", "since_start"))
 
 
 def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = None) -> Finished:
     """Combine runs into one campaign and return it.
+
+    What a certificate, a mapping or an option states about the instruments must be the same in all runs. What the
+    import found in the data differs from file to file; the campaign keeps the coarsest step.
 
     Args:
         runs: runs of one rig, with the same instruments.
@@ -59,28 +67,24 @@ def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = N
         RecordingError: it cannot be written, or the calibrations of the runs differ.
     """
     found: dict[tuple[float, float], NDArray[np.void]] = {}
-    info: NDArray[np.void] | None = None
+    sensors: _Sensors | None = None
     currents, seconds = [], 0.0
     for path in runs:
         with open_run(path) as run:
             rows = reanalysis.newest_settled(reanalysis.measurements(reanalysis.analyze(run)))
-            own = calibration_rows(run).copy()
+            own = _Sensors(path.name, calibration_rows(run).copy(), estimated(run.attachments()))
             seconds += (run.end_ns - run.start_ns) / 1e9
-        own["since_start"] = 0.0
-        if info is not None and own.tobytes() != info.tobytes():
-            raise RecordingError(
-                f"{path}: its calibration differs from that of {runs[0]}: a campaign has one set of sensors"
-            )
-        info = own
+        sensors = own if sensors is None else sensors.joined(own)
         for row in rows:
             if math.isnan(row["gap"]):
                 raise ConfigError(
-                    f"{path}: its gap is unknown: state it (--gap, in the mapping, or by the file's name)"
+                    f"{path.name}: its gap is unknown: state it (--gap, in the mapping, or by the file's name)"
                 )
-            found[float(row["gap"]), _known(float(row["frequency"]), found)] = row
+            gap = _known(float(row["gap"]), {gap for gap, _ in found}, SAME_M)
+            found[gap, _known(float(row["frequency"]), {frequency for _, frequency in found}, SAME_HZ)] = row
             currents.append(float(row["current_amplitude"] if row["current_amplitude"] > 0.0 else 1.0))
-    if info is None or not found:
-        raise ConfigError("no run contains a measurement: `impact-rig analyze RUN --all` shows why")
+    if sensors is None or not found:
+        raise ConfigError("no file contains a measurement: import one without --campaign; `analyze RUN --all` says why")
     base = load_config(config) if config else RigConfig()
     text = json.dumps({
         "title": directory.name,
@@ -98,21 +102,65 @@ def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = N
         (directory / CAMPAIGN_FILE).unlink()  # otherwise the directory would look like a campaign
         raise
     store = prepare(campaign, directory, "import")
-    files.write_text(directory / CALIBRATION_FILE, json.dumps([_plain(row) for row in info], indent=1))
+    files.write_text(directory / CALIBRATION_FILE, json.dumps([_plain(row) for row in sensors.info], indent=1))
     for job in unique_jobs(campaign.planned()):
         point = found.get((job.gap_m, job.frequencies_hz[0]))
         if point is not None:
-            point["frequency"] = job.frequencies_hz[0]
+            point["gap"], point["frequency"] = job.gap_m, job.frequencies_hz[0]
             store.put(job, Outcome(rows=point.reshape(1).copy()))
     done = finished(campaign, directory)
     write_results(done, seconds)
     return done
 
 
-def _known(frequency_hz: float, found: dict[tuple[float, float], NDArray[np.void]]) -> float:
-    """Return the frequency of an existing point that is the same, or this one, rounded to a millihertz."""
-    near = (known for _, known in found if abs(known - frequency_hz) <= SAME_HZ)
-    return next(near, round(float(frequency_hz), 3))
+def _known(value: float, known: set[float], same: float) -> float:
+    """Return the value of an existing point that is the same, or this one, rounded to half of what counts as equal."""
+    near = (one for one in sorted(known) if abs(one - value) <= same)
+    return next(near, round(value, math.ceil(-math.log10(same))))
+
+
+@attrs.frozen(eq=False)
+class _Sensors:
+    """Calibration of one run, or of several."""
+
+    name: str  # of the first run, for messages
+    info: NDArray[np.void]  # rows of `daq/info`
+    estimated: dict[str, tuple[str, ...]]  # columns that are known only from the data, by channel
+
+    def joined(self, other: _Sensors) -> _Sensors:
+        """Return the common calibration of these runs and another.
+
+        Raises:
+            RecordingError: what is stated differs; the message names channel, column and both values.
+        """
+        channels, others = (one.info["name"].astype(str).tolist() for one in (self, other))
+        if channels != others:
+            raise self._differs(other, "the list of channels", ", ".join(others), ", ".join(channels))
+        info, estimated = self.info.copy(), {}
+        for row, new in zip(info, other.info, strict=True):
+            channel = row["name"].decode()
+            ours, theirs = (one.estimated.get(channel, ()) for one in (self, other))
+            for column in STATED:
+                old, own = row[column], new[column]
+                unsure = (column in ours, column in theirs)
+                if any(unsure) and (column != "rate" or abs(own - old) <= SAME_RATE * old):
+                    if all(unsure):
+                        row[column] = max(old, own) if column == "resolution" else old
+                    elif unsure[0]:
+                        row[column] = own
+                elif _text(own) != _text(old):
+                    raise self._differs(other, f"{column} of {channel}", _text(own), _text(old))
+            estimated[channel] = tuple(column for column in ours if column in theirs)
+        return _Sensors(self.name, info, estimated)
+
+    def _differs(self, other: _Sensors, what: str, value: str, first: str) -> RecordingError:
+        return RecordingError(
+            f"{other.name}: {what} is {value}, but {first} in {self.name}: a campaign has one set of sensors"
+        )
+
+
+def _text(cell: bytes | float) -> str:
+    return cell.decode() if isinstance(cell, bytes) else repr(float(cell) + 0.0)
 
 
 def _plain(row: np.void) -> dict[str, object]:

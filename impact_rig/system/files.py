@@ -186,6 +186,39 @@ def results_in(directory: Path, prepare: Callable[[], T]) -> Iterator[T]:
         raise
 
 
+@contextlib.contextmanager
+def staged(directory: Path) -> Iterator[Path]:
+    """Yield a new folder with the name of `directory`, and move its content there after the block.
+
+    If the block fails, nothing is left, so the next attempt is not refused for files of this one.
+
+    Args:
+        directory: existing or new directory; nothing in it is replaced.
+
+    Raises:
+        OSError: it cannot be written, or has received content of the same name in the meantime.
+    """
+    directory = Path(os.path.abspath(directory))  # noqa: PTH100  # `resolve` would follow a link
+    parent = directory if directory.is_dir() else directory.parent
+    make_folder(parent)
+    hidden = Path(tempfile.mkdtemp(prefix=f".{directory.name[:100]}.", suffix=".partial", dir=parent))
+    folder = hidden / directory.name
+    try:
+        folder.mkdir()
+        yield folder
+        moves = [(folder, directory)]
+        if parent is directory:  # it may be a mount, which cannot be replaced
+            moves = [(path, directory / path.name) for path in sorted(folder.iterdir())]
+        with defer_signals():
+            for path, target in moves:
+                if target.is_symlink() or target.is_file():  # a directory with content is refused by the system
+                    raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(target))
+                path.rename(target)
+    finally:
+        with defer_signals():
+            shutil.rmtree(hidden, ignore_errors=True)
+
+
 def plain(value: Any) -> object:  # Any: NumPy's types, without importing NumPy
     """Convert a value to JSON types: no NaN, no infinity, no numpy, no bytes."""
     if isinstance(value, (bool, int, str)) or value is None:

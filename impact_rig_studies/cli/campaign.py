@@ -48,13 +48,12 @@ def run_campaign(arguments: argparse.Namespace) -> int:
     file, directory, way, address = tasks.words(arguments, "campaign", "campaign config/paper.yaml", WAYS)
     overrides = {"daq.seed": arguments.seed, "daq.rate_hz": arguments.scan_rate}
     campaign = load_campaign(file, {name: value for name, value in overrides.items() if value is not None})
-    if arguments.only:
-        campaign = campaign.only(tuple(arguments.only))
+    chosen = campaign.only(tuple(arguments.only)) if arguments.only else campaign
     if arguments.record and way != "ros":
         raise ConfigError("--record needs --through ros, because messages are recorded")
     console = Console(quiet=arguments.json)
     started = time.monotonic()
-    jobs = run.unique_jobs(campaign.planned())
+    jobs = run.unique_jobs(chosen.planned())
     if way == "ros":
         from impact_rig_studies.ros_campaign import ros_runner  # noqa: PLC0415  # needs rclpy
 
@@ -65,7 +64,12 @@ def run_campaign(arguments: argparse.Namespace) -> int:
         _measure(jobs, store, runner)
     for what in store.damaged:
         console.print(f"{what}; it was measured again", style="yellow")
-    done = run.finished(campaign, directory)
+    done = run.finished(campaign, directory)  # with what is stored of other studies: the results of a part never shrink
+    old = sum(job.key in done.outcomes and store.get(job) is None for job in run.unique_jobs(campaign.planned()))
+    if old:
+        console.print(
+            f"{old} runs of other studies are of other code; without --only they are measured again", style="yellow"
+        )
     run.write_results(done, time.monotonic() - started)
     verdicts = done.verdicts()
     close = _print_reductions(console, done)

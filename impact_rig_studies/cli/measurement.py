@@ -16,14 +16,16 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import re
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import attrs
 import numpy as np
 
 from impact_rig.cli.terminal import Console, TextTable, tell_json, tell_program
-from impact_rig.errors import ConfigError
+from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.system import files
 
 if TYPE_CHECKING:
@@ -45,29 +47,35 @@ def run_import(arguments: argparse.Namespace) -> int:
     several = len(arguments.files) > 1
     if several and len({file.stem for file in arguments.files}) < len(arguments.files):
         raise ConfigError("two files have one name: each becomes the run of its name")
-    directories, shown = [], []
-    if arguments.campaign and not arguments.dry_run:
-        with files.translate_errors(f"cannot write {arguments.output}"):
-            files.make_folder(arguments.output / "runs")
-    for file in arguments.files:
-        source = read(file)
-        try:
-            found = convert(source, _mapping(guess(source), source, arguments), drive, sheet)
-        except ConfigError:
-            if arguments.dry_run:
-                _print_source(console, source)
-            raise
-        shown.append(store.describe(found))
-        _print(console, found)
-        target = arguments.output / "runs" / file.stem if arguments.campaign else arguments.output
-        directories.append(target / file.stem if several and not arguments.campaign else target)
+    output: Path = arguments.output
+    below = "runs" if arguments.campaign else ""
+    parts = [Path(below, file.stem) if several or arguments.campaign else Path() for file in arguments.files]
+    directories = [output / part for part in parts]
+    shown = []
+    with contextlib.ExitStack() as ending:
         if not arguments.dry_run:
-            store.write(found, directories[-1])
-    if arguments.campaign and not arguments.dry_run:
-        from impact_rig_studies.measured import make_campaign  # noqa: PLC0415  # as above
+            for directory in [output] if arguments.campaign else directories:
+                if directory.is_dir() and any(directory.iterdir()):
+                    raise RecordingError(f"{directory} is not empty: nothing is overwritten, choose another --output")
+            ending.enter_context(files.translate_errors(f"cannot write {output}"))
+            folder = ending.enter_context(files.staged(output))
+        for file, part in zip(arguments.files, parts, strict=True):
+            source = read(file)
+            try:
+                found = convert(source, _mapping(guess(source), source, arguments), drive, sheet)
+            except ConfigError:
+                if arguments.dry_run:
+                    _print_source(console, source)
+                raise
+            shown.append(store.describe(found))
+            _print(console, found)
+            if not arguments.dry_run:
+                store.write(found, folder / part)
+        if arguments.campaign and not arguments.dry_run:
+            from impact_rig_studies.measured import make_campaign  # noqa: PLC0415  # as above
 
-        done = make_campaign(directories, arguments.output, arguments.config)
-        console.print(f"{len(done.points)} points, {len(done.failed())} of them without a settled measurement")
+            done = make_campaign([folder / part for part in parts], folder, arguments.config)
+            console.print(f"{len(done.points)} points, {len(done.failed())} of them without a settled measurement")
     if arguments.json:
         tell_json({"runs": [str(one) for one in directories], "files": shown, "written": not arguments.dry_run})
     elif arguments.dry_run:

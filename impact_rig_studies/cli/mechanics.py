@@ -42,6 +42,7 @@ SHOWN = {
 }
 """Columns that the terminal shows after the parameter; for a branch only at special points."""
 MOST_ROWS = 40
+EXPONENTS = "exponents"  # folder of the exponents in a map's directory
 
 
 def run_map(arguments: argparse.Namespace) -> int:
@@ -57,8 +58,9 @@ def run_map(arguments: argparse.Namespace) -> int:
         measured, wall_s = tasks.measure(plan.lines(), store, runner, console, lambda line: len(line.values))
     done = run.finished(plan, directory)
     more: dict[str, object] = {"wall_s": wall_s, "measured_points": measured}
-    if arguments.exponent:
-        more["exponents"] = _add_exponents(done, console, tasks.runner(plans.run, address, arguments.workers))
+    if arguments.exponent or (directory / EXPONENTS).is_dir():  # exponents that are stored stay in the results
+        exponents = tasks.runner(plans.run, address, arguments.workers) if arguments.exponent else None
+        more["exponents"] = _add_exponents(done, console, exponents)
     unsolved = sum(int(np.count_nonzero(values["regime"] == FAILED)) for values in done.values.values())
     if plan.search and unsolved < plan.points:
         best = optimum.find(plan, plan.search)
@@ -78,8 +80,11 @@ def run_map(arguments: argparse.Namespace) -> int:
     return 1 if unsolved == plan.points else 0
 
 
-def _add_exponents(done: run.FinishedMap, console: Console, runner: Runner[plans.StudyTask]) -> int:
-    """Add exponent and standard uncertainty to the regimes; return the number of points."""
+def _add_exponents(done: run.FinishedMap, console: Console, runner: Runner[plans.StudyTask] | None) -> int:
+    """Add exponent and standard uncertainty to the regimes; return the number of points.
+
+    Without a runner only those that are stored.
+    """
     axes, wanted = done.plan.axes, []
     for line in done.plan.lines():
         values = done.values[line.direction]
@@ -92,14 +97,15 @@ def _add_exponents(done: run.FinishedMap, console: Console, runner: Runner[plans
     part = [plans.COLUMNS[plans.EXPONENT].index(name) for name in names]
     for values in done.values.values():
         values |= {name: np.full(values["dt"].shape, np.nan) for name in names}
-    store: TaskStore[plans.StudyTask] = TaskStore(done.directory, "map", "exponents", ("maps", "dynamics"))
-    store.prepare(done.plan.text, done.plan.base)
-    tasks.measure([task for task, _, _ in wanted], store, runner, console, lambda _: 1)
-    for task, values, place in wanted:
-        row = (store.get(task) or [[]])[0]
+    store: TaskStore[plans.StudyTask] = TaskStore(done.directory, "map", EXPONENTS, ("maps", "dynamics"))
+    if runner:
+        store.prepare(done.plan.text, done.plan.base)
+        tasks.measure([task for task, _, _ in wanted], store, runner, console, lambda _: 1)
+    stored = [(rows[0], values, place) for task, values, place in wanted if (rows := store.get(task))]
+    for row, values, place in stored:
         for name, found in zip(names, (row[i] for i in part), strict=True):
             values[name][place] = found
-    return len(wanted)
+    return len(stored)
 
 
 def _print_optimum(console: Console, best: optimum.Optimum) -> None:

@@ -57,6 +57,7 @@ class ImportedRun:
     info: NDArray[np.void]  # rows of `daq/info`
     drive: tuple[tuple[int, float, float], ...]  # instants [ns], frequencies [Hz] and amplitudes [A] commanded
     labels: tuple[str, ...]  # remarks
+    estimated: AnyMapping[str, tuple[str, ...]]  # columns of `info` that the data gave, by channel; the rest is stated
     doubts: tuple[str, ...] = ()  # assumptions and guesses that the user should confirm, as text
 
 
@@ -117,7 +118,7 @@ def convert(
             followed[key] = source.signals[column].values
     grid = uniform(source.path, abscissa, mapping, found, followed)
     rate, index, found, followed = grid.rate_hz, grid.index, grid.signals, grid.followed
-    info = _calibration(mapping, si_units, rate, sheet, steps, skews)
+    info, estimated = _calibration(mapping, si_units, rate, sheet, steps, skews)
     start_ns = source.start_ns or 0
     if (
         sheet is not None
@@ -151,6 +152,7 @@ def convert(
         info,
         commands,
         tuple(labels),
+        estimated,
         tuple(dict.fromkeys(doubts + guesses)),
     )
 
@@ -267,11 +269,14 @@ def _calibration(
     sheet: ImportedSignals | None,
     steps: AnyMapping[str, float],
     skews: AnyMapping[str, float],
-) -> NDArray[np.void]:
+) -> tuple[NDArray[np.void], dict[str, tuple[str, ...]]]:
     """Return rows of `daq/info` from the sheet and the mapping; other properties are unlimited or exact.
 
-    The steps are those of the readings themselves, the skews those of their times.
+    The steps are those of the readings themselves, the skews and the rate those of their times. The second value lists
+    which of these no sheet, mapping or option states.
     """
+    given_rate = mapping.rate_hz is not None or mapping.resample_hz is not None
+    estimated: dict[str, tuple[str, ...]] = {}
     names = [name for name in CHANNELS if name in mapping.channels]
     rows = np.zeros(len(names), DAQ_INFO)
     rows["name"], rows["unit"] = names, [si_units[name] for name in names]
@@ -279,16 +284,20 @@ def _calibration(
     listed = (sheet.texts.get("name") or []) if sheet is not None else []
     for place, name in enumerate(names):
         rows["resolution"][place], rows["skew"][place] = steps[name], skews[name]
+        stated: dict[str, float] = {}
         if sheet is not None and name in listed:
             for key in CALIBRATION:
                 if key in sheet.signals and len(sheet.signals[key].values) == len(listed):
-                    rows[key][place] = sheet.signals[key].values[listed.index(name)]
-        for key, value in mapping.channels[name].calibration.items():
+                    stated[key] = float(sheet.signals[key].values[listed.index(name)])
+        stated |= mapping.channels[name].calibration
+        for key, value in stated.items():
             rows[key][place] = value
+        found = ("resolution", "skew") if given_rate else ("rate", "resolution", "skew")
+        estimated[name] = tuple(key for key in found if key not in stated)
         if not rows["range_low"][place] < rows["range_high"][place]:
             raise ConfigError(f"channels.{name}: range_low must be < range_high")
     rows["rate"], rows["since_start"] = rate, 0.0  # its stamp in the run is that of scan 0
-    return rows
+    return rows, estimated
 
 
 def _confirmed(mapping: Mapping, measured_hz: float, seconds: float) -> tuple[Mapping, list[str]]:

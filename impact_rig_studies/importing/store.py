@@ -18,7 +18,7 @@ from __future__ import annotations
 import itertools
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +28,6 @@ from impact_rig import codec, topics
 from impact_rig.analysis.settings import parse_label
 from impact_rig.analysis.tracker import Findings, Tracker
 from impact_rig.blocks import APPLIED, Table
-from impact_rig.errors import RecordingError
 from impact_rig.recording import Attachment, Provenance, RunWriter, TopicDescription
 from impact_rig.recording.description import MEASURED, MODE_KEY
 from impact_rig.runs.origin import SOURCE
@@ -54,8 +53,6 @@ def write(found: ImportedRun, directory: Path, clock_ns: int | None = None) -> P
         Attachment(MAPPING_FILE, as_yaml(found.mapping).encode(), "application/yaml"),
         Attachment(SOURCE, json.dumps(describe(found), ensure_ascii=False, indent=1).encode(), "application/json"),
     )
-    if directory.is_dir() and any(directory.iterdir()):
-        raise RecordingError(f"{directory} is not empty: nothing is overwritten")
     numbers: dict[str, int] = {}
     with RunWriter(directory, provenance=provenance, attachments=kept, clock=time.monotonic) as writer:
         for topic in WRITTEN:
@@ -100,8 +97,18 @@ def describe(found: ImportedRun) -> dict[str, object]:
             for name, one in source.signals.items()
         ],
         "drive": [{"stamp_ns": t, "frequency_hz": f, "amplitude": a} for t, f, a in found.drive],
+        "estimated": {name: list(columns) for name, columns in found.estimated.items()},
         "notes": list(found.labels), "assumptions": list(found.doubts), "left_out": dict(source.left_out),
     }  # fmt: skip
+
+
+def estimated(attachments: Mapping[str, bytes]) -> dict[str, tuple[str, ...]]:
+    """Return the columns of `daq/info` that were found in the data of an imported run, by channel."""
+    try:
+        columns = json.loads(attachments[SOURCE])["estimated"]
+        return {str(name): tuple(map(str, found)) for name, found in columns.items()}
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):  # recorded, or imported before
+        return {}
 
 
 def _heads(found: ImportedRun) -> Iterator[tuple[topics.Topic, Table | bytes]]:

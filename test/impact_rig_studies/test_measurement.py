@@ -23,6 +23,7 @@ import wave
 from collections.abc import Callable
 from pathlib import Path
 
+import attrs
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -34,6 +35,7 @@ from impact_rig.recording import open_run
 from impact_rig.runs import export, reanalysis, verification
 from impact_rig.runs.wholes import calibration_rows
 from impact_rig.testing import LocalRig
+from impact_rig_studies.campaign.run import open_finished
 from impact_rig_studies.identification.measurements import recorded_decay
 from impact_rig_studies.importing import readers
 from impact_rig_studies.importing.assignment import guess
@@ -41,6 +43,7 @@ from impact_rig_studies.importing.conversion import convert
 from impact_rig_studies.importing.mapping import Channel, Mapping, as_yaml, refined
 from impact_rig_studies.importing.signals import ImportedSignals
 from impact_rig_studies.importing.store import write
+from impact_rig_studies.measured import make_campaign
 
 RATE_HZ, SECONDS, GAP_M = 2000, 12, 0.006
 MILLIMETRE = 1e-3
@@ -475,6 +478,106 @@ def test_two_files_of_one_name_are_refused_before_one_is_written(
     assert main(words) == 1
     assert "two files have one name" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def readings(amplitude: float, step: float, rate_hz: float = RATE_HZ, gap: str = "") -> str:
+    """Return a table of 12 s of readings in mm, in steps, under 9.1 Hz; the times have six digits."""
+    times = np.arange(round(SECONDS * rate_hz)) / rate_hz
+    turn = 2.0 * np.pi * 9.1 * times
+    laser, base = (step * np.round(a * np.sin(turn + phase) / step) for a, phase in ((amplitude, -1.5), (0.1, 0.0)))
+    rows = (f"{t:.6f},{x!r},{y!r}{gap}" for t, x, y in zip(times, laser.tolist(), base.tolist(), strict=True))
+    return "\n".join(["time,laser [mm],base [mm]" + (",gap" if gap else ""), *rows]) + "\n"
+
+
+def test_what_is_found_in_the_data_of_a_sweep_need_not_agree(tmp_path: Path) -> None:
+    """Steps that differed in the last digits were once `another calibration`; rates and gaps have the same weakness."""
+    step = 3.8146972656249999e-4  # of 16 bits
+    for name, text in {
+        "one": readings(2.03, step, gap=",0.006"),
+        "two": readings(1.07, step * (1.0 + 1e-13), RATE_HZ * (1.0 + 3e-5), gap=",0.006000000000000001"),
+        "three": readings(0.51, 4.0 * step, gap=",0.003"),
+        "four": readings(0.5, 1e-17, gap=",0"),  # no step
+    }.items():
+        (tmp_path / f"{name}.csv").write_text(text, encoding="utf-8")
+    files = [str(tmp_path / f"{name}.csv") for name in ("one", "two", "three", "four")]
+    assert main(["import", *files, "--campaign", "--frequency", "9.1", "--output", str(tmp_path / "out")]) == 0
+    infos = []
+    for name in ("one", "two", "three", "four"):
+        with open_run(tmp_path / "out" / "runs" / name) as run:
+            infos.append(calibration_rows(run))
+    assert len({one["resolution"].tobytes() for one in infos}) == 4, "else this tests nothing"
+    assert len({one["rate"].tobytes() for one in infos}) > 1, "likewise"
+    done = open_finished(tmp_path / "out")
+    assert {(point.gap_m, round(point.dt)) for point in done.points} == {(0.006, 11), (0.003, 5), (0.0, 5)}
+    assert done.info["resolution"].tolist() == pytest.approx([4e-3 * step] * 2, rel=1e-9), "the coarsest"
+
+
+@pytest.mark.parametrize(
+    ("column", "one", "two", "said"),
+    [
+        ("sensitivity_uncertainty", 0.01, 0.02, "sensitivity_uncertainty of laser is 0.02, but 0.01 in one"),
+        ("resolution", 0.001, 0.0010000000000000002, "resolution of laser is 0.0010000000000000002, but 0.001 in one"),
+        ("lag", 0.0, 7e-4, "lag of laser is 0.0007, but 0.0 in one"),
+        ("unit", "mm", "m/s", "unit of laser is m/s, but m in one"),
+        ("rate", 2000, 5000, "rate of laser is 5000.0, but 2000.0 in one"),
+        ("channel", "base", "current", "the list of channels is laser, current, but laser, base in one"),
+    ],
+)
+def test_what_is_stated_of_the_sensors_of_a_sweep_must_agree(
+    tmp_path: Path, column: str, one: object, two: object, said: str
+) -> None:
+    runs = []
+    for name, value in (("one", one), ("two", two)):
+        (tmp_path / f"{name}.csv").write_text(readings(1.0, 1e-3), encoding="utf-8")
+        source = readers.read(tmp_path / f"{name}.csv")
+        other = f"{value}: {{column: base, unit: A}}" if value == "current" else "base: {column: base}"
+        laser = f"laser: {{column: laser, {column}: {value}}}" if column not in ("rate", "channel") else ""
+        laser = laser or "laser: {column: laser}"
+        text = f"frequency: 9.1\ngap: 0.006\nchannels: {{{laser}, {other}}}"
+        mapping = refined(attrs.evolve(guess(source), channels={}), text)
+        if column == "rate":
+            mapping = attrs.evolve(mapping, rate_hz=float(str(value)))
+        runs.append(write(convert(source, mapping), tmp_path / "out" / name))
+    with pytest.raises(ImpactRigError, match=re.escape(f"two: {said}")):
+        make_campaign(runs, tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("more", "options", "second", "said"),
+    [
+        ([], [], "x,y [mm]", "which signal is which channel is not known"),
+        (["--campaign"], ["--gap", "6mm"], "x,y [mm]", "which signal is which channel is not known"),
+        (["--campaign"], [], "laser [mm],base [mm]", "one: its gap is unknown: state it (--gap"),
+        (["--campaign"], ["--gap", "6mm"], "laser [m/s],base [mm]", "two: unit of laser is m/s, but m in one"),
+        (["--campaign"], ["--gap", "6mm", "--channel", "laser="], "laser [mm],base [mm]", "no file contains"),
+        (["--campaign"], ["--gap", "6mm", "--config", "none.yaml"], "laser [mm],base [mm]", "cannot read"),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("there", [False, True])
+def test_an_import_that_fails_leaves_nothing_in_the_way_of_the_next(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str], options: list[str], second: str, said: str,
+    *, there: bool,
+) -> None:  # fmt: skip
+    """The first file was written, then the second refused: the corrected command found `is not empty`."""
+    text = readings(1.0, 1e-3)
+    (tmp_path / "one.csv").write_text(text, encoding="utf-8")
+    (tmp_path / "two.csv").write_text(text.replace("laser [mm],base [mm]", second), encoding="utf-8")
+    out = tmp_path / "out"
+    if there:
+        out.mkdir()
+    words = ["import", str(tmp_path / "one.csv"), str(tmp_path / "two.csv"), "--output", str(out), *more]
+    before = sorted(tmp_path.rglob("*"))
+    assert main([*words, *options]) == 1
+    assert said in capsys.readouterr().err
+    assert sorted(tmp_path.rglob("*")) == before
+    (tmp_path / "two.csv").write_text(text, encoding="utf-8")
+    assert main([*words, "--gap", "6mm"]) == 0
+    assert {path.name for path in out.iterdir()} >= ({"runs", "points.csv"} if more else {"one", "two"})
+    assert not list(tmp_path.rglob("*.partial"))
+    kept = {path: path.stat().st_mtime_ns for path in out.rglob("*")}
+    assert main([*words, "--gap", "6mm"]) == 1
+    assert "is not empty: nothing is overwritten" in capsys.readouterr().err
+    assert {path: path.stat().st_mtime_ns for path in out.rglob("*")} == kept
 
 
 def test_what_an_import_leaves_out_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -298,3 +298,27 @@ def test_a_wrong_word_is_one_clear_line(tmp_path, capsys, arguments, words):
     assert main(["campaign", str(file), "--output", str(tmp_path / "out"), *arguments]) == 1
     assert words in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("first", [[], ["--only", "one"], ["--only", "two", "three"]])
+def test_a_part_of_a_campaign_never_shrinks_the_results(tmp_path, capsys, monkeypatch, first):
+    """`--only` once cut points.csv from 243 points to 60, while the report kept them all."""
+    studies = {"one": "{frequencies_hz: 9.1, gaps_m: none}", "two": "{frequencies_hz: [8.5, 9.8], gaps_m: none}"}
+    studies["three"] = "{frequencies_hz: 9.1, gaps_m: none, seeds: [5]}"
+    file, out = tmp_path / "three.yaml", tmp_path / "out"
+    file.write_text("studies:\n" + "".join(f"  {name}: {text}\n" for name, text in studies.items()))
+    command = ["campaign", str(file), "--output", str(out), "--workers", "1"]
+    assert main([*command, *first]) == 0
+    assert len((out / run.CSV_FILE).read_text().splitlines()) - 1 == {0: 4, 2: 1, 3: 3}[len(first)]
+    whole = main([*command]) == 0 and [(out / name).read_text() for name in (run.CSV_FILE, run.CAMPAIGN_FILE)]
+    capsys.readouterr()
+    for name in studies:
+        assert main([*command, "--only", name]) == 0
+        assert [(out / name).read_text() for name in (run.CSV_FILE, run.CAMPAIGN_FILE)] == whole
+        summary = json.loads((out / "summary.json").read_text())
+        assert (summary["points"], len(run.open_finished(out).points)) == (4, 4)
+        assert "4 points; figures for programs" in (told := " ".join(capsys.readouterr().out.split()))
+        assert "of other code" not in told
+    monkeypatch.setattr("impact_rig_studies.campaign.store.fingerprint", lambda: "0.0.9-of-new")
+    assert main([*command, "--only", "two"]) == 0
+    assert "2 runs of other studies are of other code" in " ".join(capsys.readouterr().out.split())

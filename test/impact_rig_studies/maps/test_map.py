@@ -268,6 +268,21 @@ def test_table_and_figures_are_written(small):
     assert "predicted" in up.svg
 
 
+def test_exponents_stay_in_the_results_of_a_later_command(tmp_path: Path) -> None:
+    """The same command without `--exponent` once dropped their columns and their number."""
+    path = written(tmp_path, "axes: {gap_m: [0.002, 0.006], frequency_hz: [9.1, 9.2]}\n")
+    command = ["map", str(path), "--output", str(tmp_path / "done"), "--workers", "1", "--no-figures"]
+    assert main([*command, "--exponent"]) == 0
+    table = (tmp_path / "done" / run.CSV_FILE).read_text(encoding="utf-8")
+    names, *rows = (line.split(",") for line in table.splitlines())
+    exponents = [row[names.index("exponent_per_s")] for row in rows]
+    assert exponents[:3] == ["", "", ""], "a periodic motion has none"
+    assert float(exponents[3]) > 1.0, "a chaotic one"
+    assert main(command) == 0
+    assert (tmp_path / "done" / run.CSV_FILE).read_text(encoding="utf-8") == table
+    assert json.loads((tmp_path / "done" / run.JSON_FILE).read_text(encoding="utf-8"))["exponents"] == 1
+
+
 def test_points_are_exported(small, tmp_path, capsys):
     parquet = pytest.importorskip("pyarrow.parquet")
     _, directory = small
