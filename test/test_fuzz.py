@@ -18,6 +18,8 @@ from __future__ import annotations
 import itertools
 import json
 import math
+import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -53,6 +55,16 @@ def test_a_slice_of_hostile_inputs(one: target.Target) -> None:
     assert tally.refused > 0, "hostile inputs are refused"
     for module in one.modules:
         assert (ROOT / module).is_file()
+
+
+@pytest.mark.slow
+def test_the_first_run_in_a_folder_measures_the_inputs_alone(tmp_path: Path) -> None:
+    """In a fresh clone the table of hypothesis, made at the first text, was taken for the memory of a mapping."""
+    command = [sys.executable, "-m", "fuzz", "--inputs", "20", "--seed", "20261128", "import_mapping"]
+    environment = os.environ | {"HYPOTHESIS_STORAGE_DIRECTORY": str(tmp_path)}
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert [*tmp_path.glob("unicode_data/*/codec*")], "some text was drawn"
 
 
 # What was found, each with the input that found it
