@@ -46,6 +46,7 @@ from nidaqmx.error_codes import DAQmxErrors
 from nidaqmx.stream_readers import AnalogMultiChannelReader
 from nitypes.waveform import AnalogWaveform
 
+from impact_rig.driver import LocalRig
 from impact_rig.driver.daqmx_board import MOST_TASKS, Board, DaqmxError
 from impact_rig.driver.daqmx_server import MOST_EVENTS, MOST_MESSAGE_BYTES, serving
 from impact_rig.rig.config import RigConfig, from_flat
@@ -465,14 +466,26 @@ def test_the_number_of_tasks_is_bounded() -> None:
     board.close()
 
 
-def test_the_script_of_the_page_runs(address: str, tmp_path: Path) -> None:
-    script = re.search(r"```python[^\n]*\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+def test_the_script_of_the_page_measures_the_dt_of_the_rig(tmp_path: Path) -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    script = re.search(r"```python[^\n]*\n(.*?)```", page, re.DOTALL)
+    printed = re.search(r"It prints DT (\S+) ± (\S+), as `impact-rig record --current (\S+)` measures", page)
     assert script is not None
-    text = script[1].replace("localhost:31763", address)
-    assert text != script[1]
-    (tmp_path / "script.py").write_text(text)
-    done = subprocess.run(
-        [sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False
-    )
+    assert printed is not None
+    stated, limit = float(printed[1]), float(printed[2])
+    with serving(Board(RigConfig()), "127.0.0.1:0") as (_, port):
+        text = script[1].replace("localhost:31763", f"127.0.0.1:{port}")
+        assert text != script[1]
+        (tmp_path / "script.py").write_text(text)
+        done = subprocess.run(
+            [sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False
+        )
     assert done.returncode == 0, done.stderr
-    assert re.fullmatch(r"9\.1 Hz: DT \d+\.\d\n", done.stdout), done.stdout
+    found = re.fullmatch(r"9\.1 Hz: DT (\d+\.\d)\n", done.stdout)
+    assert found is not None, done.stdout
+    with LocalRig(analysis={}) as rig:
+        rig.command(frequency_hz=9.1, current_a=float(printed[3]))
+        rig.run(20.0)
+        measured = rig.rows("transmissibility/table")["transmissibility"][-1]
+    assert measured == pytest.approx(stated, abs=limit)
+    assert float(found[1]) == pytest.approx(stated, abs=limit)

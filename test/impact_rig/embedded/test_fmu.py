@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import impact_rig
 from impact_rig import kernels
 from impact_rig.embedded.fmu import MOTION, NAMES, READINGS, VERSIONS, write_fmu
 from impact_rig.embedded.snapshot import snapshot
@@ -34,6 +36,7 @@ from impact_rig.rig.config import RigConfig, from_flat
 fmpy = pytest.importorskip("fmpy", reason="pip install fmpy")
 pytestmark = pytest.mark.skipif(kernels.MODE != "library", reason="kernels run otherwise here")
 MOTIONS = [MOTION + i for i in range(len(QUANTITIES))]
+PAGE = Path(__file__).parents[3] / "docs" / "how-to" / "fmu.md"
 TICK_NS = 10_000_000
 CHANGES: list[dict[str, Any]] = [
     {},
@@ -368,3 +371,21 @@ def test_values_out_of_range_are_refused(unit: Unit, reference: int, value: floa
 def test_what_a_unit_cannot_be_is_refused(changes: dict[str, Any], said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         snapshot(from_flat(RigConfig(), changes))
+
+
+def test_the_script_of_the_page_prints_the_dt_of_the_rig(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    script = re.search(r"```python[^\n]*\n(from fmpy.*?)```\n\n```text\n(.*?)```", page, re.DOTALL)
+    measures = re.search(r"The rig measures (DT \S+ ± \S+) at this drive", page)
+    assert script is not None
+    assert measures is not None
+    (tmp_path / "rig.fmu").write_bytes(path.read_bytes())
+    monkeypatch.chdir(tmp_path)
+    exec(script[1], {})
+    printed = capsys.readouterr().out
+    assert printed == script[2]
+    assert str(impact_rig.simulate(20.0)).startswith(measures[1])
+    dt, limit = (float(one) for one in measures[1].removeprefix("DT ").split(" ± "))
+    assert float(printed.split()[1].rstrip(",")) == pytest.approx(dt, abs=limit)
