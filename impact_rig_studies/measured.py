@@ -28,6 +28,7 @@ from impact_rig.blocks import DAQ_INFO
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.recording import open_run
 from impact_rig.rig.config import RigConfig, load_config
+from impact_rig.rig.gaps import case_of
 from impact_rig.runs import reanalysis
 from impact_rig.runs.wholes import calibration_rows
 from impact_rig.system import files
@@ -63,10 +64,11 @@ def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = N
         config: known properties of the rig (sphere, contact law); None means the default rig.
 
     Raises:
-        ConfigError: a gap is unknown, or nothing was measured.
+        ConfigError: a gap is unknown, two runs measured one point, or nothing was measured.
         RecordingError: it cannot be written, or the calibrations of the runs differ.
     """
     found: dict[tuple[float, float], NDArray[np.void]] = {}
+    origins: dict[tuple[float, float], Path] = {}
     sensors: _Sensors | None = None
     currents, seconds = [], 0.0
     for path in runs:
@@ -81,7 +83,13 @@ def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = N
                     f"{path.name}: its gap is unknown: state it (--gap, in the mapping, or by the file's name)"
                 )
             gap = _known(float(row["gap"]), {gap for gap, _ in found}, SAME_M)
-            found[gap, _known(float(row["frequency"]), {frequency for _, frequency in found}, SAME_HZ)] = row
+            frequency = _known(float(row["frequency"]), {frequency for _, frequency in found}, SAME_HZ)
+            if (other := origins.setdefault((gap, frequency), path)) != path:
+                raise ConfigError(
+                    f"{path.name}: {case_of(gap)} at {frequency:g} Hz is already measured in {other.name}, and a "
+                    "campaign has one measurement of each point: import one of the two, or each without --campaign"
+                )
+            found[gap, frequency] = row
             currents.append(float(row["current_amplitude"] if row["current_amplitude"] > 0.0 else 1.0))
     if sensors is None or not found:
         raise ConfigError("no file contains a measurement: import one without --campaign; `analyze RUN --all` says why")

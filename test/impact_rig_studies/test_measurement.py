@@ -480,27 +480,33 @@ def test_two_files_of_one_name_are_refused_before_one_is_written(
     assert not (tmp_path / "out").exists()
 
 
-def readings(amplitude: float, step: float, rate_hz: float = RATE_HZ, gap: str = "") -> str:
-    """Return a table of 12 s of readings in mm, in steps, under 9.1 Hz; the times have six digits."""
+def readings(amplitude: float, step: float, rate_hz: float = RATE_HZ, gap: str = "", frequency_hz: float = 9.1) -> str:
+    """Return a table of 12 s of readings in mm, in steps, under a sine; the times have six digits."""
     times = np.arange(round(SECONDS * rate_hz)) / rate_hz
-    turn = 2.0 * np.pi * 9.1 * times
+    turn = 2.0 * np.pi * frequency_hz * times
     laser, base = (step * np.round(a * np.sin(turn + phase) / step) for a, phase in ((amplitude, -1.5), (0.1, 0.0)))
     rows = (f"{t:.6f},{x!r},{y!r}{gap}" for t, x, y in zip(times, laser.tolist(), base.tolist(), strict=True))
     return "\n".join(["time,laser [mm],base [mm]" + (",gap" if gap else ""), *rows]) + "\n"
 
 
-def test_what_is_found_in_the_data_of_a_sweep_need_not_agree(tmp_path: Path) -> None:
+def test_what_is_found_in_the_data_of_a_sweep_need_not_agree(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Steps that differed in the last digits were once `another calibration`; rates and gaps have the same weakness."""
     step = 3.8146972656249999e-4  # of 16 bits
     for name, text in {
         "one": readings(2.03, step, gap=",0.006"),
-        "two": readings(1.07, step * (1.0 + 1e-13), RATE_HZ * (1.0 + 3e-5), gap=",0.006000000000000001"),
+        "two": readings(1.07, step * (1.0 + 1e-13), RATE_HZ * (1.0 + 3e-5), gap=",0.004"),
         "three": readings(0.51, 4.0 * step, gap=",0.003"),
         "four": readings(0.5, 1e-17, gap=",0"),  # no step
+        "same": readings(1.07, step, gap=",0.006000000000000001"),
     }.items():
         (tmp_path / f"{name}.csv").write_text(text, encoding="utf-8")
     files = [str(tmp_path / f"{name}.csv") for name in ("one", "two", "three", "four")]
-    assert main(["import", *files, "--campaign", "--frequency", "9.1", "--output", str(tmp_path / "out")]) == 0
+    words = ["--campaign", "--frequency", "9.1", "--output", str(tmp_path / "out")]
+    assert main(["import", *files, str(tmp_path / "same.csv"), *words]) == 1
+    assert "same: gap 6 mm at 9.1 Hz is already measured in one" in capsys.readouterr().err
+    assert main(["import", *files, *words]) == 0
     infos = []
     for name in ("one", "two", "three", "four"):
         with open_run(tmp_path / "out" / "runs" / name) as run:
@@ -508,7 +514,7 @@ def test_what_is_found_in_the_data_of_a_sweep_need_not_agree(tmp_path: Path) -> 
     assert len({one["resolution"].tobytes() for one in infos}) == 4, "else this tests nothing"
     assert len({one["rate"].tobytes() for one in infos}) > 1, "likewise"
     done = open_finished(tmp_path / "out")
-    assert {(point.gap_m, round(point.dt)) for point in done.points} == {(0.006, 11), (0.003, 5), (0.0, 5)}
+    assert {(point.gap_m, round(point.dt)) for point in done.points} == {(0.006, 20), (0.004, 11), (0.003, 5), (0.0, 5)}
     assert done.info["resolution"].tolist() == pytest.approx([4e-3 * step] * 2, rel=1e-9), "the coarsest"
 
 
@@ -559,8 +565,8 @@ def test_an_import_that_fails_leaves_nothing_in_the_way_of_the_next(
     *, there: bool,
 ) -> None:  # fmt: skip
     """The first file was written, then the second refused: the corrected command found `is not empty`."""
-    text = readings(1.0, 1e-3)
-    (tmp_path / "one.csv").write_text(text, encoding="utf-8")
+    (tmp_path / "one.csv").write_text(readings(1.0, 1e-3), encoding="utf-8")
+    text = readings(1.0, 1e-3, frequency_hz=9.3)
     (tmp_path / "two.csv").write_text(text.replace("laser [mm],base [mm]", second), encoding="utf-8")
     out = tmp_path / "out"
     if there:
@@ -578,6 +584,30 @@ def test_an_import_that_fails_leaves_nothing_in_the_way_of_the_next(
     assert main([*words, "--gap", "6mm"]) == 1
     assert "is not empty: nothing is overwritten" in capsys.readouterr().err
     assert {path: path.stat().st_mtime_ns for path in out.rglob("*")} == kept
+
+
+@pytest.mark.parametrize(
+    ("first", "second"), [("gap_6mm_9.1Hz_run1", "gap_6mm_9.1Hz_run5"), ("gap_6mm_9.0Hz", "gap_6mm_9.1Hz")]
+)
+def test_two_files_of_one_point_of_a_sweep_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], first: str, second: str
+) -> None:
+    """The last replaced the others without a word, also where the name of one contradicts its data."""
+    for name, amplitude in ((first, 1.0), (second, 2.0), ("gap_3mm_9.1Hz", 1.5), ("gap_6mm_9.3Hz", 0.5)):
+        frequency_hz = 9.3 if "9.3" in name else 9.1
+        text = readings(amplitude, 1e-3, frequency_hz=frequency_hz)
+        (tmp_path / f"{name}.csv").write_text(text, encoding="utf-8")
+    names = [first, "gap_3mm_9.1Hz", "gap_6mm_9.3Hz", second]
+    words = ["import", *(str(tmp_path / f"{name}.csv") for name in names), "--campaign"]
+    assert main([*words, "--output", str(tmp_path / "out")]) == 1
+    said = capsys.readouterr().err
+    assert f"{second}: gap 6 mm at 9.1 Hz is already measured in {first}" in said
+    assert not (tmp_path / "out").exists()
+    words.remove(str(tmp_path / f"{first}.csv"))
+    assert main([*words, "--output", str(tmp_path / "out")]) == 0
+    done = open_finished(tmp_path / "out")
+    found = {(point.gap_m, point.frequency_hz): round(point.dt) for point in done.points if point.settled}
+    assert found == {(0.006, 9.1): 20, (0.003, 9.1): 15, (0.006, 9.3): 5}
 
 
 def test_what_an_import_leaves_out_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
