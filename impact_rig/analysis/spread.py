@@ -24,6 +24,8 @@ is a convention, as for any finite record.
 
 from __future__ import annotations
 
+from typing import Any  # sums of complex numbers and of counts
+
 import attrs
 import numpy as np
 from numpy.typing import NDArray
@@ -96,10 +98,15 @@ def by_class_removed(values: Complex, period: int) -> Complex:
     The residual of a periodic orbit.
     """
     place: NDArray[np.int64] = np.arange(len(values)) % period
+    return np.asarray(values - (_class_sums(values, period) / np.bincount(place))[place], dtype=np.complex128)
+
+
+def _class_sums(values: NDArray[Any], period: int) -> NDArray[Any]:
+    """Return the sum of all values at the same position in the period, by position."""
     whole = len(values) - len(values) % period
-    sums = values[:whole].reshape(-1, period).sum(axis=0)
+    sums: NDArray[Any] = values[:whole].reshape(-1, period, *values.shape[1:]).sum(axis=0)
     sums[: len(values) - whole] += values[whole:]
-    return np.asarray(values - (sums / np.bincount(place))[place], dtype=np.complex128)
+    return sums
 
 
 LONGEST_PERIOD = 8
@@ -153,11 +160,12 @@ def _strikes_repeat(strikes: NDArray[np.uint8], period: int) -> bool:
 
     Weak impacts may be missed in some cycles, so a cycle without one proves nothing; an impact at another phase does.
     """
-    regular, near = 0, strikes | np.roll(strikes, 1, axis=1) | np.roll(strikes, -1, axis=1)
-    for place in range(period):
-        supported = near[place::period].mean(axis=0) >= SUPPORT
-        regular += int(strikes[place::period, supported].sum())
-    return regular >= REGULAR_SHARE * int(strikes.sum())
+    around = np.concatenate([strikes[:, -1:], strikes, strikes[:, :1]], axis=1)
+    near = around[:, :-2] | around[:, 1:-1] | around[:, 2:]
+    cycles = np.bincount(np.arange(len(strikes)) % period)
+    supported = _class_sums(near, period) / cycles[:, np.newaxis] >= SUPPORT
+    found = _class_sums(strikes, period)
+    return int(found[supported].sum()) >= REGULAR_SHARE * int(found.sum())
 
 
 def _line_share(deviation: Complex) -> float:
