@@ -42,7 +42,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.kernels import INTEGERS, Fields, Record, Records, entry, kernel, records, room
-from impact_rig.physics.contact_phase import account_step, conclude, dissipated, find_peaks, settles, take_next_step
+from impact_rig.physics.contact_phase import (
+    account_step,
+    conclude,
+    dissipated,
+    find_peaks,
+    settles,
+    t_0_of,
+    take_next_step,
+)
 from impact_rig.physics.contact_step import drop_dense_output, expand, force_at, turned_at
 from impact_rig.physics.energy import account_flight
 from impact_rig.physics.flight import (
@@ -286,7 +294,8 @@ def _apply_tabulated(model: Model, f: DriveSegment, work: Workspace, t_end: floa
     if table.high == 0.0:
         return False
     expand(p, f, s, step)
-    if not look_up(p, table, s, step, t_end - s.t):
+    t_0 = t_0_of(p, s.speed)
+    if not look_up(p, table, s, step, t_0, t_end - s.t):
         return False
     s.tabulated = 1
     _keep_state(work)
@@ -294,7 +303,7 @@ def _apply_tabulated(model: Model, f: DriveSegment, work: Workspace, t_end: floa
         work.states[1] = s
         account_contact(model, f, work.states[1], step, work.ledger[0])
         expand(p, f, s, step)
-    apply_outcome(p, table, s, step)
+    apply_outcome(p, table, s, step, t_0)
     work.ledger[0].contact += s.lost
     return True
 

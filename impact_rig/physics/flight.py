@@ -184,12 +184,9 @@ def safe_time(distance: float, speed: float, acceleration: float, jerk_bound: fl
         return longest  # most often: it ends nearer, and was never further out than there or at the start
     horizon = longest
     if jerk_bound > 0.0:
-        horizon = min(
-            horizon,
-            3.0 * abs(acceleration) / jerk_bound
-            + math.sqrt(6.0 * abs(speed) / jerk_bound)
-            + power(6.0 * distance / jerk_bound, _THIRD),
-        )
+        shorter = 3.0 * abs(acceleration) / jerk_bound + math.sqrt(6.0 * abs(speed) / jerk_bound)
+        if shorter < longest:  # otherwise the third part need not be known
+            horizon = min(horizon, shorter + power(6.0 * distance / jerk_bound, _THIRD))
     safe = 0.0
     for _ in range(_ROUNDS):
         half_acceleration = 0.5 * (acceleration + jerk_bound * horizon / 3.0)

@@ -43,7 +43,7 @@ from impact_rig.arithmetic.elementary import PI, sincos
 from impact_rig.kernels import REALS, Reals, Record, Records, entry, kernel
 from impact_rig.physics.collocation import LAST, MATRIX, STAGES
 from impact_rig.physics.contact.law import FORCE, CompiledForce, raise_failure
-from impact_rig.physics.contact_phase import conclude, find_peaks, t_0_of, take_step
+from impact_rig.physics.contact_phase import conclude, find_peaks, take_step
 from impact_rig.physics.contact_step import drop_dense_output, pair_at
 from impact_rig.physics.state import CONTACT_STEP, NOTHING, PARAMETERS, SEPARATED, STATE, TURNED, V1, VB, X1, XB, record
 
@@ -246,16 +246,15 @@ def _chebyshev(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @kernel
-def look_up(p: Record, table: Record, s: Record, step: Record, time_left: float) -> bool:
-    """Compute `table.outcome` for the contact that begins at s; `step` must be expanded about s.
+def look_up(p: Record, table: Record, s: Record, step: Record, t_0: float, time_left: float) -> bool:
+    """Compute `table.outcome` for the contact that begins at s.
 
-    Returns whether the contact is tabulated and ends within `time_left` seconds and while the polynomials of `step`
-    hold.
+    `step` must be expanded about s, and `t_0` is the contact's time scale [s]. Returns whether the contact is tabulated
+    and ends within `time_left` seconds and while the polynomials of `step` hold.
     """
     speed = s.speed
     if speed < p.speed_floor:  # a limited approach speed would be a scale of its own
         return False
-    t_0 = t_0_of(p, speed)
     eta_0 = step.acceleration[0] * t_0 / speed
     scale = t_0 * t_0 / speed
     eta_1, eta_2 = step.acceleration[1] * scale, step.acceleration[2] * scale * t_0
@@ -288,10 +287,9 @@ def look_up(p: Record, table: Record, s: Record, step: Record, time_left: float)
 
 
 @kernel
-def apply_outcome(p: Record, table: Record, s: Record, step: Record) -> None:
+def apply_outcome(p: Record, table: Record, s: Record, step: Record, t_0: float) -> None:
     """Move s from the touch to the end of the contact that `look_up` computed."""
     found, speed = table.outcome, s.speed
-    t_0 = t_0_of(p, speed)
     delta_0 = speed * t_0
     duration, separation = found[DURATION] * t_0, found[SEPARATION] * speed
     columns_impulse = p.k_1 * found[SUM] * delta_0 * t_0  # ∫ F_z dt [N s]

@@ -443,7 +443,7 @@ class Simulation:
         )
         self._work.states[0]["y"][:] = y
         self._put_sphere(_PLACES[self._config.sphere.start] * self._model.parameters[0].half_gap, 0.0)
-        self._stored = self.stored_energy()
+        self._stored = self.stored_energy() if y.any() else 0.0  # the sphere is at rest
 
     def _put_sphere(self, d: float, d_rate: float) -> None:
         """Set the sphere; if the guide has friction, a sphere at rest is held and a sliding one is braked."""
