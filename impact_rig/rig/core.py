@@ -21,7 +21,6 @@ values may be jointly infeasible, so each new configuration is tried in a short 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any  # Any: members of a journal entry
 
@@ -33,7 +32,7 @@ import impact_rig
 from impact_rig import topics
 from impact_rig.arithmetic.random import Random
 from impact_rig.blocks import APPLIED, FRAME_DAQ, STREAM, Table
-from impact_rig.config import Drive
+from impact_rig.config import Drive, Pluck
 from impact_rig.errors import CommandError, ConfigError, SimulationError
 from impact_rig.instruments.chain import Chain
 from impact_rig.instruments.fault import Fault
@@ -517,10 +516,12 @@ class Rig:
         """Lock the base, put x_1 at `displacement_m` and release it: free decay until the next reset.
 
         Raises:
-            CommandError: not finite.
+            CommandError: outside the range of `pluck.displacement_m`.
         """
-        if not math.isfinite(displacement_m):
-            raise CommandError(f"a pluck must be finite, got {displacement_m:g} m")
+        try:
+            Pluck(displacement_m=displacement_m)
+        except ConfigError as error:
+            raise CommandError(f"pluck: {error}") from error
         self._simulation.pluck(displacement_m)
         self._generator.set_amplitude(0.0)
         self._add_entry(InputKind.PLUCK, value=displacement_m)
