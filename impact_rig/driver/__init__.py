@@ -11,15 +11,15 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A rig that a program drives: in this process (`LocalRig`) or behind topics (`RosRig`), by the same calls.
+"""Rig that a program operates, in this process (`LocalRig`) or over ROS topics (`RosRig`), by the same calls.
 
     rig = LocalRig({"barriers.gap_m": 0.006}, analysis={"gap_m": 0.006})
     rig.command(frequency_hz=9.1, current_a=0.52)
     rig.run(seconds=20)
     print(rig.rows("transmissibility/table")["transmissibility"])
 
-`AnalogOutput` and `Acquisition` are its buffered analog output and input, `Hardware` both of them. Importing this
-imports neither rclpy nor compiled code: both are loaded when something that needs them is asked for.
+`AnalogOutput` and `Acquisition` are its buffered analog output and input; `Hardware` is both together. Importing this
+package loads neither rclpy nor compiled code: both are loaded with the first name that needs them.
 """
 
 from __future__ import annotations

@@ -13,8 +13,8 @@
 # limitations under the License.
 """The rig as a multifunction board with buffered tasks, as NI-DAQmx has them.
 
-`ai0` to `ai3` are the outputs of accelerometer, laser, base sensor and current monitor in volts, `ao0` is the input of
-an amplifier of 1 A/V. One thread lets rig time pass at the speed of wall time and plays what tasks have to play.
+`ai0` to `ai3` are the outputs of accelerometer, laser, base sensor and current monitor in volts. `ao0` is the input of
+an amplifier of 1 A/V. One thread advances rig time at the speed of wall time, and plays the samples of the output task.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ from impact_rig.topics import INFO
 INPUTS = ("accelerometer", "laser", "base", "current")
 OUTPUT_RANGE_V = 10.0
 MOST_TASKS = 64
-MOST_SAMPLES = 10_000_000  # of a buffer, and of one finite task
-BUFFER_S = 0.1  # how far the output is written ahead of the rig
-BEHIND_S = 0.5  # a board that was held up longer does not catch up
+MOST_SAMPLES = 10_000_000  # largest size of a buffer, and of one finite task
+BUFFER_S = 0.1  # rig time for which output samples are written in advance
+BEHIND_S = 0.5  # a board that was delayed by more than this does not catch up
 BLOCKS_PER_S = 100
 RATE_KEYS = {"ai": "daq.rate_hz", "ao": "drive.stream_rate_hz"}
 
@@ -78,10 +78,10 @@ class Code(enum.IntEnum):
 
 
 class DaqmxError(ImpactRigError):
-    """An error that NI-DAQmx reports by its number.
+    """Error that NI-DAQmx reports by its number.
 
     Attributes:
-        code: the number.
+                code: NI's number of the error.
     """
 
     def __init__(self, code: Code, message: str) -> None:
@@ -100,11 +100,11 @@ class State(enum.Enum):
 
 @attrs.frozen
 class BoardChannel:
-    """A channel of a task.
+    """Channel of a task.
 
     Attributes:
-        name: name within the task.
-        physical: name of the board's channel, without the device.
+        name: name of the channel within the task.
+        physical: name of the channel on the board, without the device.
         device: name of the device.
         low: smallest value [unit of the channel].
         high: largest value.
@@ -128,16 +128,16 @@ class BoardChannel:
 
 @attrs.define(eq=False)
 class DaqmxTask:
-    """A task and what it has done since its start.
+    """Task, with its settings and its progress since the start.
 
     Attributes:
         name: name of the task.
         kind: "ai" or "ao"; empty without channels.
-        rate_hz: samples per second of its clock; 0: on demand.
-        samples: number of samples of a finite task; None: continuous.
+        rate_hz: samples per second of its clock; 0 means that each call reads or writes at once.
+        samples: number of samples of a finite task; None means a continuous task.
         clock_samples: samples per channel as configured.
-        buffer_samples: size of its buffer as configured; None: as NI-DAQmx chooses it.
-        trigger: kind of the task that starts it; empty: it starts by itself.
+        buffer_samples: size of its buffer as configured; None means the size that NI-DAQmx would choose.
+        trigger: kind of the task whose start also starts this one; empty if it has no trigger.
         regenerates: whether an output repeats its buffer.
         auto_starts: whether a read starts it.
         run: number of its starts.
@@ -170,7 +170,7 @@ class DaqmxTask:
 
     @property
     def is_active(self) -> bool:
-        """Return whether it is running or waits for its trigger."""
+        """Return whether the task is running or waits for its trigger."""
         return self.state in {State.ARMED, State.RUNNING}
 
     @property
@@ -183,7 +183,7 @@ class DaqmxTask:
 
     @property
     def progress(self) -> int:
-        """Number of samples that were acquired or handed to the rig since the start."""
+        """Number of samples that were acquired, or passed to the rig, since the start."""
         return self.passed + self.available
 
     @property
@@ -200,15 +200,15 @@ class DaqmxTask:
 
 
 class Board:
-    """The tasks of one rig.
+    """Board with the tasks of one rig.
 
     Args:
         config: configuration of the rig that is simulated here.
-        rig: a rig that runs by itself, which is used instead of a simulated one; it keeps its rates.
+        rig: a running rig to use instead of a simulated one; its rates cannot be changed.
         devices: names under which the board is known.
 
     Attributes:
-        changed: lock of everything here, notified when something has changed.
+        changed: condition that guards all attributes; it is notified after each change.
         tasks: tasks by name.
     """
 
@@ -258,14 +258,14 @@ class Board:
         """Return a task by its name.
 
         Raises:
-            DaqmxError: there is none.
+            DaqmxError: there is no such task.
         """
         if name not in self.tasks:
             raise DaqmxError(Code.INVALID_TASK, f"there is no task {name!r}")
         return self.tasks[name]
 
     def clear(self, task: DaqmxTask) -> None:
-        """Stop and forget a task."""
+        """Stop a task and remove it."""
         self.stop(task)
         self.tasks.pop(task.name, None)
         self.changed.notify_all()
@@ -274,7 +274,7 @@ class Board:
         """Return device and channel of each channel in a list such as `Dev1/ai0:3, Dev1/ai5`.
 
         Raises:
-            DaqmxError: unknown device or channel.
+            DaqmxError: a device or channel is unknown.
         """
         found = []
         for item in filter(None, (part.strip() for part in text.split(","))):
@@ -306,7 +306,7 @@ class Board:
         """Add channels to a task.
 
         Raises:
-            DaqmxError: unknown channel, or one that the task cannot have.
+            DaqmxError: a channel is unknown, or does not fit the task.
         """
         self._must_be_idle(task)
         if not limits[0] < limits[1]:
@@ -358,7 +358,7 @@ class Board:
         """Set the sample clock of a task.
 
         Raises:
-            DaqmxError: invalid rate or number of samples.
+            DaqmxError: the rate or the number of samples is invalid.
         """
         self._must_be_idle(task)
         self._must_have_channels(task)
@@ -377,7 +377,7 @@ class Board:
         """Set the size of a task's buffer.
 
         Raises:
-            DaqmxError: invalid size.
+            DaqmxError: the size is invalid.
         """
         self._must_be_idle(task)
         if not 1 <= samples <= MOST_SAMPLES:
@@ -385,10 +385,10 @@ class Board:
         task.buffer_samples = samples
 
     def configure_trigger(self, task: DaqmxTask, source: str) -> None:
-        """Start a task with a task of the other kind, whose start trigger is `source`; empty: by itself.
+        """Let the start of the other kind of task, `source`, start this one too; an empty `source` removes the trigger.
 
         Raises:
-            DaqmxError: unknown terminal.
+            DaqmxError: there is no such terminal.
         """
         self._must_be_idle(task)
         match = re.fullmatch(r"/?[^/]+/(ai|ao)/StartTrigger", source, re.IGNORECASE)
@@ -401,10 +401,10 @@ class Board:
         task.trigger = match[1].lower() if match else ""
 
     def start(self, task: DaqmxTask) -> None:
-        """Start a task, or arm it where it has a start trigger.
+        """Start a task; if it has a start trigger, arm it instead.
 
         Raises:
-            DaqmxError: it cannot be started.
+            DaqmxError: the task cannot be started.
         """
         if task.is_active:
             return
@@ -428,7 +428,7 @@ class Board:
             self._trigger(rig, [task, *armed])
 
     def stop(self, task: DaqmxTask) -> None:
-        """Stop a task; what was acquired can no longer be read."""
+        """Stop a task; acquired samples can no longer be read."""
         self._end(task, State.IDLE)
         task.acquisition, task.error, task.passed = None, None, 0
         if task.kind == "ao" and not task.regenerates:
@@ -438,7 +438,7 @@ class Board:
         """Return whether a task is not running.
 
         Raises:
-            DaqmxError: it was ended by an error.
+            DaqmxError: an error ended the task.
         """
         self._raise_error(task)
         return not task.is_active
@@ -452,16 +452,16 @@ class Board:
 
         Args:
             task: the task; it is started if it is not running.
-            count: samples per channel; negative: all of a finite task, or all available ones.
+            count: samples per channel; a negative count means all samples of a finite task, or all available ones.
             most: largest number of samples per channel.
-            timeout_s: how long to wait for them; negative: forever.
-            goes_on: whether someone still waits.
+            timeout_s: longest wait [s]; a negative value means no limit.
+            goes_on: returns whether the caller still waits.
 
         Returns:
             Values in the units of the channels, shape (channels, count).
 
         Raises:
-            DaqmxError: they are not there in time, or will never be.
+            DaqmxError: the samples do not arrive in time, or cannot arrive at all.
         """
         if task.kind != "ai":
             raise DaqmxError(Code.READ_NO_INPUT_CHANS_IN_TASK, "the task has no input channels")
@@ -506,13 +506,13 @@ class Board:
 
         Args:
             task: the task.
-            values: volts, shape (n,).
-            timeout_s: how long to wait for room in the buffer; negative: forever.
-            goes_on: whether someone still waits.
-            auto_start: whether the task is started.
+            values: samples [V], shape (n,).
+            timeout_s: longest wait for space in the buffer [s]; a negative value means no limit.
+            goes_on: returns whether the caller still waits.
+            auto_start: whether to start the task.
 
         Raises:
-            DaqmxError: they cannot be written, or not in time.
+            DaqmxError: the samples cannot be written, or not in time.
         """
         if task.kind != "ao":
             raise DaqmxError(Code.WRITE_NO_OUTPUT_CHANS_IN_TASK, "the task has no output channels")
@@ -560,10 +560,10 @@ class Board:
         task.data = np.concatenate([task.data, values])
 
     def wait_until_done(self, task: DaqmxTask, timeout_s: float, goes_on: Callable[[], bool]) -> None:
-        """Wait until all samples of a task are acquired or generated; negative: forever.
+        """Wait until all samples of a task are acquired or generated; a negative time-out means no limit.
 
         Raises:
-            DaqmxError: they are not in time, it was not started, or it was ended by an error.
+            DaqmxError: the wait timed out, the task was not started, or an error ended it.
         """
         if task.state is State.IDLE:
             raise DaqmxError(Code.CANNOT_PERFORM_OP_WHEN_TASK_NOT_RUNNING, "the task is not running: start it first")
@@ -576,7 +576,7 @@ class Board:
         self, is_over: Callable[[], bool], timeout_s: float, goes_on: Callable[[], bool], code: Code,
         message: Callable[[], str],
     ) -> None:  # fmt: skip
-        """Wait until `is_over()`, with this error at the time-out (negative: never) or when `goes_on()` is false."""
+        """Wait until `is_over()`; raise this error at the time-out (never if < 0), or once `goes_on()` is false."""
         deadline = math.inf if timeout_s < 0.0 else time.monotonic() + timeout_s
         while not is_over():
             left = deadline - time.monotonic()
@@ -587,7 +587,7 @@ class Board:
     # Work of the thread
 
     def _pump(self) -> None:
-        """Let rig time pass as wall time does, and keep the outputs supplied."""
+        """Advance rig time with wall time, and supply the output with samples."""
         while not self._ended:
             with self.changed:
                 rig = self._rig
@@ -600,7 +600,7 @@ class Board:
                         self._epoch, behind_s = self._epoch + behind_s, 0.0
                     for _ in range(int(behind_s * rig.rate_hz / rig.block_scans)):
                         rig.step()
-                        self._after_block(rig)  # after each, so that a busy machine is no reason for an underrun
+                        self._after_block(rig)  # after each block, so that a busy machine causes no underrun
             time.sleep(0.5 / BLOCKS_PER_S)
 
     def _after_block(self, rig: RigDriver) -> None:
@@ -611,7 +611,7 @@ class Board:
         self.changed.notify_all()
 
     def _continue(self, task: DaqmxTask, rig: RigDriver) -> None:
-        """Do what a running task has to do now."""
+        """Do the work that a running task needs after a block."""
         if task.kind == "ai":
             if task.samples is not None and task.progress >= task.samples:
                 self._end(task, State.DONE)
@@ -666,10 +666,10 @@ class Board:
             self._continue(task, rig)
 
     def _prepare(self, task: DaqmxTask) -> RigDriver:
-        """Return the rig, which has the rates that the tasks need.
+        """Return the rig, running at the rates that the tasks need.
 
         Raises:
-            DaqmxError: it cannot have them now.
+            DaqmxError: it cannot run at these rates now.
         """
         rates = {}
         for kind, key in RATE_KEYS.items():
@@ -693,7 +693,7 @@ class Board:
         """Return the configuration of a rig with other rates, in blocks of 10 ms.
 
         Raises:
-            DaqmxError: it cannot have them.
+            DaqmxError: it cannot run at these rates.
         """
         if self._fixed is not None:
             known = {"daq.rate_hz": self._fixed.rate_hz, "drive.stream_rate_hz": self._fixed.stream_rate_hz}

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""NI's gRPC interface of NI-DAQmx, served by a rig: what buffered analog input and output need.
+"""Server of NI's gRPC interface of NI-DAQmx for a rig: the calls that buffered analog input and output need.
 
-The messages are those of the `nidaqmx` package. What is not served gets NI's own answer, "not supported": a call that
-is not here is UNIMPLEMENTED, and a property that is not here has the error code -200197.
+The messages are those of the `nidaqmx` package. Everything else gets NI's own answer, "not supported": a call that this
+module does not define returns UNIMPLEMENTED, and a property that it does not define returns the error code -200197.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from impact_rig.system import extras
 
 MOST_MESSAGE_BYTES = 16_000_000
 MOST_EVENTS, MOST_CALLS = 16, 48
-VERSION = {"MAJOR": 23, "MINOR": 8, "UPDATE": 0}  # of the driver whose interface this is
+VERSION = {"MAJOR": 23, "MINOR": 8, "UPDATE": 0}  # version of the NI-DAQmx driver whose interface this is
 FINITE, CONTINUOUS = 10178, 10123
 ALLOW_REGENERATION, DONT_ALLOW_REGENERATION = 10097, 10158
 ANALOG_INPUT, ANALOG_OUTPUT = 10100, 10102
@@ -50,10 +50,10 @@ NEW_SESSION, ATTACH = 1, 2
 BY_CHANNEL = 0
 ACQUIRED, TRANSFERRED = 1, 2
 TRANSFERRED_KEYS = {"Read": "ni-samps-per-chan-read", "Write": "ni-samps-per-chan-written"}
-"""By the first word of a call, the key of how many samples it has transferred, none where it fails."""
+"""Key of the number of samples that a call has transferred, by the first word of the call; errors report it, too."""
 ABORT, START, STOP = 6, 0, 1
 PROPERTY_TYPES = {"Bool": bool, "Double": float, "Int32": int, "String": str, "UInt32": int, "UInt64": int}
-"""By the last word of a call, the type of the properties that it gets."""
+"""Type of the properties that a call gets, by the last word of the call."""
 VOLTS_PER_SENSITIVITY = {12509: 1e-3, 12510: 1.0}  # mV/g, V/g
 ACCELERATIONS = {10186: (1.0, "g"), 12470: (9.80665, "m/s^2"), 12471: (9.80665 / 0.0254, "in/s^2")}
 
@@ -61,10 +61,10 @@ _load = functools.partial(extras.load, purpose="impact-rig daqmx", extra="nidaqm
 
 
 def _served(method: Callable[..., dict[str, Any] | None], name: str = "") -> Callable[..., Any]:
-    """Serve a call by a method that returns the fields of its response, and errors as the `nidaqmx` package expects.
+    """Serve a call by a method that returns the fields of the response; send errors as the `nidaqmx` package expects.
 
     Args:
-        method: the method; the calls run one at a time.
+        method: the method; only one call runs at a time.
         name: name of the call (default: that of the method).
     """
     name = name or method.__name__
@@ -105,7 +105,7 @@ class Service:
 
     @_served
     def CreateTask(self, request: Any, context: Any) -> dict[str, Any]:
-        """Create a task, or attach to that of this name."""
+        """Create a task, or return the existing task of this name."""
         name, behavior = request.session_name, request.initialization_behavior
         is_new = behavior == NEW_SESSION or (behavior != ATTACH and name not in self.board.tasks)
         task = self.board.create(name) if is_new else self.board.find(name)
@@ -113,7 +113,7 @@ class Service:
 
     @_served
     def ClearTask(self, request: Any, context: Any) -> None:
-        """Stop and forget a task."""
+        """Stop a task and remove it."""
         self.board.clear(self._task(request))
 
     @_served
@@ -123,7 +123,7 @@ class Service:
 
     @_served
     def StopTask(self, request: Any, context: Any) -> None:
-        """Stop a task; an error that ended it is reported here."""
+        """Stop a task, and report the error that ended it, if any."""
         task = self._task(request)
         error = task.error
         self.board.stop(task)
@@ -132,7 +132,7 @@ class Service:
 
     @_served
     def TaskControl(self, request: Any, context: Any) -> None:
-        """Move a task to another state: only start, stop and abort have something to do."""
+        """Move a task to another state; only start, stop and abort have an effect."""
         task, action = self._task(request), _value(request, "action")
         if action == START:
             self.board.start(task)
@@ -160,13 +160,13 @@ class Service:
 
     @_served
     def CreateAIVoltageChan(self, request: Any, context: Any) -> None:
-        """Add inputs that are read in volts."""
+        """Add input channels that are read in volts."""
         self._must_be(request, "units", {VOLTS})
         self._add(request, "ai")
 
     @_served
     def CreateAIAccelChan(self, request: Any, context: Any) -> None:
-        """Add inputs that are read as acceleration, by the sensitivity that the caller states."""
+        """Add input channels that are read as acceleration, with the sensitivity that the caller states."""
         units = self._must_be(request, "units", set(ACCELERATIONS))
         kind = self._must_be(request, "sensitivity_units", set(VOLTS_PER_SENSITIVITY))
         if not request.sensitivity > 0.0:
@@ -176,13 +176,13 @@ class Service:
 
     @_served
     def CreateAOVoltageChan(self, request: Any, context: Any) -> None:
-        """Add the output."""
+        """Add the output channel."""
         self._must_be(request, "units", {VOLTS})
         self._add(request, "ao")
 
     @_served
     def CfgSampClkTiming(self, request: Any, context: Any) -> None:
-        """Set the sample clock."""
+        """Set the sample clock of a task."""
         finite = self._must_be(request, "sample_mode", {FINITE, CONTINUOUS}) == FINITE
         if request.source.rpartition("/")[2] not in {"", "OnboardClock"}:
             raise DaqmxError(Code.TRIGGER_TERMINAL, f"no clock {request.source!r}: use the onboard clock")
@@ -190,29 +190,29 @@ class Service:
 
     @_served
     def CfgDigEdgeStartTrig(self, request: Any, context: Any) -> None:
-        """Start with another task."""
+        """Let the start of another task start this task."""
         self.board.configure_trigger(self._task(request), request.trigger_source)
 
     @_served
     def DisableStartTrig(self, request: Any, context: Any) -> None:
-        """Start by itself."""
+        """Remove the start trigger of a task."""
         self.board.configure_trigger(self._task(request), "")
 
     @_served
     def CfgInputBuffer(self, request: Any, context: Any) -> None:
-        """Set the size of the input buffer."""
+        """Set the size of a task's input buffer."""
         self.board.configure_buffer(self._task(request), request.num_samps_per_chan)
 
     @_served
     def CfgOutputBuffer(self, request: Any, context: Any) -> None:
-        """Set the size of the output buffer."""
+        """Set the size of a task's output buffer."""
         self.board.configure_buffer(self._task(request), request.num_samps_per_chan)
 
     # Data
 
     @_served
     def ReadAnalogF64(self, request: Any, context: Any) -> dict[str, Any]:
-        """Read samples."""
+        """Read samples of all channels of a task."""
         task, count = self._task(request), request.num_samps_per_chan
         most = min(request.array_size_in_samps, MOST_MESSAGE_BYTES // 9) // max(1, len(task.channels))
         values = self.board.read(task, count, most, request.timeout, context.is_active)
@@ -280,14 +280,14 @@ class Service:
 
     @_served
     def WriteAnalogScalarF64(self, request: Any, context: Any) -> None:
-        """Write one sample."""
+        """Write one sample to the output."""
         value = np.array([request.value])
         self.board.write(self._task(request), value, request.timeout, context.is_active, auto_start=request.auto_start)
 
     # Events
 
     def RegisterEveryNSamplesEvent(self, request: Any, context: Any) -> Iterator[Any]:
-        """Report each time that so many samples were acquired or played."""
+        """Report each time that the requested number of samples was acquired or played."""
 
         def check(task: DaqmxTask) -> None:
             self._must_be(request, "every_n_samples_event_type", {ACQUIRED if task.kind == "ai" else TRANSFERRED})
@@ -303,7 +303,7 @@ class Service:
         return self._follow(request, context, check, pending, lambda _: response)
 
     def RegisterDoneEvent(self, request: Any, context: Any) -> Iterator[Any]:
-        """Report that a task is done."""
+        """Report once that a task is done."""
 
         def pending(task: DaqmxTask, reported: int) -> int:
             return int(task.state is State.DONE and not reported)
@@ -352,10 +352,10 @@ class Service:
     # Properties
 
     def get_property(self, name: str, request: Any) -> Any:
-        """Return a property by the kind and the number of the request.
+        """Return the value of a property, by the type and the number in the request.
 
         Raises:
-            DaqmxError: it is not served.
+            DaqmxError: this board does not have the property.
         """
         attribute = request.attribute_raw or request.attribute
         if name.startswith("SystemInfo"):
@@ -436,7 +436,7 @@ class Service:
         """Set a property of a task.
 
         Raises:
-            DaqmxError: it cannot be set, or not to this value.
+            DaqmxError: the property cannot be set, or not to this value.
         """
         pb, task, attribute = self._pb, self._task(request), request.attribute_raw or request.attribute
         value = _value(request, "value")
@@ -458,7 +458,7 @@ class Service:
 
     @_served
     def GetErrorString(self, request: Any, context: Any) -> dict[str, Any]:
-        """Return the name of an error."""
+        """Return the name of an error code."""
         name = Code(request.error_code).name if request.error_code in set(Code) else ""
         return {"error_string": name.replace("_", " ").capitalize()}
 
@@ -493,7 +493,7 @@ def _value(request: Any, field: str) -> Any:
 
 
 def _properties(servicer: type) -> dict[str, Callable[..., Any]]:
-    """Return the methods that get and set properties, of each type that NI's interface has."""
+    """Return the methods that get and set properties, for each type of property in NI's interface."""
     return {
         name: _property_method(name)
         for name in dir(servicer)
@@ -521,7 +521,7 @@ def servicer(board: Board) -> Any:
 
 @contextlib.contextmanager
 def serving(board: Board, address: str) -> Iterator[tuple[Any, int]]:
-    """Serve a board until the end of the block; yields the server and its port.
+    """Serve a board until the end of the block; yield the server and its port.
 
     Args:
         board: the rig as a board.
@@ -550,5 +550,5 @@ def serving(board: Board, address: str) -> Iterator[tuple[Any, int]]:
         try:
             yield server, port
         finally:
-            board.close()  # calls that wait end with it
+            board.close()  # this also ends the calls that wait
             server.stop(0).wait()

@@ -13,8 +13,8 @@
 # limitations under the License.
 """`RigDriver`: the interface of a rig that a program drives, in this process or behind topics.
 
-Rig time passes only in `step`, which follows a rig that runs by itself. Inputs act at exact samples. Everything that
-the rig publishes is read as tables.
+Rig time advances only in `step`; for a rig that runs by itself, `step` waits instead. Inputs take effect at exact
+samples. Everything that the rig publishes is read as tables.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ from impact_rig.simtime import NS_PER_S, TICKS_PER_S, stamp_ns
 
 SCANS = topics.SCAN.name
 ESSENTIAL = (topics.INFO.name, topics.APPLIED.name, topics.JOURNAL.name)
-"""Topics whose tables are always kept: each table is valid until the next one."""
+"""Topics whose tables are always kept, because each table is valid until the next one."""
 TOPICS = (SCANS, *ESSENTIAL, topics.IMPACTS_TRUTH.name, topics.FAULTS.name)
-"""Tables that every driver keeps."""
+"""Topics whose tables every driver keeps."""
 STEP_TIMEOUT_S = 240.0  # without the library of kernels, the first step compiles the physics
 _DEFAULTS = to_flat(RigConfig())
 _ROWS = {**{topic.name: topic.columns for topic in topics.COMMON if topic.columns is not None}, SCANS: SCAN}
@@ -51,11 +51,11 @@ _HIDDEN = ("time.", "instruments.faults")  # not useful in a report; listed as t
 
 
 class NotReachedError(ImpactRigError, AssertionError):
-    """Failure of a wait in a test: the condition was not met within the given simulated time."""
+    """Timeout of a wait in a test: the condition was not met within the given simulated time."""
 
 
 class NoSamplesError(ImpactRigError, TimeoutError):
-    """Lack of samples: the stream that drives a rig has none for its next block."""
+    """Lack of samples: the stream that drives a rig has no samples for the next block."""
 
 
 class StreamLevel(NamedTuple):
@@ -63,10 +63,10 @@ class StreamLevel(NamedTuple):
 
     Attributes:
         sample: number of the next sample to play.
-        buffered: samples that follow from there without a gap.
-        capacity: samples that the buffer can hold.
-        late: samples that arrived too late and were dropped, so far.
-        missing: samples that were needed and had not arrived, so far.
+        buffered: number of samples from there on, up to the first gap.
+        capacity: number of samples that the buffer can hold.
+        late: number of samples dropped so far because they arrived too late.
+        missing: number of samples so far that had not arrived when they were needed.
     """
 
     sample: int
@@ -77,7 +77,7 @@ class StreamLevel(NamedTuple):
 
 
 class Turns:
-    """Reentrant lock that threads get in the order in which they ask for it."""
+    """Reentrant lock that serves threads in the order of their requests."""
 
     def __init__(self) -> None:
         self._next, self._lock = threading.Lock(), threading.Lock()
@@ -99,7 +99,7 @@ class Turns:
 
 
 class RigDriver(abc.ABC):
-    """Rig that a program drives.
+    """Rig that a program operates.
 
     Args:
         name: name in reports.
@@ -109,9 +109,9 @@ class RigDriver(abc.ABC):
         sample: first scan of the next block.
         closed: whether `close` was called.
         lead_s: rig time by which a stream must be ahead of `stream_level().sample` to arrive in time.
-        runs_by_itself: whether rig time passes without `step`, which then waits for it.
-        scenario: program that repeats what is played on this rig, saved with the run of a failed test.
-        turns: lock that threads which share the rig hold while they call it.
+        runs_by_itself: whether rig time advances without `step`; `step` then waits for it.
+        scenario: program that repeats the actions on this rig; it is saved with the run of a failed test.
+        turns: lock that a thread holds while it calls a rig that it shares with other threads.
         fed: event that is set when samples were sent or the stream was ended.
     """
 
@@ -167,7 +167,7 @@ class RigDriver(abc.ABC):
         """Write everything kept as an MCAP run into a new directory, and return the directory.
 
         Raises:
-            RecordingError: it cannot be written.
+            RecordingError: the run cannot be written.
         """
 
     @abc.abstractmethod
@@ -183,7 +183,7 @@ class RigDriver(abc.ABC):
         """Start a fault at its exact sample, which must not have been measured yet, and return its number.
 
         Raises:
-            CommandError: unknown kind or channel, or too late.
+            CommandError: the kind or channel is unknown, or the sample has been measured already.
         """
 
     @abc.abstractmethod
@@ -191,7 +191,7 @@ class RigDriver(abc.ABC):
         """Send samples of the stream that drives the rig, starting with number `first`; an empty array ends the stream.
 
         Raises:
-            CommandError: the rig rejects them, or has stopped.
+            CommandError: the rig rejects the samples, or has stopped.
         """
 
     @abc.abstractmethod
@@ -213,7 +213,7 @@ class RigDriver(abc.ABC):
 
     @property
     def waiting(self) -> str:
-        """Readable reason why a measurement waits, such as a sphere that may still strike; empty if unknown."""
+        """Reason why a measurement is not finished, such as a sphere that may still strike; empty if unknown."""
         return ""
 
     def poll(self) -> None:  # noqa: B027  # a rig that moves only in `step` has nothing to process
@@ -294,7 +294,7 @@ class RigDriver(abc.ABC):
             every_s: rig time between two evaluations, rounded up to whole blocks.
 
         Raises:
-            NotReachedError: it did not become true in time.
+            NotReachedError: the condition did not become true in time.
         """
         begin, blocks = self.time_s, max(1, math.ceil(every_s * self.rate_hz / self.block_scans - 1e-9))
         while not condition():
@@ -321,7 +321,7 @@ class RigDriver(abc.ABC):
 
         Raises:
             CommandError: no command can act on this scan, or the rig rejected the command.
-            ConfigError: the rig is already past it.
+            ConfigError: the rig has already passed `at_sample`.
         """
         if at_sample is None:
             return self._command(frequency_hz, current_a)

@@ -13,10 +13,10 @@
 # limitations under the License.
 """Buffered analog output and input of a rig, for controllers.
 
-`AnalogOutput` plays blocks of samples and `Acquisition` reads scans. Each works without the other, so they may be in
-two processes, each with its own `RosRig`, or in two threads that share one rig. Threads cannot share a `RosRig` in
-lockstep: its step waits for samples while the other thread waits for its turn. `Hardware` is the pair in one program.
-All calls that wait have a time-out, and blocks may have any size.
+`AnalogOutput` plays blocks of samples and `Acquisition` reads scans. Each works without the other: they may be in two
+processes, each with its own `RosRig`, or in two threads that share one rig. Threads cannot share a `RosRig` in
+lockstep, because its step waits for samples while the other thread waits for its turn. `Hardware` combines both for one
+program. Every call that waits has a time-out, and blocks may have any size.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ from impact_rig.topics import INFO
 
 TIMEOUT_S = 10.0
 SLICE_S = 0.1  # longest wait for a block before another thread has its turn
-UNREAD_S = 60.0  # scans that an acquisition keeps for its reader
+UNREAD_S = 60.0  # duration of the scans that an acquisition keeps for its reader
 
 
 class UnderrunError(CommandError):
-    """Samples were not written in time, so the rig went on without them.
+    """Underrun: samples were not written in time, so the rig continued without them.
 
     Attributes:
         samples: number of samples that were not played.
@@ -59,9 +59,9 @@ class AnalogOutput:
     """Buffered output: the rig plays the samples that are written, block after block without a gap.
 
     Args:
-        rig: rig with `drive.waveform: stream`; what it has published is forgotten while this waits.
-        buffer_s: how far samples are written ahead of the rig at most, which is the latency of a controller
-            (default: `drive.stream_buffer_s`).
+        rig: rig with `drive.waveform: stream`; while a call waits, tables that the rig has published are dropped.
+        buffer_s: largest duration by which samples are written ahead of the rig, which is the latency of a controller
+            [s] (default: `drive.stream_buffer_s`).
         raise_underrun: whether `write` raises `UnderrunError` when samples were not played in time; otherwise it
             returns their number and continues at the rig's present time.
 
@@ -91,36 +91,36 @@ class AnalogOutput:
 
     @property
     def buffered(self) -> int:
-        """Number of samples that were written and are still to be played."""
+        """Number of samples that were written and have not been played yet."""
         if self.next_sample is None or not self._playing:
             return sum(map(len, self._waiting))
         return max(0, self.next_sample - self._level().sample)
 
     @property
     def space(self) -> int:
-        """Number of samples that `write` takes now without waiting."""
+        """Number of samples that `write` accepts now without waiting."""
         return self._size - self.buffered
 
     @property
     def late(self) -> int:
-        """Number of samples since the start that reached the rig too late and were not played."""
+        """Number of samples since the start that reached the rig too late, so they were not played."""
         return self._level().late - self._before.late
 
     @property
     def missing(self) -> int:
-        """Number of samples since the start that the rig had to do without."""
+        """Number of samples since the start that the rig needed before they arrived."""
         return self._level().missing - self._before.missing
 
     def ready(self, count: int) -> bool:
-        """Return whether `write` takes this many samples now without waiting."""
+        """Return whether `write` would accept this many samples now without waiting."""
         return count <= self.space
 
     def start(self, lead_s: float | None = None) -> int:
-        """Begin to play what was written, and return the number of the first sample.
+        """Begin to play the written samples, and return the number of the first one.
 
         Args:
-            lead_s: time from the sample that the rig wants next to the first one (default: as early as it arrives in
-                time).
+            lead_s: time between the sample that the rig needs next and the first one that is played [s] (default: the
+                shortest with which the sample arrives in time).
         """
         rig = self._rig
         with rig.turns:
@@ -137,19 +137,20 @@ class AnalogOutput:
         return first
 
     def write(self, samples: ArrayLike, timeout_s: float = TIMEOUT_S) -> int:
-        """Append samples and return once the buffer has taken them; before the start they are kept for it.
+        """Append samples, and return once the buffer has accepted them; before the start, they are kept until then.
 
         Args:
-            samples: A, m or V by `drive.kind`, shape (n,).
-            timeout_s: how long the rig may take to make room.
+            samples: samples [A, m or V by `drive.kind`], shape (n,).
+            timeout_s: longest wait for space in the buffer [s].
 
         Returns:
-            Number of samples that were not played in time since the last call, 0 where an underrun raises.
+            Number of samples that were not played in time since the last call, 0 if `raise_underrun` is set.
 
         Raises:
-            TimeoutError: there was no room in time.
-            UnderrunError: samples were not played in time; `start` begins again.
-            CommandError: the rig refuses the samples or has stopped, or they do not fit before the start.
+            TimeoutError: the buffer had no space in time.
+            UnderrunError: samples were not played in time; call `start` to continue.
+            CommandError: the rig rejects the samples or has stopped, or more samples were written before the start than
+                the buffer holds.
         """
         values = np.asarray(samples, np.float64)
         deadline, lost = time.monotonic() + timeout_s, 0
@@ -170,9 +171,9 @@ class AnalogOutput:
         return lost
 
     def stop(self) -> None:
-        """End the stream after what was written: the drive ramps to zero and the rig waits for no more samples.
+        """End the stream after the written samples: the drive ramps to zero, and the rig waits for no more samples.
 
-        Does nothing if the output is not playing or the rig has stopped.
+        Has no effect if the output is not playing or the rig has stopped.
         """
         with self._rig.turns:
             if self._playing and self.next_sample is not None:
@@ -196,7 +197,7 @@ class AnalogOutput:
         self.next_sample += len(values)
 
     def _lost(self) -> int:
-        """Return how many samples were not played since the last call; continue where the rig is."""
+        """Return how many samples were not played since the last call; continue at the rig's present sample."""
         assert self.next_sample is not None
         level = self._level()
         lost = level.late - self._counted.late
@@ -222,11 +223,11 @@ class AnalogOutput:
 
 
 class Acquisition:
-    """Buffered input: scans are kept from the start until they are read.
+    """Buffered input: it keeps scans from the start until they are read.
 
     Args:
-        rig: rig that is read; what it has published is forgotten while this waits.
-        buffer_s: how much is kept for the reader; older scans are lost.
+        rig: rig to read; while a call waits, tables that the rig has published are dropped.
+        buffer_s: duration of the scans that are kept for the reader [s]; older scans are lost.
 
     Attributes:
         next_scan: number of the next scan to be read; None until the first one is known.
@@ -244,13 +245,13 @@ class Acquisition:
 
     @property
     def available(self) -> int:
-        """Number of scans that `read` returns now without waiting, lost ones included."""
+        """Number of scans that `read` would return now without waiting, including lost ones."""
         with self._rig.turns:
             _refresh(self._rig)
             return 0 if self.next_scan is None else max(0, self._end - self.next_scan)
 
     def start(self, scan: int | None = None) -> None:
-        """Keep scans from number `scan` on (default: from the next one that arrives)."""
+        """Keep the scans from number `scan` on (default: from the next one that arrives)."""
         with self._rig.turns:
             if not self._started:
                 self._rig.connect(self._on_block)
@@ -260,14 +261,14 @@ class Acquisition:
             self._end = self._kept[-1][0] + len(self._kept[-1][1]) if self._kept else scan or 0
 
     def stop(self) -> None:
-        """Keep no more scans; those that have arrived can still be read."""
+        """Stop keeping scans; those that have arrived can still be read."""
         with self._rig.turns:
             if self._started:
                 self._rig.disconnect(self._on_block)
             self._started = False
 
     def delay_s(self, sample: int, scan: int) -> float:
-        """Return how much later a scan is taken than a sample is played [s], exactly: both are on rig time."""
+        """Return the exact time from the playing of a sample to the taking of a scan [s], both in rig time."""
         rig = self._rig
         return (stamp_ns(scan, rig.rate_hz) - stamp_ns(sample, rig.stream_rate_hz)) / NS_PER_S
 
@@ -276,14 +277,14 @@ class Acquisition:
 
         Args:
             count: number of scans.
-            timeout_s: how long none may arrive.
+            timeout_s: longest time without a new scan [s].
 
         Returns:
-            Rows with a field for each channel, shape (count,); fewer where scans were lost.
+            Rows with a field for each channel, shape (count,); fewer if scans were lost.
 
         Raises:
-            TimeoutError: they did not arrive in time, or the output had no samples for them.
-            CommandError: the rig has stopped while its output was waited for.
+            TimeoutError: the scans did not arrive in time, or the output had no samples for them.
+            CommandError: the rig stopped while it waited for samples of the output.
         """
         if not self._started and self.available < count:
             self.start(self.next_scan)
@@ -295,7 +296,7 @@ class Acquisition:
         return self._cut(count)
 
     def read_remaining(self) -> NDArray[np.void]:
-        """Return the scans that have arrived and were not read."""
+        """Return the scans that have arrived and have not been read."""
         return self._cut(self.available)
 
     def _on_block(self, table: Table) -> None:
@@ -323,16 +324,16 @@ class Acquisition:
 
 
 class Hardware:
-    """Output and acquisition of one rig.
+    """Analog output and acquisition of one rig.
 
     Args:
-        rig: rig with `drive.waveform: stream`; what it has published is forgotten as it is read here.
-        abort: by channel, the largest reading of either sign that is tolerated.
+        rig: rig with `drive.waveform: stream`; tables that the rig has published are dropped once they are read here.
+        abort: limit of the absolute reading of a channel, by channel; a larger one raises a `CommandError`.
 
     Attributes:
         rig: the rig.
-        output: plays.
-        acquisition: reads.
+        output: its output, which plays samples.
+        acquisition: its input, which reads scans.
     """
 
     def __init__(self, rig: RigDriver, abort: Mapping[str, float] = MappingProxyType({})) -> None:
@@ -346,12 +347,12 @@ class Hardware:
         return self.rig.tables(INFO.name)[-1].rows
 
     def respond(self, samples: ArrayLike, rest: int = 0) -> NDArray[np.void]:
-        """Play samples and return the scans from the first of them on, and of `rest` scans more after the last.
+        """Play samples, and return the scans from the first sample to the last, and `rest` more.
 
         The stream ends with the last sample. Both rates must be the same.
 
         Raises:
-            TimeoutError: the rig did not continue.
+            TimeoutError: the rig did not advance.
         """
         values = np.asarray(samples, np.float64)
         first = self.output.start()
@@ -376,9 +377,10 @@ class Hardware:
 
 
 class Exchange:
-    """Gapless exchange: each call plays samples and reads as many scans, which answer the samples written a lag ago.
+    """Gapless exchange: each call plays samples and reads as many scans.
 
-    Between two calls the rig has samples for the lag, so the next call need not follow at once.
+    The scans respond to the samples that were written `lag` samples earlier.
+    Between two calls, the rig has samples for the duration of the lag, so the next call may follow later.
 
     Args:
         hardware: output and acquisition, with equal rates.
@@ -393,7 +395,7 @@ class Exchange:
         hardware.output.write(self._ahead)
 
     def exchange(self, samples: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.void]]:
-        """Write samples and read as many scans; return the samples played meanwhile, and the scans."""
+        """Write samples and read as many scans; return the samples that were played with these scans, and the scans."""
         parts = []
         for at in range(0, len(samples), self.lag):
             block = samples[at : at + self.lag]
@@ -412,10 +414,10 @@ def _refresh(rig: RigDriver) -> None:
 
 
 def _advance(rig: RigDriver, deadline: float, what: str) -> None:
-    """Let rig time pass by a block, or wait for another thread to write.
+    """Advance rig time by a block, or wait until another thread writes samples.
 
     Raises:
-        TimeoutError: the deadline is over; names what was waited for.
+        TimeoutError: the deadline has passed; the message says what was awaited.
         CommandError: the rig has stopped.
     """
     left = max(0.0, deadline - time.monotonic())

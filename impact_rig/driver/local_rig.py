@@ -51,9 +51,9 @@ from impact_rig.simtime import stamp_ns
 
 BATCH_BLOCKS = 50
 TYPES = {topic.name: topic.type_name for topic in topics.COMMON}
-KEPT_BYTES = 256_000_000  # what is beyond this size is dropped, oldest first: 10 minutes at 10 kS/s
-KEPT_FAULTS = 100  # injected ones, for reports
-OBJECT_BYTES = 700  # of a table or entry, besides its rows
+KEPT_BYTES = 256_000_000  # limit of the kept tables; the oldest are dropped first: 10 minutes at 10 kS/s
+KEPT_FAULTS = 100  # number of injected faults kept for reports
+OBJECT_BYTES = 700  # memory of a table or entry, in addition to its rows
 ANALYSED = (topics.IMPACTS.name, topics.TRANSMISSIBILITY_TABLE.name, topics.ANALYSIS_SETTINGS.name)
 """Tables of the analysis."""
 NAMESPACE = "/rig"  # namespace of the topics in a recording made while the rig moves
@@ -63,7 +63,7 @@ JOINT_STATES = f"{NAMESPACE}/{topics.JOINT_STATES.name}"
 class LocalRig(RigDriver):
     """Rig in this process, with optional analysis and recording.
 
-    Rig time passes only in `step` and `run`. `command`, `configure` and `inject` take effect at exact samples, `rows`
+    Rig time advances only in `step` and `run`. `command`, `configure` and `inject` take effect at exact samples, `rows`
     and `tables` return what the rig has published, and `save` writes a run. `RosRig` has the same interface.
 
     Args:
@@ -75,7 +75,7 @@ class LocalRig(RigDriver):
             no analysis.
         record: directory of a run to write while the rig moves; None means no recording.
         also: further topics whose tables are kept, such as `truth/scan`.
-        kept_bytes: limit of the memory [bytes] for kept tables and entries; at most half of it is for those that every
+        kept_bytes: limit of the memory for kept tables and entries [bytes]; at most half of it is for those that every
             run needs (journal, commands, calibration). None means no limit.
 
     Attributes:
@@ -196,7 +196,7 @@ class LocalRig(RigDriver):
 
     @property
     def stopped(self) -> str:
-        """Reason why the shaker is stopped."""
+        """Reason why the shaker is stopped; empty if it is not stopped."""
         return "" if self.core.latched is None else f"the rig tripped: {self.core.latched}"
 
     @property
@@ -214,7 +214,7 @@ class LocalRig(RigDriver):
         """Write everything kept as an MCAP run.
 
         Raises:
-            RecordingError: it cannot be written.
+            RecordingError: the run cannot be written.
         """
         directory = Path(directory)
         if directory.exists():
@@ -319,7 +319,7 @@ class LocalRig(RigDriver):
         self._bytes -= _size(one)
 
     def _forget_early(self) -> bool:
-        """Drop the oldest table of `ESSENTIAL` that a later one replaces; return whether there is one."""
+        """Drop the oldest table of `ESSENTIAL` that a later one has replaced; return whether there was one."""
         for index, (topic, one) in enumerate(self._early):
             if self._early_counts[topic] > 1:
                 del self._early[index]
@@ -332,7 +332,7 @@ class LocalRig(RigDriver):
 
 
 def _size(one: Table | JournalEntry) -> int:
-    """Return about how many bytes a table or entry takes."""
+    """Return the approximate memory of a table or entry [bytes]."""
     return OBJECT_BYTES + (one.rows.nbytes if isinstance(one, Table) else len(one.text))
 
 

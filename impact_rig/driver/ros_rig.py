@@ -11,14 +11,14 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`RosRig`: a rig behind topics, newly started on its own ROS domain or already running.
+"""`RosRig`: a rig reached over ROS topics, newly started on its own ROS domain or already running.
 
 A started rig is in lockstep unless its configuration says otherwise: it advances only on request. `step` returns when
 every peer has processed the last block: this program, the recorder, the analysis and each node under test.
 
-A node under test becomes a peer in one of three ways. It is hosted in the test's process, where the return of its
-callback is the acknowledgement, or an output of its own answers each block, or it sends `daq/ack` itself. A rig in
-another time mode runs by itself, and `step` waits for its blocks.
+A node under test becomes a peer in one of three ways. It is hosted in this process: the return of its callback is the
+acknowledgement. Or one of its outputs answers each block. Or it sends `daq/ack` itself. A rig in another time mode runs
+by itself, and `step` waits for its blocks.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ from impact_rig.simtime import NS_PER_S, stamp_ns
 
 NODE_TIMEOUT_S = 30.0  # time limit for a node under test to subscribe
 ACK_WINDOW, WINDOW_S = 8, 0.1
-"""Limits of the blocks published and not acknowledged.
+"""Limits of the number of blocks published and not acknowledged.
 
 They stay below the 10 messages that most nodes keep, so a slow node loses none. They span so little rig time that the
 middleware can hold the messages of the monitors.
@@ -72,13 +72,13 @@ RUN = "run"
 CLIENT, CONTROLLER = "client", "controller"
 """Node name of this program for a rig that it starts, and for a running one, which may list it in `time.peers`."""
 REALTIME_LEAD_S = 0.2
-GRACE_S = 0.005  # wall time allowed for measurements published before a step's answer but not received yet
+GRACE_S = 0.005  # wall time to wait for measurements that were published before the answer to a step
 FIXED = ("time.", "step.", "daq.rate_hz", "daq.block_scans", "output.autostart")
 """Parameters that `restart` leaves unchanged: read-only ones, and those that define how the rig is driven here."""
 
 
 class RosRig(RigDriver):
-    """Rig behind topics, newly started on its own ROS domain or already running.
+    """Rig reached over ROS topics, newly started on its own ROS domain or already running.
 
     It has the interface of `LocalRig`, and a `client` that acts as the operator. Use it to test ROS 2 nodes against the
     rig: `host` runs a node in this process, and `start_node` starts one as a process.
@@ -98,7 +98,7 @@ class RosRig(RigDriver):
         namespace: namespace of a running rig in this environment's domain, which is driven instead of a new one.
 
     Attributes:
-        client: the operator: parameters, services, topics.
+        client: client that acts as the operator: parameters, services, topics.
         processes: the node processes, to stop, kill or suspend one.
 
     Raises:
@@ -237,10 +237,10 @@ class RosRig(RigDriver):
     # The pipeline under test
 
     def host(self, make_node: Callable[..., Any], **kwargs: Any) -> Any:
-        """Run a node under test in this process and return it: it runs in lockstep without any change of its code.
+        """Run a node under test in this process and return it: it runs in lockstep with the rig, its code unchanged.
 
         Raises:
-            ConfigError: it does not subscribe to daq/scan.
+            ConfigError: the node does not subscribe to daq/scan.
         """
         node = self.client.host(make_node, **kwargs)
         if not self.client.acknowledge_callbacks(node):
@@ -274,7 +274,7 @@ class RosRig(RigDriver):
         return self.follow(name, output, timeout_s)
 
     def follow(self, name: str, output: str | None = None, timeout_s: float = NODE_TIMEOUT_S) -> Collector | None:
-        """Keep step with a node that another program has started; see `start_node`."""
+        """Keep in step with a node that another program has started; see `start_node`."""
         node = self.client.node
         self.client.wait_until(
             lambda: name in subscribers(node, SCANS), f"node {name} to subscribe to {SCANS}", timeout_s
@@ -375,13 +375,13 @@ class RosRig(RigDriver):
 
     @property
     def faults(self) -> list[Fault]:
-        """Planned and injected faults; the times of injected ones count from their injection."""
+        """Planned and injected faults; times of injected faults count from their injection."""
         injected = {line for line, _ in self._injected}
         planned = zip(self.config.instruments.faults.planned, super().faults, strict=True)
         return [fault for line, fault in planned if line not in injected] + [fault for _, fault in self._injected]
 
     def poll(self) -> None:
-        """Process what has arrived, without waiting."""
+        """Process the messages that have arrived, without waiting."""
         self.client.spin_pending()
 
     def feed(self, first: int, samples: NDArray[np.float64]) -> None:
@@ -406,7 +406,7 @@ class RosRig(RigDriver):
 
     @property
     def stopped(self) -> str:
-        """Reason why the shaker is stopped."""
+        """Reason why the shaker is stopped; empty if it is not stopped."""
         for entry in self._collectors[topics.JOURNAL.name].entries(self._journal_read):
             self._journal_read += 1
             if entry.kind is InputKind.TRIP:
@@ -420,7 +420,7 @@ class RosRig(RigDriver):
         return self._stopped
 
     def renew(self, config: RigConfig) -> None:
-        """Start again as new with another configuration, in the same processes and without the nodes under test.
+        """Restart the same processes with another configuration, as if they were new, without the nodes under test.
 
         Raises:
             ImpactRigError: a node of the rig has ended or does not answer.
@@ -444,7 +444,7 @@ class RosRig(RigDriver):
             shutil.rmtree(before, ignore_errors=True)
 
     def restart(self, config: RigConfig, analysis: Mapping[str, ParameterValue], record: Path | None = None) -> RosRig:
-        """Start again with another configuration, as in new processes; rate and block length must stay the same.
+        """Restart with another configuration, as if in new processes; scan rate and block length must stay the same.
 
         Args:
             config: configuration of the rig.

@@ -29,7 +29,7 @@ GAP_M = 6e-3
 
 
 def make_sample(directory: Path) -> Path:
-    """Return the directory of a sample run; create it if needed."""
+    """Return the directory of a sample run; record it first if it does not exist."""
     if directory.is_dir():
         try:
             with open_run(directory) as found:

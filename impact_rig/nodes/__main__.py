@@ -41,7 +41,7 @@ options:
 arguments of ROS, behind --ros-args:
   --params-file FILE     parameters from a ROS 2 parameter file, as `ros2 param dump /{node}` writes it
   -p NAME:=VALUE         one parameter, on top of the file
-  -r __ns:=/NAMESPACE    where its topics and services are; relative names are below it
+  -r __ns:=/NAMESPACE    namespace of its topics and services
 
 examples:
   {program} --ros-args -p {example}

@@ -13,9 +13,9 @@
 # limitations under the License.
 """Flow control for `daq/scan`: subscriber discovery, the window of unacknowledged blocks, and acknowledgements.
 
-A rig that runs ahead of time advances as far as its peers have acknowledged. It discovers them in the graph. A peer
-acknowledges up to a block: a single block at once, the blocks of a burst together, and blocks in real time at
-intervals. `Session` decides what to do about a silent peer.
+A rig that the wall clock does not pace advances only as far as its peers have acknowledged. It discovers them in the
+graph. A peer acknowledges all blocks up to one: a single block at once, the blocks of a burst together, and in real
+time at intervals. `Session` decides what to do about a silent peer.
 """
 
 from __future__ import annotations
@@ -55,22 +55,23 @@ MOST = 16  # maximum number of blocks per acknowledgement: the default window of
 
 @attrs.define
 class _Reader:
-    forgiven: int  # acknowledgements of blocks up to this one are not awaited
-    heard_ns: int  # clock time of its last progress, or of the last time it owed nothing
+    forgiven: int  # blocks up to this number need no acknowledgement
+    heard_ns: int  # clock time of its last progress, or of the last time at which it had acknowledged every block
     acknowledged: int | None = None  # count of blocks since the start; None before its first acknowledgement
-    waived: bool = False  # the rig does not wait for it until it acknowledges again
+    waived: bool = False  # whether the rig continues without it until it acknowledges again
 
 
 class AckWindow:
     """Progress of every reader of the blocks, and the number of blocks the rig may run ahead of its slowest peer.
 
-    A reader acknowledges by the stamp of the last block it processed, one or several blocks at a time. Blocks are
-    counted, so that "ahead" means the same for all. The rig waits for peers; other readers are only watched.
+    A reader acknowledges by the stamp of the last block that it has processed, one or several blocks at a time. Blocks
+    are counted, so that "ahead" means the same for all readers. The rig waits for peers; other readers are only
+    watched.
 
     Args:
-        peers: names used in the acknowledgements.
+        peers: names that the peers use in their acknowledgements.
         window: maximum number of blocks published and not acknowledged.
-        timeout_ns: clock time after which a peer that owes an acknowledgement counts as silent.
+        timeout_ns: clock time [ns] after which a peer without progress counts as silent.
     """
 
     def __init__(self, peers: Iterable[str], window: int, timeout_ns: int, clock: Clock) -> None:
@@ -94,7 +95,7 @@ class AckWindow:
         return self._stamps[-1] if self._stamps else None
 
     def set_peers(self, peers: Iterable[str]) -> None:
-        """Change the peers; new ones owe nothing for blocks published before."""
+        """Change the peers; a new peer need not acknowledge blocks published before."""
         before, self.peers = self.peers, tuple(peers)
         for name in set(self.peers).difference(before):
             reader = self._readers.setdefault(name, _Reader(self._published, self._clock()))
@@ -112,7 +113,7 @@ class AckWindow:
         now = self._clock()
         for reader in self._readers.values():
             if self._owed(reader) == 0:
-                reader.heard_ns = now  # owed nothing so far: its silence starts here
+                reader.heard_ns = now  # it had acknowledged every block so far: its silence starts here
         self._published += 1
         self._stamps.append(stamp_ns)
         if len(self._stamps) >= 2 * KEPT:
@@ -139,33 +140,33 @@ class AckWindow:
         return max((self._owed(self._readers[name]) for name in self.peers), default=0)
 
     def behind(self) -> dict[str, int]:
-        """Return the blocks each reader has not acknowledged."""
+        """Return the number of blocks that each reader has not acknowledged."""
         return {name: self._owed(reader) for name, reader in self._readers.items()}
 
     def heard(self) -> tuple[str, ...]:
-        """Return the readers that have acknowledged."""
+        """Return the readers that have acknowledged at least one block."""
         return tuple(name for name, reader in self._readers.items() if reader.acknowledged is not None)
 
     def silent(self) -> tuple[str, ...]:
-        """Return the peers that owe an acknowledgement and made no progress for the timeout."""
+        """Return the peers that have blocks to acknowledge, and have made no progress for the timeout."""
         limit = self._clock() - self.timeout_ns
         owing = (name for name in self.peers if self._owed(self._readers[name]) > 0)
         return tuple(name for name in owing if self._readers[name].heard_ns < limit)
 
     def forgive(self, names: Iterable[str]) -> None:
-        """Count all published blocks as acknowledged by some peers; the rig waits for them as before."""
+        """Count all published blocks as acknowledged by some peers; the rig waits for later ones as before."""
         for name in names:
             self._readers[name].forgiven, self._readers[name].heard_ns = self._published, self._clock()
 
     def heard_ns(self, name: str) -> int:
-        """Return the clock time [ns] of a reader's last progress, or of the last time it owed nothing."""
+        """Return the clock time of a reader's last progress, or since when it has blocks to acknowledge [ns]."""
         return self._readers[name].heard_ns
 
     def waive(self) -> None:
         """Continue without the silent peers until each of them acknowledges again.
 
-        If no other peer is left, the rig waits for them again after the next window: it never runs away from all its
-        peers.
+        If no other peer is left, the rig waits for them again after the next window, so it never leaves all its peers
+        behind.
         """
         silent = self.silent()
         for name in silent if set(silent) != set(self.peers) else ():
@@ -182,7 +183,7 @@ class AckWindow:
             self._readers[name].heard_ns = self._clock()
 
     def forget(self, name: str) -> None:
-        """Drop the state of a reader that has left; a peer still owes its acknowledgements."""
+        """Drop the state of a reader that has left; a peer must still acknowledge the outstanding blocks."""
         reader = self._readers.pop(name)
         if name in self.peers:
             self._readers[name] = _Reader(self._published - self._owed(reader), reader.heard_ns, waived=reader.waived)
@@ -192,7 +193,7 @@ class AckWindow:
 
 
 class Readers:
-    """Subscriptions of a publisher that are known to the graph, by node name.
+    """Subscribers of a publisher that are known to the graph, by node name.
 
     A block sent before a peer is connected would be lost to it. The graph knows a subscription before the publisher is
     matched with it. The publisher counts its matches, so all compatible subscriptions must be matched first.
@@ -204,7 +205,7 @@ class Readers:
         self._missing: set[str] = set()
         self._expected_at = 0.0
         self._present: dict[str, set[bytes]] = {}  # subscriptions by node name
-        self._came_ns: dict[str, int] = {}  # first sighting of the newest of these [ns of the monotonic clock]
+        self._came_ns: dict[str, int] = {}  # discovery of the newest of these [ns of the monotonic clock]
         self._polled_at = -GRAPH_POLL_S
         self._matched = 0
 
@@ -242,7 +243,7 @@ class Readers:
         return not self._missing
 
     def knows(self, name: str) -> bool:
-        """Return whether a node of this name reads the topic; invented names must not fill the memory."""
+        """Return whether a node of this name reads the topic; names that nobody uses must not fill the memory."""
         if name not in self._present and (self._due(GRAPH_POLL_S) or self.subscribers != self._matched):
             self._poll()
         return name in self._present
@@ -281,8 +282,8 @@ class Acknowledgements:
 
     Args:
         node: owner, which offers `daq/ack` while it is configured; its name is the peer's.
-        may_send: called before each acknowledgement; makes sure that it is true, or returns False if it cannot be.
-        catch_up: called by the timer of real time; processes the deferred blocks.
+        may_send: called before each acknowledgement; returns whether the acknowledged data are safe.
+        catch_up: called by the timer in real time; processes the deferred blocks.
     """
 
     def __init__(

@@ -94,7 +94,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         self._newest = None
         self._started_s = time.time()
         self._label(_gap(self.settings), 0)
-        # calibration and active command first: both are transient-local and arrive although published long ago
+        # subscribe to calibration and active command first: both are latched, and arrive although published long ago
         self.until_deactivated(
             self.subscribe_table(topics.INFO, self._on_info),
             self.subscribe_table(topics.APPLIED, self._on_applied),
@@ -103,12 +103,12 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         )
 
     def deactivate(self) -> None:
-        """Finish the measurements in progress, and unsubscribe."""
+        """Finish the measurements in progress, and unsubscribe from all topics."""
         tracker, self._tracker = self._tracker, None
         try:
             if tracker is not None and self.context.ok():
                 self._publish(tracker.flush())
-        finally:  # otherwise the next activation would mistake its timer for a running one
+        finally:  # otherwise the next activation would use a timer that does not run
             self._acknowledgements.flush()
 
     def settings_changed(self, settings: AnalysisSettings, changes: dict[str, Any]) -> None:
@@ -129,7 +129,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         return self._newest.stamp_ns + round(last_s * NS_PER_S)
 
     def doing(self) -> NodeState:
-        """Return the state of the tracker, or that no scans arrive."""
+        """Return the state of the tracker, or the state that no scans arrive."""
         words = states.AnalysisWord
         if self._tracker is None or self._newest is None:
             return NodeState(words.NO_SCANS, "none received yet")
@@ -140,7 +140,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         return NodeState(words(found.word), self._waiting() or found.reason, found.since_ns)
 
     def health(self) -> tuple[Level, str]:
-        """Return whether scans arrive, and whether all of them do."""
+        """Return a warning if scans do not arrive, or if some were lost."""
         if self._tracker is None:
             return Level.WARN, self.state
         if self._newest is None:
@@ -153,7 +153,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         return Level.OK, self._tracker.state.word.replace("_", " ") + (f": {why}" if why else "")
 
     def figures(self) -> dict[str, object]:
-        """Return the tracker's counters and the latest value."""
+        """Return the tracker's counters and the newest value."""
         tracker = self._tracker
         if tracker is None:
             return {}

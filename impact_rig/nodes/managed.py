@@ -51,7 +51,7 @@ from impact_rig.names import one_line
 from impact_rig.nodes import messages, rclpy_internals
 from impact_rig.nodes.parameters import FOREIGN, Parameters, Proposal, set_one_by_one
 
-Report = Callable[[str, str], None]  # handler of a failure: (where, message)
+Report = Callable[[str, str], None]  # reports a failure by the name of the callback, and a message
 
 
 @attrs.define
@@ -84,8 +84,8 @@ def guarded(callback: Callable[..., Any], report: Report) -> Callable[..., Any]:
 def with_info(callback: Callable[..., Any]) -> Callable[..., Any]:
     """Return a subscription callback that gets (message, info) from every executor.
 
-    Jazzy's events executor passes both as one tuple, the others as two arguments. rclpy looks at the signature to
-    decide whether info is wanted: `wraps` keeps it.
+    Jazzy's events executor passes both as one tuple, the others as two arguments. rclpy decides by the signature
+    whether the callback wants the info, and `wraps` keeps the signature.
     """
 
     @functools.wraps(callback)
@@ -164,14 +164,14 @@ class NodeState:
 
 @attrs.define
 class CpuMeter:
-    """Share of one core that this process has used since the last call [%]."""
+    """Meter of the share of one core that this process has used since the last call [%]."""
 
     clock: Callable[[], float] = time.monotonic
     used: Callable[[], float] = time.process_time
     _last: tuple[float, float] | None = None
 
     def percent(self) -> float:
-        """Return the share since the last call; 0 at the first call."""
+        """Return the share since the last call [%]; 0 at the first call."""
         now = (self.clock(), self.used())
         before, self._last = self._last, now
         if before is None or now[0] <= before[0]:
@@ -249,15 +249,15 @@ class ManagedNode(LifecycleNode, Generic[S]):
         """Apply new, validated settings; an exception rejects them."""
 
     def doing(self) -> NodeState:
-        """Return the state of the node, computed from data only; called often, and only while the node is active."""
+        """Return the state of the node, computed from data only; often called, but only while the node is active."""
         raise NotImplementedError
 
     def health(self) -> tuple[Level, str]:
-        """Return level and message of diagnostics in any lifecycle state; called ten times a second."""
+        """Return level and message of diagnostics in any lifecycle state; it is called ten times a second."""
         return Level.OK, self.state
 
     def figures(self) -> Mapping[str, object]:
-        """Return the key-value pairs of diagnostics in any lifecycle state; called for each message."""
+        """Return the key-value pairs of diagnostics in any lifecycle state; it is called for each message."""
         return {}
 
     def complete(self, settings: S) -> S:
@@ -397,7 +397,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
             name: service name.
             on_request: called with each request and a function that answers it, now or later. An error of this package
                 rejects the request, any other error is a failure; both are answered. Changes are reported at once.
-            check_sent: called first with the system time [ns] at which the request was sent; may reject it likewise.
+            check_sent: called first, with the system time at which the request was sent [ns]; may reject it likewise.
         """
         reason = name.removeprefix("~/")
 
@@ -444,7 +444,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
     # Lifecycle: every transition is guarded and logs the reason of a failure
 
     def on_configure(self, _state: LifecycleState) -> TransitionCallbackReturn:
-        """Build the node's parts; return FAILURE and log the reason if the parameters do not allow it."""
+        """Build the node's parts; return FAILURE and log the reason if the parameters are invalid."""
         if self.parameters.refused is not None:
             return self._failed("configure", self.parameters.refused)
         self._last_error = (-ERROR_MEMORY_S, "")
@@ -469,7 +469,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return super().on_deactivate(state)
 
     def on_cleanup(self, _state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop and free everything, from any state. The node can be configured again unless it is finalized."""
+        """Stop working and free everything, from any state. The node can be configured again unless it is finalized."""
         return self._transition("clean up", self._free)
 
     on_shutdown = on_cleanup
@@ -551,14 +551,14 @@ class ManagedNode(LifecycleNode, Generic[S]):
     # Parameters
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
-        """Set all or none, through the validator; the services and the in-process calls both use this."""
+        """Set all parameters or none, through the validator; the services and in-process calls both use this."""
         result = self._attempt(parameter_list)
         if not result.successful:
             self.refuse("parameter", result.reason)
         return result
 
     def _attempt(self, parameter_list: list[Parameter]) -> SetParametersResult:
-        """Set all or none."""
+        """Set all parameters or none."""
         try:
             self._proposed = proposed = self.parameters.check(parameter_list)
             result = super().set_parameters_atomically(proposed.stored)
@@ -581,7 +581,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return response
 
     def set_parameters(self, parameter_list: list[Parameter]) -> list[SetParametersResult]:
-        """Set one after the other, each through the validator."""
+        """Set the parameters one after the other, each through the validator."""
         return [self.set_parameters_atomically([parameter]) for parameter in parameter_list]
 
     def _on_set_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
@@ -652,7 +652,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         self._diagnostics.publish(array)
 
     def _judged(self) -> tuple[Level, str]:
-        """Return the level and message of `health`, and the last error while it is recent."""
+        """Return the level and message of `health`, together with the last error while it is recent."""
         at, message = self._last_error
         if time.monotonic() - at < ERROR_MEMORY_S:
             return worst(self.health(), (Level.ERROR, message))

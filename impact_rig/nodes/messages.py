@@ -63,7 +63,7 @@ def by_name(name: str) -> Topic:
     """Return the topic of this (relative or absolute) name.
 
     Raises:
-        KeyError: there is no such topic.
+        KeyError: no topic has this name.
     """
     return _BY_NAME[name]
 
@@ -80,7 +80,7 @@ def message_class(type_name: str) -> Any:
     """Import and return the class of a message type, `package/msg/Type`.
 
     Raises:
-        ImportError, AttributeError: it is not installed.
+        ImportError, AttributeError: the package of the type is not installed.
     """
     package, _, name = type_name.split("/")
     return getattr(importlib.import_module(f"{package}.msg"), name)
@@ -158,7 +158,7 @@ def put(message: Any, path: str, value: object) -> None:
 
 
 def _find(message: Any, path: str) -> tuple[str, int]:
-    """Return format and offset of a number: the position of a mark that occurs only there."""
+    """Return format and offset of a number in serialised bytes, from the position of a mark that occurs only there."""
     put(message, path, _MARK)
     marked = bytes(serialize_message(message))
     put(message, path, 0.0)

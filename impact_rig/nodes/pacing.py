@@ -13,9 +13,9 @@
 # limitations under the License.
 """Pacing of blocks: due times on an injected clock, and a timer in phase with the blocks.
 
-Nothing here sleeps: the owner of the loop asks up to which rig time blocks are due, and reports when they are
-published. Deadlines are computed from the start and never accumulated, so pacing does not drift. A process that was
-suspended is re-based and reports by how much.
+Nothing here sleeps: the owner of the loop queries up to which rig time blocks are due, and reports each block that it
+has published. Deadlines are computed from the start and never accumulated, so pacing does not drift. After a suspension
+of the process, the pacer re-bases, and reports by how much.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _AT_ONCE_S = 1e-6
 
 @attrs.frozen
 class Lateness:
-    """Delay of the last blocks between their end and their publication [ms]."""
+    """Statistics of the delay from the end of a block to its publication [ms]."""
 
     median_ms: float
     p99_ms: float
@@ -118,7 +118,7 @@ class WorkTimer:
         self._late = 0
 
     def start(self, period_s: float, first_s: float) -> None:
-        """Call back in `first_s` and then every `period_s`; replaces the running timer.
+        """Call back in `first_s` and then every `period_s` [s]; this replaces the running timer.
 
         An overdue call waits for the next call in phase: an immediate call would set a phase in which all are late. If
         the first call is more than one period away, calls in phase come before it as well.
@@ -137,7 +137,7 @@ class WorkTimer:
         self._late = 0
 
     def keep_in_step(self, wait_s: float) -> None:
-        """Report, after a call, how long the next one should wait.
+        """Set the wait until the next call [s], after a call.
 
         A wait far below the period means that this call was late. A negative wait means that the next one will be: its
         work became due during this call.

@@ -37,7 +37,7 @@ from impact_rig.errors import ConfigError, describe
 from impact_rig.nodes.rclpy_internals import parameter_overrides
 
 S = TypeVar("S", bound=attrs.AttrsInstance)
-Attempt = Callable[[list[Parameter]], SetParametersResult]  # sets some parameters together, or returns why it cannot
+Attempt = Callable[[list[Parameter]], SetParametersResult]  # sets some parameters together
 
 _LARGEST = 1.7976931348623157e308
 _LARGEST_INTEGER = 2**63 - 1
@@ -60,7 +60,7 @@ class Parameters(Generic[S]):
     """Parameters of one node, declared from a tree of settings and changed only through its validator.
 
     Args:
-        node: owner; its `set_parameters_atomically` calls `check` first.
+        node: node that owns the parameters; its `set_parameters_atomically` calls `check` first.
         tree: names, descriptions and validator.
         arguments: command line, used to name the parameter files in an error of the start-up values.
         makes_time: whether the node is the source of rig time, so it cannot follow another clock.
@@ -107,7 +107,8 @@ class Parameters(Generic[S]):
         A read-only parameter with its present value is ignored, as in `ros2 param load` of a dump.
 
         Raises:
-            ConfigError: unknown key, read-only parameter, bad value or inconsistent combination; nothing is changed.
+            ConfigError: a key is unknown, a parameter is read-only, a value is invalid, or values contradict each
+                other; nothing is changed.
         """
         changes: dict[str, object] = {}
         wanted = [parameter for parameter in wanted if not self._unchanged(parameter)]
@@ -125,7 +126,11 @@ class Parameters(Generic[S]):
         return Proposal(stored, settings, self._tree.differences(settings, self.settings))
 
     def _unchanged(self, parameter: Parameter) -> bool:
-        """Return whether a read-only or text parameter keeps its value; ConfigError if a read-only one would change."""
+        """Return whether a read-only or text parameter keeps its value.
+
+        Raises:
+            ConfigError: a read-only parameter would change.
+        """
         if not self._node.has_parameter(parameter.name):
             return False  # the tree, or rclpy, rejects it by name
         given, present = _from_ros(parameter.value), _from_ros(self._node.get_parameter(parameter.name).value)

@@ -13,8 +13,8 @@
 # limitations under the License.
 """Playback of a recorded run onto the graph, in step with a clock or as fast as named peers acknowledge.
 
-The recorded bytes are published unchanged, so a live analysis finds the same results as before. Messages published
-before the first scan (calibration, journal, settings) are sent at once: their stamps may be hours older.
+The recorded bytes are published unchanged, so a live analysis finds the same results as before. Messages that were
+published before the first scan (calibration, journal, settings) are sent at once, as their stamps may be hours older.
 """
 
 from __future__ import annotations
@@ -50,9 +50,9 @@ SPIN_S = 0.05
 LAST_NS = (2**31 - 1) * NS_PER_S  # builtin_interfaces/Time counts seconds in 32 bits
 LONGEST_PAUSE_NS = 3600 * NS_PER_S
 """Longest pause between two messages; otherwise the player would stall or fill it with ticks of /clock."""
-WINDOW = 16  # blocks ahead of the slowest peer
+WINDOW = 16  # number of blocks published ahead of the slowest peer
 PEER_TIMEOUT_S = 10.0
-AWAY_S = 1.0  # a gap this long between two waits means that this process was suspended or busy, not the peers
+AWAY_S = 1.0  # a gap this long between two waits means that this process, and not the peers, was suspended or busy
 DELIVERY = Duration(seconds=1.0)
 LAST_WORDS_S = 0.3
 
@@ -62,7 +62,7 @@ def _is_of(name: str, prefixes: Collection[str]) -> bool:
     return any(name.startswith(prefix) for prefix in prefixes)
 
 
-Spin = Callable[[float], None]  # runs callbacks for at most this many seconds
+Spin = Callable[[float], None]  # runs callbacks for at most this long [s]
 
 
 @contextlib.contextmanager
@@ -88,16 +88,16 @@ class Player:
 
     Args:
         run: opened run; it must contain daq/scan.
-        node: node that publishes; `spin` spins its executor.
-        spin: runs its callbacks.
-        factor: rig seconds per second; None: as fast as the peers acknowledge.
-        peers: names in daq/ack that must not lose a block.
+        node: node that publishes.
+        spin: runs the callbacks of the node.
+        factor: seconds of rig time per second; None means as fast as the peers acknowledge.
+        peers: names that nodes use in daq/ack; these nodes must not lose a block.
         chosen: topics to replay, with or without namespace; empty means all.
 
     Raises:
         RecordingError: a chosen topic is not in the run, the run has no daq/scan, or it contains a topic name or time
             that ROS does not allow.
-        ImpactRigError: no peers to set the pace, or a message type is not installed.
+        ImpactRigError: no peer is given that sets the pace, or a message type is not installed.
     """
 
     def __init__(
@@ -193,7 +193,7 @@ class Player:
         return min(max(self._pacer.wait_ns(due_ns) / NS_PER_S, 0.0), SPIN_S)
 
     def _wait(self, longest_s: float) -> Iterator[int]:
-        """Run callbacks once."""
+        """Run callbacks once, for at most this long [s]."""
         now = time.monotonic()
         if now - self._rested_at > AWAY_S:
             self._window.excuse()

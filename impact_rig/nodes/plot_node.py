@@ -222,7 +222,7 @@ class Plots:
 ACCELEROMETER = "accelerometer"
 _VECTORS = (topics.PLOT_TRANSMISSIBILITY, topics.PLOT_DRIVE, topics.PLOT_PULSES)
 _FOLLOWED = (topics.PLOT_DRIVE, topics.PLOT_PULSES, *ENVELOPES.values(), *SPECTRA.values())
-"""Topics derived from scans; the other topics are rare."""
+"""Topics derived from scans, which are frequent; the other topics are rare."""
 
 
 def _vector(topic: Topic, frame_prefix: str) -> Template:

@@ -13,12 +13,12 @@
 # limitations under the License.
 """Main loop of every node: spin until the process is asked to end, then end in order.
 
-`EventsExecutor` costs a third to a sixth of the default executor. Its `spin()` busy-loops in Jazzy and its `spin_once`
-returns to Python after every message, so it spins for a while at a time. If rclpy does not have it, the default
-executor runs.
+`EventsExecutor` needs a third to a sixth of the processor time of the default executor. In Jazzy, its `spin()`
+busy-loops and its `spin_once` returns to Python after every message, so the loop spins for a while at a time. If rclpy
+does not have this executor, the default one is used.
 
-Signals are recorded, not raised: neither a callback nor the clean-up is interrupted, however often Ctrl-C arrives, and
-the last messages still find a valid context. Only the main thread receives signals, never one of DDS.
+Signals are recorded, not raised. So neither a callback nor the clean-up is interrupted, however often Ctrl-C arrives,
+and the last messages still find a valid context. Only the main thread receives signals; threads of DDS never do.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ EXECUTOR_VARIABLE = "IMPACT_RIG_EXECUTOR"
 
 
 def make_executor(context: Any = None) -> Any:
-    """Return the cheapest executor that this rclpy has."""
+    """Return the executor of this rclpy that needs the least processor time."""
     if os.environ.get(EXECUTOR_VARIABLE, "") != "default":
         handlers = {number: signal.getsignal(number) for number in SIGNALS}
         try:
@@ -82,7 +82,7 @@ def patient_threads() -> Iterator[None]:
     """Give new threads, those of DDS, a scheduling policy that does not preempt others when they wake (Linux).
 
     Each message wakes several threads, also in its sender: receipt, heartbeats, acknowledgements. If all cores are
-    busy, they would interrupt the callback that runs about five times a block, which costs a quarter of the speed. The
+    busy, they would interrupt the running callback about five times per block, which costs a quarter of the speed. The
     calling thread has the same policy meanwhile. A process that was started with its own policy keeps it (sched(7):
     `SCHED_BATCH` and others are inherited).
     """
@@ -137,6 +137,6 @@ def run(make_node: Callable[[], ManagedNode[Any]], ending: Ending) -> int:
 
 
 def main(make_node: Callable[[], ManagedNode[Any]], ending: Ending) -> None:
-    """Run a node as a program, once its imports are done."""
+    """Run a node as a program, after its imports."""
     with segments.Watch():
         sys.exit(ending.run(lambda: run(make_node, ending), interrupting=False))

@@ -46,14 +46,15 @@ KEPT_S, KEPT_BYTES = 25.0, 16_000_000
 A killed process can block messages to others until the middleware drops it, about 20 s later; the kept scans still
 reach them then.
 """
-LEAST_S, LEAST_BLOCKS = 2.0, 100  # minimum number of scans kept, whichever is more
+LEAST_S, LEAST_BLOCKS = 2.0, 100  # minimum duration and number of blocks of the scans kept, whichever is less
 GRAPH_POLL_S = (
     0.1  # minimum interval between two checks for subscribers in real time: each costs a twentieth of a block
 )
 QUEUE = 256
-"""Number of messages to one process that the middleware certainly holds:
+"""Number of messages to one process that the middleware certainly holds.
 
-half of the queue of a shared-memory port of Fast DDS. Any more are dropped, and repeated seconds later.
+It is half of the queue of a shared-memory port of Fast DDS. Any messages beyond it are dropped, and repeated seconds
+later.
 """
 DELIVERY = Duration(seconds=0.2)
 """Longest wait for the delivery of a change; only a subscriber that died without notice takes this long."""
@@ -71,7 +72,7 @@ class Monitors:
 
     Args:
         config: active configuration, for ranges and variances.
-        noise: as `noise_of` returns it.
+        noise: rms noise by channel, as returned by `noise_of`.
         before: the previous monitors; their filter states continue if channels and rate are unchanged.
     """
 
@@ -108,7 +109,7 @@ class Monitors:
 
 
 def _reading(config: RigConfig, instrument: Instrument, bit: int, noise: float) -> Reading:
-    """Return the renderer of one instrument's message, in which only numbers change."""
+    """Return a function that renders one instrument's message, in which only numbers change."""
     fields = instrument.message(0.0, False, noise)
     changing = [path for path, value in fields.items() if isinstance(value, float)]
     template = _template(config, MONITORS[instrument.name], fields, changing)
@@ -183,7 +184,7 @@ class Publishers:
         }
 
     def block(self, block: Block) -> None:
-        """Publish a block, its scans last: a subscriber that has received them has received the complete block.
+        """Publish a block, with its scans last: a subscriber that has received them has received the complete block.
 
         Peers acknowledge blocks by their scans, so a recorder's acknowledgement covers all topics. All messages are
         rendered before the first is sent, because sending evicts the caches needed for rendering.
@@ -268,7 +269,7 @@ class Publishers:
             self._node.outputs[topic.name].wait_for_all_acked(DELIVERY)
 
     def forget(self) -> None:
-        """Publish the calibration again at the next request: a new rig starts."""
+        """Let the next call publish the calibration again, because a new rig starts."""
         self._info = b""
         self._polled_at = -GRAPH_POLL_S
 

@@ -95,7 +95,7 @@ def events_executor(context: Any) -> Any:
 
 
 class LookingExecutor(EventsExecutor):
-    """Events executor that also delivers messages that arrive while it starts to listen."""
+    """Events executor that also delivers the messages that arrive while it starts to listen."""
 
     def __init__(self, context: Any) -> None:
         super().__init__(context)

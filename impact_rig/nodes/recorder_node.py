@@ -67,7 +67,8 @@ RESULTS = frozenset({topics.TRANSMISSIBILITY_TABLE.name, topics.SWEEP.name})
 """Latched topics that belong to earlier measurements and are not recorded."""
 ONE_WRITER = {one.name for one in TOPICS if one.columns is not None} | {topics.CONFIGURATION.name, topics.JOURNAL.name}
 """Topics that only one node may write: a run with two sources could not be simulated or analysed again."""
-QUIET_S = 0.1  # a configuration this old is the active one: a late subscriber first receives all earlier ones
+QUIET_S = 0.1
+"""Time without a newer configuration, after which the last one counts as active: a late subscriber receives all."""
 CALIBRATION = "calibration.yaml"
 LATE_NS = NS_PER_S // 2  # a message that takes this long may have been lost and sent again
 NEEDED = frozenset(topic.name for topic in TOPICS if topic.publisher == "rig" and topic.qos is not topics.Qos.LATCHED)
@@ -130,10 +131,10 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self.service(Trigger, "~/stop", self._on_stop)
 
     def configure(self) -> None:
-        """Check that the message types are installed; create the acknowledgement's publisher."""
+        """Check that the message types are installed, and create the publisher of acknowledgements."""
         for type_name in {topic.type_name for topic in TOPICS if topic.recorded}:
             schema_text(type_name)
-        environment()  # cached now, while no rig waits
+        environment()  # cached here, while no rig waits
         self.offer(topics.ACK)
 
     def activate(self) -> None:
@@ -161,7 +162,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         return self._newest_ns
 
     def doing(self) -> NodeState:
-        """Return whether the node records, and any problem with it."""
+        """Return whether the node records, and a problem with the recording."""
         words, lost = states.RecorderWord, self._lost()
         if self._failure:
             return NodeState(words.FAILED, self._failure)
@@ -180,7 +181,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         return NodeState(words.IDLE, "the last recording lacks messages" if lost else "")
 
     def health(self) -> tuple[Level, str]:
-        """Return whether the node records, and any problem with it."""
+        """Return whether the node records, and a problem with the recording."""
         if self.state != "active":
             return Level.WARN, self.state
         if self._failure:
@@ -255,7 +256,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     def _start(self, patiently: bool = False) -> None:
         """Open the run, or wait for the configuration that belongs to it.
 
-        With `patiently`, however late the rig starts.
+        With `patiently`, wait for the configuration however late the rig starts.
         """
         self._failure = ""
         self._waiting = True
@@ -289,7 +290,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             self.until_deactivated(self._scans)
 
     def _listen(self, topic: topics.Topic) -> Any:
-        """Subscribe with a queue that outlasts a stall: the messages of a burst must not displace each other."""
+        """Subscribe with a queue that outlasts a stall, so that the messages of a burst do not displace each other."""
         depth = None if topic in topics.BULKY else topics.HISTORY_DEPTH
         return self.subscribe(topic, functools.partial(self._on_message, topic), raw=True, depth=depth)
 
@@ -387,10 +388,10 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._answer_start()
 
     def _on_message(self, topic: topics.Topic, data: bytes, info: dict[str, Any]) -> None:
-        """Queue or process a message; in real time several blocks are processed together before they are acknowledged.
+        """Queue or process a message; in real time, several blocks are processed together and then acknowledged.
 
-        Their common data then stays in the caches of the processor, which halves the cost. Any event that may change
-        how they are processed processes them first.
+        Their common data then stays in the caches of the processor, which halves the cost. An event that may change how
+        the queued messages are processed first processes all of them.
         """
         self._inbox.append((topic, data, info))
         if self._writer is None or not self._acknowledgements.is_timed:
@@ -443,7 +444,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             self._answer_start()
 
     def _attach_calibration(self, writer: RunWriter, info: Table) -> None:
-        """Attach the certificate as a file as well, for people: one per recalibration."""
+        """Attach the calibration certificate as a file as well, for human readers: one file per recalibration."""
         self._certificates += 1
         name = CALIBRATION if self._certificates == 1 else f"calibration_{self._certificates}.yaml"
         writer.attach(Attachment(name, calibration_yaml(info).encode(), "application/yaml"), instead_of=CALIBRATION)
@@ -488,7 +489,7 @@ def run_directory(text: str) -> Path:
     """Return the directory given by a parameter.
 
     Raises:
-        RecordingError: its user is unknown.
+        RecordingError: the path begins with the home directory of an unknown user.
     """
     try:
         return Path(text).expanduser()
@@ -511,7 +512,7 @@ def calibration_yaml(info: Table) -> str:
 
 
 def qos(profile: Any) -> OfferedQos:
-    """Return a profile of rclpy in the terms of rosbag2."""
+    """Return a quality-of-service profile of rclpy in the terms of rosbag2."""
     return OfferedQos(
         history=profile.history.name.lower(),
         depth=profile.depth,

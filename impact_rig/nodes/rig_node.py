@@ -38,7 +38,7 @@ class RigNode(ManagedNode[RigConfig]):
     """Lifecycle node that starts and ends a rig with its activation.
 
     Args:
-        discovery_s: minimum age of the node before it checks for other rigs; a new process discovers them gradually.
+        discovery_s: minimum age of the node before it checks for other rigs [s]: a new process discovers them slowly.
     """
 
     COMPONENT = "simulation"
@@ -71,7 +71,7 @@ class RigNode(ManagedNode[RigConfig]):
             time.sleep(max(0.0, self._discovered_at - time.monotonic()))
 
     def activate(self) -> None:
-        """Start, as soon as no other rig is in this namespace."""
+        """Start the rig as soon as no other rig is in this namespace."""
         self._session.activate()
 
     def deactivate(self) -> None:
@@ -98,7 +98,7 @@ class RigNode(ManagedNode[RigConfig]):
         return self._state.health()
 
     def figures(self) -> dict[str, object]:
-        """Return time, lateness, peers, shaker, energy, over-ranges."""
+        """Return time, lateness, peers, shaker, energy and over-ranges."""
         return self._state.figures()
 
 

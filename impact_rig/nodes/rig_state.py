@@ -37,7 +37,7 @@ SLOW_S = 1.0
 """Lag in wall time beyond which a reader is reported; at 100 blocks per second its queue holds ten times that."""
 CLOCK_STEP_S = 0.1  # steps of the system clock of this size are reported; slewing changes both clocks alike
 _WITHOUT = {"ramp": "ramped to zero", "hold": "the last one is held", "trip": "ramped to zero"}
-MOST = 5  # maximum number of faults logged in one update; for more, only their number is logged
+MOST = 5  # maximum number of faults logged in one update; of further faults, only the number is logged
 
 
 @attrs.frozen
@@ -63,7 +63,7 @@ class RigState:
         self._lost: dict[str, int] = {}  # by subscriber, the largest number of blocks beyond what is kept for it
 
     def word(self) -> NodeState:
-        """Return the state of the rig: what prevents its start or progress, what stops the shaker, or its drive."""
+        """Return the state of the rig: what blocks it, what stops its shaker, or the state of its drive."""
         session = self._session
         reason_not_ready = session.reason_not_ready()
         if reason_not_ready is not None:
@@ -88,7 +88,7 @@ class RigState:
         return worst(running, *((one.level, one.message) for one in self._problems(rig)))
 
     def figures(self) -> dict[str, object]:
-        """Return mode, and of a running rig time, lateness, peers, shaker, energy, over-ranges."""
+        """Return the time mode and, of a running rig, time, lateness, peers, shaker, energy and over-ranges."""
         session, config = self._session, self._node.settings
         rig = session.rig
         if rig is None:
@@ -259,7 +259,7 @@ class RigState:
 
 
 def summary(config: RigConfig) -> str:
-    """Return a one-line summary of what determines a run: mode, rate, gap, law, seed."""
+    """Return a one-line summary of what determines a run: mode, rate, gap, law and seed."""
     factor = f" x {config.time.factor:g}" if config.time.mode == "realtime" else ""
     gap = f"gap {1e3 * config.barriers.gap_m:g} mm, law {config.contact.law}"
     sphere = gap if config.sphere.present else "no sphere"

@@ -13,12 +13,12 @@
 # limitations under the License.
 """ROS session of one rig: start-up checks, command input, time stepping, publishing and flow control.
 
-Work means calls into `Rig` for the blocks that are due: by the clock in realtime, otherwise as far as the slowest peer
-allows. In lockstep or while paused, only requested steps are due.
+The work consists of calls into `Rig` for the blocks that are due. In realtime, the clock decides which blocks are due;
+otherwise the slowest peer does. In lockstep or while paused, only requested steps are due.
 
 A domain and namespace on one machine belong to one rig at a time. If an announcement was missed, the graph knows of
 another rig only after seconds. A lock detects it at once, but only on this machine. If discovery is limited to this
-machine, the rig starts without waiting.
+machine, the lock suffices, and the rig starts without waiting.
 """
 
 from __future__ import annotations
@@ -72,10 +72,10 @@ class NamespaceLock:
         self._held: int | None = None
         here = ends_here(os.environ, get_rmw_implementation_identifier())
         self.decides = here and files.can_hold(files.PLACES, self._name)
-        """True if the lock excludes any other rig in this namespace; False if only the graph can tell."""
+        """True if the lock excludes any other rig in this namespace; False if only the graph can show other rigs."""
 
     def take(self) -> bool:
-        """Return whether the namespace is locked by this rig now; True as well if only the graph can tell."""
+        """Return whether this rig holds the namespace now; True as well if only the graph can show other rigs."""
         if self._held is None and self.decides:
             self._held = files.hold(files.PLACES, self._name)
             if self._held is None and files.is_held_by_others(files.PLACES, self._name):
@@ -136,12 +136,12 @@ class DuplicatePublishers:
         return others | {f"another {own}"} if publishers.count(own) > 1 else others
 
 
-WORK_S = 0.02  # wall time of one call of the work timer before commands and services are processed
-LARGEST_BATCH_S = 0.2  # rig time simulated at once, for the same reason
+WORK_S = 0.02  # wall time for which one call of the work timer may run before commands and services are processed
+LARGEST_BATCH_S = 0.2  # rig time simulated at once, which delays commands and services as well
 CATCH_UP_NS = 50_000_000
 """Largest rig time simulated at once in realtime: a rig that is slower than real time must still answer."""
 SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 0.001, 0.05
-AHEAD_PERIOD_S = 0.005  # period of the work timer where acknowledgements drive the work
+AHEAD_PERIOD_S = 0.005  # period of the work timer if acknowledgements drive the work
 SLICE_S = 0.02
 """Time after a call of the timer during which acknowledgements may drive the work:
 
@@ -149,19 +149,20 @@ an executor that delivers all messages of one subscription first would otherwise
 """
 AWAY_S = 1.0  # a gap this long between two calls of the work timer means that this process was suspended, not the peers
 EXPIRES_S = 2.0
-"""After a suspension this long the commands that were queued meanwhile are dropped: their senders have already received
-an error."""
+"""After a suspension of this duration, commands that were queued meanwhile are dropped: their senders have already
+received an error.
+"""
 # share of a processor: a process that used more between two calls of the work timer was not suspended
 BUSY_SHARE = 0.25
 CHECKED_S = 10.0
-"""Time after a suspension during which commands are rejected that were sent before the rig resumed.
+"""Time after a suspension during which the rig rejects commands that were sent before it resumed.
 
 If clocks have been set, or differ, stamps prove nothing: every command received within `REPEATED_S` is rejected.
 """
-STEP_NS = 100_000_000  # difference between two clocks from which they disagree, or one was set
+STEP_NS = 100_000_000  # difference between two clocks from which they disagree, or one of them was set
 IDLE_S = 1.0  # a client that steps repeatedly does so more often than this: between two such steps a rig is not paused
 RATE_WINDOW_S = 2.0
-COUNTED_TOGETHER = 32  # blocks
+COUNTED_TOGETHER = 32  # number of blocks whose scans are checked together
 
 
 class Counts:
@@ -236,7 +237,7 @@ class Session:
         self.paused = False  # whether rig time stands still except for requested steps
         self.clock_offset_ns = 0
         self._is_still = False  # no step has been requested since the pause
-        # time since which a rig that runs ahead has waited for samples of a stream
+        # rig time since which a rig that runs ahead has waited for samples of a stream
         self._starved_at: float | None = None
         self._steps_left, self._stepped_at = 0, -IDLE_S  # blocks owed, and time of the last step request
         self._stepping: list[Done] = []
@@ -301,7 +302,7 @@ class Session:
     def activate(self) -> None:
         """Start once no other rig publishes here.
 
-        In realtime also once the peers are connected, or after `start_wait_s`.
+        In realtime, it also waits for the peers to connect, at most `start_wait_s`.
         """
         timing = self.node.settings.time
         self.publishers.forget()
@@ -341,7 +342,7 @@ class Session:
         return NodeState(states.RigWord.NO_PEER, f"waiting for peer {names}, at most {patience_s:g} s")
 
     def _begin(self) -> None:
-        """Start a new rig: scan 0 is now in realtime, and at 0 otherwise."""
+        """Start a new rig: scan 0 is at the present time in realtime, and at time 0 otherwise."""
         config = self.node.settings
         timing = config.time
         self.absent = ", ".join(self.readers.missing()) if self.is_realtime else ""
@@ -381,14 +382,14 @@ class Session:
         """Return the rig.
 
         Raises:
-            CommandError: there is none; the message says why.
+            CommandError: there is no rig; the message says why.
         """
         if self.rig is None:
             raise CommandError(self.why_not())
         return self.rig
 
     def why_not(self) -> str:
-        """Return why there is no rig."""
+        """Return the reason why there is no rig."""
         reason_not_ready = self.reason_not_ready()
         if reason_not_ready is not None:
             return f"the rig has not started: {reason_not_ready.reason}"
@@ -416,7 +417,7 @@ class Session:
             self._timer.keep_in_step(self._wait_s())
 
     def work(self) -> None:
-        """Publish the blocks that are due, within the time of one call; start the rig first if nothing prevents it.
+        """Publish the due blocks, within the time limit of one call; first start the rig, if nothing prevents it.
 
         An error of the model ends the activation: the rig cannot continue.
         """
@@ -457,10 +458,10 @@ class Session:
         """Reject a command that was queued while this process was suspended.
 
         Args:
-            sent_ns: time at which it was sent, by the system clock of its sender.
+            sent_ns: time at which the command was sent, by the system clock of its sender [ns].
 
         Raises:
-            CommandError: it was queued.
+            CommandError: the command was queued during the suspension.
         """
         since_s = self._notice_absence() - self._resumed_at
         if since_s > CHECKED_S:
@@ -473,7 +474,7 @@ class Session:
             raise CommandError(f"it was sent {late_s:.1f} s before this rig resumed from a suspension: send it again")
 
     def _catch_up(self, rig: Rig, deadline: float) -> None:
-        """Publish the blocks that are due until the deadline; the next call continues."""
+        """Publish the blocks that are due, until the deadline; the next call continues."""
         due_ns = self._base_ns + self.pacer.due_ns(self._simulated_ns(rig))
         while True:
             until_ns = min(due_ns, rig.frontier_ns + CATCH_UP_NS)
@@ -482,14 +483,14 @@ class Session:
                 return
 
     def _simulated_ns(self, rig: Rig) -> int:
-        """Return the simulated rig time for the pacer: part of a block counts, as a block may be longer than any lag.
+        """Return the simulated rig time for the pacer [ns]: part of a block counts, as a block may exceed any lag.
 
         The last tick does not count, because more of it may be simulated than was due.
         """
         return max(rig.next_block_ns, rig.frontier_ns - COMMAND_GRID_NS) - self._base_ns
 
     def _run_ahead(self, rig: Rig, deadline: float) -> None:
-        """Publish as many blocks as the window (and a step) allows, until the deadline."""
+        """Publish as many blocks as the window, and a step, allow, until the deadline."""
         daq, window = self.node.settings.daq, self.window
         by_steps = self.paused or self.is_lockstep
         limit = self._steps_left if by_steps else window.window
@@ -523,7 +524,7 @@ class Session:
             _answer(self._stepping, True, f"at {rig.next_block_ns / NS_PER_S:.9f} s")
 
     def _advance(self, rig: Rig, until_ns: int) -> int:
-        """Advance the rig, publish the blocks after the changes that act on them, and return their number."""
+        """Advance the rig, publish its changes and then the blocks they act on, and return the number of blocks."""
         blocks = rig.advance(until_ns)
         if self.publishers.changes(rig):
             self.node.report_change()  # for example, after a trip
@@ -550,7 +551,7 @@ class Session:
         self._steps_left += steps * self.node.settings.step.blocks
         self._stepped_at = time.monotonic()
         self._stepping.append(done)
-        self._is_still = False  # a step of a paused rig includes what was left of earlier steps
+        self._is_still = False  # a step of a paused rig includes the rest of earlier steps
         self.work()
 
     def pause(self, done: Done) -> None:
@@ -579,7 +580,7 @@ class Session:
         done(True, "running")
 
     def _end_steps(self, message: str) -> None:
-        """Reject the waiting steps, and drop the rest of them."""
+        """Reject the waiting steps, and drop the blocks they still owe."""
         self._steps_left = 0
         _answer(self._stepping, False, message)
 
@@ -659,7 +660,7 @@ class Session:
             self._starved_at = None
 
     def _on_ack(self, data: bytes) -> None:
-        """Process an acknowledgement of any reader, in any mode; that of a peer makes room for work."""
+        """Process an acknowledgement of any reader, in any mode; the acknowledgement of a peer allows further work."""
         if not self._active:
             return
         try:
@@ -685,7 +686,7 @@ class Session:
         """Apply new settings, which the validator has accepted, to the rig.
 
         Raises:
-            ImpactRigError: the rig rejects them; nothing is changed.
+            ImpactRigError: the rig rejects the settings; nothing is changed.
         """
         rig = self.rig
         if rig is not None:

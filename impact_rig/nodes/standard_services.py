@@ -13,8 +13,8 @@
 # limitations under the License.
 """Services of the package `simulation_interfaces`, offered if it can be imported, feature by feature.
 
-They express `~/pause`, `~/step` and `~/reset` in the terms of that package. A stopped rig is an inactive one, or one
-that they have paused and reset and that has not moved since. Time is never turned back.
+They express `~/pause`, `~/step` and `~/reset` in the terms of that package. A rig counts as stopped if it is inactive,
+or if these services have paused and reset it and it has not moved since. Time is never turned back.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ FEATURES = {
     "StepSimulation": ("STEP_SIMULATION_SINGLE", "STEP_SIMULATION_MULTIPLE"),
     "ResetSimulation": ("SIMULATION_RESET", "SIMULATION_RESET_STATE"),
 }
-"""Features that a service provides, by type."""
+"""Features that a service provides, by service type."""
 NOTE = f"impact_rig {__version__}; a step is step.blocks blocks; a reset starts again at scan 0 with continuing stamps"
 Tell = Callable[[int, str], None]  # answers with a result code and an error message
 
