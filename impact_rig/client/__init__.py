@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Client programs of a rig on ROS: node processes, a client of their topics and services, and isolated domains.
+"""Client programs of a rig on ROS: node processes, a client of the rig's topics and services, and isolated domains.
 
     with isolated_domain() as domain_id, Processes(domain_id, logs) as processes:
         processes.start("rig", {"time.mode": "lockstep", "barriers.gap_m": 0.006})

@@ -109,11 +109,11 @@ class Collector:
 
     @property
     def messages(self) -> list[Any]:
-        """Messages; for tables, their CDR bytes."""
+        """Messages received; for topics with tables, their CDR bytes."""
         return [message.data for message in self.received]
 
     def tables(self, since: int = 0) -> list[Table]:
-        """Return the decoded tables, without the first `since`."""
+        """Return the decoded tables, except the first `since`."""
         return [message.table or codec.decode(message.data) for message in self.received[since:]]
 
     def last(self) -> Table | None:
@@ -122,7 +122,7 @@ class Collector:
         return found[0] if found else None
 
     def entries(self, since: int = 0) -> list[JournalEntry]:
-        """Return the received entries of `rig/journal`, without the first `since` messages."""
+        """Return the received entries of `rig/journal`, except those of the first `since` messages."""
         return [JournalEntry.from_line(message.data.data) for message in self.received[since:]]
 
     def rows(self) -> NDArray[np.void]:
@@ -151,24 +151,24 @@ HISTORY_S = 1.0  # a client that has just discovered a rig receives its latched 
 
 
 class WaitTimeoutError(ImpactRigError, TimeoutError):
-    """Timeout of a wait."""
+    """Timeout while waiting for a condition."""
 
 
-Check = Callable[[], None]  # raises if the wait has become pointless
+Check = Callable[[], None]  # raises an error if the wait has become pointless
 
 
 def patiently() -> None:
-    """Never end a wait early: the default check."""
+    """Never raise: the default check, with which a wait ends only by its condition or its timeout."""
 
 
 class RigGoneError(GoneError):
-    """Loss of the rig that received a command: it ended or was replaced before it carried the command out."""
+    """Loss of the rig that received a command: it ended or was replaced before it executed the command."""
 
 
 class Activation:
     """Rig that a client addresses: its last reported activation, and when that was reported.
 
-    A command belongs to the rig that received it. Before you wait for its effect, call `given`: the returned check
+    A command belongs to the rig that received it. Before you wait for its effect, call `given`. The returned check
     raises as soon as that rig is gone.
     """
 
@@ -190,7 +190,7 @@ class Activation:
         return self._clock() - self._changed_at <= DELIVERY_S
 
     def heard(self, instance: str) -> None:
-        """Update the activation from a rig's diagnostics, in the order received.
+        """Update the activation from a rig's diagnostics; call this in the order in which they arrive.
 
         Diagnostics of the previous rig may still be under way just after `changed`; these are ignored.
         """
@@ -202,13 +202,13 @@ class Activation:
             self._first = self._first or instance
 
     def changed(self) -> None:
-        """Address the next rig that reports: the user has just seen that it is there."""
+        """Address the next rig that reports: the caller has just seen a new rig."""
         self._previous, self._instance, self._changed_at = self._instance or self._previous, "", self._clock()
         self._first = ""
         self._is_there, self._is_gone = True, False
 
     def _identify(self) -> None:
-        """Keep the previous rig if no other one has reported since `changed`: it is the same rig."""
+        """Keep the previous rig if no other rig has reported since `changed`: the caller saw the same rig."""
         if not self._first and not self._is_changing and self._reported_at >= self._changed_at:
             self._instance = self._first = self._previous
 
@@ -239,11 +239,11 @@ class Spinner:
         self._working_s = 0.0
 
     def waited_s(self) -> float:
-        """Return a clock [s] that pauses while a hosted node is busy in a callback: compiling takes minutes."""
+        """Return a clock [s] that pauses while a hosted node is busy in a callback, since compiling takes minutes."""
         return time.monotonic() - self._working_s
 
     def spin(self, longest_s: float = SPIN_S) -> None:
-        """Run one callback, or wait for one for at most this long [s]."""
+        """Run one callback; wait for one at most this long [s]."""
         began = time.monotonic()
         self._executor.spin_once(timeout_sec=longest_s)
         self._working_s += max(0.0, time.monotonic() - began - longest_s)
@@ -253,7 +253,7 @@ T = TypeVar("T")
 
 DEFAULT_TIMEOUT_S = 10.0  # discovery takes 0.2 to 2 s; a node may load compiled code in its first seconds
 START_TIMEOUT_S = 240.0  # without the library of kernels, the first start of a node compiles the physics
-LIFECYCLE = (ChangeState, GetState)  # services that start and stop rigs; a transition may take minutes
+LIFECYCLE = (ChangeState, GetState)  # services that start and stop rigs; the answer may take minutes
 RIG = "simulation"  # component in the diagnostics of a rig
 
 
@@ -546,7 +546,7 @@ class Client:
         """Call a Trigger service, e.g. `rig/reset` or `recorder/start`, and return its message. See `call`.
 
         Raises:
-            ServiceFailedError: it answered `success = False`.
+            ServiceFailedError: the service answered `success = False`.
         """
         response = self.call(Trigger, name, Trigger.Request(), timeout_s, may_be_silent=may_be_silent)
         if not response.success:
@@ -575,7 +575,7 @@ class Client:
 
         Raises:
             WaitTimeoutError: the service did not appear or did not answer in time.
-            RigGoneError: the service belongs to a rig that is gone.
+            RigGoneError: the rig that offers the service is gone.
         """
         node = name.rpartition("/")[0]
         check = patiently
@@ -600,10 +600,10 @@ class Client:
     # Parameters and lifecycle
 
     def set_parameters(self, node: str, values: Mapping[str, ParameterValue]) -> None:
-        """Set parameters, all or none.
+        """Set all parameters or none.
 
         Raises:
-            ConfigError: the node rejected them; its reason.
+            ConfigError: the node rejected the parameters; the message is its reason.
         """
         request = SetParametersAtomically.Request(
             parameters=[parameter.to_parameter_msg() for parameter in ros_parameters(values)]
@@ -686,7 +686,7 @@ class Client:
     def subscribe(
         self, topic: topics.Topic, callback: Callable[..., None], raw: bool = False, profile: QoSProfile | None = None
     ) -> Any:
-        """Subscribe to a topic of the topics table; the callback gets the message (CDR bytes if `raw`) and info."""
+        """Subscribe to a topic of the topics table; the callback gets the message (CDR bytes if `raw`) and its info."""
         kind, profile = messages.class_of(topic), profile or messages.profile(topic.qos)
         return self.node.create_subscription(kind, topic.name, with_info(callback), profile, raw=raw)
 
@@ -698,7 +698,7 @@ class Client:
             self._matched.add(publisher)
 
     def _receive_applied(self) -> None:
-        """Receive all commands applied before this client started: none must pass for the answer to a new one.
+        """Receive all commands applied before this client started, so that none passes for the answer to a new one.
 
         A rig that has not started has applied none.
         """
@@ -776,7 +776,7 @@ def has_subscribers(node: Node, publisher: Any, listener: str | None) -> bool:
 def published(node: Node, topic: str) -> tuple[topics.Topic, QoSProfile] | None:
     """Return a topic's entry in the topics table and a profile compatible with its first publisher.
 
-    None if the topic has no publisher.
+    Returns None if the topic has no publisher.
     """
     found = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
     if not found:

@@ -39,7 +39,7 @@ from impact_rig.system import files, segments
 from impact_rig.system.endings import PARENT_VARIABLE, defer_signals
 
 STOP_TIMEOUT_S = 10.0
-"""Time that a process may take to end after SIGINT (a recorder finishes its file) before it is killed."""
+"""Time that a process may take to end after SIGINT before it is killed; a recorder finishes its file in this time."""
 QUOTED_LINES = 15
 NODES = ("rig", "analysis", "recorder")
 """Nodes of this package: arguments of `python -m impact_rig.nodes`."""
@@ -170,7 +170,7 @@ class Processes:
                 raise ProcessDiedError(f"the {process.name} process {how}; its last lines:\n{process.last_words()}")
 
     def stop(self, *names: str, timeout_s: float = STOP_TIMEOUT_S) -> dict[str, int]:
-        """End the named processes, or all of them, by SIGINT, SIGTERM and SIGKILL; return their exit codes."""
+        """End the named processes, or all of them, by SIGINT, then SIGTERM, then SIGKILL; return their exit codes."""
         with defer_signals():
             chosen = [self.running[name] for name in names or tuple(self.running)]
             for process in chosen:
@@ -183,7 +183,7 @@ class Processes:
                 for process in waiting:
                     process.wait(max(0.0, deadline - time.monotonic()))
             for process in chosen:
-                process.signal(signal.SIGKILL)  # children that it left behind in the group
+                process.signal(signal.SIGKILL)  # children that the process left behind in its group
             return {process.name: process.process.wait() for process in chosen}
 
     def environment(self, more: Mapping[str, str]) -> dict[str, str]:

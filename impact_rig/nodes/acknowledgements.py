@@ -243,7 +243,7 @@ class Readers:
         return not self._missing
 
     def knows(self, name: str) -> bool:
-        """Return whether a node of this name reads the topic; names that nobody uses must not fill the memory."""
+        """Return whether a node of this name reads the topic; invented names must not fill the memory."""
         if name not in self._present and (self._due(GRAPH_POLL_S) or self.subscribers != self._matched):
             self._poll()
         return name in self._present

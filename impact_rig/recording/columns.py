@@ -43,13 +43,13 @@ if TYPE_CHECKING:
     from impact_rig.recording.reader import Message, Run
 
 TIME, TIMESTAMP, EARLIER = "time", "timestamp", "earlier"
-BATCH_BYTES = 4 * 2**20  # a text takes four times as much when decoded, a number when written
+BATCH_BYTES = 4 * 2**20  # a text needs four times as much memory when decoded, a number when written
 
 Columns = dict[str, NDArray[np.generic]]
 
 
 def batches(run: Run, topic: str) -> Iterator[Columns]:
-    """Yield the columns in batches of many messages; text as str. At least one batch, empty if there are no rows.
+    """Yield the columns in batches of many messages, with text as str; without rows, one empty batch.
 
     Raises:
         RecordingError: the topic carries no tables, holds no message or changes its columns.
@@ -114,10 +114,10 @@ def first_scan_ns(run: Run, topic: str) -> int | None:
 
 
 def is_earlier(run: Run, message: Message) -> bool:
-    """Return whether a message was published before the recording began; False if its recorder does not tell."""
+    """Return whether a message was published before the recording began; False if publish times are unknown."""
     text = run.provenance.get("wall_start_ns", "")
     if message.publish_time == message.log_time:
-        return False  # its writer knew no publish time: both times are rig time
+        return False  # the writer knew no publish times: both times are rig time
     return text.isdecimal() and message.publish_time < int(text)
 
 

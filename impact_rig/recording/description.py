@@ -49,7 +49,7 @@ from impact_rig.system import budget, files
 INFINITE_NS = 2**63 - 1  # an infinite duration in ROS (RMW_DURATION_INFINITE: 9223372036 s 854775807 ns)
 
 SERIALIZATION = "cdr"
-_SCHEMA_CODEC = {True: ("utf-8", "replace"), False: ("latin-1",)}  # whether the schema is that of ROS
+_SCHEMA_CODEC = {True: ("utf-8", "replace"), False: ("latin-1",)}  # encodings of a schema, by whether it is one of ROS
 ENCODING = "ros2msg"
 
 MAX_QOS_CHARACTERS = 65_536
@@ -105,7 +105,7 @@ class TopicDescription:
     )
     """The YAML list as in the file, set by readers; otherwise derived from `offered_qos`."""
     encoding: str = SERIALIZATION  # encoding of its messages
-    schema_encoding: str = ENCODING  # of `schema`; of another one than that of ROS it holds bytes, as Latin-1
+    schema_encoding: str = ENCODING  # encoding of `schema`; if it is not that of ROS, `schema` holds bytes as Latin-1
 
     def offered_qos_yaml(self) -> list[QosYaml]:
         """Return the offered profiles for `metadata.yaml`; a text that is not a plain list counts as none."""
@@ -117,7 +117,7 @@ class TopicDescription:
 
     @classmethod
     def from_channel(cls, channel: Channel, schema: Schema | None) -> TopicDescription:
-        """Return the topic described by a channel and its schema; without a schema its type has no name."""
+        """Return the topic that a channel and its schema describe; without a schema, its type has no name."""
         schema_encoding = ENCODING if schema is None else schema.encoding
         return cls(
             name=channel.topic,
@@ -195,10 +195,10 @@ def interface_prefixes() -> tuple[Path, ...]:
 
 
 def schema_text(type_name: str) -> str:
-    """Return the schema of `type_name` (`package/msg/Type`, or `package/Type`), dependencies appended.
+    """Return the schema of `type_name` (`package/msg/Type`, or `package/Type`), followed by those of the types it uses.
 
     Raises:
-        RecordingError: as `definitions`.
+        RecordingError: as for `definitions`.
     """
     (_, first), *others = definitions(type_name).items()
     return "\n".join([first, *(f"{_SEPARATOR}\nMSG: {name}\n{text}" for name, text in others)])
@@ -238,8 +238,8 @@ def _bundled() -> dict[str, str]:
 
 
 def starts_with_header(type_name: str, schema: str) -> bool:
-    """Return whether messages of this type begin with a `std_msgs/Header`, or are one."""
-    if _NAME.fullmatch(type_name) is None:  # no type of ROS, or no schema
+    """Return whether messages of this type begin with a `std_msgs/Header`, or are headers."""
+    if _NAME.fullmatch(type_name) is None:  # not a type of ROS, or no schema
         return False
     if _short_name(type_name) == "std_msgs/Header":
         return True

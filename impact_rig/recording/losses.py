@@ -37,10 +37,10 @@ from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 
 RECORD_NAME = "impact_rig/losses"  # metadata record of received and lost messages, written when a file is finished
 REPLACED = frozenset(topic.name for topic in topics.COMMON if topic.qos is topics.Qos.LATCHED)
-"""Topics of which a publisher keeps only the newest message: one that another has replaced is not lost."""
+"""Topics of which a publisher keeps only the newest message: a message that was replaced by a newer one is not lost."""
 _LONGEST_BLOCK_S = 1e6  # a larger `time` (or NaN) cannot be that of a block
-WHOLE = 1e-6  # relative tolerance within which a rate is a whole number: times are rounded
-# maximum number of streams per topic: of publishers that come and go for days, only the last are still alive
+WHOLE = 1e-6  # tolerance within which a rate counts as a whole number, relative: times are rounded
+# maximum number of streams per topic: if publishers come and go for days, only the last ones are still alive
 MAX_STREAMS = 64
 
 Publishers = Callable[[str], Mapping[str, str]]
@@ -51,8 +51,8 @@ Publishers = Callable[[str], Mapping[str, str]]
 class PublisherStream:
     """Messages of one publisher on one topic."""
 
-    publisher: str  # its name if it is certain, else empty
-    first: int  # sequence number of its first message; earlier messages are no loss
+    publisher: str  # name of the publisher if it is certain, else empty
+    first: int  # sequence number of its first message; earlier messages do not count as lost
     newest: int  # sequence number of its newest message
     received: int = 1
     lost: int = 0  # number of missing messages between `first` and `newest`
@@ -192,7 +192,7 @@ class Contiguity:
 
     @property
     def whole(self) -> bool:
-        """Return whether nothing is missing and nothing is duplicated."""
+        """Return whether no scan is missing and none is duplicated."""
         return not self.gaps
 
 
@@ -208,13 +208,13 @@ def check_contiguity(
     Args:
         blocks: stamp [ns] and number of scans of each block, in the order to check.
         rate_hz: scans per second.
-        start_ns: rig time of scan 0. None means unknown: the first block then anchors the index (and again a block
-            whose stamp does not fit, so that a restarted rig counts as one gap). If the scan period is not a whole
-            number of nanoseconds, a stamp may then differ by one nanosecond.
-        starts: rig times of scan 0 of further rigs: nothing is missing between the last block of one rig and the first
-            of the next.
-        resets: rig times of scan 0 after each reset. A reset drops the scans that do not fill a block: fewer than a
-            block and a tick of commands.
+        start_ns: rig time of scan 0 [ns]. None means unknown: the first block then defines the index of a scan, and so
+            does a block whose stamp does not fit, so that a restarted rig counts as one gap. If the scan period is not
+            a whole number of nanoseconds, a stamp may then differ by one nanosecond.
+        starts: rig times of scan 0 of further rigs [ns]: nothing is missing between the last block of one rig and the
+            first block of the next.
+        resets: rig times of scan 0 after each reset [ns]. A reset drops the scans that do not fill a block: fewer than
+            a block and a tick of commands.
     """
     over, under = rate_hz.as_integer_ratio()
     period_exact = NS_PER_S * under % over == 0
@@ -222,7 +222,7 @@ def check_contiguity(
     count = scans = lost_blocks = lost_scans = restarts = 0
     gaps: list[Gap] = []
     anchor_ns = start_ns
-    index = before = 0  # of the next scan, counted from the anchor; scans of the previous block
+    index = before = 0  # index of the next scan, counted from the first block; number of scans in the previous block
     dropped = dict.fromkeys(starts, True) | dict.fromkeys(resets, False)
     begins, newest = deque(sorted(dropped)), 0
     for stamp, length in blocks:

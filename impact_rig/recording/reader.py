@@ -89,7 +89,7 @@ class Segment:
     length: int
     first_ns: int  # smallest log time of its messages
     last_ns: int
-    size: int  # size of its decompressed records
+    size: int  # size of its decompressed records [bytes]
     channels: frozenset[int]  # ids of the channels of its messages; empty if unknown
     chunk: ChunkIndex | None  # None if outside chunks
 
@@ -109,7 +109,7 @@ class _Place:
     segment: Segment
 
 
-_Item = tuple[int, int, int, Message]  # log time, running number of the chunk, of the message: a total order
+_Item = tuple[int, int, int, Message]  # log time, number of the chunk, number of the message: a total order
 
 
 class Run:
@@ -146,7 +146,7 @@ class Run:
 
     def close(self) -> None:
         """Close the files; a second call has no effect."""
-        self._ahead.shutdown(cancel_futures=True)  # first, because it reads from these files
+        self._ahead.shutdown(cancel_futures=True)  # shut down first, because it reads from these files
         for source in self.sources:
             source.close()
 
@@ -196,9 +196,9 @@ class Run:
         return {}
 
     def attachments(self) -> dict[str, bytes]:
-        """Return the files stored inside the recording, by name; of several with one name, the first.
+        """Return the files stored inside the recording, by name.
 
-        That of the start.
+        If several have the same name, the first one is returned, which was attached at the start.
 
         Raises:
             RecordingError: one is damaged.
@@ -414,7 +414,7 @@ class Run:
             cut = len(pending)
             if not recorded_order:
                 pending.sort()
-                if ahead:  # no later chunk contains anything before the start of the next one
+                if ahead:  # no later chunk contains a message from before the start of the next one
                     cut = bisect.bisect_left(pending, (ahead[0][0].segment.first_ns,))
             for log_time, _, _, message in pending[:cut]:
                 if (start_ns is None or log_time >= start_ns) and (end_ns is None or log_time < end_ns):
@@ -422,7 +422,7 @@ class Run:
             del pending[:cut]
 
     def _refuse_hoard(self, pending: list[_Item], recorded: Sequence[_Place], coming: Iterable[_Place]) -> None:
-        """Refuse to hold many chunks in memory because each has a message much later than the others."""
+        """Refuse to keep many chunks in memory because each has a message that is much later than the others."""
         held = [*(recorded[number] for number in {item[1] for item in pending}), *coming]
         size = _size(*held) + budget.MESSAGE_BYTES * len(pending)
         with _named(self.path):
@@ -521,7 +521,7 @@ def _listed_files(directory: Path) -> list[str]:
 
 
 def _wanted(source: McapSource, segment: Segment, names: frozenset[str] | None) -> bool:
-    if names is None or not segment.channels:  # unknown channels
+    if names is None or not segment.channels:  # the channels are unknown
         return True
     return any(source.topics[i].name in names for i in segment.channels if i in source.topics)
 
@@ -599,7 +599,7 @@ class McapSource:
         """Raise an error if the file of a segment has been closed.
 
         Raises:
-            RecordingError: it has.
+            RecordingError: the file has been closed.
         """
         if self._fd < 0:
             raise RecordingError(f"cannot read {self.path} at byte {offset}: it has been closed")
@@ -697,7 +697,7 @@ class McapSource:
         return found
 
     def metadata(self) -> list[tuple[str, dict[str, str]]]:
-        """Return the metadata records: name and content. Their content is not protected by MCAP.
+        """Return name and content of the metadata records. MCAP does not protect the content by a checksum.
 
         Raises:
             RecordingError: one is not a metadata record.
@@ -722,7 +722,7 @@ class McapSource:
         """Return the checksum in the head of a chunk; 0 means none.
 
         Raises:
-            RecordingError: it cannot be read.
+            RecordingError: the chunk cannot be read.
         """
         head = records.RECORD_HEAD.size + records.CHUNK_HEAD.size
         with files.translate_errors(f"cannot read {self.path} at byte {segment.offset}"):
@@ -733,7 +733,7 @@ class McapSource:
         """Return the offset of the record that ends the data section.
 
         Raises:
-            DamageError: it is not directly before the summary.
+            DamageError: this record is not directly before the summary.
         """
         tail_bytes = records.FOOTER_BYTES + len(records.MAGIC)
         tail = os.pread(self._fd, tail_bytes, self.size - tail_bytes)
@@ -744,7 +744,7 @@ class McapSource:
         """Return the content of the record at an offset.
 
         Raises:
-            DamageError: there is no record of this kind.
+            DamageError: there is no record of this kind at the offset.
         """
         with files.translate_errors(f"cannot read {self.path} at byte {offset}"):
             head = os.pread(self._fd, records.RECORD_HEAD.size, offset)
@@ -828,7 +828,8 @@ def parse_summary(section: memoryview) -> Summary:
     """Parse a summary section.
 
     Raises:
-        DamageError: it is not a sequence of records, has no statistics, or lists less than these count.
+        DamageError: the section is not a sequence of records, has no statistics, or lists fewer
+            parts than the statistics count.
     """
     found = Summary()
     offset = 0
@@ -878,7 +879,7 @@ def topics_of(summary: Summary) -> dict[int, TopicDescription]:
 
     Raises:
         DamageError: a channel refers to a missing schema.
-        BudgetError: there are too many.
+        BudgetError: there are too many topics.
     """
     budget.allow("topics", len(summary.channels), budget.TOPICS)
     topics = {}

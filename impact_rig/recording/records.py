@@ -46,11 +46,11 @@ Bytes = bytes | memoryview
 
 
 class DamageError(RecordingError):
-    """Damage: bytes are not the record they claim to be."""
+    """Damage to a recording: its bytes are not the record that they should be."""
 
 
 class UncheckedError(DamageError):
-    """Lack of a required checksum."""
+    """Lack of a checksum where one is required."""
 
 
 class RawMessage(NamedTuple):
@@ -74,7 +74,7 @@ class _Strict(ReadDataStream):
         """Return the next bytes.
 
         Raises:
-            DamageError: there are fewer.
+            DamageError: fewer bytes are left.
         """
         left = len(self._view) - self._count
         if length > left:
@@ -90,7 +90,7 @@ def parse(kind: type[Record], content: memoryview) -> Record:
     """Parse all of `content` as a record of one kind; the data in it are views.
 
     Raises:
-        DamageError: it is invalid, or bytes are left over.
+        DamageError: the record is invalid, or longer than its content.
     """
     stream = _Strict(content)
     try:
@@ -157,7 +157,7 @@ def plain_message(data: memoryview, most: int) -> memoryview:
         most: largest decompressed size [bytes].
 
     Raises:
-        DamageError: it cannot be decompressed, or is larger.
+        DamageError: the message cannot be decompressed, or is larger than `most`.
     """
     if bytes(data[:4]) != ZSTD_MAGIC:
         return data

@@ -37,10 +37,10 @@ def prefix_of(name: str, topic: topics.Topic) -> str | None:
 
 
 def prefixes(types: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the topic prefix of each rig, such as `/rig/`, in the order of the names.
+    """Return the topic prefix of each rig, such as `/rig/`, in alphabetical order.
 
-    A rig publishes `daq/scan`. In a recording without any, every known topic indicates a rig, by the longest relative
-    name that fits.
+    Each rig publishes `daq/scan`, so the topics of this name show the rigs. In a recording without any, each known
+    topic indicates a rig, by the longest relative name that fits.
 
     Args:
         types: type of each recorded topic, by name.

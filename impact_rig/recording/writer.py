@@ -67,7 +67,7 @@ from impact_rig.system.files import NEW_FILE
 CONTINUES_RECORD_NAME = "impact_rig/continues"
 """Metadata record of a file of a split run: the name of the next file."""
 CHUNK_BYTES = 512 * 1024
-"""Uncompressed size at which a chunk is closed: 4 MiB stall the writer for 25 ms, a few hundred KiB for 1-3 ms."""
+"""Uncompressed size at which a chunk is closed: 4 MiB stall the writer for 25 ms, a few hundred KiB for 1 to 3 ms."""
 CHUNK_OPEN_S = 0.5  # wall time after which an open chunk is closed, even if it is small
 
 
@@ -90,8 +90,8 @@ class RunWriter:
             to this user and contain neither `*.mcap`, `*.mcap.tail` nor `metadata.yaml`: nothing is overwritten.
         provenance: content of the `impact_rig` metadata record of every file; None means no record.
         attachments: attachments of every file; see `attach`.
-        account: account of received and lost messages; None means a new one without access to the graph.
-        closing: returns further metadata records, by name, when a file is finished.
+        account: account of received and lost messages; None means a new account without access to the graph.
+        closing: returns further metadata records, by name; called when a file is finished.
         clock: monotonic wall clock [s]; decides when an open chunk is due.
         compression: `none`, `lz4` or `zstd`.
         chunk_bytes: see `CHUNK_BYTES`.
@@ -167,7 +167,7 @@ class RunWriter:
         return [self.directory / span.path for span in self._spans]
 
     def add_topic(self, topic: TopicDescription) -> None:
-        """Register a topic; may be called at any time. A topic already known with the same type is ignored.
+        """Register a topic, at any time. If the topic is already registered with the same type, the call has no effect.
 
         Raises:
             RecordingError: the topic is known with another type (the run continues), or the file cannot be written.
@@ -177,7 +177,7 @@ class RunWriter:
         if known is None:
             channel = _Channel(topic, starts_with_header(topic.type_name, topic.schema), _carries_scans(topic))
             with _StoppingOnError(self):
-                self._file.close_chunk()  # the tail of the open chunk knows only the topics at its start
+                self._file.close_chunk()  # the tail of the open chunk contains only the topics registered at its start
                 self._commit()
                 self._register(channel)
                 self._file.commit()
@@ -201,7 +201,8 @@ class RunWriter:
             table: the table in `data`, if it has been decoded.
 
         Raises:
-            RecordingError: unknown topic (the run continues); or the run had to stop, now or earlier: see `closed`.
+            RecordingError: the topic is unknown (the run continues), or the run had to stop, now or earlier: see
+                `closed`.
         """
         channel = self._channels.get(topic_name)
         if channel is None:
@@ -226,7 +227,7 @@ class RunWriter:
     def _begin_without_scans(self) -> None:
         """Write the messages of a run without scans.
 
-        At their newest stamp, or without stamps at their publish times.
+        They get the time of their newest stamp or, without stamps, their publish times.
         """
         stamps = [_stamp(one.data) for one in self._early if one.channel.has_header]
         newest_ns = max(stamps, default=0)
@@ -236,7 +237,7 @@ class RunWriter:
         self._early, self._early_bytes = [], 0
 
     def _write_early(self) -> None:
-        """Write the messages received before the first scan, at its time."""
+        """Write the messages received before the first scan, with the time of that scan."""
         for one in self._early:
             self._write_one(one)
         self._early, self._early_bytes = [], 0
@@ -247,7 +248,7 @@ class RunWriter:
         self._write(one.channel, one.data, now_ns, one.publish_time_ns, one.sequence, counted=True)
 
     def write_at(self, topic_name: str, data: bytes, log_time_ns: int, publish_time_ns: int, sequence: int = 0) -> None:
-        """Record one message at a given log time, without the account; otherwise like `write`."""
+        """Record one message at a given log time, without counting it in the account; otherwise like `write`."""
         self._write(self._channels[topic_name], data, log_time_ns, publish_time_ns, sequence, counted=False)
 
     def _write(
@@ -278,7 +279,7 @@ class RunWriter:
                 self._flush_if_due()
 
     def secure(self) -> None:
-        """Make sure that all accepted messages survive a killed process; requires `tail`.
+        """Make sure that all accepted messages survive if this process is killed; this needs `tail`.
 
         Raises:
             RecordingError: the run had to stop, now or earlier.
@@ -299,11 +300,11 @@ class RunWriter:
                 self._flush_if_due()
 
     def attach(self, attachment: Attachment, instead_of: str = "") -> None:
-        """Store a file inside the recording; a further file of a split run repeats those active at its start.
+        """Store a file inside the recording; a further file of a split run begins with the attachments of its start.
 
         Args:
             attachment: the file.
-            instead_of: the attachment that it supersedes, by the name of the first of the series.
+            instead_of: name of the attachment that this one replaces; of several successive ones, that of the first.
 
         Raises:
             RecordingError: the run had to stop, now or earlier.
@@ -315,14 +316,14 @@ class RunWriter:
             self._file.commit()
 
     def supersede(self, attachment: Attachment, instead_of: str = "") -> None:
-        """Replace an attachment in further files of a split run; the present file is unchanged."""
+        """Replace an attachment in further files of a split run; the file that is open stays unchanged."""
         self._in_force[instead_of or attachment.name] = attachment
 
     def finish(self) -> Path:
         """Finish the run and return its directory; a second call, or one after an error, has no effect.
 
         Raises:
-            RecordingError: there is no room for index or `metadata.yaml`; the messages on disk are intact.
+            RecordingError: the disk has no space for index or `metadata.yaml`; the messages on disk are intact.
         """
         if not self._closed:
             self._begin_without_scans()
@@ -395,7 +396,7 @@ class RunWriter:
             self._close()
 
     def _close(self) -> None:
-        """Close all open files as they are; a tail that is still needed stays."""
+        """Close all open files in their present state; a tail that is still needed stays."""
         self._file.close()
         if self._tail is not None:
             self._tail.close()
@@ -467,7 +468,7 @@ class _StoppingOnError:
 
 
 MOST_EARLY, MOST_EARLY_BYTES = 20_000, 16 * 2**20
-"""Limits, in messages and bytes, of what waits for the first scan, which defines the rig time of reception."""
+"""Limits [messages, bytes] of what waits for the first scan, which defines the rig time of reception."""
 
 
 @attrs.frozen
@@ -481,9 +482,9 @@ class _Early:
 
 
 class LogClock:
-    """Log time of a recording: the rig time at which a message is received, from the scans received so far.
+    """Log time of a recording: the rig time at which a message is received, computed from the scans received so far.
 
-    It never goes back. If stamps do (a restarted rig), it continues from its last value at their rate.
+    It never goes back. If the stamps go back (a restarted rig), it continues from its last value at their rate.
     """
 
     def __init__(self) -> None:
@@ -496,7 +497,7 @@ class LogClock:
         self.now_ns = max(_clamp(now_ns), self.now_ns or 0)
 
     def begin_block(self, first_ns: int, last_ns: int) -> int:
-        """Return the log time of a block: that of its first scan.
+        """Return the log time of a block, which is that of its first scan.
 
         Args:
             first_ns: stamp of its first scan.
@@ -520,7 +521,7 @@ def _carries_scans(topic: TopicDescription) -> bool:
 
 
 def _clamp(time_ns: int) -> int:
-    """Limit a time to the range of rosbag2: its times are signed, those of MCAP are not."""
+    """Limit a time to the range of rosbag2, whose times are signed; those of MCAP are not."""
     return min(max(0, time_ns), INFINITE_NS)
 
 
@@ -666,7 +667,7 @@ class McapFile:
         return number
 
     def add_message(self, channel: int, log_time: int, data: bytes, publish_time: int, sequence: int) -> bool:
-        """Add a message to the open chunk; return whether that closed the chunk (which then waits for `commit`)."""
+        """Add a message to the open chunk; return whether this closed the chunk, which then waits for `commit`."""
         self._largest_message = max(self._largest_message, len(data))
         sequence &= SEQUENCE_MASK
         self._messages.append((channel, log_time, data, publish_time, sequence))
@@ -696,7 +697,7 @@ class McapFile:
         self._buffer.write(record)
 
     def take_back(self) -> bytes:
-        """Return the records that wait for `commit`, and withdraw them."""
+        """Withdraw the records that wait for `commit`, and return them."""
         self.close_chunk()
         records = self._buffer.getvalue()
         self._buffer.empty()
@@ -737,7 +738,7 @@ class McapFile:
         self._buffer.drain()
 
     def shortage(self) -> str:
-        """Return the reason why one more chunk and the index might not fit, or an empty text."""
+        """Return the reason why one more chunk and the index might not fit on the disk, or an empty text."""
         index = self._index_bytes + (self._chunks + 2) * (_INDEX_BYTES_PER_CHUNK + 10 * self._channels)
         needed = self._chunk_bytes + self._largest_message + index
         limit, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -753,7 +754,7 @@ class McapFile:
         """Write summary, index and statistics, and close the file.
 
         Raises:
-            RecordingError: there is no room for them; the records before them are intact.
+            RecordingError: the disk has no space for them; the records before them are intact.
         """
         try:
             self.close_chunk()
@@ -765,7 +766,7 @@ class McapFile:
             self.close()
 
     def close(self) -> None:
-        """Close the file as it is."""
+        """Close the file in its present state."""
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
@@ -779,7 +780,7 @@ def _length(record: McapRecord) -> int:
 
 
 def _create(path: Path) -> int:
-    """Create a file that is locked while this process writes it: readers can detect that its writer is alive."""
+    """Create a file and lock it while this process writes it, so that readers can detect that its writer is alive."""
     try:
         fd = os.open(path, NEW_FILE, 0o644)
     except FileExistsError as error:
@@ -811,7 +812,7 @@ def tail_of(recording: Path) -> Path:
 
 
 class Tail(McapFile):
-    """Tail: file with the content of one open chunk.
+    """Tail: a file with the content of the open chunk of a recording.
 
     Args:
         recording: the MCAP file.
@@ -820,7 +821,7 @@ class Tail(McapFile):
         chunk_bytes: chunk size of the recording.
 
     Raises:
-        RecordingError: it exists, or cannot be written.
+        RecordingError: the file exists, or cannot be written.
     """
 
     def __init__(self, recording: Path, follows: int, topics: Iterable[TopicDescription], chunk_bytes: int) -> None:
@@ -831,10 +832,10 @@ class Tail(McapFile):
         self.commit()
         for topic in topics:
             self.add_topic(topic)
-        self._records = [self.take_back()]  # definitions are trusted only inside a chunk, which has a checksum
+        self._records = [self.take_back()]  # readers trust definitions only inside a chunk, which has a checksum
 
     def add_message(self, channel: int, log_time: int, data: bytes, publish_time: int, sequence: int) -> bool:
-        """Keep a message for the next `secure`; nothing waits for `commit`."""
+        """Keep a message for the next `secure`; no record waits for `commit`."""
         length = MESSAGE_HEAD.size - RECORD_HEAD.size + len(data)
         head = MESSAGE_HEAD.pack(MESSAGE, length, channel, sequence & SEQUENCE_MASK, log_time, publish_time)
         self._records += head, data
@@ -842,7 +843,7 @@ class Tail(McapFile):
         return False
 
     def shortage(self) -> str:
-        """Return an empty text: the recording leaves room for much more than one chunk."""
+        """Return an empty text: the recording leaves space for much more than one chunk."""
         return ""
 
     def secure(self) -> None:
@@ -857,7 +858,7 @@ class Tail(McapFile):
         self.commit()
 
     def remove(self) -> None:
-        """Remove the file, because the chunk is written.
+        """Remove the file, because the chunk has been written.
 
         Raises:
             RecordingError: it cannot be removed.

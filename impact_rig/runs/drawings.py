@@ -40,9 +40,9 @@ if TYPE_CHECKING:
 
 NAMES = ("time_traces", "phase_plane", "spectrum", "curves")
 TRACED_CYCLES = 8
-SMOOTHED_CYCLE = 40.0  # fraction of a cycle over which the velocity of the phase plane is smoothed
+SMOOTHED_CYCLE = 40.0  # the velocity of the phase plane is smoothed over a cycle divided by this number
 SHOWN = (("laser", "1"), ("base", "b"), ("accelerometer", "1"), ("current", ""))
-"""Channel and index of its symbol: phase plane and spectrum show the first of these that a run has."""
+"""Channel, and index of its symbol; phase plane and spectrum show the first of these channels that a run has."""
 HARMONICS = 10.5
 UNDRIVEN_HZ = 100.0  # the spectrum ends after this many harmonics of the drive, or at this frequency without a drive
 
@@ -51,7 +51,7 @@ def prepare(directory: Path, formats: Sequence[str], names: Sequence[str] = NAME
     """Create the directory of the figures before a long analysis, so that it cannot fail at the end.
 
     Raises:
-        RecordingError: it cannot be created or written to, or it contains figures already.
+        RecordingError: the directory cannot be created or written to, or contains figures already.
     """
     with files.translate_errors(f"cannot write figures to {directory}"):
         files.make_folder(directory)
@@ -66,10 +66,10 @@ def prepare(directory: Path, formats: Sequence[str], names: Sequence[str] = NAME
 def draw(
     run: Run, found: Sequence[Findings], directory: Path, formats: Sequence[str] = FIGURE_FORMATS
 ) -> tuple[Excerpt, list[Path]]:
-    """Draw a run; return the excerpt that is drawn and the files written to `directory`.
+    """Draw a run; return the excerpt that was drawn, and the files written to `directory`.
 
     Raises:
-        RecordingError: too few scans, or a file cannot be written.
+        RecordingError: there are too few scans, or a file cannot be written.
     """
     excerpt = last_excerpt(run, found)
     traced = excerpt.newest(TRACED_CYCLES)
@@ -118,7 +118,7 @@ def measured_curves(rows: NDArray[np.void]) -> dict[str, NDArray[np.void]]:
         if not np.any(steps):
             continue
         moves = np.flatnonzero(steps)
-        # a point belongs to the step that led to it; the first points belong to the step that follows
+        # a point belongs to the frequency step that led to it; the first points belong to the step that follows
         upwards = steps[moves[np.maximum(np.searchsorted(moves, np.arange(len(steps) + 1)) - 1, 0)]] > 0
         label = "gap unknown" if math.isinf(gap) else f"gap {gap * 1e3:g} mm" if gap else "no sphere"
         for way, there in (("up", upwards), ("down", ~upwards)):
@@ -155,7 +155,7 @@ def save(figure: Figure, stem: Path, formats: Sequence[str]) -> list[Path]:
     """Write a figure in some formats and return the paths; existing files are not overwritten.
 
     Raises:
-        RecordingError: it cannot be written.
+        RecordingError: the figure cannot be written.
     """
     plain_texts(figure)
     paths = [stem.with_name(f"{stem.name}.{kind}") for kind in formats]

@@ -143,7 +143,7 @@ def _write_csv(file: BinaryIO, batches: Iterator[Columns]) -> None:
 
 
 def _plain(column: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Return a column for a text file, with dates in ISO 8601 to the nanosecond."""
+    """Return a column for a text file: dates become ISO 8601 to the nanosecond."""
     return np.datetime_as_string(column, unit="ns") if column.dtype.kind == "M" else column  # type: ignore[call-overload]
 
 
@@ -221,8 +221,8 @@ def _response_functions(
 def _dataset(name: str, kind: int, x: NDArray[np.float64], y: NDArray[np.generic], unit: str) -> dict[str, object]:
     """Return a function in pyuff's format; the abscissa is written out unless it is evenly spaced.
 
-    For an even abscissa the file holds start and step with six digits each, from which readers compute the other
-    values.
+    If the abscissa is even, the file holds its start and step with six digits each, from which readers compute the
+    other values.
     """
     begin, step = (float(f"{one:.5e}") for one in (x[0], x[1] - x[0]))
     line = one_line(name, 80)  # a line of its own in the file
@@ -235,7 +235,7 @@ def _dataset(name: str, kind: int, x: NDArray[np.float64], y: NDArray[np.generic
     }  # fmt: skip
 
 
-_EVEN = 1e-6  # tolerance for an even abscissa, in steps
+_EVEN = 1e-6  # tolerance within which an abscissa counts as even, as a fraction of its step
 _TIME_RESPONSE, _RESPONSE_FUNCTION = 1, 4  # function types of dataset 58
 
 _WRITERS: Mapping[str, Callable[[BinaryIO, Iterator[Columns]], None]] = {

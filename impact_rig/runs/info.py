@@ -52,7 +52,7 @@ class TopicInfo:
     """Figures of one topic.
 
     Attributes:
-        first_ns, last_ns: earliest and latest log time; 0 without messages.
+        first_ns, last_ns: earliest and latest log time [ns]; 0 without messages.
     """
 
     name: str
@@ -62,7 +62,7 @@ class TopicInfo:
     """Messages per second of rig time between its first and last message; None with fewer than two stamps."""
     first_ns: int
     last_ns: int
-    bytes: int  # size of the CDR bytes of all its messages
+    bytes: int  # size of its messages as CDR [bytes]
 
 
 @attrs.frozen
@@ -78,13 +78,13 @@ class RunInfo:
     last_block_s: float  # duration of its newest block [s]; 0 if unknown
     rig_s: float | None  # rig time spanned by the stamps of the scans [s], the longest of all rigs; None without scans
     scans: Contiguity | None  # whether its blocks are contiguous; None without scans
-    provenance: Mapping[str, str]  # version, seed, wall_start_ns, ...; empty for files of other recorders
+    provenance: Mapping[str, str]  # version, seed, wall_start_ns, and more; empty for files of other recorders
     attachments: Mapping[str, int]
     configuration: str | None
     lost: Mapping[str, int]  # messages that never reached the recorder, by topic; topics without losses are left out
     accounted: bool
     recovered: Recovered | None  # losses of a recovery; None for an original recording
-    intact: bool  # whether all checksums match and nothing is known to be missing
+    intact: bool  # whether all checksums match, and no message is known to be missing
     verdict: str
     checksums: structure.Checksums
     rigs: tuple[str, ...]  # namespaces
@@ -92,7 +92,7 @@ class RunInfo:
 
     @property
     def log_s(self) -> float:
-        """Time from the earliest to the latest log time [s]."""
+        """Time from the earliest to the latest log time of a message [s]."""
         return (self.end_ns - self.start_ns) / NS_PER_S
 
     @property
@@ -107,7 +107,7 @@ class RunInfo:
 
     @property
     def bytes(self) -> int:
-        """Size of all files."""
+        """Size of all files [bytes]."""
         return sum(size for _, size in self.files)
 
 
@@ -158,7 +158,7 @@ def info(path: Path | str) -> RunInfo:
         replaced = {prefix + name for prefix in run.prefixes for name in losses.REPLACED}
         lost = {name: count for name, count in losses.lost(account).items() if name not in replaced}
         missing = [*_absent_files(run), *_gaps(scans), *_losses(lost), *_left_out(recovered)]
-        if recovered is None:  # the account covers what was recorded, not what was recovered
+        if recovered is None:  # the account covers the original recording, not the recovered messages
             missing += _unaccounted(account, tally)
         configuration = attachments.get(CONFIGURATION)
         return RunInfo(
@@ -259,7 +259,7 @@ def _absent_files(run: Run) -> list[str]:
 
 
 def _unaccounted(account: Mapping[str, list[losses.PublisherStream]], tally: _Tally) -> list[str]:
-    """Return the contradictions between the files and the recorder's account, message by message."""
+    """Return the contradictions between the messages in the files and the recorder's account."""
     short, twice, uncounted = [], [], []
     for name, numbers in tally.sequences.items():
         streams = account.get(name)
@@ -284,13 +284,13 @@ def _unaccounted(account: Mapping[str, list[losses.PublisherStream]], tally: _Ta
 
 
 def _compared(numbers: NDArray[np.uint64], streams: list[losses.PublisherStream]) -> tuple[int, int]:
-    """Return the number of duplicate messages, and of received messages that are missing.
+    """Return the number of duplicate messages, and of messages that were received but are missing in the files.
 
     A file does not name the sender of a message. The sequence numbers of a topic are therefore compared with all of its
     publishers together: no number may occur more often than there are publishers that sent it.
     """
     if any(not stream.first or stream.newest >= 2**32 for stream in streams):
-        return 0, 0  # messages without a number, publishers that were dropped, or partly kept numbers
+        return 0, 0  # messages have no number, publishers were dropped, or only some messages have numbers
     present, counts = np.unique(numbers, return_counts=True)
     sent = sum(((present >= stream.first) & (present <= stream.newest)).astype(np.int64) for stream in streams)
     again = int(np.maximum(counts - sent, 0).sum())
@@ -317,9 +317,9 @@ class _RigScans:
     """Facts about the scans of one rig."""
 
     blocks: list[tuple[int, int]] = attrs.field(factory=list)
-    starts: list[int] = attrs.field(factory=list)  # scan 0 of each start in the journal [ns]
-    resets: list[int] = attrs.field(factory=list)  # scan 0 of each reset in the journal [ns]
-    rates: list[float] = attrs.field(factory=list)  # from the calibration
+    starts: list[int] = attrs.field(factory=list)  # time of scan 0 of each start in the journal [ns]
+    resets: list[int] = attrs.field(factory=list)  # time of scan 0 of each reset in the journal [ns]
+    rates: list[float] = attrs.field(factory=list)  # scan rates from the calibrations [Hz]
     from_times: float | None = None
 
     @property
@@ -327,7 +327,7 @@ class _RigScans:
         """Scans per second: from the times in a block, the calibration, or the stamps of two one-scan blocks."""
         found = self.from_times or next(iter(self.rates), None)
         if self.rates and found and abs(self.rates[0] / found - 1.0) < SAME_RATE:
-            found = self.rates[0]  # with full precision
+            found = self.rates[0]  # the calibration has the full precision
         if found is None:
             steps = [after[0] - one[0] for one, after in itertools.pairwise(self.blocks) if one[1] == 1]
             least = min((step for step in steps if step > 0), default=0)
@@ -336,7 +336,7 @@ class _RigScans:
 
     @property
     def span_s(self) -> float:
-        """Rig time from the first scan to the end of the last [s]; a new stretch begins where stamps go back."""
+        """Rig time from the first scan to the end of the last [s]; a new stretch begins if the stamps go back."""
         total_ns = begin_ns = end_ns = 0
         for number, (stamp_ns, length) in enumerate(self.blocks):
             if number == 0 or stamp_ns < begin_ns:
@@ -376,7 +376,7 @@ class _Tally:
         if message.topic in self._scan_topics:
             self._add_block(message)
         elif message.topic in self._info_topics:
-            with contextlib.suppress(CodecError):  # an invalid table gives no rate
+            with contextlib.suppress(CodecError):  # an invalid table has no scan rate
                 rates = self._rig(message, topics.INFO).rates
                 rates += codec.decode(message.data, topics.INFO).rows["rate"][:1].tolist()
         elif message.topic in self._journals:

@@ -19,15 +19,12 @@ import json
 from collections.abc import Iterator, Mapping
 
 SOURCE = "source.json"  # attachment of an imported run
-LARGEST_BYTES = 4_000_000  # limit of the attachment; Rattlesnake, the widest known source, has about a hundred channels
+LARGEST_BYTES = 4_000_000  # limit of the attachment [bytes]; the widest known source has about 100 channels
 MOST_LISTED = 12  # maximum number of items listed individually
 
 
 def origin(attachments: Mapping[str, bytes]) -> dict[str, str]:
-    """Return the origin that a run's attachments state, as headings and texts.
-
-    Empty for a run that was not imported.
-    """
+    """Return the origin that a run's attachments state, as headings and texts; empty if the run was not imported."""
     text = attachments.get(SOURCE, b"")
     if not text or len(text) > LARGEST_BYTES:
         return {}

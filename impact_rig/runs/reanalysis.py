@@ -14,8 +14,8 @@
 """Reanalysis of a recorded run by the live node's `Tracker`, and comparison with the live results.
 
 A measurement begins at the last change (a command, a label, a reset) or at the start of the data. Live and recorded
-results therefore agree from the first change that both saw. Before it, one of them has seen more, and the two cannot be
-compared.
+results therefore agree from the first change that both saw. Before it, one of them has seen more scans, so they
+cannot be compared.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def analyze(
 
 
 def _in_force_first(run: Run, names: Mapping[str, topics.Topic]) -> Iterator[Message]:
-    """Yield scans in the order received, and other messages between the scans between which the rig published them.
+    """Yield scans in the order received, and each other message between the scans between which the rig published it.
 
     Each topic reaches a recorder independently. On a busy machine a change may arrive many scans late, and latched
     messages arrive late at a recorder that starts while the rig runs. Without a calibration nothing can be measured, so
@@ -103,9 +103,9 @@ def _in_force_first(run: Run, names: Mapping[str, topics.Topic]) -> Iterator[Mes
 
 
 def as_set_live(run: Run) -> tuple[TrackerSettings, list[GapLabel]]:
-    """Return the settings and labels of the live analysis; without one, the operator's remarks and defaults.
+    """Return the settings and labels of the live analysis; without one, the defaults and the operator's remarks.
 
-    They are read first: a label names the scan it acts on, and may have been recorded after that scan.
+    Settings are read before the scans: a label names the scan it acts on, and may have been recorded after that scan.
     """
     if not run.holds(topics.ANALYSIS_SETTINGS):
         return TrackerSettings(), [label for label in map(parse_label, remarks(run)) if label is not None]
@@ -121,17 +121,17 @@ class _LiveSettings:
 
     since_ns: int
     table: Table
-    again: bool  # whether they come from a restarted analysis
-    # whether another analysis published in between: with two analyses at once, the source of a label is unknown
+    again: bool  # whether a restarted analysis published them
+    # whether another analysis published in between: with two analyses at once, it is unknown which one made a label
     in_turn: bool
 
 
 def _live_settings(run: Run) -> list[_LiveSettings]:
     """Return the settings in the order of publication; invalid tables are skipped.
 
-    An analysis labels everything it will see, from stamp 0 on. An analysis that was restarted during the run has seen
-    nothing before, so its settings apply from its start. Those of an analysis that ended before the run are latched and
-    do not apply to it.
+    The label of an analysis applies to all scans that it receives, from stamp 0 on. An analysis that was restarted
+    during the run has received nothing before, so its settings apply from its start. Those of an analysis that ended
+    before the run are latched and do not apply to it.
     """
     topic = topics.ANALYSIS_SETTINGS
     if not run.holds(topic):
@@ -194,7 +194,7 @@ def rows(tables: list[Table]) -> NDArray[np.void]:
 
 
 def newest_settled(tables: list[Table]) -> NDArray[np.void]:
-    """Return the last settled measurement at each gap (unknown ones first) and frequency, ascending; shape (n,)."""
+    """Return the last settled measurement at each gap and frequency, ascending, unknown gaps first; shape (n,)."""
     found = rows(tables)
     settled: NDArray[np.void] = found[found["settled"] == 1.0]
     keys = zip(np.nan_to_num(settled["gap"], nan=-1.0).tolist(), settled["frequency"].tolist(), strict=True)
@@ -208,7 +208,7 @@ def texts(run: Run, topic: topics.Topic, blocks: int | None = None) -> list[str]
     Args:
         run: an open run.
         topic: the topic.
-        blocks: number of blocks of scans; only texts recorded before that many are returned. None means no limit.
+        blocks: number of blocks of scans: only texts recorded before their end are returned. None means all.
     """
     if not run.holds(topic):
         return []
@@ -248,7 +248,7 @@ class Compared:
     topic: str
     count: int = 0  # number of rows or messages that were compared and agree
     difference: str = ""  # the first difference; empty if there is none
-    left_out: str = ""  # what could not be compared, and why; empty if all could
+    left_out: str = ""  # topics that could not be compared, and why; empty if all could be compared
     what: str = "rows"  # unit of the count
 
     def __str__(self) -> str:
@@ -263,8 +263,8 @@ class Compared:
 class Agreement:
     """Comparison result of a run."""
 
-    same: bool | None  # whether everything comparable agrees; None if nothing is comparable
-    identical: bool = False  # whether it agrees bit for bit
+    same: bool | None  # whether everything that can be compared agrees; None if nothing can be compared
+    identical: bool = False  # whether the compared results are equal bit for bit
     compared: int = 0  # number of rows compared
     elsewhere: bool | None = None
     """True if the live analysis ran on another machine or with other libraries; None if not recorded."""
@@ -296,7 +296,7 @@ class Agreement:
 
 @attrs.frozen
 class _Blind:
-    """Scans not seen by one side: those after `begin`, up to `end`."""
+    """Stretch of scans that one side has not received: those after `begin`, up to `end`."""
 
     begin: float
     end: float
@@ -304,7 +304,7 @@ class _Blind:
 
 @attrs.frozen(eq=False)
 class _Row:
-    """Measurement whose stretch begins after scan `begin` and ends with scan `end`."""
+    """Measurement of the scans after `begin`, up to `end`."""
 
     begin: int
     end: int
@@ -349,7 +349,7 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
     our_blind = [_Blind(-math.inf, data_begin)]
     our_blind += [_Blind(*(_scan(at, rate_hz) - 1 for at in (gap.expected_ns, gap.stamp_ns))) for gap in gaps]
     live_blind = _blind(live)
-    # a restarted analysis knows nothing of earlier scans, and no analysis measured in between
+    # a restarted analysis knows no earlier scans, and no analysis measured in between
     again = next((one.since_ns for one in settings if one.again), None)
     live_end = data_end if again is None else max((row.end for row in live if row.stamp_ns < again), default=data_begin)
     theirs = [row for row in live if row.end <= live_end and _comparable(row, live_blind, our_blind, ours)]
@@ -367,7 +367,7 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
     longest_s = max(length for _, length in blocks) / rate_hz
     late = data_end - round((TrackerSettings().hold_s + lag_s(run, longest_s)) * rate_hz)
     reason, identical = _difference(theirs, found, late, exact=elsewhere is False)
-    if reason and is_cut_short(run):  # compare again without the rows that may lack a command
+    if reason and is_cut_short(run):  # compare again without the last rows, which may lack a command
         complete = data_end - round(lag_s(run, longest_s) * rate_hz)
         shorter, ours_shorter = ([row for row in rows if row.end <= complete] for rows in (theirs, found))
         reason_before, identical_before = _difference(shorter, ours_shorter, late, exact=elsewhere is False)
@@ -386,7 +386,7 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
 
 
 def lag_s(run: Run, block_s: float) -> float:
-    """Return the largest lag of other topics behind the scans at the end of a recording [s].
+    """Return the largest delay of other topics relative to the scans at the end of a recording [s].
 
     A rig that is not paced runs ahead of its peers by `time.ack_window` blocks.
 
@@ -437,7 +437,7 @@ def _plotted(run: Run, live: Sequence[_Row]) -> Compared:
 
 
 def _agree(shown: Sequence[float], settled: Sequence[float], shift: int) -> bool:
-    """Return whether values agree where both exist, with `shown` beginning `shift` later; the ends may differ."""
+    """Return whether values agree where both exist, if `shown` begins `shift` values later; the ends may differ."""
     ours, theirs = shown[max(0, -shift) :], settled[max(0, shift) :]
     both = min(len(ours), len(theirs))
     return both > 0 and abs(len(ours) - len(theirs)) <= EDGE and ours[:both] == theirs[:both]
@@ -451,7 +451,7 @@ def _number(cdr: bytes | memoryview) -> float:
 def _impacts(run: Run, offline: Iterable[Table], rate_hz: int, span: tuple[int, int]) -> Compared:
     """Compare the detected impacts of the scans in `span`, which both sides have seen.
 
-    Peaks are compared to `TOLERANCE`: the state of the filter depends on where each side began.
+    Peaks are compared within `TOLERANCE`, because the state of the filter depends on where each side began.
     """
     name = topics.IMPACTS.name
     if not run.holds(topics.IMPACTS):
@@ -499,13 +499,13 @@ def _scan(stamp_ns: int, rate_hz: int) -> int:
 
 
 def _blind(live: Sequence[_Row]) -> list[_Blind]:
-    """Return the scans not seen by the live analysis: those before its first, and lost ones."""
+    """Return the scans that the live analysis has not seen: those before its first, and lost ones."""
     lost = (_Blind(before.end, row.begin) for before, row in itertools.pairwise(live) if before.lost_blocks)
     return [_Blind(-math.inf, min(row.begin for row in live)), *lost]
 
 
 def _comparable(row: _Row, own: Sequence[_Blind], other: Sequence[_Blind], others: Sequence[_Row]) -> bool:
-    """Return whether the other side saw all scans of a measurement, and began it at the same change."""
+    """Return whether the other side has seen all scans of a measurement, and has begun it at the same change."""
     if row.lost_blocks or any(row.begin < blind.end and row.end > blind.begin for blind in other):
         return False
     begins = {blind.end for blind in other} | {one.begin for one in others}

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Reader of recorded journals, including those of the third version, in which the journal was a table.
+"""Reader of recorded journals, including those of the third version of this package, in which the journal was a table.
 
 A row of such a table names a configuration value by the last 32 bytes of its name, and a text takes one row per 32
 bytes. Values unknown to this version are left out: such recordings can be shown and analysed, but not simulated again.
@@ -66,7 +66,7 @@ def of_run(run: Run) -> Iterator[JournalEntry]:
 
 
 def entries(message: Message) -> list[JournalEntry]:
-    """Return the entries in a recorded message of `rig/journal`; its type tells the version.
+    """Return the entries in a recorded message of `rig/journal`; its type shows the version of the journal.
 
     Raises:
         ConfigError: the message is not a valid journal.
@@ -90,7 +90,7 @@ def _of_table(table: Table) -> Iterator[JournalEntry]:
 def _entry(stamp_ns: int, rows: Sequence[np.void]) -> JournalEntry:
     first = rows[0]
     word = bytes(first["kind"]).decode()
-    try:  # rows that continue a change of another table
+    try:  # rows that continue a change in another table have no start here
         kind = InputKind.PARAMETER if first["kind"] in _CONTINUE else InputKind(word)
     except ValueError:
         raise ConfigError(f"journal row of unknown kind {word!r}") from None

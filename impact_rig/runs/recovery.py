@@ -11,15 +11,15 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Recover the intact messages of a truncated or damaged run: a new run with complete index and statistics.
+"""Recovery of the intact messages of a damaged run, as a new run with complete index and statistics.
 
-Only messages of chunks whose checksum matches are recovered, and only attachments and metadata with a matching
-checksum: everything in the result is as it was recorded. Losses are listed, and counted as far as possible.
+Only messages of chunks with a matching checksum are recovered, and only attachments and metadata with a matching
+checksum. So everything in the result is as it was recorded. Losses are listed, and counted as far as possible.
 
 A damaged file is read record by record (`DamagedFile`). A record is accepted only if its lengths agree with each other
-and with the file. Otherwise the search continues at the next position that looks like a chunk, an attachment or
-metadata. The work is proportional to the size of the file, whatever it contains: the search never goes back, and a
-chunk with damaged content is skipped.
+and with the file. Otherwise, the search continues at the next position that looks like a chunk, an attachment or
+metadata. The work is proportional to the size of the file, whatever it contains: the search never goes back, and it
+skips a chunk with damaged content.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ _LAST_WINDOW_BYTES = 8 * 2**20
 
 @attrs.frozen
 class Found:
-    """Structurally valid record: opcode, offset in the file, and length including its head."""
+    """Structurally valid record: its opcode, its offset in the file, and its length with its head [bytes]."""
 
     opcode: int
     offset: int
@@ -82,7 +82,7 @@ class Found:
 
 @attrs.frozen
 class Damage:
-    """Lost part of a file [bytes], and the reason."""
+    """Lost part of a file: its offset and length [bytes], and the reason."""
 
     file: str
     offset: int
@@ -94,7 +94,7 @@ class DamagedFile:
     """File that may be truncated or damaged anywhere, opened for salvage; a context manager.
 
     Raises:
-        RecordingError: it cannot be opened or read.
+        RecordingError: the file cannot be opened or read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -115,7 +115,7 @@ class DamagedFile:
         os.close(self.fd)
 
     def read(self, found: Found) -> bytes:
-        """Return a record including its head."""
+        """Return the bytes of a record, with its head."""
         return self._read(found.offset, found.length)
 
     def content(self, found: Found) -> memoryview:
@@ -170,7 +170,7 @@ class DamagedFile:
             position = 0
             while match := _RECORD_PATTERN.search(data, position):
                 if match.start() >= width:
-                    break  # the next window contains it completely
+                    break  # the next window contains the whole match
                 try:
                     return self._record_at(window + match.start()).offset
                 except DamageError:
@@ -238,7 +238,7 @@ ACCEPT = "--accept-unchecked"
 class _Blocks:
     """Recovered blocks of one rig."""
 
-    _found: list[tuple[int, int]] = attrs.field(factory=list)  # stamp [ns] and number of scans
+    _found: list[tuple[int, int]] = attrs.field(factory=list)  # stamp [ns] and number of scans of each block
     _rate_hz: float | None = None
 
     def add(self, table: Table) -> None:
@@ -248,12 +248,12 @@ class _Blocks:
 
     @property
     def seconds(self) -> float:
-        """Duration of the scans [s]; 0 if their rate is not known."""
+        """Duration of the scans [s]; 0 if their rate is unknown."""
         return sum(length for _, length in self._found) / self._rate_hz if self._rate_hz else 0.0
 
     @property
     def missing_s(self) -> float:
-        """Duration of the scans missing between the blocks [s]."""
+        """Duration of the scans that are missing between the blocks [s]."""
         return check_contiguity(self._found, self._rate_hz).lost_scans / self._rate_hz if self._rate_hz else 0.0
 
 
@@ -283,12 +283,12 @@ class FileReport:
 
     @property
     def missing_messages(self) -> int | None:
-        """Number of messages counted by the index and not recovered; None without an index."""
+        """Number of messages that the index counts and that were not recovered; None without an index."""
         return None if self.expected is None else max(0, self.expected.message_count - self.messages)
 
     @property
     def given_s(self) -> float:
-        """Duration of the recovered scans [s of rig time], the longest of all rigs."""
+        """Duration of the recovered scans in rig time [s], the longest of all rigs."""
         return max((one.seconds for one in self._scans.values()), default=0.0)
 
     @property
@@ -342,7 +342,7 @@ class RecoverReport:
 
     @property
     def complete(self) -> bool:
-        """Return whether nothing is known to be missing; a run that was never finished has no index to tell."""
+        """Return whether nothing is known to be missing; without an index (an unfinished run), losses are unknown."""
         return self.damage_count == 0 and not self.missing_messages
 
     def file(self, path: Path) -> FileReport:
@@ -383,12 +383,12 @@ class Recovered:
     damages: int
     lost_bytes: int
     missing_messages: int | None
-    """Messages counted by the damaged run's index and not recovered; None without an index."""
+    """Number of messages in the index of the damaged run that were not recovered; None without an index."""
     unfinished: bool  # whether the damaged run was never finished, so its intended content is unknown
 
     @property
     def incomplete(self) -> bool:
-        """Return whether anything is known to be missing."""
+        """Return whether anything is known to be missing in the run."""
         return self.damages > 0 or bool(self.missing_messages)
 
     def to_record(self) -> dict[str, str]:
@@ -417,7 +417,7 @@ def read_record(record: Mapping[str, str]) -> Recovered | None:
 def is_cut_short(run: Run) -> bool:
     """Return whether a run was recovered from a recording that was never finished.
 
-    Topics overtake each other on their way to a recorder, so messages that belong to the last scans may be missing.
+    Topics overtake each other on their way to a recorder, so messages that belong to the last scans may be lost.
 
     Raises:
         DamageError: the record of the recovery is invalid.
@@ -443,7 +443,7 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
     report.account = ReadBudget(_bytes(files))
     salvages = [_Salvage(file, report, accept_unchecked=accept_unchecked) for file in files]
     origin = next((salvage.provenance for salvage in salvages if salvage.provenance is not None), None)
-    attachments: dict[str, Attachment] = {}  # of several with one name, the first: that of the run's start
+    attachments: dict[str, Attachment] = {}  # of several attachments with one name, the first: that of the run's start
     for one in itertools.chain.from_iterable(salvage.attachments for salvage in salvages):
         attachments.setdefault(one.name, one)
     earlier = next((salvage.recovered for salvage in reversed(salvages) if salvage.recovered is not None), None)
@@ -501,7 +501,7 @@ def _files(path: Path, report: RecoverReport) -> list[Path]:
     try:
         return run_files(path)
     except (RecordingError, BudgetError) as error:
-        # metadata.yaml of a damaged run may be damaged, too, so the existing files count
+        # `metadata.yaml` of a damaged run may be damaged as well, so the existing files count
         files = mcap_files(path)
         if not files:
             raise
@@ -545,7 +545,7 @@ class _Salvage:
         self.attachments: list[Attachment] = []
         self.metadata: dict[str, dict[str, str]] = {}  # records of other programs, by name
         self.follows: int | None = None
-        """For a tail: size of the recording when the chunk began whose messages the tail holds [bytes]."""
+        """For a tail: size of the recording at the start of the chunk whose messages the tail contains [bytes]."""
         self.provenance: Provenance | None = None
         self.losses: dict[str, str] = {}
         self.recovered: Recovered | None = None
@@ -578,7 +578,7 @@ class _Salvage:
     def introduce(self, topic: TopicDescription, writer: RunWriter) -> bool:
         """Register a topic in `writer`.
 
-        Return False, with an entry in the report, if its name has another definition.
+        Returns False, and notes it in the report, if the topic already has another definition.
         """
         try:
             writer.add_topic(topic)
@@ -592,7 +592,7 @@ class _Salvage:
     def messages(self) -> Iterator[tuple[TopicDescription, records.RawMessage]]:
         """Yield the messages of all intact chunks in file order, then those of the chunk that was open."""
         last = -1  # offset of the last intact chunk
-        newest: set[_Key] = set()  # messages in it
+        newest: set[_Key] = set()  # messages in the last intact chunk
         has_tail = os.path.lexists(tail_of(self.path))
         with DamagedFile(self.path) as file:
             for found in file.walk():
@@ -609,9 +609,9 @@ class _Salvage:
             yield from self._open_chunk(last, newest)
 
     def _open_chunk(self, last: int, newest: Set[_Key]) -> Iterator[tuple[TopicDescription, records.RawMessage]]:
-        """Yield the messages of the tail, unless the last intact chunk contains them, which makes the tail superfluous.
+        """Yield the messages of the tail, except those in the last intact chunk, which make the tail superfluous.
 
-        The tail records the size of the recording when its chunk began. If that is lost, its first message decides.
+        The tail states the size of the recording at the start of its chunk. Without that, its first message decides.
 
         Args:
             last: offset of the last intact chunk of the recording.
@@ -628,7 +628,7 @@ class _Salvage:
             if superfluous:
                 return
             if found.follows is not None:
-                # the chunk itself may have been truncated while it was written
+                # the chunk itself may have been cut off while it was written
                 self._report.heal(self.path.name, self._chunk_from(found.follows))
             yield from _Salvage(
                 tail, self._report, accept_unchecked=False, figures=self.figures, topics=self._topics
@@ -682,7 +682,7 @@ class _Salvage:
             summary = reader.read_summary(file.fd, file.size)
             self._topics.update(reader.topics_of(summary))
         except (DamageError, BudgetError):
-            return  # the chunks have their own statistics, and the limit is that of every reader
+            return  # the chunks have statistics of their own, and the limit is that of every reader
         self._schemas.update(summary.schemas)
         self.figures.expected = summary.statistics
 
@@ -716,7 +716,7 @@ class _Salvage:
         if name == description.BAG_RECORD_NAME:
             return  # the new run has its own
         verified = description.verify(content)
-        if name not in _OWN_RECORDS:  # of another program: the format has no checksum for it
+        if name not in _OWN_RECORDS:  # from another program: the format has no checksum for it
             if verified is not None or self._accept_unchecked:
                 self.metadata[name] = content
             else:

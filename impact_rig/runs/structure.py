@@ -13,8 +13,8 @@
 # limitations under the License.
 """Structure of a recording: its checksums and digests, and whether index and statistics match its messages.
 
-A reader finds messages by the index. A topic missing in the index looks as if it had never been recorded, even if the
-checksums of all chunks match. Therefore both are compared, record by record.
+A reader finds messages by the index. If a topic is missing in the index, it seems never to have been recorded, although
+the checksums of all chunks match. So index and messages are compared, record by record.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _READ_BYTES = 2**20
 
 @attrs.define
 class Checksums:
-    """Coverage of a recording by checksums."""
+    """Coverage of a recording by checksums: how many of its parts carry one."""
 
     chunks: int = 0
     checked_chunks: int = 0
@@ -48,7 +48,7 @@ class Checksums:
 
     @property
     def complete(self) -> bool:
-        """Return whether every message and every attachment is covered."""
+        """Return whether every message and every attachment is protected by a checksum."""
         return (self.chunks, self.outside, self.attachments) == (
             self.checked_chunks,
             self.checked_outside,
@@ -56,7 +56,7 @@ class Checksums:
         )
 
     def __str__(self) -> str:
-        """Return the sentence of a verdict, for a recording without a wrong checksum."""
+        """Return the sentence for a verdict, for a recording without a wrong checksum."""
         parts = self.chunks + self.outside
         checked = self.checked_chunks + self.checked_outside
         if not checked and parts:
@@ -70,7 +70,7 @@ class Checksums:
 
 
 def checksums(run: Run) -> Checksums:
-    """Return the checksums of a recording; those of chunks and attachments are checked when they are read.
+    """Count the checksums of a recording; those of chunks and attachments are checked when they are read.
 
     Raises:
         RecordingError: the checksum of a data section does not match, or a file cannot be read.
@@ -112,7 +112,7 @@ class Examination:
     """Consistency of the records of a recording."""
 
     contradictions: tuple[str, ...]
-    """Contradictions between index, statistics or definitions and the messages, one sentence each."""
+    """Contradictions between the messages and the index, statistics or definitions, one sentence each."""
     changes: tuple[str, ...]
     """Changes made after the recording, detected by the digests, one sentence each."""
     has_digests: bool
@@ -120,7 +120,7 @@ class Examination:
 
 
 def examine(run: Run) -> Examination:
-    """Read every record of a recording, and compare index, statistics, definitions and digests with them.
+    """Read every record of a recording, and compare the records with index, statistics, definitions and digests.
 
     Raises:
         RecordingError: a part is damaged.
@@ -146,7 +146,7 @@ def examine(run: Run) -> Examination:
 
 
 def _contradictions(source: McapSource, digest: digests.Digests) -> Iterator[str]:
-    """Yield the contradictions within a file, and add its topics and messages to the digests."""
+    """Yield the contradictions within a file; also add its topics and messages to the digests."""
     for defined in source.summary.channels.values():
         digest.add_topic(defined, source.summary.schemas.get(defined.schema_id))
     counts: Counter[int] = Counter()

@@ -11,12 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Verification of a run: published, logged and re-simulated data are identical, or the first difference is named.
+"""Verification of a run: published, logged and re-simulated data are identical, or the first difference is reported.
 
-Everything that the rig publishes about itself is compared: scans, their truth, applied commands, the journal,
+Everything that the rig publishes about itself is compared: scans, their true values, applied commands, the journal,
 calibration and configuration, and the readings in its monitors. Scans must be complete from the first recorded one on.
-Other messages count as missing if messages of the same topic precede and follow, since a recorder subscribes to one
-topic after the other.
+A recorder subscribes to one topic after the other, so another message counts as missing only if messages of the same
+topic precede and follow it.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ from impact_rig.runs.reanalysis import Compared, lag_s, texts
 from impact_rig.runs.recovery import is_cut_short
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, stamp_ns
 
-_NO_JOURNAL = (ConfigError, CommandError, SimulationError)  # errors of an incomplete journal, or one of no rig
+_NO_JOURNAL = (ConfigError, CommandError, SimulationError)  # errors of an incomplete or impossible journal
 _NOT_COMPARED = {
     topics.CLOCK.name: "rig time, which the stamps contain",
     topics.STREAM.name: "lead of a controller, which no sample depends on",
@@ -88,7 +88,7 @@ NOT_CHECKED_WITHOUT_DIGESTS = (
     f"attachments other than {CONFIGURATION}",
     "metadata.yaml, and metadata records other than the version of the arithmetic",
 )
-"""Aspects not covered by a verdict if the recorder wrote no digests; only the recorder of this package does."""
+"""Aspects not covered by a verdict if the recorder wrote no digests; only the recorder of this package writes them."""
 
 
 @attrs.frozen
@@ -155,7 +155,7 @@ def verify(run: Run) -> Verification:
 
 
 def _complete_blocks(run: Run) -> tuple[int, int]:
-    """Return how many blocks have certainly all messages of other topics in the recording, and how many follow."""
+    """Return the number of blocks with certainly all messages of other topics, and of the blocks after them."""
     stamps_ns = np.array([table.stamp_ns for table in run.tables(topics.SCAN, recorded_order=True)])
     lag_ns = NS_PER_S * lag_s(run, float(np.median(np.diff(stamps_ns))) / NS_PER_S) if len(stamps_ns) > 1 else 0
     before_end = stamps_ns[-1:] - stamps_ns
@@ -204,7 +204,7 @@ def _verify_all(
     compared, rest = 0, None
     for number, stretch in itertools.groupby(_assigned(scans, journals, first), key=lambda pair: pair[0]):
         beginning = journals[number][0]
-        is_reset = beginning.kind is not InputKind.START  # otherwise the end of the previous rig is unknown
+        is_reset = beginning.kind is not InputKind.START  # otherwise it is unknown when the previous rig ended
         if rest is not None and is_reset and _is_missing(rest, beginning.stamp_ns):
             return _missing(rest, compared)
         following = journals[number + 1][0] if number + 1 < len(journals) else None
@@ -216,11 +216,11 @@ def _verify_all(
 
 
 def _journals(run: Run) -> tuple[list[list[JournalEntry]], list[list[Sent]], int, int]:
-    """Return the journals of a run, the messages of shaker/waveform in each, and the journal of the first scan.
+    """Return the journals, the messages of shaker/waveform in each, the index of the first scan's journal, and a count.
 
     A journal lasts from its start or reset; entries before the first one form a journal without a beginning. Messages
-    of another publisher that are not entries are skipped and counted: if they came from this rig, entries would be
-    missing.
+    of another publisher that are not entries are skipped, and the last value counts them: if they came from this rig,
+    entries would be missing.
     """
     found: list[list[JournalEntry]] = []
     if run.topics[run.resolve(topics.JOURNAL.name)].topic.type_name == topics.TABLE:
@@ -234,11 +234,11 @@ def _journals(run: Run) -> tuple[list[list[JournalEntry]], list[list[Sent]], int
     for message in run.messages([scan, journal, *([waveform] if waveform else [])], recorded_order=True):
         if message.topic == scan:
             scans_seen = True
-            if waveform:  # messages have the time of the newest scan before them
+            if waveform:  # the time of a message is that of the newest scan before it
                 received_ns = last_scan_ns(run.table(message, topics.SCAN))
             continue
         if message.topic == waveform:
-            with contextlib.suppress(RecordingError):  # the rig rejected invalid tables, too
+            with contextlib.suppress(RecordingError):  # the rig rejected invalid tables as well
                 table = run.table(message, topics.WAVEFORM)
                 sent[-1].append(Sent(table.stamp_ns, table.rows["value"].astype(float), received_ns))
             continue
@@ -258,7 +258,7 @@ def _journals(run: Run) -> tuple[list[list[JournalEntry]], list[list[Sent]], int
 
 
 def _overlapping(journals: list[list[JournalEntry]], sent: list[list[Sent]]) -> list[list[Sent]]:
-    """Return the messages of shaker/waveform for each journal, as topics may overtake each other at a reset.
+    """Return the messages of shaker/waveform for each journal; at a reset, a message may belong to two of them.
 
     Stamps continue across a reset. A block recorded after it with an earlier stamp belongs to the journal before, and
     one recorded before it with a later stamp may belong to the journal after it.
@@ -274,7 +274,7 @@ def _overlapping(journals: list[list[JournalEntry]], sent: list[list[Sent]]) -> 
 
 
 def _assigned(scans: Iterable[Table], journals: list[list[JournalEntry]], first: int) -> Iterator[tuple[int, Table]]:
-    """Yield every block with the number of the journal it belongs to."""
+    """Yield every block with the number of the journal to which it belongs."""
     number, before_ns = first, None
     for table in scans:
         while number + 1 < len(journals):
@@ -293,13 +293,13 @@ def _assigned(scans: Iterable[Table], journals: list[list[JournalEntry]], first:
 def _verify(
     journal: list[JournalEntry], scans: Iterator[Table], others: _OtherTopics, following: JournalEntry | None
 ) -> tuple[Verification, Block | None]:
-    """Compare the blocks of one journal; also return the block that would come next."""
+    """Compare the blocks of one journal; also return the next block of the re-simulation."""
     compared = 0
     try:
         again = others.begin(journal, following)
         for table in scans:
             block = next(again.blocks)
-            while block.scan.stamp_ns < table.stamp_ns:  # the recorder started after the rig's first block
+            while block.scan.stamp_ns < table.stamp_ns:  # the recorder started after the first block of the rig
                 if compared and not block.lost:
                     return _missing(block, compared), None
                 others.compare(block)
@@ -309,12 +309,12 @@ def _verify(
                 return Verification(False, compared, f"{topics.SCAN.name}{difference}"), None
             others.compare(block)
             compared += len(table.rows)
-        # nothing is simulated beyond the recorded scans, which the rig may never have reached, except up to a reset
+        # nothing is simulated beyond the recorded scans, which the rig may not have reached; a reset is the exception
         rest = None
         reset_ns = _reset_ns(following)
         if reset_ns is not None:
             rest = _next(again)
-            while rest is not None and rest.lost and rest.end_ns <= reset_ns:  # withheld until the end
+            while rest is not None and rest.lost and rest.end_ns <= reset_ns:  # withheld by a fault until the end
                 others.compare(rest)
                 rest = _next(again)
         others.end(reset_ns, last=following is None)
@@ -401,11 +401,11 @@ class _Recorded:
         self._step()
 
     def begin(self, start_ns: int, ended_ns: int, *, is_restarted: bool) -> None:
-        """Start a journal at a time; if that is before the end of the previous one, a rig was restarted.
+        """Start a journal at a time; a start before the end of the previous journal shows that a rig was restarted.
 
         Args:
-            start_ns: the time.
-            ended_ns: end of the previous journal.
+            start_ns: stamp of its first scan [ns].
+            ended_ns: end of the previous journal [ns].
             is_restarted: whether the journal ends with a restart, after which stamps go back.
         """
         if start_ns < ended_ns:
@@ -415,7 +415,7 @@ class _Recorded:
         self._last_ns, self._is_restarted = start_ns, is_restarted
 
     def _has_ended(self) -> bool:
-        """Return whether no message of this journal is left: there is none, or the next is of the restarted rig."""
+        """Return whether no message of this journal is left: none at all, or the next one is of the restarted rig."""
         return self.coming is None or (self._is_restarted and self.coming[0] < self._last_ns)
 
     def expect(self, stamp_ns: int, content: Any, *, optional: bool = False) -> None:
@@ -454,12 +454,12 @@ class _Recorded:
         self._step()
 
     def end(self, end_ns: int, *, restarted: bool, lag_ns: int) -> None:
-        """End the scans of a journal at a time: earlier messages that were not compared are unexpected.
+        """End the scans of a journal at a time: earlier messages that were not compared are reported as unexpected.
 
         Args:
-            end_ns: the time.
+            end_ns: end of the scans [ns].
             restarted: whether another rig follows, with stamps that go back; the next messages may belong to it.
-            lag_ns: duration of the last stretch, whose messages may not have reached the recorder.
+            lag_ns: duration of the last stretch, whose messages may not have reached the recorder [ns].
         """
         if not restarted and self.coming is not None and self.count and self._last_ns <= self.coming[0] < end_ns:
             self.compare(None)
@@ -472,7 +472,7 @@ class _Recorded:
         self._messages.close()
 
     def compared(self, present: bool) -> Compared:
-        """Return the result."""
+        """Return the comparison result of this topic."""
         while self.coming is not None:
             self._outside += 1
             self._step()
@@ -607,7 +607,7 @@ class _OtherTopics:
                     monitor.compare(stamp, made, fitted, self._again.calibrations)
 
     def end(self, reset_ns: int | None, *, last: bool) -> None:
-        """End the blocks of a journal: by a reset at a time (None: otherwise); the last ones end with the recording."""
+        """End the blocks of a journal, by a reset at a time or otherwise (None); with `last`, the recording ends."""
         if reset_ns is not None:
             self._again.finish(reset_ns)
             self._end_ns = reset_ns
@@ -666,7 +666,7 @@ class _OtherTopics:
         rig = self._again.rig
         applied = rig.take_applied()
         for table, after in itertools.zip_longest(applied, applied[1:]):
-            # two commands of one instant may have been sent together, which publishes only their combined effect
+            # two commands of one instant may have been sent together: then only their combined effect is published
             together = after is not None and after.stamp_ns == table.stamp_ns
             self._applied.expect(table.stamp_ns, table, optional=together)
         for table in self._again.calibrations[self._calibrations :]:
@@ -677,7 +677,7 @@ class _OtherTopics:
     def _compare_journal(self, whole: bool, lag_ns: int) -> None:
         """Compare the recorded entries with the re-simulated ones; the first entry names version and kind."""
         end = self._end_ns
-        # a fault planned ahead is compared only if the re-simulation has reached its scan
+        # a planned fault is compared only if the re-simulation has reached its scan
         due = [e for e in self._entries if whole or e.stamp_ns < end]
         count = 0
         for recorded, made in zip(self._entries[1:], self._made[1:], strict=False):
@@ -717,7 +717,7 @@ class _OtherTopics:
         self._descriptions |= {robot_description(config) for config in found}
         published = [_deciding(config) for config in found]
         other = [number for number, config in enumerate(published) if config not in self._configurations]
-        since = other[-1] + 1 if other else 0  # older ones may belong to times before the first recorded scan
+        since = other[-1] + 1 if other else 0  # older configurations may belong to times before the first recorded scan
         if other and (since == len(published) or self._explained(published[since:]) < self._explained(published)):
             return Compared(name, count, f"text {other[-1]}: {self._unlike(published[other[-1]])}")
         count = len(published) - since
@@ -780,7 +780,7 @@ class _Monitor:
         """Compare the monitor message of a time, if there is one.
 
         Args:
-            stamp_ns: the time.
+            stamp_ns: time of the message [ns].
             made: possible contents of the message, by scans per monitor period.
             fitted: the instruments of all configurations so far.
             calibrations: `daq/info` of all calibrations so far.
@@ -810,7 +810,7 @@ class _Monitor:
 
 
 def _monitor_rates_hz(run: Run) -> set[float]:
-    """Return the monitor rates of all recorded configurations."""
+    """Return the monitor rates of all recorded configurations [Hz]."""
     usual_hz = RigConfig().output.monitor_rate_hz
     recorded = [text.encode() for text in texts(run, topics.CONFIGURATION)]
     rates_hz = set() if recorded else {usual_hz}

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Measurements of a run as one record, in addition to the live node's method: frequency response and sines.
+"""Measurements of a run as one record, which the live node does not make: frequency response and fitted sines.
 
 An excerpt is a stretch of contiguous scans that is drawn, or measured as one record.
 """
@@ -41,10 +41,10 @@ from impact_rig.states import Status
 
 UNSETTLED_S, UNSETTLED_CYCLES, UNSETTLED_SCANS = 5.0, 24, 200
 """Length of the excerpt of a run in which nothing settled: the longest of these seconds, cycles and scans."""
-FEWEST_DRAWN = 16  # scans
-HELD_S = 0.5  # maximum delay of a measurement's report after its last scan
+FEWEST_DRAWN = 16  # minimum number of scans of a drawing or a fit
+HELD_S = 0.5  # maximum delay of the report of a measurement after its last scan [s]
 FEWEST_SCANS = 100
-MOST_SCANS = 20_000_000  # maximum length of a record; 740 MB of scans
+MOST_SCANS = 20_000_000  # maximum number of scans of a record; they need 740 MB
 
 
 @attrs.frozen(eq=False)
@@ -73,7 +73,7 @@ def last_excerpt(run: Run, found: Sequence[Findings]) -> Excerpt:
     """Return the scans of the last settled measurement, or the last `UNSETTLED_S` of the run.
 
     Raises:
-        RecordingError: too few contiguous scans.
+        RecordingError: there are too few contiguous scans.
     """
     settled = [
         (number, table)
@@ -112,7 +112,7 @@ def last_record(run: Run) -> Excerpt:
     """Return the last contiguous scans of a run, at most `MOST_SCANS`, under any drive.
 
     Raises:
-        RecordingError: there are too few.
+        RecordingError: there are too few contiguous scans.
     """
     rate_hz = float(calibration_rows(run)["rate"][0])
     _, _, rows = _newest_scans(run, sys.maxsize, MOST_SCANS / rate_hz, rate_hz)
@@ -125,7 +125,7 @@ def calibration_rows(run: Run) -> NDArray[np.void]:
     """Return the newest rows of `daq/info`.
 
     Raises:
-        RecordingError: there are none.
+        RecordingError: the run holds no calibration.
     """
     tables = list(run.tables(topics.INFO.name))
     if not tables:
@@ -134,7 +134,7 @@ def calibration_rows(run: Run) -> NDArray[np.void]:
 
 
 def _newest_scans(run: Run, last: int, span_s: float, rate_hz: float) -> tuple[int, int, NDArray[np.void]]:
-    """Return the contiguous scans before block `last`: number and origin [ns] of their time, and the rows.
+    """Return the contiguous scans before block `last`: their number, the origin of their time [ns], and the rows.
 
     The origin is the first scan of the run, or the first after the last reset.
     """
@@ -164,7 +164,7 @@ def _joined(tables: Iterable[Table], origin_ns: int) -> NDArray[np.void]:
     return np.concatenate(parts)
 
 
-# reference of phases and frequency: the first channel that was measured
+# reference of phases and frequency: the first of these channels that was measured
 REFERENCES = ("current", "base", "laser", "accelerometer")
 COHERENT = 0.9  # coherence that at least one excited line must have
 
@@ -206,7 +206,7 @@ def need_motions(run: Run, rows: NDArray[np.void]) -> None:
     """Check that scans contain the motion of structure and base.
 
     Raises:
-        RecordingError: one is missing; the message names it.
+        RecordingError: a channel is missing; the message names it.
     """
     missing = [name for name in ("laser", "base") if name not in channels_of(rows)]
     if missing:
@@ -220,9 +220,9 @@ class Sines:
     """Sines of one frequency fitted to an excerpt."""
 
     reference: SineFit
-    """First measured channel of current, base, laser and accelerometer, with its frequency refined.
+    """First measured channel of current, base, laser and accelerometer, fitted with a free frequency.
 
-    Four parameters and the harmonics.
+    The fit has four parameters, and the harmonics.
     """
     reference_name: str
     fits: dict[str, SineFit]  # fit of every channel at that frequency, by name
@@ -235,7 +235,7 @@ def sines_of(run: Run, excerpt: Excerpt, harmonics: int = 1) -> Sines:
     """Fit sines to an excerpt of a run.
 
     Raises:
-        RecordingError: the drive frequency is unknown, or the reference has no sine near that frequency.
+        RecordingError: the drive frequency is unknown, or the reference channel has no sine near that frequency.
     """
     if not excerpt.drive_hz > 0.0:
         raise RecordingError(f"{run.path} holds no drive frequency (shaker/applied) for {excerpt}")
