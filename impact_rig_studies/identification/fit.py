@@ -11,15 +11,15 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Least squares for the constants: closed forms without the sphere, simulated reductions with it.
+"""Least-squares fit of the rig's constants: closed forms without the sphere, simulated reductions with it.
 
     ln f_n, ln ζ                  measured by the free decay
     ln DT, phase                  = T(f; f_n, ζ)
     ln |X_b / I|                  = K_f / |k_f − M ω² + iω c_f − m_1 ω² T|
     ln (DT with / DT without)     = simulation of the mechanics, law as configured, e free about its nominal value
 
-Without the sphere all masses and forces may be multiplied by one factor: nothing is known of m_1 but ratios. The
-reductions weigh the structure with the known mass of the sphere.
+Without the sphere, a common factor of all masses and forces changes no motion, so the data determine m_1 only as a
+ratio to other constants. With the sphere, whose mass is known, the reductions determine the mass of the structure.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ NAMES = ("f_n", "ζ", "m_1", "K_f", "k_f", "M", "c_f")
 """Structure: natural frequency, damping ratio, mass. Shaker: force factor, suspension, mass m_a + m_b, damping."""
 UNITS = ("Hz", "-", "kg", "N/A", "N/m", "kg", "N s/m")
 SCALED = ("m_1", "K_f", "k_f", "M", "c_f")
-"""Forces and masses: a common factor gives the same motion, unless something of known mass takes part."""
-SCALE = np.array([float(name in SCALED) for name in NAMES])  # direction of that factor
+"""Forces and masses: a common factor gives the same motion, unless a part of known mass takes part."""
+SCALE = np.array([float(name in SCALED) for name in NAMES])  # direction of the common factor
 
 
 START = np.log([9.0, 0.005, 0.2, 6.0, 8000.0, 2.5, 60.0])
@@ -67,10 +67,10 @@ def logarithms(config: RigConfig) -> Real:
 
 
 def rig(base: RigConfig, log_constants: Real) -> RigConfig:
-    """Return `base` with these constants; the share of the armature in the moving mass is unchanged.
+    """Return `base` with these constants; the ratio of armature mass to moving mass is unchanged.
 
     Raises:
-        ConfigError: they are not a valid rig.
+        ConfigError: the constants are not those of a valid rig.
     """
     values = dict(zip(NAMES, (float(value) for value in np.exp(log_constants)), strict=True))
     moving = base.shaker.armature_mass_kg + base.shaker.base_mass_kg
@@ -94,23 +94,23 @@ def rig(base: RigConfig, log_constants: Real) -> RigConfig:
 
 
 DETERMINED = 0.2  # relative standard uncertainty up to which a parameter, or a combination, counts as determined
-LEAST_SHARE = 0.05  # powers below this share of the largest are left out of a combination's name
-SMALLEST = 1e-9  # singular values below this share of the largest are rounding
+LEAST_SHARE = 0.05  # powers below this share of the largest are left out of the text of a combination
+SMALLEST = 1e-9  # singular values below this share of the largest are rounding errors
 UNTOUCHED = 1e-3
-"""Power below which a parameter does not take part in a completely unknown combination."""
+"""Power below which a parameter counts as absent from an undetermined combination."""
 
 
 @attrs.frozen(eq=False)
 class Combination:
     """Product of powers of parameters."""
 
-    powers: Real  # by parameter, shape (n,); the largest is 1
-    u_relative: float  # its relative standard uncertainty; infinite if the data do not determine it
-    text: str  # readable text
+    powers: Real  # power of each parameter, shape (n,); the largest is 1
+    u_relative: float  # relative standard uncertainty of the product; infinite if the data do not determine it
+    text: str  # text for users, such as a product of named powers
 
     @property
     def determined(self) -> bool:
-        """Return whether the data determine it."""
+        """Return whether the data determine this combination."""
         return self.u_relative <= DETERMINED
 
 
@@ -119,12 +119,12 @@ class Information:
     """Information of the data on logarithmic parameters."""
 
     names: tuple[str, ...]  # names of the parameters
-    combinations: tuple[Combination, ...]  # independent ones, best determined first
-    # relative standard uncertainty of each parameter; infinite if it takes part in an unknown combination
+    combinations: tuple[Combination, ...]  # independent combinations, the best determined first
+    # relative standard uncertainty of each parameter; infinite if it takes part in an undetermined combination
     u_relative: Real
 
     def determined(self, name: str) -> bool:
-        """Return whether the data determine a parameter by itself."""
+        """Return whether the data determine this parameter by itself."""
         return bool(self.u_relative[self.names.index(name)] <= DETERMINED)
 
 
@@ -169,32 +169,32 @@ def _combination(names: Sequence[str], direction: Real, u: float) -> Combination
 
 # --- The fit
 
-STEP = 1e-6  # of logarithms, for derivatives of closed forms
+STEP = 1e-6  # step of logarithms for the derivatives of closed forms
 U_SIMULATED = 1e-4
-"""Relative standard uncertainty of a ratio in addition to its noise: transients that the analysis considers settled."""
-SIGNIFICANCE = 0.01  # probability of a fit this bad below which it is an alarm
+"""Relative standard uncertainty of a ratio, in addition to its noise: the rest of the transient of a settled motion."""
+SIGNIFICANCE = 0.01  # probability of a fit this bad, below which the fit is reported as inconsistent
 ITERATIONS = 30
 CONVERGED = 1e-4  # step, in standard uncertainties, that ends the fit of the closed forms
-ROUNDS = 8  # maximum number of adjustments of the constants to the reductions with e held
-SMALL = 0.05  # step, in standard uncertainties, that ends them
-SCATTERED = 0.5  # the same if a mean of an irregular motion scatters
+ROUNDS = 8  # maximum number of rounds in which the constants are adjusted to the reductions at a fixed e
+SMALL = 0.05  # step, in standard uncertainties, that ends these rounds
+SCATTERED = 0.5  # the same if the mean of an irregular motion has a large scatter
 RANK = 1e-6
 """Share of the largest singular value below which a direction is not determined: the accuracy of the derivatives."""
 UNBOUND = 1.0
-"""Relative standard uncertainty above which a constant is hardly changed: a few data would move it out of range."""
+"""Relative standard uncertainty above which the fit hardly changes a constant, as few data would move it too far."""
 LARGEST_STEP = 0.5
 LEAST_RESTITUTION, MOST_RESTITUTION = 0.02, 0.98  # range of a fitted e
 
 
 @attrs.frozen(eq=False)
 class Alternative:
-    """Set of constants that is one of several explanations of the data."""
+    """Alternative: a set of constants that explains the data, if there are several such sets."""
 
-    share: float  # its share of the probability
+    share: float  # probability of this explanation, as a share of 1
     log_constants: Real  # in the order of `NAMES`
-    u_relative: Real  # their standard uncertainties
+    u_relative: Real  # their relative standard uncertainties, in the same order
     restitution: float  # nominal e
-    u_restitution: float  # its standard uncertainty
+    u_restitution: float  # standard uncertainty of the nominal e
 
 
 @attrs.frozen(eq=False)
@@ -203,24 +203,24 @@ class Identified:
 
     log_constants: Real  # in the order of `NAMES`; constants that the data do not determine stay near their start
     information: Information  # information of the data
-    chi_square: float  # sum of squared residuals at the best fit, including priors of e and of the nuisances
-    freedom: int  # residuals minus determined parameters
-    config: RigConfig  # the known rig, with the identified constants
-    restitution: float = math.nan  # nominal e found, NaN without reductions; u_restitution likewise
+    chi_square: float  # sum of squared whitened residuals at the best fit, including priors of e and of the nuisances
+    freedom: int  # degrees of freedom: number of residuals minus number of determined parameters
+    config: RigConfig  # rig given as known, with the identified constants
+    restitution: float = math.nan  # fitted nominal e; NaN without reductions, as is u_restitution
     u_restitution: float = math.nan
     irregular: Mapping[float, float] = attrs.field(factory=dict)
     """Gaps [m] at which the fitted motion is irregular, with the standard uncertainty of its mean ratio."""
-    contradicted: tuple[float, ...] = ()  # those of them that look irregular where a periodic motion was measured
+    contradicted: tuple[float, ...] = ()  # gaps of these at which a periodic motion was measured
     alternatives: tuple[Alternative, ...] = ()
-    """All explanations of the data if there are several, the most probable first.
+    """All explanations of the data, if there are several, the most probable first.
 
-    The uncertainties above include the distance between them.
+    The uncertainties above include the differences between them.
     """
     converged: bool = True  # whether the last step was small; otherwise the uncertainties do not belong to a minimum
 
     @property
     def chance(self) -> float:
-        """Probability of a fit this bad or worse if model and uncertainties are right; 1 without any freedom."""
+        """Probability of a fit this bad or worse, if model and uncertainties are right; 1 if freedom is 0."""
         return float(scipy.special.chdtrc(self.freedom, self.chi_square)) if self.freedom > 0 else 1.0
 
     @property
@@ -234,23 +234,23 @@ class Identified:
         return len(self.alternatives) > 1
 
     def value(self, name: str) -> float:
-        """Return a constant."""
+        """Return the value of a constant by its name, in its unit of `UNITS`."""
         return float(np.exp(self.log_constants[NAMES.index(name)]))
 
     def u(self, name: str) -> float:
-        """Return its standard uncertainty."""
+        """Return the standard uncertainty of a constant, in its unit."""
         return self.value(name) * float(self.information.u_relative[NAMES.index(name)])
 
 
 def identify(
     measured: Measured, known: RigConfig, start: Real = START, on_step: Callable[[str], None] = lambda _: None
 ) -> Identified:
-    """Return the constants that fit best.
+    """Return the constants of the rig that fit the measurements best.
 
     Args:
         measured: the measurements.
-        known: known properties: sphere, contact, barriers; its own constants are ignored.
-        start: logarithms of the constants to start with.
+        known: rig with the known properties (sphere, contact, barriers); its other constants are ignored.
+        start: logarithms of the constants at the start of the fit, in the order of `NAMES`.
         on_step: receives a description of each step.
 
     Raises:
@@ -278,7 +278,7 @@ def identify(
 
 
 def _begun(measured: Measured, start: Real) -> Real:
-    """Return the start with f_n and ζ estimated from the data: far from them nothing else can be fitted."""
+    """Return the start with f_n and ζ estimated from the data: far from them, nothing else can be fitted."""
     theta = start.copy()
     if measured.decay is not None:
         theta[:2] = np.log([measured.decay.natural_frequency_hz, measured.decay.damping_ratio])
@@ -289,55 +289,55 @@ def _begun(measured: Measured, start: Real) -> Real:
 
 
 def _step(residual: Real, jacobian: Real, bent: Real) -> tuple[Real, Real]:
-    """Return the Gauss-Newton step; along undetermined directions none, or a damped one."""
+    """Return the Gauss-Newton step; it has no component, or a damped one, along undetermined directions."""
     damped = np.eye(len(NAMES), len(NAMES) + bent.shape[1]) / UNBOUND
     whole = np.concatenate([np.concatenate([jacobian, bent], axis=1), damped])
-    size = np.maximum(np.linalg.norm(whole, axis=0), 1e-30)  # so that f_n, the best known one, hides nothing
+    size = np.maximum(np.linalg.norm(whole, axis=0), 1e-30)  # so that f_n, by far the best known, does not hide others
     change = -np.linalg.lstsq(whole / size, np.append(residual, np.zeros(len(damped))), rcond=RANK)[0] / size
     change *= min(1.0, LARGEST_STEP / max(float(np.abs(change).max()), 1e-30))
     return change[: len(NAMES)], change[len(NAMES) :]
 
 
 # --- Reductions. The masses follow from them, and e is known beforehand within its uncertainty only. χ² is not smooth -
-# in e: when the sphere strikes in another pattern, the slopes change, and the data may have another explanation.
-# Therefore χ² is profiled: e is held at many values, the constants are fitted at each, and the result is the mean over
-# the profile, weighted by exp(−χ²/2), including its spread.
+# in e: if the sphere strikes in another pattern, the slopes change, and the data may have another explanation.
+# Therefore χ² is profiled: the constants are fitted at many fixed values of e. The result is the mean over the profile,
+# weighted by exp(−χ²/2), and includes its spread.
 
 FACTORS = np.arange(-1.2, 1.21, 0.08)  # logarithms of the common factor of forces and masses that are tried first
-U_FACTOR = 0.03  # relative uncertainty with which a ratio must be met there
-TRIED, WORSE = 3, 24.0  # number of factors that start a fit, and the excess of χ² over the best up to which they do
-COARSE_E = np.arange(-3.0, 3.1, 0.75)  # values of e of the first profile, in its standard uncertainties
+U_FACTOR = 0.03  # relative uncertainty with which a ratio must agree there
+TRIED, WORSE = 3, 24.0  # number of factors that start a fit, and largest excess of χ² over the best one
+COARSE_E = np.arange(-3.0, 3.1, 0.75)  # values of e of the first profile, in its prior standard uncertainties
 MINIMA = 3  # number of values of e from which a minimum is searched
-PROPOSED = 4  # steps towards it
-NEAR_E = 0.3  # distance to an existing value, in standard uncertainties, below which none is added
-KNOWN = 0.05  # change of the density over an interval of e, as a share of the area, that need not be resolved
+PROPOSED = 4  # number of steps towards each minimum
+NEAR_E = 0.3  # distance to an existing value of e, in standard uncertainties, below which no value is added
+KNOWN = 0.05  # change of the density over an interval of e, as a share of the area, that is small enough
 MOST_E = 30  # maximum number of values of e
-# change of e, and relative one of the mass, within which slopes of one kind of motion are valid
+# largest change of e, and of the relative mass, over which slopes of one kind of motion are valid
 SAME_E, SAME_M = 0.01, 0.01
-GRID = 4001  # points of the profile between its values
+GRID = 4001  # number of points at which the profile is interpolated
 SEPARATE, LEAST_PART = 0.1, 0.05
-"""Share of the lower peak to which the density between two explanations falls; smallest probability of one."""
-APART = 2.0  # standard uncertainties on either side: explanations that overlap in all constants are one
+"""Share of the lower peak to which the density falls between two explanations; smallest probability of one."""
+APART = 2.0  # standard uncertainties of both sides: explanations that overlap in all constants count as one
 
 
 @attrs.frozen(eq=False)
 class _Held:
-    """Fit with e held."""
+    """Fit of the constants at a fixed e."""
 
     e: float
     theta: Real
     nuisance: Real
     chi_square: float
-    cost: float  # −2 ln of the probability: χ², and the contribution of widths that depend on the motion
-    jacobian: Real  # whitened, by the constants
-    bent: Real  # by the nuisances
-    by_e: Real  # by e
+    cost: float  # −2 ln of the probability: χ², and a term for uncertainties that depend on the motion
+    jacobian: Real  # derivatives of the whitened residuals by the constants
+    bent: Real  # derivatives by the nuisances
+    by_e: Real  # derivatives by e
     residual: Real
     motions: Mapping[float, SettledMotion]
     converged: bool
 
     def covariance(self) -> Real:
-        """Return the covariance of the constants with e held."""
+        """Return the covariance of the constants at this e."""
         basis, _ = np.linalg.qr(self.bent)
         matrix = self.jacobian - basis @ (basis.T @ self.jacobian)
         size = np.maximum(np.linalg.norm(matrix, axis=0), 1e-30)
@@ -345,7 +345,7 @@ class _Held:
         return np.asarray(inverse @ inverse.T)
 
     def proposal(self) -> tuple[float, float]:
-        """Return the e of the minimum according to the slopes, and its standard uncertainty."""
+        """Return the e of the minimum according to the slopes, with its standard uncertainty."""
         others = np.concatenate([self.jacobian, self.bent], axis=1)
         size = np.maximum(np.linalg.norm(others, axis=0), 1e-30)
         basis, values, _ = np.linalg.svd(others / size, full_matrices=False)
@@ -358,7 +358,7 @@ class _Held:
 def _with_reductions(
     measured: Measured, known: RigConfig, theta: Real, nuisance: Real, on_step: Callable[[str], None]
 ) -> Identified:
-    """Return the constants from all measurements."""
+    """Return the constants from all measurements, including the reductions."""
     profile = _Profile(measured, known)
     on_step("fitting the masses with the sphere")
     starts = profile.factors(theta)
@@ -384,7 +384,7 @@ def _with_reductions(
 
 
 class _Profile:
-    """Profile: fits with e held."""
+    """Profile of χ² over e: the best fits at fixed values of e."""
 
     def __init__(self, measured: Measured, known: RigConfig) -> None:
         assert measured.reduced is not None
@@ -394,7 +394,7 @@ class _Profile:
         self._slopes: dict[float, list[tuple[float, float, tuple[float, ...], Real]]] = {}
 
     def factors(self, theta: Real) -> list[Real]:
-        """Return the constants with the common factors that meet the ratios best."""
+        """Return the constants scaled by the common factors with which the ratios agree best."""
         misfits = []
         for factor in FACTORS:
             off = 0.0
@@ -480,7 +480,7 @@ class _Profile:
         return place_of(config, gap_m, self._reduced.frequency_hz, self._reduced.current_a[gap_m] * math.exp(-gain))
 
     def _fit(self, e: float, theta: Real, nuisance: Real) -> _Held | None:
-        """Return the best fit with e held, from a start; None if a motion cannot be resolved there."""
+        """Return the best fit at a fixed e, from a start; None if a motion cannot be resolved there."""
         try:
             here = self._at(e, theta, nuisance)
             for _ in range(ROUNDS):
@@ -489,9 +489,9 @@ class _Profile:
                 if size < (SMALL if all(motion.repeats for motion in here.motions.values()) else SCATTERED):
                     return attrs.evolve(here, converged=True)
                 new = self._at(e, here.theta + change, here.nuisance + along)
-                if new.cost > here.cost:  # across a jump, or too far
+                if new.cost > here.cost:  # a step across a jump of the motion, or too large a step
                     new = self._at(e, here.theta + 0.3 * change, here.nuisance + 0.3 * along)
-                    if new.cost > here.cost:  # at the edge of a jump
+                    if new.cost > here.cost:  # a step that ends just before a jump
                         return attrs.evolve(here, converged=True)
                 here = new
         except (SimulationError, ConfigError):
@@ -499,7 +499,7 @@ class _Profile:
         return here
 
     def _at(self, e: float, theta: Real, nuisance: Real) -> _Held:
-        """Return residuals and derivatives at a point."""
+        """Return the whitened residuals and their derivatives at a point."""
         residual, jacobian, bent = _linear(self._measured, self._known, theta, nuisance)
         rows, by_constants, by_nuisances, by_e = [], [], [], []
         motions, widths = {}, 0.0
@@ -527,9 +527,9 @@ class _Profile:
         )  # fmt: skip
 
     def _motion(self, gap_m: float, theta: Real, gain: float, e: float) -> tuple[SettledMotion, Real]:
-        """Return a motion, and its derivatives by the constants and e.
+        """Return a motion, and its derivatives by the constants and by e.
 
-        Derivatives of a close motion of the same kind are reused.
+        Derivatives of a nearby motion of the same kind are reused.
         """
         force = NAMES.index("K_f")
         here = SettledRig(self._place(gap_m, theta, gain, e))
@@ -552,7 +552,7 @@ class _Profile:
 
 
 def _summary(held: Sequence[_Held]) -> tuple[Real, Real, tuple[Alternative, ...]]:
-    """Return mean and covariance of the constants and e over a profile, and the explanations if there are several."""
+    """Return mean and covariance of the constants and e over a profile, and all explanations if there are several."""
     e = np.array([one.e for one in held])
     theta, within = np.array([one.theta for one in held]), np.array([one.covariance() for one in held])
     if len(held) == 1:
@@ -585,7 +585,7 @@ def _summary(held: Sequence[_Held]) -> tuple[Real, Real, tuple[Alternative, ...]
 
 
 def _differ(found: Sequence[Alternative]) -> bool:
-    """Return whether explanations exclude each other by a constant."""
+    """Return whether two explanations differ in a constant by more than their uncertainties."""
     return any(
         bool(np.any(np.abs(one.log_constants - other.log_constants) > APART * (one.u_relative + other.u_relative)))
         for one, other in itertools.combinations(found, 2)
@@ -593,7 +593,7 @@ def _differ(found: Sequence[Alternative]) -> bool:
 
 
 def _parts(density: Real) -> Iterator[slice]:
-    """Yield the stretches of a density about its peaks, separated where it falls far below both neighbours."""
+    """Yield the stretches of a density around its peaks; the density between two stretches is far below both peaks."""
     level = np.log(np.maximum(density, 1e-300))
     peaks = scipy.signal.find_peaks(np.pad(level, 1, constant_values=-1e9), prominence=-math.log(SEPARATE))[0] - 1
     cuts = [first + int(np.argmin(level[first:last])) for first, last in itertools.pairwise(peaks.tolist())]
@@ -602,7 +602,7 @@ def _parts(density: Real) -> Iterator[slice]:
 
 
 def _linear(measured: Measured, known: RigConfig, theta: Real, nuisance: Real) -> tuple[Real, Real, Real]:
-    """Return whitened residuals of data without simulation, and their derivatives by constants and nuisances."""
+    """Return whitened residuals of the data without simulation, and their derivatives by constants and nuisances."""
     residuals, rows, bends = [], [], []
     decay, sine, gains = measured.decay, measured.sine, measured.gains
     if decay is not None:
@@ -627,7 +627,7 @@ def _linear(measured: Measured, known: RigConfig, theta: Real, nuisance: Real) -
         effects = np.stack([laser - base, base - current, np.zeros_like(base)])
         off = _apart(model, data)
         for row in range(3):
-            is_finite = np.isfinite(data[row])  # a point with an unsound current still has DT and phase
+            is_finite = np.isfinite(data[row])  # a point without a valid current still has DT and phase
             residuals.append(((off[row] + effects[row] @ nuisance) / u[row])[is_finite])
             rows.append((derivative[row] / u[row][:, None])[is_finite])
             bends.append((effects[row] / u[row][:, None])[is_finite])
@@ -642,14 +642,14 @@ def _linear(measured: Measured, known: RigConfig, theta: Real, nuisance: Real) -
 
 
 def _apart(one: Real, other: Real) -> Real:
-    """Return the difference of two results of `_model`; of phases the smallest."""
+    """Return the difference of two results of `_model`; for phases, the smallest one."""
     difference = one - other
     difference[2] -= 2.0 * math.pi * np.round(difference[2] / (2.0 * math.pi))
     return difference
 
 
 def _prior(measured: Measured) -> Real:
-    """Return the prior standard uncertainty of each nuisance."""
+    """Return the standard uncertainty of each nuisance before the measurement."""
     without = measured.reduced.u_without if measured.reduced else 0.0
     return np.array([*measured.gains.u, without])
 

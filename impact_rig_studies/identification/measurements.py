@@ -14,7 +14,7 @@
 """Measurements for identification: results of the analysis, with noise separated from errors of calibration.
 
 Errors of calibration are common to all points: one gain and one curve per sensor (`analysis.calibration`). They become
-nuisance parameters with the certificate's standard uncertainties; the rest per point is noise.
+nuisance parameters with the standard uncertainties of the certificate. The remaining deviation of each point is noise.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from impact_rig_studies.decay import Decay, DecayMethod, fit_decay, measure_deca
 from impact_rig_studies.identification import U_RESTITUTION
 from impact_rig_studies.reduction import repeatability
 
-LEAST_NOISE = 1e-4  # relative; smallest repeatability assumed, even if a few seconds of signal suggest a smaller one
+LEAST_NOISE = 1e-4  # smallest relative repeatability assumed, even if a few seconds of signal suggest a smaller one
 CALIBRATION = ("gain laser", "gain base", "gain current", "curve laser", "curve base")
 NUISANCES = (*CALIBRATION, "DT without sphere")
 """Errors shared by several data. "DT without sphere" is the noise of the reference point of all reductions."""
@@ -54,27 +54,27 @@ GAIN_CURRENT = NUISANCES.index("gain current")
 
 @attrs.frozen(eq=False)
 class SineData:
-    """Stepped sine without sphere; arrays of shape (n,), u_: standard uncertainty by noise alone, relative, rad."""
+    """Stepped sine without the sphere: arrays of shape (n,); u_ means the standard uncertainty due to noise alone."""
 
-    frequency_hz: Real  # of the points
-    dt: Real  # transmissibility
-    phase_rad: Real  # phase of x_1 to x_b
-    base_per_a: Real  # amplitude of the base over that of the current [m/A]
-    laser_m: Real  # amplitude
-    base_m: Real  # amplitude
-    u_amplitude: Real  # relative, of dt and base_per_a
-    u_phase: Real  # [rad]
+    frequency_hz: Real  # drive frequency of each point
+    dt: Real  # transmissibility |X_1 / X_b|
+    phase_rad: Real  # phase of x_1 relative to x_b [rad]
+    base_per_a: Real  # ratio of the amplitudes of base and current [m/A]
+    laser_m: Real  # amplitude of the superior base, peak [m]
+    base_m: Real  # amplitude of the base, peak [m]
+    u_amplitude: Real  # relative standard uncertainty of dt and base_per_a
+    u_phase: Real  # standard uncertainty of phase_rad [rad]
 
 
 @attrs.frozen(eq=False)
 class Reduced:
-    """DT with the sphere over DT without, at one frequency."""
+    """Ratio of DT with the sphere to DT without it, at one frequency."""
 
-    frequency_hz: float  # of the drive
-    current_a: Mapping[float, float]  # measured amplitude of the drive with the sphere, by gap [m]
-    ratio: Mapping[float, float]  # by gap [m]
+    frequency_hz: float  # drive frequency
+    current_a: Mapping[float, float]  # measured amplitude of the current with the sphere [A peak], by gap [m]
+    ratio: Mapping[float, float]  # DT with the sphere / DT without, by gap [m]
     u: Real  # relative standard uncertainty due to the noise of DT with the sphere, shape (n,)
-    u_without: float  # the same without the sphere
+    u_without: float  # relative standard uncertainty due to the noise of DT without the sphere
     effects: Real  # d ln ratio / d nuisance, shape (n, 6); the simulation includes the effect of the current
     regimes: Mapping[float, str]
     """Measured regime of the motion with the sphere, by gap.
@@ -85,26 +85,26 @@ class Reduced:
 
 @attrs.frozen(eq=False)
 class Gains:
-    """Errors of calibration: standard uncertainties and effects."""
+    """Calibration errors of the sensors: their standard uncertainties, and their effects on measured quantities."""
 
-    u: Real  # of `CALIBRATION`, shape (5,)
-    calibration: Calibration  # the certificate
+    u: Real  # relative standard uncertainty of each error of `CALIBRATION`, shape (5,)
+    calibration: Calibration  # calibration of the certificate
 
     @classmethod
     def of(cls, info: NDArray[np.void]) -> Gains:
-        """Read the certificate, rows of `daq/info`."""
+        """Read the certificate from rows of `daq/info`."""
         calibration = Calibration.from_info(info)
         halves = [(channel, _half_range(calibration, channel)) for channel in (LASER, BASE)]
         bent = [float(calibration.linearity[one]) / half if math.isfinite(half) else 0.0 for one, half in halves]
         curve = [U_CUBIC * one for one in bent]
         gains = [float(calibration.gain_uncertainty[channel]) for channel in (LASER, BASE, CURRENT)]
-        # the certificate includes the curve's slope at mid-range in the gain; here the curve is a parameter of its own
+        # the certificate adds the slope of the curve at mid-range to the gain; here the curve is a parameter of its own
         for place, one in enumerate(curve):
             gains[place] = math.sqrt(max(gains[place] ** 2 - (1.5 * one) ** 2, 0.0))
         return cls(np.array([*gains, *curve]), calibration)
 
     def relative(self, channel: int, amplitude: Real, frequency_hz: Real | float) -> Real:
-        """Return d ln(amplitude) / d nuisance for sines of displacement of a channel, shape (n, 6)."""
+        """Return d ln(amplitude) / d nuisance for displacements of a channel that are sines, shape (n, 6)."""
         effect = np.zeros((len(amplitude), len(NUISANCES)))
         effect[:, (LASER, BASE, CURRENT).index(channel)] = 1.0
         if channel != CURRENT:
@@ -120,7 +120,7 @@ def _half_range(calibration: Calibration, channel: int) -> float:
 
 
 def sine_of(points: Sequence[Point], gains: Gains) -> SineData:
-    """Return settled points without sphere as a stepped sine."""
+    """Return settled points without the sphere as a stepped sine."""
     rows = np.concatenate([point.rows[:1] for point in points])
     u = np.array([_noise(point, gains) for point in points])
     return SineData(
@@ -136,9 +136,9 @@ def sine_of(points: Sequence[Point], gains: Gains) -> SineData:
 
 
 def reduced_of(curves: Curves, frequency_hz: float, gaps_m: Sequence[float], gains: Gains) -> Reduced | None:
-    """Return the ratios at one frequency, or None if there are none; only impacting orbits are informative.
+    """Return the ratios at one frequency, or None if there are none; only motions with impacts are used.
 
-    Without an accelerometer impacts were not counted; the simulated motion then decides.
+    Without an accelerometer, impacts were not counted. The simulated motion then decides whether the sphere strikes.
     """
     without = curves.at(NO_SPHERE, frequency_hz)
     at = [point for gap in gaps_m if (point := curves.at(gap, frequency_hz)) is not None]
@@ -178,7 +178,7 @@ def _noise(point: Point, gains: Gains) -> float:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Measured:
-    """All measurements; None for those that were not made.
+    """All measurements for an identification; None for those that were not made.
 
     `u_restitution` is the prior standard uncertainty of the nominal e.
     """
@@ -193,12 +193,12 @@ class Measured:
 # --- The free decay with the base locked: measured on a rig in this process, or taken from a recorded run
 
 DISPLACEMENT_M = 5e-3
-RECORD_S = 20.0  # five time constants of the structure
-SETTLE_S = 0.05  # left out at the beginning: the laser's lag decays
+RECORD_S = 20.0  # length of a record of the decay: five time constants of the structure
+SETTLE_S = 0.05  # time left out at the beginning, in which the laser's lag decays
 
 
 def measured_decay(config: RigConfig, method: DecayMethod = fit_decay) -> Decay:
-    """Pluck the rig without its sphere and measure f_n and ζ by a fit, or by `method`."""
+    """Pluck the rig without its sphere, and measure f_n and ζ by a fit, or by `method`."""
     config = from_flat(config, {"sphere.present": False, "daq.block_scans": min(config.daq.rate_hz, 10_000)})
     rig = LocalRig(config)
     rig.core.pluck(DISPLACEMENT_M)
@@ -209,11 +209,11 @@ def measured_decay(config: RigConfig, method: DecayMethod = fit_decay) -> Decay:
 def recorded_decay(run: Run, method: DecayMethod = fit_decay) -> Decay:
     """Measure the decay after the last pluck of a recorded run by a fit, or by `method`.
 
-    It ends at a reset or at missing scans: the scans of a decay are consecutive. A measurement of an external rig has
-    no journal: its decay begins where the structure is farthest from its final position.
+    The record ends at a reset or at missing scans, because the scans of a decay are consecutive. A measurement of an
+    external rig has no journal: its decay begins at the largest distance of the structure from its final position.
 
     Raises:
-        RecordingError: nothing was plucked, or the run holds no scans after it.
+        RecordingError: the run contains no pluck, or no scans after it.
     """
     if not run.holds(topics.JOURNAL) and is_measured(run.provenance):
         record = last_record(run)

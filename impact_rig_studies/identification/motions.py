@@ -13,9 +13,10 @@
 # limitations under the License.
 """Simulated reductions for identification: the settled motion of the rig with its sphere, and its derivatives.
 
-If the motion repeats, its slopes follow from the stroboscopic map (`Stroboscope.slopes`): single returns suffice, and
-the multipliers show whether the orbit is stable. If it does not repeat, its mean over many cycles is compared with a
-measurement. The mean has a standard uncertainty, from the scatter of batches, and its slopes are coarse differences.
+If the motion repeats, its slopes follow from the stroboscopic map (`Stroboscope.slopes`). Then single returns to the
+map suffice, and the multipliers show whether the orbit is stable. If the motion does not repeat, its mean over many
+cycles is compared with a measurement. The mean has a standard uncertainty, from the scatter of batches, and its slopes
+are coarse differences.
 """
 
 from __future__ import annotations
@@ -38,27 +39,27 @@ from impact_rig_studies.maps.plan import CURRENT
 SETTLED = Settings(settle_tolerance=1e-6, settle_cycles=288, cycles=48)
 REPEATS = 1e-5  # relative change of DT between the halves of a record up to which a periodic motion repeats
 BATCHES, BATCH_CYCLES = 10, 48  # number and length of the batches over which an irregular motion is averaged
-COARSE = 0.02  # relative step of the differences for such a motion
+COARSE = 0.02  # relative step of the differences for an irregular motion
 
 
 class SettledMotion(NamedTuple):
-    """Settled motion of the rig with its sphere."""
+    """Settled motion of the rig with its sphere, as a measurement of DT would describe it."""
 
     log_ratio: float  # ln(DT with sphere / DT without)
-    u: float  # standard uncertainty of the mean of an irregular motion; 0 for a repeating one
+    u: float  # standard uncertainty of the mean of log_ratio for an irregular motion; 0 for a repeating one
     regime: str  # periodic, modulated, chaotic or intermittent
     seen: str  # regime that a measurement reports: a chaotic motion whose changes are small looks periodic
-    period: float  # cycles after which it repeats; NaN if it does not
-    impacts: float  # number in a period
+    period: float  # number of drive cycles after which it repeats; NaN if it does not
+    impacts: float  # number of impacts in a period
 
     @property
     def repeats(self) -> bool:
-        """Return whether it is a periodic orbit."""
+        """Return whether the motion is a periodic orbit."""
         return self.regime == Regime.PERIODIC.value and not self.u
 
 
 def place_of(config: RigConfig, gap_m: float, frequency_hz: float, current_a: float) -> Place:
-    """Return a rig with its sphere and a gap, driven by a sine of current."""
+    """Return a rig with its sphere and a gap, driven by a sine of current [A peak]."""
     own = {"sphere.present": True, "barriers.gap_m": gap_m, "drive.kind": CURRENT_DRIVE}
     return Place(from_flat(config, own), frequency_hz, current_a)
 
@@ -67,19 +68,19 @@ CURRENT_DRIVE = "current"
 
 
 def simulated(config: RigConfig, gap_m: float, frequency_hz: float, current_a: float) -> SettledMotion:
-    """Return the motion of a rig after its reset; without the sphere DT is known in closed form.
+    """Return the settled motion of a rig after a reset; the DT without the sphere, for its ratio, is the closed form.
 
     Raises:
-        SimulationError: it could not be resolved.
+        SimulationError: the motion cannot be resolved.
     """
     return SettledRig(place_of(config, gap_m, frequency_hz, current_a)).motion
 
 
 class SettledRig:
-    """Settled rig and its motion.
+    """Settled rig, with its motion.
 
     Raises:
-        SimulationError: it could not be resolved.
+        SimulationError: the motion cannot be resolved.
     """
 
     def __init__(self, place: Place) -> None:
@@ -103,26 +104,26 @@ class SettledRig:
         self.motion = SettledMotion(math.log(dt) - _log_dt(place), u, found.regime, seen, found.period, impacts)
 
     def slopes(self, neighbour: Callable[[int, float], Place], count: int, amplitude: int, mass: int) -> Real:
-        """Return the derivatives of `motion.log_ratio` by parameters, shape (count,). This advances the rig.
+        """Return the derivatives of `motion.log_ratio` by parameters, shape (count,). The call advances the rig.
 
         Args:
             neighbour: returns the rig with the i-th parameter changed by a small step.
             count: number of parameters.
-            amplitude: the parameter that multiplies the current.
-            mass: the parameter that multiplies the mass of the structure.
+            amplitude: index of the parameter that multiplies the current.
+            mass: index of the parameter that multiplies the mass of the structure.
 
         Raises:
-            SimulationError: a neighbour cannot be resolved.
+            SimulationError: the motion of a neighbour cannot be resolved.
         """
         if self.motion.repeats:
             strobe = Stroboscope(self.place, CURRENT, self.place.amplitude)
             try:
                 found = strobe.slopes(strobe.seen(self._rig, 1.0, self._reading), 1.0, neighbour, count)
-            except SimulationError:  # never free of the walls
+            except SimulationError:  # the sphere is never free of the walls
                 found = None
             if found is not None and found.stable:
                 return found.by - _closed_form(neighbour, self.place, count, _log_dt)
-        # Mean of an irregular motion: by amplitude and mass, through which the other constants act.
+        # for the mean of an irregular motion: derivatives by amplitude and mass, through which the other constants act
         by_amplitude, by_mass = (
             (SettledRig(neighbour(i, COARSE)).motion.log_ratio - SettledRig(neighbour(i, -COARSE)).motion.log_ratio)
             / (2.0 * COARSE)
@@ -139,7 +140,7 @@ _STEP = 1e-6
 def _closed_form(
     neighbour: Callable[[int, float], Place], place: Place, count: int, of: Callable[[Place], float]
 ) -> Real:
-    """Return the derivatives of a closed form."""
+    """Return the derivatives of a closed form, by parameters."""
     here = of(place)
     return np.array([(of(neighbour(i, _STEP)) - here) / _STEP for i in range(count)])
 

@@ -13,9 +13,9 @@
 # limitations under the License.
 """Derivation of the default rig from the paper: f_n and ζ, fitted to five reductions and 9.1 Hz.
 
-Known are the sphere, contact law and e of the paper, catalogue values for mass and shaker, and the current, which
-represents the motion of the paper's superior base. `PaperFit.information` shows what the paper determines of all
-constants; freeing the current as well shows that it determines too little.
+The sphere, the contact law and e are those of the paper. Mass and shaker have catalogue values. The current represents
+the motion of the paper's superior base. `PaperFit.information` shows how well the paper determines each constant. If
+the current is fitted as well, it shows that the paper determines too little.
 """
 
 from __future__ import annotations
@@ -32,28 +32,29 @@ from impact_rig_studies.identification.fit import NAMES, Information, informatio
 from impact_rig_studies.identification.motions import simulated
 
 U_POINTS = 1.0
-"""Assumed standard uncertainty of a published reduction: the paper prints three of five to whole percent, states no
-uncertainty, and set the gaps by hand."""
+"""Assumed standard uncertainty of a published reduction [percentage points]: three of the five are printed as whole
+percent, no uncertainty is stated, and the gaps were set by hand.
+"""
 U_FREQUENCY_HZ = 0.05 / 3**0.5  # 9.1 Hz is printed to one digit
 ALL = (*NAMES, "I")
 START = {"f_n": 9.1, "ζ": 0.005, "I": 0.5}  # start of the fit: away from the shipped values
-# for derivatives by `NAMES` and I: the natural frequency has the largest effect
+# steps for derivatives by `NAMES` and I: the natural frequency has the largest effect
 STEPS = np.array([2e-4, *[0.02] * 6, 0.02])
-LARGEST = {"f_n": 5e-4, "ζ": 0.1, "I": 0.1}  # largest steps: the rig is far from linear
+LARGEST = {"f_n": 5e-4, "ζ": 0.1, "I": 0.1}  # largest steps of the fit, which is far from linear
 ITERATIONS = 12
 CONVERGED = 0.1  # step, in standard uncertainties, that ends the fit
 
 
 @attrs.frozen(eq=False)
 class PaperFit:
-    """Result of the fit."""
+    """Result of the fit to the paper."""
 
     fitted: Mapping[str, float]  # fitted values by name: f_n [Hz], ζ, optionally I [A]
-    u: Mapping[str, float]  # their standard uncertainties with all other values fixed
+    u: Mapping[str, float]  # standard uncertainty of each fitted value, with all other values fixed
     converged: bool  # whether the fit converged
-    points: dict[float, float]  # reductions of the fit, percent, by gap
-    rms_points: float  # distance of the fit from the paper
-    default_rms_points: float  # that of the shipped configuration
+    points: dict[float, float]  # reductions of the fitted rig [%], by gap [m]
+    rms_points: float  # rms difference of these from the reductions in the paper [percentage points]
+    default_rms_points: float  # the same for the shipped configuration
     information: Information  # information of the paper on all constants and the current
 
 
@@ -63,15 +64,15 @@ def fit_paper(
     """Fit the paper's numbers, starting away from the shipped values, and compute what they determine.
 
     Args:
-        base: all values taken as known.
-        free: fitted values, keys of `START`.
+        base: rig with all other values, which count as known.
+        free: names of the values to fit, of the keys of `START`.
         on_step: receives a description of each step.
     """
     published = np.array(list(REDUCTION_PERCENT.values()))
     default = np.append(logarithms(base), np.log(CURRENT_A))
 
     def residual(at: Real) -> Real:
-        """Return distances in standard uncertainties; the last row is the printed frequency."""
+        """Return differences from the paper in standard uncertainties; the last row is that of the frequency."""
         reductions = _reductions(base, at)
         return np.append((reductions - published) / U_POINTS, (np.exp(at[0]) - FREQUENCY_HZ) / U_FREQUENCY_HZ)
 
@@ -88,7 +89,7 @@ def fit_paper(
         change = -np.linalg.solve(information_matrix, jacobian.T @ fitted_residual)
         converged = bool(change @ information_matrix @ change < CONVERGED**2)
         if converged or iteration == ITERATIONS - 1:
-            break  # the results belong to these constants
+            break  # the slopes belong to these values
         at[places] += change * min(1.0, float((largest / np.abs(change)).min()))
     covariance = np.linalg.inv(information_matrix)
     on_step("computing what the paper determines of every constant")
