@@ -51,7 +51,7 @@ def opening(done: Finished, content: Content) -> Iterator[Markup]:
     yield paragraph(
         "Every number here was measured through the simulated instruments and the analysis, as in a laboratory; a "
         f"number behind ± is {content.fact('coverage_factor', 2.0, 'g')} combined standard uncertainties. Where the "
-        "virtual rig's truth is shown, it says so."
+        "true value of the virtual rig is shown, this is stated."
     )
 
 
@@ -120,7 +120,9 @@ def apparatus(done: Finished, content: Content) -> Iterator[Markup]:
     yield heading("Constants of the rig")
     yield content.table("constants", ["symbol", "value", "unit", "meaning"], _constants(done), [1])
     yield heading("Instruments and their calibration")
-    yield paragraph("The certificate of the rig with this seed: all that the analysis knows about the instruments.")
+    yield paragraph(
+        "The calibration certificate of this rig and seed. The analysis knows nothing else about the instruments."
+    )
     yield from instruments_table(done.info, content)
 
 

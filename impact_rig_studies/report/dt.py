@@ -91,8 +91,8 @@ def by_frequency(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
         return
     explained = (
         "Linear above, logarithmic in the middle, and the phase of the superior base to the inferior one. Points: "
-        "measured, ± 2u. Full lines: predicted without simulation; dotted: from point to point, where no prediction "
-        "exists. Diamonds: our DT without sphere, less the reduction the paper prints."
+        "measured, ± 2u. Solid lines: predicted without simulation. Dotted lines connect the points if there is no "
+        "prediction. Diamonds: our DT without sphere, reduced by the percentage in the paper."
     )
     whole = (FREQUENCIES_HZ[0], FREQUENCIES_HZ[-1])
     ranges = (
@@ -377,7 +377,7 @@ def peaks(curves: Curves) -> Iterator[Drawn]:
         return
     axis.set(xlabel="frequency (Hz)", ylabel="transmissibility", title="Where the curves peak")
     legend_below(axis, 3)
-    caption = "Grid of 0.01 Hz. Dotted: where each curve peaks; with the sphere a little lower, as the paper saw."
+    caption = "Grid of 0.01 Hz. Dotted lines mark the peaks. With the sphere they are slightly lower, as in the paper."
     yield Drawn("peaks", figure, caption, lines)
 
 
@@ -412,14 +412,15 @@ def damper_by_frequency(curves: Curves, calibration: Calibration) -> Iterator[Dr
     lower.set(ylabel="loss factor (%)", xlabel="frequency (Hz)")
     legend_below(lower, 3, upper)
     caption = (
-        "From DT and phase with and without the sphere alone: the force on the structure over its inertia force, in "
-        "phase with its displacement (added mass, a share of m_1) and in quadrature (loss factor)."
+        "Force of the sphere on the structure, divided by the structure's inertia force: the part in phase with the "
+        "displacement (added mass, as a share of m_1), and the part in quadrature (loss factor). Both follow from DT "
+        "and phase with and without the sphere."
     )
     yield Drawn("damper", figure, caption, lines)
 
 
 def amplitudes(curves: Curves) -> Iterator[Drawn]:
-    """Draw the amplitudes of both bases over frequency: the damper acts by raising that of the inferior one."""
+    """Draw the amplitudes of both bases over frequency: the damper increases the motion of the inferior base."""
     cases = {gap: points for gap in (NO_SPHERE, *REDUCTION_PERCENT) if (points := curve(curves, gap))}
     if not cases:
         return
@@ -438,9 +439,9 @@ def amplitudes(curves: Curves) -> Iterator[Drawn]:
     lower.minorticks_off()
     legend_below(lower, 3, upper)
     caption = (
-        "At constant current the superior base moves nearly as far with the sphere as without; what changes is the "
-        "base beneath it. At resonance the structure holds the base still, like a tuned absorber; losses in the "
-        "sphere's impacts weaken that hold, the base moves more, and so DT falls."
+        "At constant current, the superior base moves nearly as far with the sphere as without it; the motion of the "
+        "inferior base changes. At resonance, the structure keeps the inferior base nearly at rest, like a tuned "
+        "absorber. Losses in the sphere's impacts weaken this effect: the base moves more, so DT falls."
     )
     yield Drawn("amplitudes", figure, caption, lines)
 
@@ -469,7 +470,7 @@ def regime_map(curves: Curves) -> Iterator[Drawn]:
     for name, shade in (*REGIMES.items(), ("no impacts", QUIET)):
         axis.fill_between([], [], [], color=shade, label=name)
     legend_below(axis, 4)
-    caption = "Regime map: what the response does from cycle to cycle, and impacts per cycle, from the accelerometer."
+    caption = "Regime of the response from cycle to cycle, and number of impacts per cycle, from the accelerometer."
     lines = [
         Line(case(gap), {name: [getattr(p, name) for p in one] for name in ("frequency_hz", "impacts_per_cycle")})
         for gap, one in cases.items()

@@ -48,8 +48,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 MOST_POINTS = 4000  # largest number of points of a drawn line
-COHERENT = 0.9  # least coherence of a line that counts as measured
-SHOWN_S = 1.0  # seconds of a played history that are drawn, around its largest sample
+COHERENT = 0.9  # lowest coherence with which a line counts as measured
+SHOWN_S = 1.0  # duration of the drawn part of a played history, around its largest sample
 
 
 @attrs.frozen(eq=False)
@@ -123,13 +123,14 @@ def _random(found: Reached, unit: str) -> ResultSummary:
     }  # fmt: skip
     sentences = [
         (
-            f"{100 * found.within(1.0):.1f} % of {len(found.frequency_hz)} lines are within 1 dB of what was asked, "
+            f"{100 * found.within(1.0):.1f} % of {len(found.frequency_hz)} lines are within 1 dB of the request, "
             f"{100 * found.within(3.0):.1f} % within 3 dB; the worst is {figures['worst_db']:.1f} dB off."
         ),
         (
-            f"Of the mean square reached {100 * shares['distortion']:.2g} % are distortion: caused by the drive, not "
-            f"proportional to it; {100 * shares['noise']:.2g} % are the sensor's noise. Kurtosis {found.kurtosis:.2f} "
-            f"(3: Gaussian), drive {found.drive_rms:.3g} A rms, {found.clipped} of its samples clipped."
+            f"Of the mean square, {100 * shares['distortion']:.2g} % is distortion, caused by the drive but "
+            f"not proportional to it, and {100 * shares['noise']:.2g} % is noise of the sensor. "
+            f"Kurtosis {found.kurtosis:.2f} (3: Gaussian), drive {found.drive_rms:.3g} A rms, {found.clipped} of its "
+            "samples clipped."
         ),
     ]
     return ResultSummary(
@@ -157,7 +158,7 @@ def _draw_random(found: Reached, unit: str) -> list[Drawn]:
         "frequency (Hz)": f, "asked": found.asked, "reached": found.reached, "error (dB)": found.error_db,
         "coherence": found.coherence, "not linear": found.distortion, "noise": found.noise,
     }  # fmt: skip
-    one = Drawn("random", figure, "Density asked and reached, its error, and coherence with the drive.",
+    one = Drawn("random", figure, "Requested and reached density, its error, and its coherence with the drive.",
                 [Line("random", columns)])  # fmt: skip
     return [one, _learning(found.loops, "rms error (dB)", "loop")]
 
@@ -176,12 +177,12 @@ def _replicated(found: Replicated, unit: str) -> ResultSummary:
     }  # fmt: skip
     sentences = [
         (
-            f"Rms error of the motion {100 * error:.2f} % of the rms asked after {len(found.errors)} trials. The "
-            f"sensor's noise and gain leave {100 * found.floor:.2f} % open (2u)."
+            f"After {len(found.errors)} trials, the rms error of the motion is {100 * error:.2f} % of the requested "
+            f"rms. The uncertainty of the sensor's noise and gain is {100 * found.floor:.2f} % of it (2u)."
         ),
         (
-            f"The response departs by {100 * bent:.2f} % from what the measured response function makes of this drive: "
-            "distortion, and the sensor's noise."
+            f"The response differs by {100 * bent:.2f} % from that of a linear rig with the measured response "
+            "function. The difference is distortion, and noise of the sensor."
         ),
     ]
     return ResultSummary(
@@ -200,7 +201,7 @@ def _history(found: Replicated, unit: str) -> Drawn:
     axes[1].plot(t[part], (reached - linear)[part], color=SERIES[2], label="not linear", linewidth=0.8)
     _panes(axes, f"response ({unit})", f"({unit})", x="time (s)")
     columns = {"time (s)": t[part], "asked": asked[part], "reached": reached[part], "linear": linear[part]}
-    caption = "The history asked and reached; below, what is left."
+    caption = "Requested and reached history; below, the remaining error and the nonlinear part of the response."
     return Drawn("history", figure, caption, [Line("history", columns)])
 
 
@@ -215,7 +216,8 @@ def _shocked(found: Shocked, unit: str) -> ResultSummary:
     first = (
         f"Peak {_error(found, 'peak_error', 100, '%')}, "
         f"change of velocity {_error(found, 'velocity_error', 100, '%')}, "
-        f"displacement left {_error(found, 'left_m', 1e6, 'µm')} of {1e3 * np.abs(found.followed.asked).max():.2f} mm, "
+        f"residual displacement {_error(found, 'left_m', 1e6, 'µm')} "
+        f"of {1e3 * np.abs(found.followed.asked).max():.2f} mm, "
         f"shock response spectrum {_error(found, 'srs_worst_db', 1, 'dB')}."
     )
     return attrs.evolve(
@@ -230,7 +232,7 @@ def _error(found: Shocked, name: str, factor: float, unit: str) -> str:
     """Return an error with its floor as text."""
     value, floor = factor * getattr(found, name), factor * found.floors[name]
     if abs(value) <= floor:
-        return f"as asked within the noise floor of {floor:.2g} {unit}"
+        return f"as requested, within the noise floor of {floor:.2g} {unit}"
     return f"off by {value:+.2g} {unit} (noise floor {floor:.2g} {unit})"
 
 
@@ -264,7 +266,7 @@ def _played(found: Played, _unit: str) -> ResultSummary:
     }  # fmt: skip
     sentences = [
         (
-            f"{done:.2f} of {found.whole / found.rate_hz:.2f} s played; the current departs from what was asked by "
+            f"{done:.2f} of {found.whole / found.rate_hz:.2f} s played. The current differs from the requested one by "
             f"{100 * found.error:.2f} % of its rms. {found.clipped} samples clipped. Kurtosis of the current "
             f"{found.kurtosis('current'):.2f}, of base and superior base {found.kurtosis('base'):.2f} and "
             f"{found.kurtosis('laser'):.2f}."
@@ -319,8 +321,9 @@ def _frf(found: Frf, unit: str) -> ResultSummary:
             f"{abs(found.h1[peak]):.4g} {unit} at {found.frequency_hz[peak]:.4g} Hz."
         ),
         (
-            "Without the sphere what coherence lacks is noise. With it this is the best linear approximation at this "
-            "level, and most of what lacks is distortion: other frames have another, so u covers it like noise."
+            "Without the sphere, noise is the only reason for a coherence below 1. With the sphere, the response is "
+            "the best linear approximation at this level, and the main reason is distortion. Distortion "
+            "differs from frame to frame, so u includes it like noise."
         ),
     ]
     frames = f"{found.averages:.0f} frames"

@@ -119,8 +119,9 @@ def uncertainty(done: Finished, content: Content) -> Iterator[Markup]:
     yield paragraph(
         f"DT of one case, {name} at {frequency} Hz; settled measurements: {repetitions}. Type A comes from the "
         "measurement itself, B from the certificate. The sensitivity of a sensor is taken at the amplitude of this "
-        "case: its curve is part of it, so it differs from u(S) of the certificate, that of a small vibration. What "
-        "the sensitivities add is the same in every DT of this report, so it cancels in reductions."
+        "case. It includes the error of the sensor's curve, so it differs from u(S) of the certificate, which is that "
+        "of a small vibration. The errors of the sensitivities are the same in every DT of this report, so they cancel "
+        "in reductions."
     )
     rows: list[list[str | Cell]] = [
         [
@@ -150,15 +151,15 @@ def chosen(config: RigConfig, content: Content) -> Iterator[Markup]:
     ]
     rows.append(["current", number(CURRENT_A), "A", "Constant coil current, peak."])
     yield paragraph(
-        f"The paper prints neither amplitudes nor these {content.fact('constants_chosen', len(rows))} constants; they "
-        "were chosen so that its five reductions, its natural frequency and its statements come out. The five "
-        "reductions of this page are therefore a fit, not a validation; of m₁, ζ and the current they determine two "
-        "combinations, not all three (docs/how-to/identification.md)."
+        f"The paper prints neither amplitudes nor these {content.fact('constants_chosen', len(rows))} constants. They "
+        "were chosen to match its five reductions, its natural frequency and its statements. The five reductions of "
+        "this page are therefore a fit, not a validation. They determine only two combinations of the three constants "
+        "m₁, ζ and current (docs/how-to/identification.md)."
     )
     yield content.table("chosen", ["constant", "value", "unit", "meaning"], rows, [1])
     yield paragraph(
-        "Nothing else on this page was fitted: not DT above resonance, not regimes and impacts per cycle, not the "
-        "optimum gap, and no gap wider than the paper's."
+        "Nothing else on this page was fitted: neither DT above resonance, nor regimes and impacts per cycle, nor the "
+        "optimum gap, nor any gap wider than those of the paper."
     )
     law = from_config(config.contact)
     nominal = content.fact("restitution_nominal", law.restitution, "g")
@@ -174,8 +175,8 @@ def margins(varied: list[Variation], content: Content) -> Iterator[Markup]:
     if not varied:
         return
     yield paragraph(
-        "One constant differs from the rig of this page; the others are unchanged. Shown: each statement's figure, and "
-        "whether it still holds. Empty: not judged."
+        "In each row, one constant differs from the rig of this page. The cells show the figure of each statement, and "
+        "whether the statement still holds. An empty cell means that the statement was not judged."
     )
     judged = [verdict.result for verdict in varied[0].verdicts]
     rows: list[list[str | Cell]] = [["limit", *("" if one is None else number(one.limit, ".4g") for one in judged)]]

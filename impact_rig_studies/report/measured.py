@@ -82,7 +82,7 @@ def of_campaign(done: Finished) -> MeasuredData:
     files = sorted({path.parent.name for path in (done.directory / "runs").rglob("*.mcap")})
     return MeasuredData(
         title=done.campaign.title,
-        kind="Report of an imported measurement: instruments, rates and labels are those that were given with it.",
+        kind="Report of an imported measurement: instruments, rates and labels are those given at the import.",
         about=[
             ("Files", ", ".join(files)), ("Imported", cover.written(done)), *_about(rows, done.info),
             *_origins(done.directory / "runs"),

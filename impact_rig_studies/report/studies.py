@@ -55,7 +55,7 @@ MOST_LINES = 2 * len(SERIES)  # the second half is dashed
 def study_figures(
     study: str, points: Sequence[Point], curves: Curves, calibration: Calibration, theory: Line | None = None
 ) -> Iterator[Drawn]:
-    """Draw a study, unless it has less than three settled points along every axis.
+    """Draw a study that has at least three settled points along some axis.
 
     Reductions are relative to the reference rig, so a study of several sets of instruments shows DT itself.
     """
@@ -188,13 +188,13 @@ def continued(name: str, study: FinishedStudy, points: Sequence[Point], config: 
     legend_below(axis, 2)
     where = ", ".join(f"{key} {value:g}" for key, value in held.items())
     caption = (
-        f"Motions of the model, without instruments, stable drawn through, unstable dotted ({where}). "
-        f"Beside them {len(at)} measured points; between the motions that are drawn there may be others."
+        f"Motions of the model without instruments ({where}); stable ones as solid lines, unstable ones dotted. "
+        f"The points are {len(at)} measurements. The model may have further motions that are not drawn."
     )
     return Drawn(name, figure, caption, numbers)
 
 
-# --- What theory says without simulation: closed form without the sphere, two impacts per cycle with it
+# --- Predictions without simulation: closed form without the sphere, two impacts per cycle with it
 
 
 @attrs.frozen(eq=False)
