@@ -15,6 +15,6 @@
 
     browser ◄─ WebSocket ─► server, sessions ─► source: live (gateway, subscriptions) or playback (run players)
 
-A source fills ring buffers of scans and of true motion, and keeps a snapshot of the state as data. A session draws from
-them what its browser requests, never faster than that browser draws it. No source waits for a browser.
+A source fills ring buffers of scans and of true motion, and keeps a snapshot of the state. A session takes from them
+what its browser requests, never faster than the browser can draw it. No source waits for a browser.
 """

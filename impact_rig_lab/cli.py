@@ -81,7 +81,7 @@ def add_command(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Serve the page until Ctrl-C, or until the reader of its output is gone."""
+    """Serve the page until Ctrl-C, or until the reader of the program's output has ended."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if len(arguments.runs) > 2:
         raise ImpactRigError("at most two runs are shown side by side")
@@ -100,7 +100,7 @@ def run(arguments: argparse.Namespace) -> int:
     runs = arguments.runs[0].resolve().parent if arguments.runs else arguments.output
     with contextlib.ExitStack() as stack:
         source: Any = None
-        stack.callback(lambda: _say_where(source))  # last of all: the recorder has finished by then
+        stack.callback(lambda: _say_where(source))  # runs last, when the recorder has finished
         source = _source(arguments, stack)
         source.theory.branches = branches
         server = stack.enter_context(Server(source, arguments.host, arguments.port, kept_token(), runs))
@@ -111,7 +111,7 @@ def run(arguments: argparse.Namespace) -> int:
             with contextlib.suppress(webbrowser.Error):
                 webbrowser.open(server.address)
         reader = select.poll()
-        reader.register(sys.stdout.fileno(), 0)  # reports only the end of the reader
+        reader.register(sys.stdout.fileno(), 0)  # reports only that the reader has ended
         while not reader.poll(POLL_MS):
             pass
     return 128 + signal.SIGPIPE
@@ -171,7 +171,7 @@ def _take_place(domain: int, namespace: str, stack: contextlib.ExitStack) -> Non
     try:
         held = files.hold(files.PLACES, f"{name}.lab")
     except OSError:
-        return  # the locks of this machine do not tell
+        return  # locks cannot be used here, so other labs are unknown
     if held is None and files.is_held_by_others(files.PLACES, f"{name}.lab"):
         return
     if held is None:
@@ -184,7 +184,7 @@ def _take_place(domain: int, namespace: str, stack: contextlib.ExitStack) -> Non
         return
     if rig is None:
         raise ImpactRigError(f"the rig of process {files.holder(files.PLACES, name)} is in {namespace}: {advice}")
-    os.close(rig)  # released for the rig that is started now
+    os.close(rig)  # released, so that the rig that is started now can take it
 
 
 def node_parameters(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:

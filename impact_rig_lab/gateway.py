@@ -16,8 +16,8 @@
 Actions are coroutines of that loop: STOP is sent even while another action waits. An action belongs to the activation
 of the rig for which it was requested. If that rig is gone, the action is rejected and never reaches a later one.
 
-Blocks and joint states arrive by the hundred per second, without waking the loop for each. The drawing code takes them
-as bytes in batches, and only while a page is open. If a queue overflows meanwhile, only pictures are lost.
+Blocks and joint states arrive hundreds of times per second, without waking the loop for each. The drawing code takes
+their bytes in batches, and only while a page is open. If a queue overflows meanwhile, only pictures are lost.
 """
 
 from __future__ import annotations
@@ -55,9 +55,9 @@ from impact_rig_lab.protocol import Request
 from impact_rig_lab.record import RigView
 from impact_rig_lab.state import DEAD_S, Answer, Seen
 
-ANSWER_S = 30.0  # a busy machine answers late: the control stays pending until then
-TOLD_S = 1.5  # time after which diagnostics must report an action of the rig
-ECHO_S = 5.0  # time after which an accepted parameter must be reported as active
+ANSWER_S = 30.0  # time limit of an answer: a busy machine answers late, and the control stays pending until then
+TOLD_S = 1.5  # time limit within which diagnostics must report an action of the rig
+ECHO_S = 5.0  # time limit within which an accepted parameter must be reported as active
 START_S = 60.0
 AGAIN_S, ATTEMPTS = 0.5, 20  # interval and number of requests to a node that has just been started
 MOST_FAULTS = 16
@@ -65,7 +65,7 @@ SWEEPER = "stepped_sine"
 PROGRAMS = {SWEEPER: "impact_rig_studies"}
 """Modules that run a node of another package, by node."""
 FREE = frozenset({"stop", "sweep_stop", "note", "record", "restart", "recover"})
-"""Requests that belong to no activation of the rig: those that make it safe, and those that concern something else."""
+"""Requests that belong to no activation of the rig: those that make the rig safe, and those that do not concern it."""
 COMMANDS = {"frequency": topics.FREQUENCY, "current": topics.CURRENT}
 """Commands, and the columns of `shaker/applied` that confirm them."""
 TRIGGERS = {"reset": "rig/reset", "clear_trip": "rig/clear_trip", "sweep_stop": f"{SWEEPER}/stop"}
@@ -81,9 +81,9 @@ KEPT = (
     topics.INFO, topics.APPLIED, topics.JOURNAL, topics.FAULTS, topics.TRANSMISSIBILITY_TABLE, topics.CONFIGURATION,
     topics.NOTES,
 )  # fmt: skip
-"""Rare topics of which no message may be lost."""
+"""Rare topics, of which no message may be lost."""
 SCANS = (topics.STREAM, topics.WAVEFORM, topics.SCAN, topics.IMPACTS)
-TRUTH = (topics.JOINT_STATES, topics.IMPACTS_TRUTH)  # drawn topics; the commands of a scan are processed before it
+TRUTH = (topics.JOINT_STATES, topics.IMPACTS_TRUTH)  # drawn topics; commands that act on a scan are processed before it
 MOST_PER_LOOK = 300  # maximum number of messages processed per topic at once, so that pictures are drawn in between
 PICTURES = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=256, reliability=ReliabilityPolicy.BEST_EFFORT,
@@ -92,7 +92,7 @@ PICTURES = QoSProfile(
 
 
 class Refused(ImpactRigError):  # noqa: N818  # a property of a request, not an internal error
-    """Rejection of a request; the message is for the page."""
+    """Rejection of a request; its message is shown on the page."""
 
 
 class OwnedProcesses:
@@ -101,7 +101,7 @@ class OwnedProcesses:
     def __init__(self, processes: Any, parameters: Mapping[str, Mapping[str, Any]]) -> None:
         self.processes, self.parameters = processes, parameters
         self._starter = ThreadPoolExecutor(1, thread_name_prefix="lab-starter")
-        # its thread does not have the lower priority of those started later; nor do nodes
+        # the thread that starts nodes does not have the lower priority of later threads, so nodes do not have it either
         self._starter.submit(time.monotonic).result()
 
     def start(self, node: str) -> None:
@@ -110,11 +110,11 @@ class OwnedProcesses:
         self._starter.submit(self.processes.start, program, parameters, name=node).result()
 
     def close(self) -> None:
-        """Stop starting nodes."""
+        """Start no further nodes."""
         self._starter.shutdown()
 
     def ended(self, node: str) -> str:
-        """Return how the process of a node has ended; empty if it is running, or is not one of the lab."""
+        """Return how the process of a node has ended; empty if it is running, or was not started by the lab."""
         process = self.processes.running.get(node)
         code = None if process is None else process.exit_code
         return "" if code is None else f"its process ended with code {code}"
@@ -133,7 +133,7 @@ class _Running:
 class Gateway:
     """Subscriptions to one rig and actions on it, in the event loop that creates it.
 
-    Without `own`, only subscriptions.
+    Without `own`, no nodes can be started.
     """
 
     def __init__(self, client: Client, record: RigView, own: OwnedProcesses | None) -> None:
@@ -155,14 +155,14 @@ class Gateway:
             client.publisher(topic)
         for topic in KEPT:
             client.subscribe(topic, lambda data, _info, topic=topic: record.take(topic, data), raw=True)
-        self._view = Node(  # not spun
+        self._view = Node(  # its callbacks never run
             "lab_view", namespace=client.node.get_namespace(), context=client.context,
             use_global_arguments=False, enable_rosout=False, start_parameter_services=False,
         )  # fmt: skip
         self._samples: dict[topics.Topic, Any] = {}
 
     async def close(self, why: str) -> None:
-        """Cancel all actions in progress, and unsubscribe."""
+        """Cancel all actions in progress, and unsubscribe from all topics."""
         self.end(why)
         await asyncio.sleep(0)
         self._view.destroy_node()
@@ -178,7 +178,7 @@ class Gateway:
                 with self.record.lock:
                     self.record.forget_motion()
         for topic in [topic for topic in (*SCANS, *TRUTH) if topic in wanted and topic not in self._samples]:
-            kind, never = messages.class_of(topic), lambda _message: None  # its node is not spun
+            kind, never = messages.class_of(topic), lambda _message: None  # the callback never runs
             self._samples[topic] = self._view.create_subscription(kind, topic.name, never, PICTURES, raw=True)
 
     def take(self) -> bool:
@@ -188,7 +188,7 @@ class Gateway:
             found = list(itertools.islice(take_messages(subscription, raw=True), MOST_PER_LOOK))
             received = received or bool(found)
             if self.record.since_ns() > self.record.start_ns:
-                continue  # scan 0 of this rig is unknown: it would continue where the previous rig ended
+                continue  # scan 0 of this rig is unknown: its data would be appended to those of the previous rig
             with self.record.lock:
                 for data in found:
                     self.record.take(topic, data)
@@ -257,11 +257,11 @@ class Gateway:
         running.task.cancel()
 
     def _gone(self, instance: str | None) -> str:
-        """Return why the rig of an action is gone; empty if it exists, or if the action belongs to none."""
+        """Return why the rig of an action is gone; empty if the rig exists, or if the action belongs to no rig."""
         if instance is None:
             return ""
         rig = self.seen("rig")
-        # for a process of this lab, its end is known; on a busy machine it may report late
+        # a process of this lab is known to run or to have ended; on a busy machine its reports may be late
         silent_s = DEAD_S if self._own is not None and "rig" in self._own.processes.running else EXPIRES_S
         if rig.ended:
             return f"the rig is gone: {rig.ended}"
@@ -274,10 +274,10 @@ class Gateway:
     # Access to the graph
 
     async def until(self, check: Callable[[], Any], what: str, timeout_s: float) -> Any:
-        """Return the value of a check as soon as it is true; it is evaluated once per turn of the loop.
+        """Return the value of a check as soon as it is true; the check is evaluated once per turn of the loop.
 
         Raises:
-            Refused: it did not become true in time; the message names `what`.
+            Refused: the value did not become true in time; the message names `what`.
         """
         deadline = time.monotonic() + timeout_s
         while not (found := check()):
@@ -301,7 +301,7 @@ class Gateway:
         return await self._call(Trigger, name, Trigger.Request(), timeout_s)
 
     async def _set(self, node: str, values: Mapping[str, Any]) -> None:
-        """Set parameters of a node; those of the rig are active when this returns."""
+        """Set parameters of a node; when this returns, those of the rig are active."""
         request = SetParametersAtomically.Request(parameters=[one.to_parameter_msg() for one in ros_parameters(values)])
         await self._call(SetParametersAtomically, f"{node}/set_parameters_atomically", request)
         if node == "rig":
@@ -342,7 +342,7 @@ class Gateway:
     # The rig
 
     async def do_stop(self) -> str:
-        """Ramp the current to zero and latch it, in any state of the rig."""
+        """Ramp the current to zero and latch the shaker, in any state of the rig."""
         if gone := self.seen("rig").ended:
             raise Refused(f"there is no rig to stop: {gone}")
         asked_at = time.monotonic()
@@ -371,12 +371,12 @@ class Gateway:
     async def do_gap(self, value: float) -> str:
         """Set the gap of the rig and the label of the analysis together [m]; 0 removes the sphere."""
         if value < 0.0:
-            raise Refused(f"a gap is 0 (no sphere) or more, got {value * 1e3:g} mm")
+            raise Refused(f"a gap must be 0 (no sphere) or more, got {value * 1e3:g} mm")
         await self._set("rig", gap_values(value))
         return case_of(value) + await self._label(value)
 
     async def _label(self, gap_m: float) -> str:
-        """Send the gap to the analysis; return a remark to add to the answer."""
+        """Send the gap to the analysis as its label; return a remark to add to the answer."""
         if not self.seen("analysis").lives:
             return "; no analysis is running to be labelled"
         await self._set("analysis", {"gap_m": gap_m})
@@ -397,7 +397,7 @@ class Gateway:
         return f"{words}; fixed while the rig runs: {', '.join(fixed)}" if fixed else words
 
     async def do_fault(self, kind: str, channel: str, value: float, duration: float, rate: float) -> str:
-        """Add a line to the planned faults: a new fault starts now."""
+        """Add a line to the planned faults, so that a new fault starts now."""
         if kind not in FAULT_KINDS:
             raise Refused(f"there is no fault {kind!r}")
         added = fault_line(kind, channel, duration_s=duration, value=value, rate_hz=rate)
@@ -413,7 +413,7 @@ class Gateway:
     # Other nodes
 
     async def do_sweep(self, frequencies: tuple[float, ...], direction: str, hold: str, target: float) -> str:
-        """Start a stepped sine, and its node if it is absent."""
+        """Start a stepped sine; start its node first if it is absent."""
         was_there = self.seen(SWEEPER).lives
         if not was_there:
             self._start(SWEEPER)
@@ -464,7 +464,7 @@ class Gateway:
         return f"recovered into {report.out.name if hasattr(report, 'out') else target.name}"
 
     async def do_restart(self) -> str:
-        """Restart the nodes that have ended; a new rig is at rest, and the analysis receives its gap."""
+        """Restart the nodes that have ended. A new rig is at rest, and the analysis receives its gap as label."""
         own = self._own
         if own is None:
             raise Refused("this lab did not start the rig: restart it where it was started")
@@ -482,7 +482,7 @@ class Gateway:
         return f"restarted: {', '.join(ended)}"
 
     def _start(self, node: str) -> None:
-        """Start a node of this lab; drop the last report of its previous process."""
+        """Start a node of this lab, and drop the last report of its previous process."""
         if self._own is None:
             raise Refused(
                 f"the node {node} is not running: start it in the rig's namespace (ros2 run impact_rig {node}_node)"

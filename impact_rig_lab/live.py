@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Live source: a client of the graph in one event loop that fills ring buffers and snapshot and runs actions of pages.
+"""Live source: a client of the graph in one event loop; it fills ring buffers and snapshot, and runs actions of pages.
 
 The loop waits for the graph, processes data when a picture is due, and never waits for an answer. STOP is sent even if
 a service hangs or an invalid message arrives.
@@ -43,8 +43,8 @@ if TYPE_CHECKING:
 POLL_S = 0.02  # interval between two checks for data while a page is open
 FAST_RIG_POLL_S = 0.5  # the same while rig time runs faster than real time
 SUBSCRIBE_S, PAUSE_S = 0.1, 1.4
-"""Durations of listening and of not listening to scans, if the rig is too fast to follow."""
-TURN_S = 0.05  # longest turn of the loop while a page is open, which delays its requests
+"""Durations of receiving and of not receiving scans, alternately, if the rig is too fast to follow."""
+TURN_S = 0.05  # longest turn of the loop while a page is open, because it delays the requests of the page
 IDLE_S = 0.2
 LATE_S = 5.0  # longest delay of a rig's first diagnostics after its other messages
 STATE_S = 0.1  # interval between two state updates of the page
@@ -68,7 +68,7 @@ class LiveSource(Source):
         self._gateway: Gateway | None = None
         self._pace = Pace()
         self._instance = ""  # instance of the present rig
-        self._listens = True  # whether it listens to scans; only at times while rig time runs faster than real time
+        self._listens = True  # whether it receives scans; only at intervals if rig time outruns real time
         self.snapshot.put(rig={"word": "starting", "text": "The lab is starting.", "name": namespace or ""})
 
     @property
@@ -91,7 +91,7 @@ class LiveSource(Source):
                     self._own.start(node)
             lower_priority()
             asyncio.run(self._serve_rigs())
-        except Exception as error:  # without its source the page must report it, not freeze
+        except Exception as error:  # without its source the page must report the failure, not freeze
             self.snapshot.put(rig={"word": "dead", "text": f"The lab has failed: {error}", "name": ""})
             raise
 
@@ -107,7 +107,7 @@ class LiveSource(Source):
             try:
                 await self._serve()
             finally:
-                self.guard("state", self._tell)  # the recorder's last report contains its directory
+                self.guard("state", self._tell)  # the last report of the recorder contains its directory
                 if self._gateway is not None:
                     await self._gateway.close("the lab shows another rig now")
                 self._client.close()
@@ -128,16 +128,16 @@ class LiveSource(Source):
             if self._gateway is None and now >= slow_at:
                 slow_at = now + SLOW_S
                 self.guard("discovery", self._discover)
-            # few messages use this path; spinning for longer than one message leaks 32 bytes a turn in rclpy
+            # few messages take this path; spinning for longer than one message leaks 32 bytes a turn in rclpy
             wait_s = max(0.0, min(look_at, state_at) - time.monotonic())
             wait_s = min(wait_s, TURN_S) if self.watchers else wait_s
             self.guard("/diagnostics", functools.partial(self._client.executor.spin_once, timeout_sec=wait_s))
-            await asyncio.sleep(0)  # every action checks its condition
+            await asyncio.sleep(0)  # lets every action check its condition
 
     def _poll(self) -> None:
         """Process new messages.
 
-        If the rig is too fast to follow, most are not even sent, which relieves the rig as well.
+        If the rig is too fast to follow, most messages are not even sent, which also relieves the rig.
         """
         if self._gateway is None:
             return
@@ -253,7 +253,7 @@ class LiveSource(Source):
 
 
 def _waits(rig: Seen) -> bool:
-    """Return whether a rig exists that has not started: all known data belong to the previous one."""
+    """Return whether a rig exists that has not started yet: then all known data belong to the previous rig."""
     return rig.lives and "rig_time_s" not in rig.figures
 
 
@@ -263,7 +263,7 @@ def _stamp(text: str) -> int:
 
 
 def _lost(seen: Mapping[str, Seen]) -> dict[str, float] | None:
-    """Return the losses and their places, as text; None if no node counts them now."""
+    """Return the losses and where they occurred, as text; None if no node counts them now."""
     found = {
         "blocks withheld by a fault": seen["rig"].figures.get("lost_blocks"),
         "scans missed by the analysis": seen["analysis"].figures.get("lost_scans"),

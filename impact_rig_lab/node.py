@@ -33,7 +33,7 @@ USE = (
 
 
 def main() -> None:
-    """Serve until the process is asked to end."""
+    """Serve the page until the process is asked to end."""
     begin("lab", USE, lambda ending: sys.exit(ending.run(lambda: _serve(ending), interrupting=False)))
 
 

@@ -13,7 +13,7 @@
 # limitations under the License.
 """Recorded runs on the page: one, or two side by side, each played into ring buffers, with its rare messages as marks.
 
-Only recorded facts are shown: a measurement counts only until the next change. An invalid message affects nothing else.
+Only recorded facts are shown: a measurement counts only until the next change. An invalid message has no other effect.
 """
 
 from __future__ import annotations
@@ -56,13 +56,13 @@ BINS = 400
 TICK_S = 0.025
 TELL_S = 0.1
 MARKS_S = 1.0
-IMPACT_MARGIN_S = 0.05  # distance of a jumped-to impact from the end of the picture
+IMPACT_MARGIN_S = 0.05  # time between the impact of a jump and the end of the picture
 AT_REST = {"frequency": 0.0, "current": 0.0}
 
 
 @attrs.frozen
 class Instant:
-    """State of a rig at a time, according to its recording."""
+    """State of a rig at a time, according to the recording."""
 
     values: Mapping[str, Any]
     applied: Mapping[str, float]
@@ -79,13 +79,13 @@ class RunPlayer:
         rig: namespace of the rig to show; None: the only one in the recording.
 
     Raises:
-        RecordingError: it contains nothing intact, no scans, or an impossible calibration.
+        RecordingError: the run contains no intact message, no scans, or an impossible calibration.
     """
 
     def __init__(self, path: Path, rig: str | None = None) -> None:
         self.path, self._rig = path, rig
         self.recovered = False
-        self.offset_s = 0.0  # offset from the time of the page to the time of this run
+        self.offset_s = 0.0  # offset to add to the time of the page to get the time of this run [s]
         self._stack = contextlib.ExitStack()
         with contextlib.ExitStack() as stack:
             self._run = stack.enter_context(self._open(path, stack))
@@ -135,11 +135,11 @@ class RunPlayer:
         return iter(self._run.messages(names, start_ns=from_ns)) if names else iter(())
 
     def start(self) -> None:
-        """Start reading the marks."""
+        """Start to read the marks, in a thread."""
         self._marker.start()
 
     def close(self) -> None:
-        """Stop."""
+        """Stop reading, and close the run."""
         self._end.set()
         if self._marker.is_alive():
             self._marker.join()
@@ -157,7 +157,7 @@ class RunPlayer:
         return (self.end_ns - self.start_ns) / NS_PER_S
 
     def instant_ns(self, page_s: float) -> int:
-        """Return the stamp of a time of the page."""
+        """Return the stamp of this run that corresponds to a time of the page [ns]."""
         return self.start_ns + round((page_s + self.offset_s) * NS_PER_S)
 
     # Playing
@@ -178,7 +178,7 @@ class RunPlayer:
             self._quiet.set()
 
     def play(self, page_s: float) -> None:
-        """Read on to a time."""
+        """Continue to read up to a time of the page."""
         until = self.instant_ns(page_s)
         while self._next is not None and self._next.log_time <= until:
             self.record.take(self._topics[self._next.topic], bytes(self._next.data))
@@ -194,7 +194,7 @@ class RunPlayer:
     def _mark(self) -> None:
         try:
             for message in self._messages(RARE):
-                self._quiet.wait()  # a jump has priority
+                self._quiet.wait()  # a jump has priority over reading marks
                 if self._end.is_set():
                     return
                 self._note(self._topics[message.topic], message)
@@ -222,7 +222,7 @@ class RunPlayer:
         self._impacts += [begin + float(time) for time in table.rows["time"]]
 
     def _count_lost(self, table: Table) -> None:
-        """Count the missing blocks, as long as this one, since the end of the previous block."""
+        """Count the missing blocks since the end of the previous block, assuming that they are as long as this one."""
         length_ns = round(len(table.rows) * NS_PER_S / self.rate_hz)
         if not length_ns:
             return
@@ -252,9 +252,9 @@ class RunPlayer:
         return Instant(values, drives[-1][1], latched, view.plucked, max(changed_ns, drives[-1][0]))
 
     def present(self, page_s: float, then: Instant) -> dict[str, Any]:
-        """Return whether the newest measurement before a time applied then; as `state.present`.
+        """Return whether the newest measurement before a time applied then, in the form of `state.present`.
 
-        It applied if the shaker drove, nothing had changed since it began, and there were no doubts about it.
+        It applied if the shaker was driven, nothing had changed since it began, and there were no doubts about it.
         """
         at_ns = self.instant_ns(page_s)
         judged = [row for row in list(self.record.curve.judged) if row.end_ns <= at_ns]
@@ -310,7 +310,7 @@ class PlaybackSource(Source):
         self._now_s, self._begin_s, self._end_s = 0.0, first.begin_s, first.end_s
         self._playing, self._speed, self._aligned = True, 1.0, "start"
         self._impact_s = self._jumped_s = math.nan
-        """Impact of the last jump, and time shown: less than `IMPACT_MARGIN_S` after it at the end of the run."""
+        """Impact of the last jump, and time shown: up to `IMPACT_MARGIN_S` later, less at the end of the run."""
         for run in self._runs[1:]:
             run.offset_s = run.begin_s - first.begin_s
         super().__init__("playback", first.record)
@@ -330,13 +330,13 @@ class PlaybackSource(Source):
         return self._now_s
 
     def start(self) -> None:
-        """Start."""
+        """Start to play."""
         for run in self._runs:
             run.start()
         super().start()
 
     def close(self) -> None:
-        """Stop."""
+        """Stop, and close the runs."""
         super().close()
         for run in self._runs:
             run.close()
@@ -378,7 +378,7 @@ class PlaybackSource(Source):
     # Requests of pages
 
     def _obey(self) -> None:
-        """Process the requests; of several waiting jumps only the last one."""
+        """Process the requests of pages; of several waiting jumps, only the last one."""
         asked: list[tuple[Request, Answer]] = []
         while not self._asked.empty():
             asked.append(self._asked.get())
@@ -391,7 +391,7 @@ class PlaybackSource(Source):
                 done = True, self._do(request)
             except ImpactRigError as error:
                 done = False, str(error)
-            self.guard("state", self._tell)  # the present state precedes the answer
+            self.guard("state", self._tell)  # the state for the page is up to date before the answer
             answer(*done)
 
     def _do(self, request: Request) -> str:
@@ -437,7 +437,7 @@ class PlaybackSource(Source):
         if by == "change":
             changes = [line for line in first.record.journal.part(first.start_ns) if line[0] >= first.begin_s]
             if not changes:
-                raise RecordingError(f"nothing changes in {first.path.name}, as far as it was read")
+                raise RecordingError(f"{first.path.name} contains no change in the part read so far")
             chosen = min(changes, key=lambda line: abs(line[0] - at_s))
             same = [line for line in second.record.journal.part(second.start_ns) if line[1:] == chosen[1:]]
             if not same:

@@ -13,10 +13,10 @@
 # limitations under the License.
 """Protocol of the WebSocket: validated requests of the page, and frames to the page.
 
-A request is a JSON text: `{"id": 7, "do": "frequency", "value": 9.1}`; `REQUESTS` lists all requests. Each is answered
-by a frame REPLY with its id, `ok` and a text; `ack` and `view` are not answered.
+A request is a JSON text: `{"id": 7, "do": "frequency", "value": 9.1}`; `REQUESTS` lists all requests. The server
+answers each with a frame REPLY that has its id, `ok` and a text, except `ack` and `view`.
 
-A frame is binary, little-endian: kind u1, 3 bytes of padding, number u4, then depending on the kind
+A frame is binary, little-endian. It begins with kind u1, 3 bytes of padding, and number u4. The rest depends on kind:
 
     STATE   JSON: the parts of the snapshot that have changed
     REPLY   JSON: id, ok, text
@@ -100,7 +100,7 @@ def number(low: float = -math.inf, high: float = math.inf) -> Check:
 
 
 def flag(name: str, value: object) -> bool:
-    """Check for true or false."""
+    """Check a value that must be true or false."""
     if not isinstance(value, bool):
         raise RequestError(f"{name} must be true or false, got {_short(value)}")
     return value
@@ -118,21 +118,21 @@ def word(*known: str) -> Check:
 
 
 def text(name: str, value: object) -> str:
-    """Check for a text that can be published: no control characters, and not too long."""
+    """Check a text that will be published: it must have no control characters, and not be too long."""
     if not isinstance(value, str) or len(value) > LONGEST_TEXT or not value.isprintable():
         raise RequestError(f"{name} must be a printable text of at most {LONGEST_TEXT} characters, got {_short(value)}")
     return value
 
 
 def document(name: str, value: object) -> str:
-    """Check for the content of a file."""
+    """Check the content of a file."""
     if not isinstance(value, str):
         raise RequestError(f"{name} must be a text, got {_short(value)}")
     return value
 
 
 def frequencies(name: str, value: object) -> tuple[float, ...]:
-    """Check for a list of frequencies."""
+    """Check a list of frequencies."""
     if not isinstance(value, list) or not 1 <= len(value) <= MOST_FREQUENCIES:
         raise RequestError(f"{name} must be a list of 1 to {MOST_FREQUENCIES} numbers, got {_short(value)}")
     return tuple(number(1e-3, 1e4)(name, one) for one in value)

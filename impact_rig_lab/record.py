@@ -13,8 +13,8 @@
 # limitations under the License.
 """State of one rig, live or recorded: its messages as ring buffers for pictures, and as lines and rows for the page.
 
-An invalid message affects nothing else: it is counted under its topic. Times are seconds since scan 0; earlier ones are
-negative.
+An invalid message has no other effect than to be counted under its topic. Times are seconds since scan 0; earlier times
+are negative.
 """
 
 from __future__ import annotations
@@ -51,14 +51,14 @@ ABOUT = {
     Status.ACCELEROMETER_OVER_RANGE.value: "accelerometer", Status.ACCELEROMETER_UNSOUND.value: "accelerometer",
     Status.CURRENT_UNSOUND.value: "current",
 }  # fmt: skip
-"""Statuses of sound rows that concern a channel: the column `channel` names the largest contribution to u instead."""
+"""Statuses of valid rows that concern a channel; otherwise the column `channel` names the largest contribution to u."""
 NO_CHANGE = (
     InputKind.FAULT,
     InputKind.CLEAR_FAULT,
     InputKind.STREAM,
 )  # a measurement continues; `truth/faults` reports faults
 LAST_NS = 2**63
-SAME_M = 1e-9  # gaps closer to each other count as equal
+SAME_M = 1e-9  # gaps that differ by less than this count as equal [m]
 HIGHEST_RATE_HZ = 1e7
 LONGEST_RUN_S = 1e9
 STREAM = ("buffered", "capacity", "playing", "late", "refused", "missing", "rate")
@@ -92,7 +92,7 @@ def plain(word: str) -> str:
 
 
 class Rows:
-    """Ring buffer of rows of numbers, the first the time [s]; each reader gets its new rows."""
+    """Ring buffer of rows of numbers, the first of which is the time [s]; a reader gets the rows that are new to it."""
 
     def __init__(self, size: int, columns: int) -> None:
         self._rows = np.zeros((size, columns))
@@ -104,13 +104,13 @@ class Rows:
         self.count += 1
 
     def since(self, number: int, most: int = 2000) -> NDArray[np.float64]:
-        """Return the rows from a number on, only the newest if more are requested than kept; shape (n, …)."""
+        """Return the rows from a number on, but only the newest ones if more are requested than kept; shape (n, …)."""
         first = max(number, self.count - min(len(self._rows), most), 0)
         return self._rows[np.arange(first, self.count) % len(self._rows)]
 
 
 class MotionBuffer:
-    """Last seconds of true motion.
+    """True motion of the last seconds.
 
     Attributes:
         states: time, x_b, x_1, x_2, v_b, v_1, v_2.
@@ -127,7 +127,7 @@ class MotionBuffer:
         """Add a message of `truth/joint_states`.
 
         Raises:
-            CodecError: it is invalid, or has another number of bodies.
+            CodecError: the message is invalid, or has another number of bodies.
         """
         stamp, (positions, velocities, _efforts) = codec.joint_state(data)
         if not len(positions) == len(velocities) == BODIES:
@@ -199,7 +199,7 @@ class RigHistory:
         return self._part[1]
 
     def at(self, instant_ns: int) -> tuple[JournalView, JournalEntry | None]:
-        """Return the state of the rig at a time, and the last change of it."""
+        """Return the state of the rig at a time, and the last change before it."""
         view, newest = JournalView(), None
         for change in list(self._changes):
             if change.stamp_ns <= instant_ns:
@@ -216,7 +216,7 @@ def _value(entry: JournalEntry) -> str:
 
 
 class Faults:
-    """Instrument faults from `truth/faults`, with those active now or at a time.
+    """Instrument faults from `truth/faults`, and those active now or at a given time.
 
     Args:
         most: number of starts and ends kept; None means all.
@@ -239,17 +239,17 @@ class Faults:
             self._rows.append((stamp, int(row["id"]), bool(row["active"]), what))
 
     def in_force(self, start_ns: int, at_ns: int | None = None) -> list[str]:
-        """Return the faults active at a time (None: after everything received), as text.
+        """Return the faults that are active at a time (None: after all messages received so far), as text.
 
         Args:
-            start_ns: stamp of scan 0; earlier faults belong to another record.
-            at_ns: the time.
+            start_ns: stamp of scan 0 [ns]; earlier faults belong to another record.
+            at_ns: the time [ns].
         """
         now_ns = LAST_NS if at_ns is None else at_ns
         return self.acting(start_ns, now_ns, now_ns)
 
     def acting(self, start_ns: int, begin_ns: int, end_ns: int) -> list[str]:
-        """Return the faults active at any time within a stretch, as text."""
+        """Return the faults that were active at any time within a stretch, as text."""
         found: dict[int, str] = {}
         for stamp, number, begins, words in self._rows:
             if begins and start_ns <= stamp <= end_ns:
@@ -299,14 +299,14 @@ class Curve:
                 self._part = None
 
     def newest(self, at_ns: int | None = None) -> Judged | None:
-        """Return the newest row, or that of a time."""
+        """Return the newest row now, or at a time."""
         rows = [row for row in list(self.judged) if at_ns is None or row.end_ns <= at_ns]
         return rows[-1] if rows else None
 
     def health(self, at_ns: int | None = None) -> dict[str, str] | None:
-        """Return the problems of channels according to the newest row, or that of a time, as text.
+        """Return the problems of channels according to the newest row now, or at a time, as text.
 
-        None if there is no row, or if it judges no channel; empty if it finds no problem.
+        None if there is no row, or if the row judges no channel; empty if it finds no problem.
         """
         row = self.newest(at_ns)
         if row is None or not (row.channel or row.status in MEASURED):
@@ -314,7 +314,7 @@ class Curve:
         return {row.channel: plain(row.status)} if row.channel else {}
 
     def part(self, start_ns: int) -> list[dict[str, Any]]:
-        """Return the rows, oldest first; the same list as before if nothing is new."""
+        """Return the rows, oldest first; if nothing is new, return the same list as before."""
         if self._part is None or self._part[0] != start_ns:
             found = [{"t": round((stamp - start_ns) / NS_PER_S, 3), **row} for stamp, row in self._rows]
             self._part = start_ns, found
@@ -334,21 +334,21 @@ def _measurement(row: NDArray[np.void]) -> dict[str, Any]:
 
 
 class RigView:
-    """State of one rig: all its messages pass through `take`, from the graph or from a file.
+    """State of one rig: all its messages, from the graph or from a file, pass through `take`.
 
     Args:
-        most: number of changes of rig and drive kept; None means all, and every row and fault, so that any time can be
-            shown.
+        most: number of changes of rig and drive that are kept. None means all, with every row and fault, so that the
+            state at any time can be shown.
     """
 
     def __init__(self, most: int | None = MOST_APPLIED) -> None:
         self.scope: Scope | None = None
-        """Newest scans; None before the calibration has given the scan rate."""
+        """Newest scans; None until the calibration has given the scan rate."""
         self.motion = MotionBuffer()
         self.journal = RigHistory(most)
         self.faults = Faults(None if most is None else MOST_ENTRIES)
         self.curve = Curve(None if most is None else MOST_ROWS)
-        self.epoch = 0  # counts resets and jumps: earlier pictures belong to another record
+        self.epoch = 0  # number of resets and jumps: earlier pictures belong to another record
         self.start_ns = self.newest_ns = 0
         self.told_start_ns = 0
         """Stamp of scan 0 by the rig's diagnostics.
@@ -359,11 +359,11 @@ class RigView:
         self.configuration = ""  # active configuration, as a ROS 2 parameter file
         self.knobs: dict[str, Any] = {}  # the same by name
         self.applied: deque[tuple[int, dict[str, float]]] = deque(maxlen=most)
-        """The newest changes of the drive, and their times."""
-        self.changes = 0  # number of changes
-        self.changed_at_s = 0.0  # time of reception of the newest one, by our clock
+        """Newest changes of the drive, with their times."""
+        self.changes = 0  # number of changes of the drive
+        self.changed_at_s = 0.0  # time at which the newest change was received, by our clock [s]
         self.begun_at_s = 0.0
-        """Messages received earlier belong to another rig.
+        """Time before which messages belong to another rig.
 
         A rig that runs faster than real time stamps ahead of its successor.
         """
@@ -373,7 +373,7 @@ class RigView:
         self.lock = threading.Lock()  # held while ring buffers are written or read
 
     def since_ns(self, at_ns: int | None = None) -> int:
-        """Return the stamp of scan 0 of the present rig, now or at a time: older data belong to another rig."""
+        """Return the stamp of scan 0 of the present rig, or of that at a time [ns]: older data are of another rig."""
         if at_ns is None:
             return max(self.start_ns, self.told_start_ns)
         return max(self.start_ns, self.journal.at(at_ns)[0].start_ns or 0)
@@ -398,9 +398,9 @@ class RigView:
         return found
 
     def health(self, at_ns: int | None = None) -> dict[str, str] | None:
-        """Return the result of `Curve.health` for the present drive, or that of a time.
+        """Return the result of `Curve.health` for the present drive, or for the drive at a time.
 
-        None as well at rest, where no measurement is made (a pluck looks like spikes and a silent base), and until the
+        Also None at rest, where no measurement is made (a pluck looks like spikes and a silent base), and until the
         first row after a change of the drive.
         """
         change, row = self._change(at_ns), self.curve.newest(at_ns)
@@ -477,7 +477,7 @@ class RigView:
         return None if change is None else change[1]
 
     def _change(self, at_ns: int | None = None) -> tuple[int, dict[str, float]] | None:
-        """Return the time and value of the last change of the drive before a time; of the present rig, if None."""
+        """Return time and value of the last change of the drive before a time (None: the newest of the present rig)."""
         if at_ns is not None:
             return next((one for one in reversed(list(self.applied)) if one[0] <= at_ns), None)
         newest = self.applied[-1] if self.applied else None
@@ -486,7 +486,7 @@ class RigView:
 
 
 def guard(refused: dict[str, list[Any]], what: str, work: Callable[[], T]) -> T | None:
-    """Process external data; if that fails, count it and return None, so that everything else continues."""
+    """Process external data; if that fails, count the failure and return None, so that everything else continues."""
     try:
         return work()
     except Exception as error:
@@ -505,7 +505,7 @@ def start_ns(info: Table) -> int:
     """Return the stamp of scan 0 from a table of `daq/info`.
 
     Raises:
-        RecordingError: the table does not state it.
+        RecordingError: the table does not state this time.
     """
     since_s = float(info.rows["since_start"][0]) if len(info.rows) else math.nan
     if not 0.0 <= since_s < LONGEST_RUN_S:
@@ -517,7 +517,7 @@ def scan_rate(info: Table) -> float:
     """Return the scans per second from a table of `daq/info`.
 
     Raises:
-        RecordingError: no board has this rate, which determines the length of the ring buffers.
+        RecordingError: no board has this rate; it would determine the length of the ring buffers.
     """
     rate_hz = float(info.rows["rate"][0]) if len(info.rows) else math.nan
     if not 1.0 <= rate_hz <= HIGHEST_RATE_HZ:

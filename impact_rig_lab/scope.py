@@ -33,10 +33,10 @@ from impact_rig.instruments.section import CHANNELS, channels_of
 from impact_rig.simtime import NS_PER_S
 
 LONGEST_S = 10.0  # longest window that can be drawn
-HELD_S = 12.0  # duration of the scans kept: the longest window, and a margin to find a trigger
+HELD_S = 12.0  # duration of the scans kept: the longest window, and a margin in which to find a trigger [s]
 COARSE_S = 0.002
 FINER = 10
-"""Pairs over this duration are kept as well, and over a tenth of it, so that no window needs every scan."""
+"""Pairs over this duration [s], and over a tenth of it, are kept as well, so that no window needs every scan."""
 MOST_SCANS = 4_000_000
 CURRENT = CHANNELS.index("current")
 
@@ -48,9 +48,9 @@ class Trace:
     begin_s: float  # start time of the first column [s]
     column_s: float  # length of a column [s]
     low: NDArray[np.float32]
-    """Minima per channel and column, NaN without a scan, shape (4, n).
+    """Minima per channel and column, NaN in a column without a scan, shape (4, n).
 
-    If a stream drives the rig, also of its commanded current, shape (5, n).
+        If a stream drives the rig, the commanded current is added, shape (5, n).
     """
     high: NDArray[np.float32]  # maxima, of the same shape
     status: NDArray[np.uint8]  # bits of all scans of a column, shape (n,)
@@ -58,7 +58,7 @@ class Trace:
 
 
 class ScopeLevel:
-    """Ring buffer of pairs, each over several scans; over one scan, it is the ring of the scans themselves."""
+    """Ring buffer of pairs that cover several scans each; with one scan each, it is the ring of scans itself."""
 
     def __init__(self, fine: int, size: int) -> None:
         self.fine, self.size = fine, size
@@ -68,7 +68,7 @@ class ScopeLevel:
         self.end = 0  # number of the pair after the last complete one
 
     def widen(self) -> None:
-        """Add space for one more row."""
+        """Add space for one more row of data."""
         same = self.high is self.low
         self.low = np.vstack([self.low, np.full((1, self.size), np.nan, np.float32)])
         self.high = self.low if same else np.vstack([self.high, np.full((1, self.size), np.nan, np.float32)])
@@ -81,13 +81,13 @@ class ScopeLevel:
         return [slice(first, last)] if first < last else [slice(first, self.size), slice(0, last)]
 
     def blank(self, begin: int, end: int) -> None:
-        """Erase some pairs."""
+        """Erase some pairs of the ring."""
         for place in self.places(begin, end):
             self.low[:, place] = self.high[:, place] = np.nan
             self.status[place] = 0
 
     def gather(self, below: ScopeLevel, end: int) -> None:
-        """Compute the newly complete pairs from those of the level below."""
+        """Compute the newly completed pairs from those of the level below."""
         ratio, whole = self.fine // below.fine, end // self.fine
         for place in self.places(max(self.end, whole - self.size), whole):
             source = slice(place.start * ratio, place.stop * ratio)
@@ -108,7 +108,7 @@ class Scope:
         self._size = blocks * coarse
         self._levels = [ScopeLevel(fine, self._size // fine) for fine in sorted({1, finer, coarse})]
         self._scans = self._levels[0]
-        self._commanded: NDArray[np.float32] | None = None  # for future scans; None if there were never any
+        self._commanded: NDArray[np.float32] | None = None  # for future scans; None if none was ever sent
         self.begin = self.end = 0  # numbers of the first scan kept, and of the one after the last
 
     @property
@@ -160,7 +160,7 @@ class Scope:
             there = channels_of(rows)
             for number, name in enumerate(CHANNELS):
                 self._scans.low[number, place] = part[name] if name in there else np.nan
-                if name in there:  # bits are in the order of the existing channels
+                if name in there:  # the bits are in the order of the existing channels
                     self._scans.status[place] |= (part["status"] >> there.index(name) & 1) << number
             if self._commanded is not None:
                 self._scans.low[len(CHANNELS), place] = self._commanded[place]
@@ -183,7 +183,7 @@ class Scope:
         if not math.isnan(crossing):
             begin = int(crossing)
         step = max(1, count // columns)
-        for below, upper in itertools.pairwise(self._levels):  # only now, because not every block is drawn
+        for below, upper in itertools.pairwise(self._levels):  # computed only now, because not every block is drawn
             upper.gather(below, self.end)
         level = next(level for level in reversed(self._levels) if level.fine == 1 or step >= 2 * level.fine)
         return self._trace(level, begin // level.fine, count // level.fine, step // level.fine, crossing)
@@ -194,7 +194,7 @@ class Scope:
         found = self._read(low, begin + 1)[CURRENT]
         if not len(found):
             return math.nan
-        # the noise of the monitor crosses zero many times: use means over a millisecond, and require some amplitude
+        # the noise of the monitor crosses zero many times, so use means over a millisecond and require some amplitude
         width = max(1, round(1e-3 * self.rate_hz))
         rest = len(found) % width
         means = np.nan_to_num(found[rest:]).reshape(-1, width).mean(axis=1)
@@ -215,7 +215,7 @@ class Scope:
         return self._read(self.end - round(span_s * self.rate_hz), self.end)
 
     def _trace(self, level: ScopeLevel, begin: int, count: int, step: int, crossing: float) -> Trace:
-        """Build columns of `step` pairs of a level each; a coarse one begins up to one pair early."""
+        """Build columns of `step` pairs of a level each; on a coarse level, the first begins up to one pair early."""
         columns = count // step
         low, high = np.full((2, len(level.low), columns * step), np.nan, np.float32)
         status = np.zeros(columns * step, np.uint8)

@@ -56,7 +56,7 @@ HIGHEST_PORT = 65535
 HTTP_PORT = 80
 MOST_PAGES = 16
 FASTEST_HZ = 60.0  # maximum number of pictures per second
-MOST_UNDRAWN = 2  # maximum number of pictures on their way to a page: one is drawn while the next travels
+MOST_UNDRAWN = 2  # maximum number of pictures on their way to a page: one is drawn while the next one is sent
 SPECTRUM_S = 0.25  # interval between two spectra
 SPECTRUM_SPAN_S = 2.0
 STATE_S = 0.1
@@ -84,7 +84,7 @@ HEADERS = {
 
 
 def check_port(port: int) -> None:
-    """Reject a port number that does not exist.
+    """Reject an invalid port number.
 
     Raises:
         ImpactRigError: names the valid range.
@@ -106,14 +106,14 @@ def plotter_files() -> Path:
 
 
 def kept_token() -> str:
-    """Return this user's token, created once: an open page reconnects to its lab after a restart."""
+    """Return this user's token, which is created once, so that an open page reconnects after a restart of the lab."""
     path = files.state_dir("") / "lab_token"
     with contextlib.suppress(OSError, UnicodeDecodeError):
         found = path.read_text(encoding="ascii").strip()
         if len(found) >= 32 and found.isalnum() and path.stat().st_mode & 0o077 == 0:
             return found
     token = secrets.token_hex(24)
-    with contextlib.suppress(OSError):  # otherwise it is valid for this start only
+    with contextlib.suppress(OSError):  # if it cannot be stored, it is valid for this start only
         path.unlink(missing_ok=True)
         handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         with os.fdopen(handle, "w", encoding="ascii") as file:
@@ -180,7 +180,7 @@ class PageSession:
 
     def _reply(self, number: int, ok: bool, text: str) -> None:
         frame = protocol.json_frame(FrameKind.REPLY, number, {"id": number, "ok": ok, "text": text})
-        with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
+        with contextlib.suppress(RuntimeError):  # the loop may have ended meanwhile
             self._loop.call_soon_threadsafe(self._queue, frame)
 
     def _queue(self, frame: bytes) -> None:
@@ -188,13 +188,13 @@ class PageSession:
         self._answered.set()
 
     async def _send(self) -> None:
-        """Send replies at once, and pictures when the last one was drawn."""
+        """Send replies at once, and each picture when the last one was drawn."""
         while not self._socket.closed:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._answered.wait(), 1.0 / FASTEST_HZ)
             self._answered.clear()
             while self._replies:
-                await self._send_state()  # the present state precedes the answer
+                await self._send_state()  # the state for the page is up to date before the answer
                 await self._socket.send_bytes(self._replies.popleft())
             now = time.monotonic()
             if now - self._state_at >= STATE_S:
@@ -219,7 +219,7 @@ class PageSession:
             await self._socket.send_bytes(protocol.json_frame(FrameKind.STATE, 0, parts))
 
     def _picture(self, now: float) -> list[bytes]:
-        """Return the frames of one picture; the trace is last, and is the acknowledged one."""
+        """Return the frames of one picture; the trace is the last one, which the page acknowledges."""
         source, record, view = self._source, self._source.record, self._view
         with record.lock:
             if record.epoch != self._epoch:
@@ -229,7 +229,7 @@ class PageSession:
             if scope is None:
                 return []
             channel = view["spectrum"]
-            # also of a picture that has been drawn already: a paused player moved soon after the last spectrum
+            # also when the picture has been drawn already: a paused player was moved soon after the last spectrum
             due = channel and scope.end_s != self._spectrum_end and now - self._spectrum_at >= SPECTRUM_S
             if scope.end_s == self._drawn_end and not due:
                 return []
@@ -297,7 +297,7 @@ class Server:
         self.token = token or secrets.token_hex(24)
         self.port = 0
         self.refused: Counter[str] = Counter()
-        """Number of rejections by reason: token, origin, host, binary, malformed, too many pages, …"""
+        """Number of rejections by reason: token, origin, host, binary, malformed, too many pages, and others."""
         self._logger = logging.Logger("impact_rig_lab.server")
         self._logger.addHandler(_Counting(self.refused))
         self._joining: set[asyncio.Task[None]] = set()
@@ -305,7 +305,7 @@ class Server:
         self._unserved: set[Any] = set()
         self._folders = {"": STATIC, "uplot": plotter_files()}
         self._sockets: dict[web.WebSocketResponse, Source] = {}
-        self._pages = 0  # open or about to open: a player takes a while to find its run
+        self._pages = 0  # number of pages that are open or about to open: a player needs a while to find its run
         self._thread = threading.Thread(target=self._run, name="lab-server", daemon=True)
         self._ready = threading.Event()
         self._failure: OSError | None = None
@@ -457,13 +457,13 @@ class Server:
 
     @web.middleware
     async def _guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        """Reject requests for another host (DNS rebinding) or from another page."""
+        """Reject requests with another host name (DNS rebinding), or from another page."""
         self._unserved.discard(request.protocol)
         response: web.StreamResponse | None = self._turned_away(request)
         try:
             if response is None:
                 response = await handler(request)
-        except web.HTTPException as error:  # there is no such page
+        except web.HTTPException as error:  # raised if there is no such page
             self._close_after(error)
             raise
         if not isinstance(response, web.WebSocketResponse):
@@ -481,7 +481,7 @@ class Server:
 
     def _close_after(self, response: web.StreamResponse) -> None:
         response.headers.update(HEADERS)
-        response.force_close()  # one request per connection: none is kept open
+        response.force_close()  # one request per connection: no connection is kept open
 
     def _known(self, request: web.Request) -> bool:
         return hmac.compare_digest(request.query.get("token", "").encode(), self.token.encode())
@@ -547,7 +547,7 @@ class Server:
     # Recorded runs
 
     def runs(self) -> list[Path]:
-        """Return the runs that a page may play, the newest first."""
+        """Return the runs that a page may play, newest first."""
         if self._runs is None:
             return []
         found: dict[Path, float] = {}

@@ -14,8 +14,8 @@
 """State for pages, live and in playback alike, and the `Source` that provides it.
 
 `judge` summarises the state in one word and one sentence. It uses only the keys of `impact_rig.states`; no sentence is
-parsed. Data that were never reported, or too long ago, are not shown as present. Times are seconds since scan 0;
-earlier ones are negative.
+parsed. A value that was never reported, or too long ago, is not shown as present. Times are seconds since scan 0;
+earlier times are negative.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ KNOBS = (
 )  # fmt: skip
 """Parameters of the rig that the page shows."""
 Answer = Callable[[bool, str], None]
-"""Function that reports the result of a request to the page, with a text; called once, from any thread."""
+"""Function that reports the result of a request to the page, as success and a text; called once, from any thread."""
 DEAD_S = 4.0  # time after which a silent node counts as absent
 
 
@@ -83,7 +83,7 @@ class Seen:
 
     @classmethod
     def of(cls, node: str, figures: Mapping[str, str], age_s: float | None, ended: str = "") -> Seen:
-        """Parse the keys of a node's diagnostics; an unknown word counts as none."""
+        """Parse the keys of a node's diagnostics; an unknown word counts as no word."""
         state = figures.get("state", "")
         known = {one.value for one in states.BY_NODE[node]} if node in states.BY_NODE else set()
         word = state if state in known else ""
@@ -131,8 +131,8 @@ MEASURING = {
 def judge(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> tuple[str, str]:
     """Return the overall state in one word and one sentence.
 
-    Only the word `measured` means that a measurement applies: the analysis reports it and there are no doubts. `doubts`
-    are active faults, unsound channels, and changes since it began.
+    Only the word `measured` means that a measurement applies: the analysis reports one, and there are no doubts.
+    `doubts` are active faults, unsound channels, and changes since the measurement began.
     """
     if rig.ended:
         return "dead", f"The rig is gone: {rig.ended}."
@@ -189,7 +189,7 @@ class Pace:
         return self.speed <= FOLLOWED
 
     def read(self, rig_s: float, instance: str = "", *, stands: bool = False) -> float:
-        """Add a reading of the rig time [s]; return the speed, 0 if it stands still or is reported to.
+        """Add a reading of the rig time [s]; return the speed, or 0 if rig time stands still or should do so.
 
         Times of two activations, or of two rigs in one namespace, are unrelated.
         """
@@ -220,7 +220,7 @@ def choices() -> dict[str, Any]:
 
 SIZES = {"accelerometer": 5.0, "laser": 1e-3, "base": 1e-4, "current": 0.1}
 """Suggested fault sizes by channel unit: visible, but without a trip."""
-NOISE = 0.1  # the same for the rms of noise, as a fraction of that
+NOISE = 0.1  # the same for the rms of noise, as a fraction of the suggested size
 SIZE_NAMES = {
     "gain_error": "fraction",
     "added_noise": "rms",
@@ -233,8 +233,8 @@ SIZE_NAMES = {
 def _fault_form(kind: str) -> dict[str, Any]:
     """Return the form for a kind of fault: description, whether it has a channel, a rate, and a size by channel.
 
-    A kind without `value` has no sizes; the channel of a fault of the whole board is empty. A size is shown in `unit`,
-    which is `scale` units of the rig.
+    A kind without `value` has no sizes. The channel of a fault of the whole board is empty. A size is shown in `unit`;
+    one unit of the page is `scale` units of the rig.
     """
     words = FAULT_KINDS[kind]
     sizes: dict[str, dict[str, Any]] = {}
@@ -258,7 +258,7 @@ def figure(value: str | None) -> float | None:
 
 
 def present(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> dict[str, Any]:
-    """Return whether the newest measurement applies now, and the progress of the next one.
+    """Return whether the newest measurement applies now, and the progress of the next measurement.
 
     It applies if `judge` returns `measured` for the same arguments, and while such a rig is paused.
     """
@@ -274,7 +274,7 @@ def present(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> dict[str, 
 
 
 class Snapshot:
-    """State in named parts, each with a version: a session sends the parts that are new to it."""
+    """State in named parts, each of which has a version: a session sends the parts that are new to it."""
 
     def __init__(self) -> None:
         self._parts: dict[str, Any] = {}
@@ -302,7 +302,7 @@ class Snapshot:
 
 
 class Source(abc.ABC):
-    """Rig or runs as the source of pages: a thread that runs their requests and updates snapshot and record.
+    """Rig or runs as the source of pages: a thread runs their requests, and updates snapshot and record.
 
     Args:
         mode: `live` or `playback`.
@@ -331,14 +331,14 @@ class Source(abc.ABC):
 
     @abc.abstractmethod
     def _run(self) -> None:
-        """Work until `end` is set, in the thread of this source."""
+        """Work until `end` is set; runs in the thread of this source."""
 
     def ask(self, request: Request, answer: Answer) -> None:
-        """Run the request of a page, in the thread of this source."""
+        """Run the request of a page in the thread of this source."""
         self._asked.put((request, answer))
 
     def start(self) -> None:
-        """Start."""
+        """Start the thread."""
         self._thread.start()
 
     def __enter__(self) -> Self:
@@ -349,21 +349,21 @@ class Source(abc.ABC):
         self.close()
 
     def close(self) -> None:
-        """Stop."""
+        """Stop the thread."""
         self.end.set()
-        if self._thread.is_alive():  # otherwise the cause of the failed start must be raised
+        if self._thread.is_alive():  # otherwise the cause of the failed start is raised
             self._thread.join()
         self.theory.close()
 
     def guard(self, what: str, work: Callable[[], T]) -> T | None:
-        """Run a part of a turn; if it fails, count that and continue: STOP is sent from here."""
+        """Run a part of a turn. If it fails, count the failure and continue, because STOP is sent from this loop."""
         return guard(self.failures, what, work)
 
     def tell(self, parts: Mapping[str, Callable[[], Any]], values: Mapping[str, Any]) -> None:
-        """Update the snapshot: a part that fails does not prevent the others.
+        """Update the snapshot; a part that fails does not prevent the update of the others.
 
         Args:
-            parts: functions that return the parts; `applied`, `dt` and `dt_now` are among them.
+            parts: functions that return the parts; `applied`, `dt` and `dt_now` are among the names.
             values: the rig's parameters by name, for the theory; empty if unknown.
         """
         content: dict[str, Any] = {}

@@ -13,8 +13,8 @@
 # limitations under the License.
 """Theory of the rig at its present settings: lines for the curve, computed in the background.
 
-A prediction takes some tenths of a second. A thread with low priority computes it when gap, current, sphere, law or
-another relevant value has changed; outdated requests are skipped.
+A prediction takes some tenths of a second. A thread of low priority computes it when gap, current, sphere, law or
+another relevant value has changed, and skips outdated requests.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ FREQUENCIES_HZ: NDArray[np.float64] = np.unique(
 """Frequencies of the prediction: the initial range of the page's axis, denser near the resonance."""
 IMPACTS_PER_CYCLE = 2
 OTHER_MOTION = 0.05
-"""Difference of impacts per cycle from which a motion is a different one; an occasionally missed impact makes less."""
+"""Difference of impacts per cycle from which a motion counts as another one; occasionally missed impacts make less."""
 HELD = {"current": (1.0, "A"), "prescribed": (1e6, "µm")}
 """Kinds of drive that keep current or base constant, and the unit and factor for display."""
 
@@ -67,11 +67,11 @@ def closed_form(values: Mapping[str, Any]) -> list[list[float]]:
 
 
 def predicted(values: Mapping[str, Any], amplitude: float) -> dict[str, Any]:
-    """Return the motions with two symmetric impacts per cycle over the frequency.
+    """Return the motions with two symmetric impacts per cycle, over the frequency.
 
     Args:
         values: configuration values by name; those of `DECIDING` count, others are ignored.
-        amplitude: amplitude of the drive, peak; A or m by `drive.kind`.
+        amplitude: amplitude of the drive, peak [A or m by `drive.kind`].
 
     Returns:
         `lines`: [whether it is stable, [[frequency, DT], ...]], `words`: description of the motions, or the reason why
@@ -120,7 +120,7 @@ def contradiction(prediction: Mapping[str, Any], impacts_per_cycle: float) -> st
 
 
 class Continued(NamedTuple):
-    """Motions of the model over the frequency."""
+    """Motions of the model over the frequency, computed by `impact-rig dynamics`."""
 
     values: Mapping[str, Any]  # configuration values of `DECIDING` at which they exist, for any start of the sphere
     amplitude: float  # amplitude of the drive, peak
@@ -138,7 +138,7 @@ def continued(directory: Path) -> Continued:
     """Read the results of `impact-rig dynamics continue`.
 
     Raises:
-        ConfigError: they are missing, or not over the frequency, or studies are not installed.
+        ConfigError: the results are missing, or not over the frequency, or `impact_rig_studies` is not installed.
     """
     from impact_rig_studies.dynamics import figures, plan  # noqa: PLC0415
 
@@ -181,7 +181,7 @@ class Theory:
     """
 
     def __init__(self, on_prediction: Callable[[dict[str, Any]], None]) -> None:
-        self.branches: Sequence[Continued] = ()  # drawn as well, where they exist
+        self.branches: Sequence[Continued] = ()  # continued motions, which are drawn as well where they exist
         self._on_prediction = on_prediction
         self._lock = threading.Lock()
         self._wish: tuple[dict[str, Any], float] | None = None
@@ -201,7 +201,7 @@ class Theory:
                 self._thread.start()
 
     def close(self) -> None:
-        """Stop."""
+        """Stop the thread."""
         with self._lock:
             self._ended = True
             thread = self._thread
