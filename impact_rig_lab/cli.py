@@ -84,14 +84,14 @@ def run(arguments: argparse.Namespace) -> int:
     """Serve the page until Ctrl-C, or until the reader of the program's output has ended."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if len(arguments.runs) > 2:
-        raise ImpactRigError("at most two runs are shown side by side")
+        raise ImpactRigError("at most two runs can be shown side by side")
     if (arguments.runs or arguments.sample) and arguments.attach:
-        raise ImpactRigError("choose one: play back a run, or attach to a rig")
+        raise ImpactRigError("a run to play back and --attach cannot be combined: choose one")
     try:
         from impact_rig_lab.server import Server, check_port, kept_token  # noqa: PLC0415  # an extra
         from impact_rig_lab.theory import continued  # noqa: PLC0415
     except ImportError as error:
-        raise ImpactRigError(f"the lab needs its extra: pip install 'impact_rig[lab]' ({error})") from error
+        raise ImpactRigError(f"the lab needs further packages: pip install 'impact_rig[lab]' ({error})") from error
     check_port(arguments.port)
     branches = [continued(directory) for directory in arguments.branches]
     from impact_rig.cli.terminal import Console  # noqa: PLC0415  # rich: not for the help

@@ -399,7 +399,7 @@ class Gateway:
     async def do_fault(self, kind: str, channel: str, value: float, duration: float, rate: float) -> str:
         """Add a line to the planned faults, so that a new fault starts now."""
         if kind not in FAULT_KINDS:
-            raise Refused(f"there is no fault {kind!r}")
+            raise Refused(f"unknown kind of fault {kind!r}")
         added = fault_line(kind, channel, duration_s=duration, value=value, rate_hz=rate)
         lines = [line for line in self.record.knobs.get(PLANNED) or () if line][-(MOST_FAULTS - 1) :]
         await self._set("rig", {PLANNED: [*lines, added]})
@@ -440,7 +440,9 @@ class Gateway:
         if not value.strip():
             raise Refused("a remark must not be empty")
         if not recorder.lives:
-            raise Refused(f"no recorder is running to keep it{f', {recorder.gone}' if recorder.gone else ''}")
+            raise Refused(
+                f"no recorder is running, so the remark would be lost{f', {recorder.gone}' if recorder.gone else ''}"
+            )
         self._publish(topics.NOTES, value)
         records = recorder.state not in (
             states.RecorderWord.INACTIVE,

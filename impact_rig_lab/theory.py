@@ -151,7 +151,9 @@ def continued(directory: Path) -> Continued:
     done = plan.open_study(directory, plan.CONTINUE)
     study = done.plan
     if study.over != FREQUENCY:
-        raise ConfigError(f"{directory}: branches over {study.over}: the page draws those over {FREQUENCY}")
+        raise ConfigError(
+            f"{directory}: its branches are over {study.over}, the page can draw only those over {FREQUENCY}"
+        )
     rig = to_flat(study.base)
     return Continued(
         values={name: rig[name] for name in DECIDING if name != "sphere.start"},

@@ -277,7 +277,8 @@ class RigDriver(abc.ABC):
         blocks, rest = divmod(sample - self.sample, self.block_scans)
         if rest or blocks < 0:
             raise ConfigError(
-                f"cannot run to sample {sample}: {self.name} is at {self.sample} and a block has {self.block_scans}"
+                f"cannot run to sample {sample}: {self.name} is at {self.sample}, and a block has "
+                f"{self.block_scans} samples"
             )
         if blocks:
             self.step(blocks)

@@ -373,7 +373,9 @@ class Hardware:
             if len(beyond):
                 scan = self.rig.first_scan(table) + int(beyond[0])
                 reading = table.rows[channel][beyond[0]]
-                raise CommandError(f"aborted: {channel} {reading:.6g} beyond {limit:g} at scan {scan}")
+                raise CommandError(
+                    f"aborted: {channel} reads {reading:.6g}, beyond the limit {limit:g}, at scan {scan}"
+                )
 
 
 class Exchange:

@@ -158,7 +158,8 @@ class Player:
             if message.log_time > self.now_ns + LONGEST_PAUSE_NS:
                 pause_h = (message.log_time - self.now_ns) / NS_PER_S / 3600
                 raise RecordingError(
-                    f"{self._run.path}: {message.topic} is {pause_h:.4g} h later than all other messages"
+                    f"{self._run.path}: a message on {message.topic} is {pause_h:.4g} h later than the one before; a "
+                    f"pause of more than {LONGEST_PAUSE_NS // (3600 * NS_PER_S)} h cannot be replayed"
                 )
             while message.log_time > self.start_ns and self._must_wait(message.log_time):
                 yield from self._wait(self._time_left_s(message.log_time))

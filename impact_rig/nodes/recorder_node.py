@@ -270,7 +270,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             return
         self._waiting = False
         if self._configuration is None:
-            self.get_logger().warning("no rig/configuration received: the run has none attached")
+            self.get_logger().warning("no rig/configuration received, so the run contains no configuration")
         try:
             self._writer = self._open(self._configuration)
         except RecordingError as error:

@@ -215,7 +215,7 @@ class RigState:
         state = rig.stream.state if rig.takes_samples else None
         if state is not self._stream and StreamState.MISSING in (state, self._stream):
             say = self._warn if state is StreamState.MISSING else self._info
-            say(f"{topics.WAVEFORM.name}: {state.value if state else 'the drive is another one'}")
+            say(f"{topics.WAVEFORM.name}: {state.value if state else 'the drive is not a stream'}")
         self._stream = state
         self._log_faults(session.counts.faults)
         for name, count in window.behind().items():

@@ -634,7 +634,7 @@ class McapSource:
             opcode, length = records.RECORD_HEAD.unpack_from(view, position - base)
             end = position + records.RECORD_HEAD.size + length
             if end > self.size:
-                raise DamageError(f"the record at byte {position} claims {length} bytes of a file of {self.size}")
+                raise DamageError(f"the record at byte {position} states {length} bytes, the file has only {self.size}")
             if times and (opcode == records.DATA_END or end - begun > SEGMENT_BYTES):
                 size = ended - begun
                 yield Segment(begun, size, min(times), max(times), size, frozenset(channels), chunk=None)
@@ -761,7 +761,7 @@ class McapSource:
 
     def _read_record(self, offset: int, length: int, opcode: int) -> memoryview:
         if length > self.size - offset:
-            raise DamageError(f"it claims {length} bytes of a file of {self.size}")
+            raise DamageError(f"its length is stated as {length} bytes, the file has only {self.size}")
         budget.allow("bytes in a record", length, budget.CHUNK_BYTES + budget.MIB)
         # a bad sector, or the file has been closed
         with files.translate_errors(f"cannot read {self.path} at byte {offset}"):
@@ -770,7 +770,7 @@ class McapSource:
             raise DamageError("the file is shorter than its index says")
         found, content, end = records.split(view, 0)
         if found != opcode or end != length:
-            raise DamageError("another record is in its place")
+            raise DamageError("there is another record at its position")
         return content
 
 

@@ -98,7 +98,7 @@ def parse(kind: type[Record], content: memoryview) -> Record:
     except UnicodeDecodeError as error:
         raise DamageError(f"a string is not UTF-8: {error}") from error
     if stream.count != len(content):
-        raise DamageError(f"{len(content) - stream.count} bytes too many in a record")
+        raise DamageError(f"a record has {len(content) - stream.count} bytes after its last field")
     return record
 
 
@@ -120,7 +120,7 @@ def split(view: memoryview, offset: int, *, end: int | None = None) -> tuple[int
     opcode, length = RECORD_HEAD.unpack_from(view, offset)
     start = offset + RECORD_HEAD.size
     if length > stop - start:
-        raise DamageError(f"the record at byte {offset} claims {length} bytes, only {stop - start} are there")
+        raise DamageError(f"the record at byte {offset} states {length} bytes, only {stop - start} are left")
     return opcode, view[start : start + length], start + length
 
 
@@ -164,7 +164,7 @@ def plain_message(data: memoryview, most: int) -> memoryview:
     try:
         claimed = zstandard.get_frame_parameters(data).content_size
         if claimed != zstandard.CONTENTSIZE_UNKNOWN and claimed > most:
-            raise DamageError(f"a compressed message claims {claimed} bytes, more than {most}")
+            raise DamageError(f"a compressed message states a size of {claimed} bytes, the limit is {most}")
         content = zstandard.ZstdDecompressor().decompress(data, max_output_size=most)
     except zstandard.ZstdError as error:
         raise DamageError(f"a compressed message cannot be decompressed: {error}") from error
@@ -252,7 +252,7 @@ def _unzstd(data: Bytes, size: int) -> Bytes:
     try:
         claimed = zstandard.get_frame_parameters(data).content_size
         if claimed not in (size, zstandard.CONTENTSIZE_UNKNOWN):
-            raise DamageError(f"a zstd frame claims {claimed} bytes, its chunk {size}")
+            raise DamageError(f"a zstd frame states a size of {claimed} bytes, its chunk states {size}")
         return zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
     except zstandard.ZstdError as error:
         raise DamageError(f"a chunk cannot be decompressed: {error}") from error

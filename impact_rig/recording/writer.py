@@ -184,8 +184,8 @@ class RunWriter:
             self._channels[topic.name] = channel
         elif known.topic.type_name != topic.type_name:
             raise RecordingError(
-                f"topic {topic.name} is recorded as {known.topic.type_name}: messages of type {topic.type_name} are "
-                "ignored"
+                f"topic {topic.name} is recorded as {known.topic.type_name}: messages of type {topic.type_name} on "
+                "it are ignored"
             )
 
     def write(
@@ -730,8 +730,8 @@ class McapFile:
             with contextlib.suppress(OSError):
                 os.ftruncate(self._fd, self._buffer.committed)
             raise RecordingError(
-                f"cannot write {self.path}: {error.strerror}; it ends with its last complete record "
-                f"({self.size} bytes) and has no index yet: impact-rig recover completes it"
+                f"cannot write {self.path}: {error.strerror}; the file ends with its last complete record "
+                f"({self.size} bytes) and has no index yet, complete it with impact-rig recover"
             ) from error
         finally:
             data.release()

@@ -196,8 +196,8 @@ def response_of(
         raise RecordingError(f"{run.path}: no frequency response of its last {seconds:g} s: {error}") from error
     if not np.any(np.nan_to_num(found.coherence[found.excited]) >= COHERENT):
         raise RecordingError(
-            f"{run.path}: at no frequency is the coherence between base and laser {COHERENT} or more: drive the "
-            "rig with a chirp or noise (drive.waveform), or take longer segments"
+            f"{run.path}: the coherence of base and laser is below {COHERENT} at all frequencies: drive the rig "
+            "with a chirp or noise (drive.waveform), or take longer segments"
         )
     return found
 

@@ -263,7 +263,7 @@ def test_a_write_that_fails_unforeseen_leaves_whole_records(tmp_path):
         "import impact_rig.recording.writer as m; m.McapFile.shortage = lambda self: ''"
     )
     message = run_limited(tmp_path, limit)
-    assert "run.mcap: File too large; it ends with its last complete record" in message
+    assert "run.mcap: File too large; the file ends with its last complete record" in message
     with pytest.raises(
         RecordingError, match="its writer was interrupted; impact-rig recover saves the intact messages"
     ):
