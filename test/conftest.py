@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Environment of every test: its own ROS domain, strict message types, a check of what it leaves behind, its order."""
+"""Environment of all tests: their own ROS domain, strict message types, a check of what they leave behind, order."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Do not even import in a check what needs ROS to be imported."""
+    """In `make check`, do not even import the test files that import ROS."""
     if not config.getoption("--check") or collection_path.suffix != ".py":
         return None
     return '\npytest.importorskip("rclpy"' in collection_path.read_text(encoding="utf-8") or None
@@ -158,7 +158,7 @@ def _leave_out(config: pytest.Config, items: list[pytest.Item], out: Callable[[p
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Say why a test was run once more: what went wrong the first time is shown nowhere else."""
+    """Print why a test was repeated: the first failure is shown nowhere else."""
     for report in terminalreporter.stats.get("rerun", []):
         terminalreporter.write_line(f"RERUN {report.nodeid}: {report.longreprtext[-2000:]}")
 
@@ -178,7 +178,7 @@ def _why_no_ros() -> str:
 
 @pytest.fixture(scope="session", autouse=True)
 def _own_domain_and_logs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Give this process (each xdist worker is one) a ROS domain that no other test run of this user has."""
+    """Give this process (each xdist worker is one) a ROS domain that no other test run of this user uses."""
     from kits.measured import hold_back
 
     hold_back()
@@ -206,7 +206,7 @@ def _claim_domain() -> tuple[int, IO[str]]:
 
 @pytest.fixture(scope="session", autouse=True)
 def _no_process_in_a_check(request: pytest.FixtureRequest) -> None:
-    """Skip every test that starts a process, when it does so: a marker could be forgotten."""
+    """Skip each test that starts a process, at the moment when it does so, because a marker could be forgotten."""
     if request.config.getoption("--check"):
         with contextlib.suppress(ImportError):
             importlib.import_module("matplotlib.font_manager")  # asks a program for fonts, once on a machine
@@ -220,7 +220,7 @@ def _skip(*_arguments: object, **_words: object) -> None:
 
 @pytest.fixture
 def measured_programs(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Measure the coverage of whatever a test starts."""
+    """Measure the coverage of all programs that a test starts."""
     from kits.measured import measured
 
     for name, value in measured().items():
@@ -229,7 +229,7 @@ def measured_programs(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def _adopt_orphans() -> None:
-    """Make this process the parent of orphaned descendants, so that a forgotten grandchild is seen as well."""
+    """Make this process the parent of orphaned descendants, so that a forgotten grandchild is noticed as well."""
     set_child_subreaper = 36  # <linux/prctl.h>
     ctypes.CDLL(None).prctl(set_child_subreaper, 1, 0, 0, 0)
 
@@ -246,14 +246,14 @@ def _chromium() -> Iterator[Browser]:
 
 @pytest.fixture
 def browser(_chromium: Browser) -> Iterator[Browser]:
-    """Open pages of a test's own in the one browser; none outlives the test, however it ends."""
+    """Open pages of one test in the shared browser; no page outlives the test."""
     yield _chromium
     _chromium.close_pages()
 
 
 @pytest.fixture(autouse=True)
 def _nothing_left_behind() -> Iterator[None]:
-    """Fail a test whose threads or processes outlive it."""
+    """Fail a test that leaves threads or processes behind."""
     threads, processes = set(threading.enumerate()), _children()
     yield
     deadline = time.monotonic() + GRACE_S
@@ -268,7 +268,7 @@ def _nothing_left_behind() -> Iterator[None]:
 
 
 def _children() -> set[int]:
-    """Return the process ids of this process's children, those of its threads included."""
+    """Return the process ids of this process's children, including those that its threads started."""
     found: set[int] = set()
     for task in Path("/proc/self/task").iterdir():
         try:

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The budget of an uncertainty adds up to it, and every line is the error that its name says."""
+"""Uncertainty budget: its lines add up to the uncertainty, and each line is the error that it names."""
 
 from __future__ import annotations
 

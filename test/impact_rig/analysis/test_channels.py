@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The analysis takes its channels by name: others may be there, in any order, and one may not have been measured."""
+"""The analysis selects its channels by name: there may be others, in any order, and one may be missing."""
 
 from __future__ import annotations
 

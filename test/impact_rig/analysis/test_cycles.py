@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The constant-memory reduction equals the textbook fit, and no cut into blocks changes a bit."""
+"""The reduction with constant memory equals the textbook fit, and no division into blocks changes a bit."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_no_bit_depends_on_the_cut(cuts, frequency_hz):
 
 
 def test_cycles_tile_the_stream_without_drift():
-    """At 25 600 S/s and 9.1 Hz a cycle is no whole number of scans: the k-th edge is the k-th multiple, rounded up."""
+    """At 25,600 S/s and 9.1 Hz, a cycle is no whole number of scans: the k-th edge is the k-th multiple, rounded up."""
     cycles = reduced(np.ones((4, 256_000)), 25_600, 9.1, [], origin=77)
     assert np.array_equal(
         cycles.first + cycles.samples, np.append(cycles.first[1:], cycles.first[-1] + cycles.samples[-1])
@@ -141,7 +141,7 @@ def test_harmonics_stay_below_half_the_rate(frequency_hz, expected):
 
 
 def test_fits_without_degrees_of_freedom_leave_no_variance():
-    """11 scans per cycle and 5 harmonics with a mean: as many unknowns as scans."""
+    """With 11 scans per cycle, 5 harmonics and a mean, there are as many unknowns as scans."""
     n, channels, harmonics = 6, 4, 5
     cycles = Cycles(
         first=11 * np.arange(n),

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Each figure draws what it was given; a look at the picture is for people."""
+"""Each figure contains the given data; how it looks is judged by people."""
 
 from __future__ import annotations
 

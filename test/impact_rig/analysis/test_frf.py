@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Frequency responses: agree with pyFRF and scipy on the same records, recover a known system, refuse nonsense."""
+"""Frequency responses agree with pyFRF and SciPy, recover a known system, and are refused for invalid records."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ RATE = 1000.0
 
 
 def records(noise_x=0.0, noise_y=0.0, n=60_000, seed=1):
-    """A two-pole band-pass filter driven by noise: x, y and its exact response."""
+    """Input x of noise, output y of a two-pole band-pass filter, and its exact response."""
     rng = np.random.default_rng(seed)
     clean = rng.standard_normal(n)
     b, a = signal.iirpeak(60.0, 5.0, fs=RATE)
@@ -70,7 +70,7 @@ def test_estimators_agree_with_pyfrf(estimator):
 
 
 def test_estimators_stand_in_their_known_order():
-    """Noise on both channels: |H1| too small, |H2| too large, Hv with the right κ between and nearest to the truth."""
+    """With noise on both channels, |H1| is too small, |H2| too large, and Hv with the right κ nearest to the truth."""
     x, y, (b, a) = records(0.5, 0.05, n=400_000)
     found = frf(x, y, RATE, 1000, noise_ratio=0.01)
     band = (found.frequency_hz > 50) & (found.frequency_hz < 70)
@@ -102,7 +102,7 @@ def linear_rig(base, rate_hz, info, zeta=0.02):
 
 @pytest.mark.parametrize("waveform", ["chirp", "random"])
 def test_a_sweep_recovers_the_transmissibility(waveform):
-    """A periodic chirp or random record: closed form, lag and skew taken back, phase negative."""
+    """Periodic chirps and random records give the closed form: lag and skew are corrected, the phase is negative."""
     rate, segment = 1000, 20_000
     info = info_rows(rate, gain_u=2e-3)
     time = np.arange(segment) / rate
@@ -131,7 +131,7 @@ def band_limited(seconds, low_hz, high_hz, rate=200, seed=3):
 
 
 def dip(base, rate, zeta):
-    """Weaken a base motion where its structure resonates, as a shaker of constant current does."""
+    """Reduce a base motion near the resonance of its structure, as a shaker of constant current does."""
     frequency = np.fft.rfftfreq(len(base), 1 / rate)
     return np.fft.irfft(np.fft.rfft(base) / linear_transmissibility(np.maximum(frequency, 0.1), zeta=zeta), len(base))
 
@@ -139,7 +139,7 @@ def dip(base, rate, zeta):
 @pytest.mark.parametrize("zeta", [0.0045, 0.02])
 @pytest.mark.parametrize("shaker", [False, True], ids=["prescribed", "current"])
 def test_segments_are_as_long_as_the_resonance_asks(zeta, shaker):
-    """Resolved within 2 %, or what is missing is in the uncertainty: the same record in segments of 10 s is far off."""
+    """A response is resolved within 2 %, or its uncertainty contains the error, as with segments of 10 s."""
     rate, info = 200, info_rows(200, gain_u=1e-4)
     base = band_limited(1200, 6.0, 12.0)
     rows = linear_rig(dip(base, rate, zeta) if shaker else base, rate, info, zeta)
@@ -180,7 +180,7 @@ def test_a_periodic_excitation_leaks_nothing_through_a_rectangular_window():
 
 
 def test_lines_count_as_excited_by_the_excitation_alone():
-    """Leakage of a sine and the tails of a band are coherent, too."""
+    """Leakage of a sine and the tails of a band are coherent as well, but not excited."""
     info, time = info_rows(200), np.arange(100 * 200) / 200
     sine = transmissibility_frf(linear_rig(1e-4 * np.sin(2 * np.pi * 9.1 * time), 200, info), info, 2000)
     assert sine.sine

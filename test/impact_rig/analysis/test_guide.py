@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The code in docs/explanation/analysis.md runs and says what the page says."""
+"""The code in docs/explanation/analysis.md runs, and its results are those of the page."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A channel that cannot be believed leaves no row that looks good; one fault after another on a running measurement."""
+"""A faulty channel gives no row without a warning: one fault after another during a measurement."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def test_a_fault_in_a_running_measurement_is_named_and_no_wrong_row_looks_good(s
 
 
 def test_a_current_that_is_not_there_is_no_number_and_one_that_comes_back_is_believed_again():
-    """A closed loop that holds the current would else drive it to its limit."""
+    """Otherwise, a closed loop that controls the current would raise it to its limit."""
     rows = record(seconds=30.0)
     rows["current"][: 10 * RATE] = 1e-3 * np.random.default_rng(5).standard_normal(10 * RATE)
     dead, *later = [table.rows[0] for table in feed_all(tracker(), blocks(rows, RATE, 20))[0]]
@@ -134,7 +134,7 @@ def test_a_gain_that_comes_back_is_believed_again():
 
 
 def test_what_is_only_noise_is_not_called_wired_wrongly():
-    """x_1 of 0.6 µm below noise of 3 µm has any phase: too uncertain, silent or right, never inverted or swapped."""
+    """With x_1 of 0.6 µm and noise of 3 µm, any phase is possible: the channel must not be called inverted."""
     rng, words = np.random.default_rng(4), set()
     for _ in range(60):
         rows = steady_record(20.0, 2.5, rate_hz=RATE, rng=rng, base_m=2e-6)
@@ -143,7 +143,7 @@ def test_what_is_only_noise_is_not_called_wired_wrongly():
 
 
 def test_hardly_any_damping_is_no_wire_the_wrong_way_round():
-    """With ζ = 1e-5, x_1 is opposite to within noise of 0.6°, so it leads in half of the draws."""
+    """With ζ = 1e-5, x_1 is opposite to x_b to within noise of 0.6°, so it leads in half of the draws."""
     rng, leads = np.random.default_rng(4), 0
     for _ in range(40):
         rows = steady_record(
@@ -164,7 +164,7 @@ def test_a_laser_with_a_wrong_gain_from_the_start_contradicts_the_accelerometer(
 
 
 def test_an_acceleration_below_the_step_of_its_converter_contradicts_nothing():
-    """0.2 m/s² on steps of 0.85: it comes out as nothing, or as twice its size, wherever the zero happens to be."""
+    """With 0.2 m/s² and steps of 0.85, the reading is zero, or twice the true value, depending on the zero error."""
     step, info = 0.85, info_rows(RATE)
     info["converter_step"][0] = info["resolution"][0] = step
     for offset in np.linspace(0.0, 1.0, 11):

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Impacts from the accelerometer alone: found, timed, signed — and nothing else called one."""
+"""Impacts from the accelerometer alone: all are found with time and sign, and nothing else counts as an impact."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def background(seconds, rate_hz, *, frequency_hz=9.1, amplitude=20.0, seed=1):
 
 
 def drawn_impacts(count, seconds, seed, apart_s=4e-3, slowest=0.02, fastest=0.7):
-    """Impacts at random instants, log-uniform speeds, either wall."""
+    """Impacts at random instants on either wall; their speeds are spread evenly on a logarithmic scale."""
     rng = np.random.default_rng(seed)
     free = seconds - 0.1 - count * apart_s
     times = 0.05 + np.sort(rng.random(count)) * free + apart_s * np.arange(count)
@@ -61,7 +61,7 @@ def matched(found, times, rate_hz, tolerance_s=0.5e-3):
 
 @pytest.mark.parametrize("rate_hz", [250_000, 500_000, 1_000_000])
 def test_impacts_of_the_fastest_boards_are_timed_as_well(rate_hz):
-    """The history was once shorter than the look-ahead from 430 kS/s on: onsets were off by 12 µs, then by 12 ms."""
+    """From 430 kS/s on, the look-ahead is long; a history shorter than it would shift onsets by 12 µs to 12 ms."""
     times = np.arange(0.05, 0.25, 0.0137)
     acceleration = background(0.3, rate_hz)
     add_impacts(acceleration, rate_hz, times, np.full(len(times), 0.4), np.resize([1, -1], len(times)))
@@ -71,7 +71,7 @@ def test_impacts_of_the_fastest_boards_are_timed_as_well(rate_hz):
 
 
 def test_default_instruments_at_50_ks_find_every_impact_above_0_02_m_s():
-    """The acceptance figures: ≥ 99 % found, ≤ 1 % false, timing within one scan; here 600 impacts down to 0.02 m/s."""
+    """Acceptance figures: ≥ 99 % found, ≤ 1 % false, timing within one scan; here for 600 impacts from 0.02 m/s on."""
     times, speeds, signs = drawn_impacts(600, 12.0, seed=2)
     acceleration = background(12.0, FAST)
     add_impacts(acceleration, FAST, times, speeds, signs)
@@ -87,7 +87,7 @@ def test_default_instruments_at_50_ks_find_every_impact_above_0_02_m_s():
     ("rate_hz", "share", "false_share", "worst_scans"), [(25_600, 0.99, 0.02, 2.0), (10_000, 0.85, 0.03, 5.0)]
 )
 def test_lower_rates_are_documented_not_hidden(rate_hz, share, false_share, worst_scans):
-    """At 10 kS/s a 40 µs pulse may fall between two scans: the figures of docs/explanation/analysis.md."""
+    """At 10 kS/s, a pulse of 40 µs may fall between two scans; the figures are in docs/explanation/analysis.md."""
     times, speeds, signs = drawn_impacts(600, 12.0, seed=3)
     acceleration = background(12.0, rate_hz)
     add_impacts(acceleration, rate_hz, times, speeds, signs)
@@ -126,7 +126,7 @@ def test_noisier_sensors_raise_the_threshold_by_themselves():
 
 
 def test_a_sensor_exchanged_in_mid_run_is_timed_and_judged_by_its_own_calibration():
-    """Before, lag and noise of the first accelerometer stayed in effect after a calibration."""
+    """After a new calibration, lag and noise are those of the new accelerometer."""
     acceleration = background(1.0, FAST)
     add_impacts(acceleration, FAST, [0.3, 0.8], [0.3, 0.3], [1, 1])
     known, exchanged = detector(), detector()

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The analysis as plain Python finds what the compiled one finds: a debugger and coverage see the same loops."""
+"""The analysis as plain Python finds the same as the compiled one: debuggers and coverage see the same loops."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ np.savez(sys.argv[1], **{name: np.concatenate([table.rows for table in found]) f
 
 
 def test_plain_python_measures_the_same(tmp_path: Path) -> None:
-    """To 1e-9, as on another machine: the analysis may use whatever its libraries offer."""
+    """The results agree to 1e-9, as between machines, because the analysis may use all functions of its libraries."""
     output = tmp_path / "plain.npz"
     environment = measured(
         {**os.environ, "IMPACT_RIG_KERNELS": "plain", "PYTHONPATH": f"{TESTS.parent}{os.pathsep}{TESTS}"}

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Data for plotters: spectra whose heights are amplitudes, and envelopes in which every impact shows."""
+"""Data for plotters: spectra whose heights are amplitudes, and envelopes that contain every impact."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ LINE_RTOL = 0.005
 
 @pytest.fixture(scope="module")
 def blocks() -> list[Block]:
-    """A run at 10 mm, at resonance, its transient included."""
+    """Blocks of a run at 10 mm gap and at resonance, with its transient."""
     rig = Rig(paper_rig(barriers__gap_m=0.01, drive__amplitude=0.52, daq__rate_hz=RATE, daq__block_scans=170))
     return rig.advance(8 * NS_PER_S)
 

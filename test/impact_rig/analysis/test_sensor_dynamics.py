@@ -62,7 +62,7 @@ def test_the_two_poles_of_a_slow_base_sensor_are_corrected(usual: tuple[float, f
 
 
 def test_what_a_delay_leaves_out_of_the_amplitude_is_in_the_uncertainty(usual: tuple[float, float, bytes]) -> None:
-    """An anti-alias filter on top of a sensor is known as a delay only."""
+    """An anti-alias filter behind a sensor is only known as a delay."""
     dt, u, _ = measured(instruments__adc__anti_alias="butterworth", instruments__adc__anti_alias_hz=30.0)
     assert abs(dt - usual[0]) < 3 * u
     assert u >= usual[1]

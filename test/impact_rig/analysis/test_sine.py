@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""IEEE 1057 fits: exact on their own model, honest in noise white or coloured, silent on nonsense."""
+"""Sine fits of IEEE 1057: exact for their own model, with valid uncertainties for white and coloured noise."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_agrees_with_scipys_general_purpose_fit():
 @pytest.mark.parametrize("colour", ["white", "low-passed"])
 @pytest.mark.repeats
 def test_uncertainties_cover_the_truth(colour):
-    """300 seeded repetitions; the low-passed noise would fool the white formula by a factor of five."""
+    """300 seeded repetitions; for low-passed noise, the formula for white noise is wrong by a factor of five."""
     rng = np.random.default_rng(5)
     n, rate, frequency = 2000, 1000.0, 9.1
     deviations = []

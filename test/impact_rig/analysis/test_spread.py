@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Uncertainty of correlated means, settling and regime: against processes whose answer is known."""
+"""Uncertainty of correlated means, settling and regime, for processes whose result is known."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_variance_of_the_mean_sees_correlation():
 
 @pytest.mark.parametrize(("coefficient", "batches"), [(0.0, 4), (0.9, 4), (0.9, 6)])
 def test_batch_means_cover_the_mean_of_a_correlated_series(coefficient, batches):
-    """±2u of 95.45 %, though batches of 32 cycles are as long as 1.7 correlation times only."""
+    """Coverage of ±2u is 95.45 %, although batches of 32 cycles are only 1.7 correlation times long."""
     rng = np.random.default_rng(4)
     off = []
     for _ in range(1500):
@@ -56,7 +56,7 @@ def test_batch_means_cover_the_mean_of_a_correlated_series(coefficient, batches)
 
 
 def test_batches_that_are_too_alike_are_corrected():
-    """Scatter of batches as long as the correlation is too small; 2V_b − V_2b adds most of the rest."""
+    """The scatter of batches as long as the correlation is too small; 2V_b − V_2b corrects most of the error."""
     rng = np.random.default_rng(5)
     series = [ar1(rng, 192, 0.9) for _ in range(3000)]
     true = np.var([one.mean() for one in series])
@@ -137,7 +137,7 @@ def strikes_at(phases):
 
 
 def test_impacts_decide_where_the_amplitude_stands_still():
-    """A light sphere: the structure's amplitude is steady in all four cases."""
+    """For a light sphere, the amplitude of the structure is steady in all four cases."""
     rng = np.random.default_rng(10)
     steady = cycles_noise(rng, 48, 1e-5)
 

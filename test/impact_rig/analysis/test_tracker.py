@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The streaming measurement: settles, says how it knows, and forgets what it has measured."""
+"""Streaming measurement: it settles, reports how it knows this, and forgets data it has measured."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_streaming_gives_what_the_whole_record_gives():
 
 
 def transient_ratio(frequency_hz, tau_s):
-    """DT whose free vibration dies with tau against the drive: what a command change leaves behind."""
+    """DT whose free vibration decays with tau relative to the drive, as after a command."""
     truth = linear_transmissibility(frequency_hz)
     beat = 2 * np.pi * (F_N - frequency_hz)
     return lambda t: truth * (1 - np.exp((-1 / tau_s + 1j * beat) * t))
@@ -67,7 +67,7 @@ def transient_ratio(frequency_hz, tau_s):
 
 @pytest.mark.parametrize(("frequency_hz", "tau_s"), [(9.1, 0.34), (9.1, 3.9), (9.0, 3.9), (10.0, 0.34), (8.5, 3.9)])
 def test_a_transient_is_waited_for_no_longer_than_needed(frequency_hz, tau_s):
-    """Settled means: bias below 5e-4; the wait is what that takes plus the measurement itself, not a fixed time."""
+    """The bias of settled means is below 5e-4. The wait is as long as this requires, not a fixed time."""
     rows = record(frequency_hz, 55.0, transient=transient_ratio(frequency_hz, tau_s))
     measurements, _ = feed_all(tracker(frequency_hz), blocks(rows, RATE, 20))
     row = measurements[0].rows[0]
@@ -99,7 +99,7 @@ def test_the_first_row_after_a_change_is_as_good_as_any_other(frequency_hz, tau_
 
 
 def test_the_bound_of_waiting_is_kept_and_named():
-    """A response that never settles (growing drift) is reported with numbers, settled = 0, at the bound."""
+    """A response with a growing drift never settles: at the time limit it is reported with numbers, and settled = 0."""
     truth = linear_transmissibility(9.1)
     rows = record(9.1, 25.0, transient=lambda t: truth * (0.3 + 0.02 * t))
     slow = TrackerSettings(window_s=0.1, wait_limit_s=10.0)
@@ -112,7 +112,7 @@ def test_the_bound_of_waiting_is_kept_and_named():
 
 
 def test_windows_that_were_thrown_away_are_no_wait():
-    """After a channel had been over range for longer than the bound, the first 8 windows were given as they were."""
+    """If a channel is over range for longer than the time limit, the next 8 windows must not be reported as they are."""
     truth = linear_transmissibility(9.1)
     rows = record(seconds=50.0, transient=lambda t: truth * (1 + 0.05 * np.sin(3.3 * t) + 0.03 * np.sin(1.3 * t)))
     rows["status"][: 26 * RATE] = 2
@@ -131,7 +131,7 @@ def struck_twice_a_cycle(rows, frequency_hz, seconds):
 
 
 def test_what_fluctuates_without_any_impact_is_no_modulation():
-    """A linear rig is neither modulated nor chaotic: it was called so in three of four first rows of a small base."""
+    """A linear rig is neither modulated nor chaotic, although its first rows fluctuate if the base moves little."""
     truth = linear_transmissibility(9.2)
     rows = record(9.2, 30.0, transient=lambda t: truth * (1 + 0.03 * np.cos(2.7 * t)))
     assert not feed_all(tracker(9.2), blocks(rows, RATE, 20))[0]
@@ -202,7 +202,7 @@ def test_windows_that_never_fill_are_refused():
 
 
 def test_the_state_says_what_the_measurement_does_and_since_when():
-    """No scans, settling from the command on, measuring from the first row on, unable while the laser is stuck."""
+    """States: no scans, settling from the command on, measuring from the first row on, unable with a stuck laser."""
     made, rows = tracker(), record(seconds=30.0)
     assert (made.state.word, made.state.since_ns) == (AnalysisWord.NO_SCANS, None)
     rows["laser"][20 * RATE :] = rows["laser"][20 * RATE]
@@ -224,7 +224,7 @@ def test_the_state_says_what_the_measurement_does_and_since_when():
 
 
 def test_at_rest_is_a_state_and_no_trouble():
-    """The rows of a rig at rest say `silence`, of one that was plucked worse; neither is asked for a measurement."""
+    """At rest, the rows say `silence`, and after a pluck something worse. This is expected: there is no problem."""
     rng, made = np.random.default_rng(6), tracker()
     rows = record(seconds=20.0)
     for name, rms in (("laser", 3e-6), ("base", 1e-6), ("current", 2e-3), ("accelerometer", 0.05)):
@@ -243,7 +243,7 @@ def test_at_rest_is_a_state_and_no_trouble():
 
 
 def test_a_value_is_called_measured_no_longer_when_the_next_row_is_overdue():
-    """The wall has become softer, say: no message says so, but the response disagrees with its last row."""
+    """The wall becomes softer, for example: no message reports this, but the response disagrees with its last row."""
     made, rows = tracker(), record(seconds=20.0)
     growth = 1.0 + 0.1 * np.maximum(np.arange(len(rows)) / RATE - 12.0, 0.0)
     for channel in ("laser", "accelerometer"):
@@ -293,7 +293,7 @@ def struck(rows, times_s, rate_hz=RATE):
     ],
 )
 def test_without_impacts_a_row_is_given_when_a_drifting_sphere_would_have_struck(gap_m, strikes, first_s, age_s):
-    """The structure is as steady as can be all the while: the status says what the silence leaves open."""
+    """The amplitude of the structure is steady all the time; the status states what the silence does not exclude."""
     rows = record(seconds=max(25.0, first_s + 3.0))
     if strikes:
         struck(rows, np.arange(0.2, 6.0, 0.0549))
@@ -308,7 +308,7 @@ def test_without_impacts_a_row_is_given_when_a_drifting_sphere_would_have_struck
 
 
 def test_a_drifting_sphere_is_waited_for_from_when_the_gap_was_set():
-    """An impact in the window that the label broke off once counted as the last one: a second too early here."""
+    """The wait counts from the label, not from an impact in the window that the label interrupted a second before."""
     rows = struck(record(seconds=22.0), np.arange(0.2, 6.7, 0.0549))
     made = tracker(gap_m=0.010, tracker_settings=TrackerSettings(window_s=1.3, wait_limit_s=40.0, slowest_speed=1e-3))
     made.label(0.011, 7_800_000_000)  # the window from 6.6 s on is not complete then
@@ -321,7 +321,7 @@ def test_a_drifting_sphere_is_waited_for_from_when_the_gap_was_set():
 
 
 def test_no_wide_gap_is_waited_for_longer_than_the_limit():
-    """At 12 mm and 0.1 mm/s two minutes of silence were asked for, and the bound of waiting ended them as a failure."""
+    """At 12 mm and 0.1 mm/s, the sphere needs two minutes; a wait beyond the time limit would count as a failure."""
     made = tracker(gap_m=0.012, tracker_settings=TrackerSettings(window_s=0.1, wait_limit_s=12.0))
     measurements, _ = feed_all(made, blocks(record(seconds=19.0), RATE, 20))
     assert words(measurements) == ["no_impacts"] * 2
@@ -331,7 +331,7 @@ def test_no_wide_gap_is_waited_for_longer_than_the_limit():
 
 
 def test_silence_after_impacts_is_waited_for_beyond_the_bound_of_a_response_that_does_not_settle():
-    """It struck for 6 s: that the bound of 10 s comes before the silence is long enough is no failure of the point."""
+    """The sphere struck for 6 s: if the time limit of 10 s ends before the silence is long enough, nothing failed."""
     rows = struck(record(seconds=18.0), np.arange(0.2, 6.0, 0.0549))
     made = tracker(gap_m=0.012, tracker_settings=TrackerSettings(window_s=0.1, wait_limit_s=10.0))
     measurements, _ = feed_all(made, blocks(rows, RATE, 20))
@@ -349,7 +349,7 @@ def test_impacts_that_come_again_after_the_bound_end_the_wait_as_intermittent():
 
 
 def test_the_end_of_a_record_gives_what_was_held_back_for_a_sphere():
-    """A record of 15 s at 12 mm had neither row nor reason."""
+    """A record of 15 s at 12 mm gives a row, or the reason why there is none."""
     made = tracker(gap_m=0.012)
     measurements, _ = feed_all(made, blocks(record(seconds=15.0), RATE, 20))
     assert measurements == []
@@ -359,7 +359,7 @@ def test_the_end_of_a_record_gives_what_was_held_back_for_a_sphere():
 
 
 def test_silence_at_rest_tells_nothing_of_the_sphere():
-    """The label was set long before the drive: slow impacts of a rig at rest are not heard."""
+    """The label is set long before the drive; slow impacts of a rig at rest are not detected."""
     made = tracker(None, gap_m=0.010, tracker_settings=TrackerSettings(window_s=0.1, wait_limit_s=12.0))
     made.on_applied(applied(9.1, 0.0))
     made.on_applied(applied(9.1, 0.52, at_ns=10 * NS_PER_S))
@@ -369,7 +369,7 @@ def test_silence_at_rest_tells_nothing_of_the_sphere():
 
 
 def test_progress_never_exceeds_its_total_and_names_a_sphere_that_is_waited_for():
-    """ "window 83 of 16, transient 0.0 %" was shown for two minutes."""
+    """Progress must not read "window 83 of 16, transient 0.0 %" while the analysis waits for the sphere."""
     made, seen = tracker(gap_m=0.012, tracker_settings=TrackerSettings(window_s=0.1, wait_limit_s=14.0)), []
     for block in blocks(record(seconds=16.0), RATE, 20):
         made.feed(block)

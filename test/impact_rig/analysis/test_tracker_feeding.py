@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""No bit of a measurement depends on how the tracker is fed: cuts, lateness, time base, repetition."""
+"""No bit of a measurement depends on how the tracker is fed: block division, delays, time base, repetition."""
 
 from __future__ import annotations
 
@@ -56,14 +56,14 @@ def test_no_bit_depends_on_any_cut(seed):
 
 @pytest.mark.parametrize("late_ns", [10_000_000, 40_000_000])
 def test_a_command_delivered_late_changes_nothing(late_ns):
-    """Topics overtake each other; scans are held back for 50 ms of rig time."""
+    """Topics overtake each other; scans wait for 50 ms of rig time before they are used."""
     measurements, impacts, made = run_scenario(20, late_ns=late_ns)
     assert fingerprint(measurements, impacts) == usual()
     assert made.counters.late_events == 0
 
 
 def test_a_label_and_a_command_of_one_instant_may_come_in_either_order():
-    """Live the command comes first, in a recorded run the label is known before: the row once had two reasons."""
+    """Live, the command arrives first; in a recorded run, the label is known first. The row is the same."""
     reasons = set()
     for label_first in (True, False):
         made = tracker()
@@ -77,7 +77,7 @@ def test_a_label_and_a_command_of_one_instant_may_come_in_either_order():
 
 @pytest.mark.parametrize("late_ns", [0, 40_000_000])
 def test_impacts_are_timed_by_the_calibration_of_their_scans(late_ns):
-    """The detector once kept the lag of the accelerometer that the record began with."""
+    """The detector uses the lag of the accelerometer that is calibrated for these scans, not the lag at the start."""
     lag_s, changed_ns = 3e-3, round(2.003 * NS_PER_S)
     rows, times = record(seconds=9.0), (np.arange(160) + 0.3) / 18.2
     add_impacts(rows["accelerometer"], RATE, times, np.full(160, 0.4), np.resize([1, -1], 160))
@@ -111,7 +111,7 @@ def test_a_command_later_than_that_is_counted():
 
 @pytest.mark.parametrize("size", [1000, 5000])
 def test_no_impact_is_lost_where_the_first_command_comes(size):
-    """Scans are held back, their impacts are known before: a second without a command once forgot those after it."""
+    """Scans wait, but their impacts are known at once: the first command must not discard these."""
     rows, times = record(seconds=9.0), (np.arange(160) + 0.3) / 18.2
     add_impacts(rows["accelerometer"], RATE, times, np.full(160, 0.4), np.resize([1, -1], 160))
     found = []
@@ -125,7 +125,7 @@ def test_no_impact_is_lost_where_the_first_command_comes(size):
 
 
 def test_an_impact_just_before_the_end_of_a_window_is_known_when_the_window_is_closed():
-    """At 200 kS/s it is known 30 scans later; without a time to hold back the window was once closed after 16."""
+    """At 200 kS/s, an impact is known 30 scans later, so the window must stay open for longer than 16 scans."""
     rate_hz, frequency_hz = 200_000, 97.0
     rows = record(frequency_hz, 1.05, rate_hz=rate_hz)
     times = (np.arange(200) + 0.999) / (2 * frequency_hz)
@@ -146,7 +146,7 @@ def test_the_time_base_only_shifts_the_stamps(start_ns):
 
 
 def test_stamps_of_a_period_that_is_no_whole_nanosecond_are_followed():
-    """At 25 600 S/s the stamps are rounded down; over a minute that must never look like a lost block."""
+    """At 25,600 S/s, stamps are rounded down; over a minute, this must never look like a lost block."""
     made = tracker(73.0, rate_hz=25_600)
     rows = record(73.0, 6.0, rate_hz=25_600)
     measurements, _ = feed_all(made, blocks(rows, 25_600, 97))
@@ -168,7 +168,7 @@ def test_repeating_a_command_or_label_disturbs_nothing():
 
 
 def test_who_joins_late_takes_scan_0_from_the_calibration():
-    """A rig recalibrated long after its start: windows are counted from its scan 0 all the same."""
+    """If the rig was recalibrated long after its start, windows are still counted from its scan 0."""
     rows = record(seconds=9.0)
     since_s = 3.0
     late = Tracker(QUICK)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The streaming measurement survives every interruption by name: holes, resets, changes."""
+"""The streaming measurement continues after every interruption, and names it: gaps, resets, changes."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_scans_are_added_in_few_steps_and_an_interruption_finds_every_cycle(monk
 
 
 def test_a_window_is_reported_with_the_block_that_completes_it(monkeypatch):
-    """As if each block were added to its cycle at once."""
+    """The result is the same as if each block were added to its cycle at once."""
     found = []
     for add_s in (tracker_module.ADD_S, 0.0):
         monkeypatch.setattr(tracker_module, "ADD_S", add_s)
@@ -89,7 +89,7 @@ def test_a_hole_inside_a_block_is_found():
 
 
 def test_a_hole_at_the_beginning_of_a_block_is_found():
-    """Its scans were once taken for those that are missing: the hole was averaged in, and found at the next block."""
+    """The scans of the block must not be taken for the missing ones: then the gap would be part of the mean."""
     first, second = blocks(record(seconds=13.0), RATE, [12_000, 14_000])
     made = tracker()
     found = made.feed(first).measurements + made.feed(Table(second.stamp_ns, second.rows[100:])).measurements
@@ -103,7 +103,7 @@ def test_a_hole_at_the_beginning_of_a_block_is_found():
 
 @pytest.mark.parametrize("times", ["another_rate", "nan", "backwards", "jitter"])
 def test_scans_that_are_no_runs_are_lost_not_measured(times):
-    """Another rate than daq/info says, or times that are none: counted, and no recursion."""
+    """If the rate differs from daq/info, or times are invalid, scans are counted as lost and not measured."""
     made = tracker()
     rows = record(seconds=1.0)[:200].copy()
     rows["time"] = np.arange(200) / RATE
@@ -137,7 +137,7 @@ def test_a_repeated_block_is_dropped_and_a_jump_back_starts_anew():
 @pytest.mark.parametrize("late", [0, 1, 2])
 @pytest.mark.parametrize("silence_ns", [0, 3_700_000], ids=["seamless", "a_part_of_a_block_dropped"])
 def test_after_a_reset_everything_is_as_in_a_new_record(late, silence_ns):
-    """However late its announcement comes within the time scans are held back."""
+    """The announcement of the reset may arrive at any time within the waiting time of scans."""
     reset_ns = 8 * NS_PER_S + silence_ns
     fresh = record(seconds=6.0, seed=2)
     announcement = Table(reset_ns, info_rows(RATE))
@@ -161,7 +161,7 @@ def test_after_a_reset_everything_is_as_in_a_new_record(late, silence_ns):
 
 @pytest.mark.parametrize("late", [5, 6, 50])
 def test_a_reset_that_is_announced_late_loses_no_scan(late):
-    """Later than scans are held back, those measured already were once called lost, in a row from before the reset."""
+    """If the announcement arrives after the waiting time, scans that are already measured must not count as lost."""
     reset_ns, made, found = 8 * NS_PER_S, tracker(), []
     for table in blocks(record(seconds=8.0), RATE, 20):
         found += made.feed(table).measurements
@@ -200,7 +200,7 @@ def test_a_calibration_that_overtakes_the_scans_after_a_reset_acts_from_its_stam
 
 
 def test_a_calibration_of_a_rig_that_has_run_for_months_is_no_reset():
-    """The seconds since scan 0 are then rounded by more than a nanosecond, and scan 0 once seemed to be another."""
+    """After months, the seconds since scan 0 are rounded by more than a nanosecond; scan 0 is still the same."""
     first = 200 * 86_400 * RATE
     instants = (stamp_ns(first + 16_000 + 20 * k, RATE) for k in range(100))
     changed_ns = next(ns for ns in instants if round(ns / NS_PER_S * NS_PER_S) != ns)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Refusals: a quantity that cannot be measured gets a reason and no number."""
+"""Rejections: a quantity that cannot be measured has a reason and no number."""
 
 from __future__ import annotations
 

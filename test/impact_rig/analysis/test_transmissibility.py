@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""DT of records with a closed form: value, phase and its sign, THD, honest uncertainty, a name for every nonsense."""
+"""DT of records with a closed form: value, phase with sign, THD, uncertainty, and a status for invalid records."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ EXACT_RTOL = 1e-8
 @pytest.mark.parametrize("frequency_hz", PAPER_FREQUENCIES_HZ)
 @pytest.mark.parametrize("rate_hz", [10_000, 25_600])
 def test_noiseless_record_gives_the_closed_form(frequency_hz, rate_hz):
-    """Lag and skew of the channels are taken back exactly."""
+    """Lag and skew of the channels are corrected exactly."""
     info = info_rows(rate_hz)
     found = measure_record(steady_record(frequency_hz, 1.5, rate_hz=rate_hz, noise=0), info, frequency_hz)
     truth = linear_transmissibility(frequency_hz)
@@ -60,7 +60,7 @@ def test_noiseless_record_gives_the_closed_form(frequency_hz, rate_hz):
 
 
 def test_negative_phase_means_the_structure_lags():
-    """At resonance x_1 lags x_b by 90° less a hair; a record that is simply later by a quarter cycle must read −90°."""
+    """At resonance, x_1 lags x_b by slightly less than 90°; a record delayed by a quarter of a cycle must give −90°."""
     info = info_rows(ideal=True)
     rows = steady_record(9.1, 2.0, info=info, noise=0, ratio=np.exp(-0.5j * np.pi))
     later = np.cos(2 * np.pi * 9.1 * rows["time"] + 0.3 - np.pi / 2)
@@ -76,7 +76,7 @@ def test_thd_is_the_overtones_of_x_1_before_the_lag():
 
 
 def test_noise_that_does_not_scatter_the_cycles_counts_as_white():
-    """At a hundred times the drive it is the same in each cycle: all that is left is σ √(2 / N) of each amplitude."""
+    """At a hundred times the drive frequency, noise is the same in each cycle: σ √(2 / N) of each amplitude remains."""
     info = info_rows(ideal=True)
     rows = steady_record(10.0, 3.0, info=info, noise=0)
     peak_m = 1e-6
@@ -159,12 +159,12 @@ def _deviations(gain_u, noise, colour, count, seed=2, lag_u=0.02):
 )
 @pytest.mark.repeats
 def test_reported_uncertainty_covers_the_truth(gain_u, noise, colour, lag_u):
-    """Noise and calibration are drawn 300 times: the errors are as large as stated."""
+    """Noise and calibration are drawn 300 times: the errors agree with the stated uncertainty."""
     assert_covers(_deviations(gain_u, noise, colour, 300, lag_u=lag_u))
 
 
 def test_a_modulated_response_is_measured_from_batches_and_says_so():
-    """Slow 5 % modulation: labelled, its spread reported, the uncertainty far above that of the noise."""
+    """A slow modulation of 5 % is labelled with its spread; the uncertainty is far above that of the noise."""
     rng = np.random.default_rng(3)
     k = 2 * np.pi * 0.437
     ratio = linear_transmissibility(9.2)
@@ -184,7 +184,7 @@ def test_a_modulated_response_is_measured_from_batches_and_says_so():
 
 @pytest.mark.repeats
 def test_batch_means_cover_the_mean_of_a_chaotic_response():
-    """Amplitude driven by noise at cycle scale: the labelled uncertainty covers the true mean, if roughly."""
+    """The amplitude varies like noise from cycle to cycle: the labelled uncertainty roughly covers the true mean."""
     rng = np.random.default_rng(4)
     ratio, rate = linear_transmissibility(9.2), 500
     info = info_rows(rate, gain_u=0.0, ideal=True)
@@ -201,7 +201,7 @@ def test_batch_means_cover_the_mean_of_a_chaotic_response():
 
 
 def nonsense():
-    """Name, scans, frequency, status."""
+    """Invalid records: name, scans, frequency, expected status."""
     rng = np.random.default_rng(5)
     good = steady_record(9.1, 2.0, rng=rng)
 
@@ -291,7 +291,7 @@ def curved(values, c_2, c_3, linearity, half_range):
 
 @pytest.mark.parametrize("amplitude", [1e-5, 2e-3, 6e-3, 9e-3])
 def test_gain_uncertainty_follows_the_curve_of_the_sensor(amplitude):
-    """The fundamental through a sensor of unit c_3, against the closed form; the spread of 1/√6 makes it standard."""
+    """A sine through a sensor with unit c_3, compared with the closed form; 1/√6 makes the spread a standard one."""
     info = info_rows(gain_u=0.0)
     info["linearity"][LASER] = 30e-6
     info["sensitivity_uncertainty"][LASER] = np.hypot(1e-3, 1.5 * 30e-6 / 0.01 / np.sqrt(6))
@@ -339,7 +339,7 @@ def rounded(values, rng, step, noise):
 )
 @pytest.mark.parametrize("amplitude", [6e-6, 50e-6, 1e-3, 5.8e-3])
 def test_what_steps_do_to_a_sine_is_within_two_uncertainties(r, q, noise_r, noise_q, amplitude):
-    """Amplitudes and positions between the steps are random: hardly any error exceeds 2u, and some come close."""
+    """Amplitudes and positions between the steps are random: hardly any error exceeds 2u, and some are close to it."""
     info = info_rows()
     names = ("output_step", "output_noise", "converter_step", "converter_noise")
     info[list(names)][LASER] = 0.0
@@ -370,7 +370,7 @@ def test_phases_that_recur_count_once():
 
 
 def test_a_certificate_without_steps_has_one_ahead_of_which_all_noise_is():
-    """A recording of an earlier version: its `resolution` is the step, blurred by its `noise`."""
+    """A recording of an earlier version has only `resolution`, which is the step, blurred by `noise`."""
     info = info_rows()
     info["resolution"][LASER] = 8e-6
     old = info[[name for name in info.dtype.names if not name.startswith(("output_", "converter_"))]]
@@ -381,7 +381,7 @@ def test_a_certificate_without_steps_has_one_ahead_of_which_all_noise_is():
 
 
 def test_steps_of_another_rig_may_truncate():
-    """Nothing says how they came about: towards zero, an amplitude loses 2/π of a step."""
+    """Nothing states how the steps are made: if they are rounded towards zero, an amplitude loses 2/π of a step."""
     info = info_rows()
     for name in ("output_step", "output_noise", "converter_step", "converter_noise", "noise"):
         info[name][LASER] = 0.0

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The band-pass of random drive against the one of SciPy, and the level of its noise."""
+"""Band-pass filter of the random drive, compared with that of SciPy, and the level of its noise."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Elementary functions against 40 digits: the stated error, over the range they are used in, and at its ends."""
+"""Elementary functions compared with 40 digits: the stated error holds over the range of use and at its ends."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def forty_digits():
 
 
 def worst(function, exact, arguments):
-    """Largest error in units of the last place of the result."""
+    """Return the largest error, in units of the last place of the result."""
     found = 0.0
     for x in arguments:
         value, true = float(function(float(x))), exact(mpmath.mpf(float(x)))

@@ -11,10 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Nothing on the path to a sample or an impact calls what differs between machines: read from sources and library.
+"""Nothing that computes a sample or an impact calls a function that differs between machines: checked in sources and
+library.
 
-Libm, BLAS, LAPACK and NumPy's sums may give other last bits on another machine; powers of floats are libm's pow. What
-is left of them is listed here with the reason why no sample and no impact depends on it.
+Libm, BLAS, LAPACK and NumPy's sums may give other last bits on another machine, and a power of floats calls pow of
+libm. The remaining calls are listed here, with the reason why no sample and no impact depends on them.
 """
 
 from __future__ import annotations
@@ -87,7 +88,7 @@ def imported(node: ast.Import | ast.ImportFrom) -> list[str]:
 
 
 def written_down(node: ast.expr) -> bool:
-    """A number: a power of two such as 2.0**-52 is worked out once, exactly."""
+    """Return whether a node is a constant number; a power of two such as 2.0**-52 is computed once, exactly."""
     return isinstance(node, (ast.Constant, ast.UnaryOp))
 
 
@@ -114,7 +115,7 @@ def offence(node: ast.AST) -> str | None:
 
 
 def offences(tree: ast.AST) -> Iterator[tuple[int, str]]:
-    """Line and name of everything that a machine may do in its own way."""
+    """Return line and name of everything that may differ between machines."""
     for node in ast.walk(tree):
         found = offence(node)
         if found is not None:
@@ -129,7 +130,7 @@ def is_kernel(node: ast.AST) -> bool:
 
 
 def sources() -> Iterator[tuple[str, ast.AST]]:
-    """Name and text of what decides samples and impacts: whole files, and the kernels of all others."""
+    """Return name and text of the code that computes samples and impacts: some files, and the kernels of all others."""
     for path in sorted(ROOT.rglob("*.py")):
         name, tree = path.relative_to(ROOT).as_posix(), ast.parse(path.read_text())
         if name.startswith(tuple(f"{part}/" for part in PARTS)) or name in PARTS:
@@ -152,7 +153,7 @@ def test_nothing_on_the_way_to_a_sample_is_left_to_the_machine() -> None:
 
 @pytest.mark.skipif(kernels.MODE != "library", reason="kernels run otherwise here")
 def test_the_library_calls_nothing_inexact() -> None:
-    """The compiler makes a call of libm out of operators, too: `x ** n` called its pow."""
+    """The compiler also turns operators into calls of libm, such as `x ** n` into pow."""
     command = ["nm", "--dynamic", "--undefined-only", "--format=just-symbols", str(build.FOLDER / build.OUTPUT)]
     listed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     called = {line.partition("@")[0] for line in listed.split()}

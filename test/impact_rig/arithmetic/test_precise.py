@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Numbers of many digits against mpmath, and their independence of the thread's own context."""
+"""Arithmetic with many digits, compared with mpmath; it does not depend on the decimal context of the thread."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The one generator of random numbers: its distribution, its independence of cuts, and the numbers themselves."""
+"""Random number generator: distribution, numbers, and independence of how the calls are divided."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_the_first_numbers_are_what_they_were():
 
 
 def test_bits_are_those_of_the_reference_generator():
-    """xoshiro256++ as its authors wrote it, in integers of Python."""
+    """The bits are those of xoshiro256++ as its authors wrote it, here in Python integers."""
     state = [int(word) for word in np.random.SeedSequence(1).generate_state(4, np.uint64)]
     mask = 2**64 - 1
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The command line speaks for itself: examples, answers to wrong guesses, JSON, 80 columns, plain progress."""
+"""The command line explains itself: examples, suggestions for wrong words, JSON, 80 columns, plain progress."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ NOMINAL = str(config_dir() / "nominal.yaml")
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Twelve seconds without a sphere, and what the live analysis found."""
+    """Run of twelve seconds without a sphere, with the findings of its live analysis."""
     pytest.importorskip("rclpy")  # runs carry the schemas of the messages
     return record(tmp_path_factory.mktemp("runs") / "no_sphere", messages())
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Changes of the interface that break a client; `test/test_generated.py` compares its document with the code."""
+"""Changes of the interface that break a client; `test/test_generated.py` compares the document with the code."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig record`: one run that verifies, with its DT and budget, however it ends."""
+"""`impact-rig record`: one run that can be verified, with its DT and budget, however the command ends."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ RATE = ("--scan-rate", "2000")
 
 
 def check(directory: Path) -> None:
-    """Re-simulate a run and analyse it again: both agree with what was recorded."""
+    """Re-simulate a run and analyse it again: both agree with the recording."""
     with open_run(directory) as run:
         assert verify(run).identical
         found = reanalysis.measurements(reanalysis.analyze(run))

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Text from outside reaches the terminal as text: nothing in it is markup, colour or a command."""
+"""Text from outside appears on the terminal as plain text, never as markup, colour or a control command."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_text_in_tables_and_headings_is_printed_whole() -> None:
 
 @pytest.mark.parametrize("width", [80, 38, 12])
 def test_no_number_in_a_table_loses_its_last_digits(width: int) -> None:
-    """9.105 Hz cut to 9.10 would be another frequency."""
+    """If 9.105 Hz were cut to 9.10, it would be another frequency."""
     console = Console()
     console.file, console.width = io.StringIO(), width
     table = TextTable(left=("what",), right=("f [Hz]", "DT", "u(DT)", "phase [deg]", "gap [mm]"))
@@ -76,7 +76,7 @@ def test_no_number_in_a_table_loses_its_last_digits(width: int) -> None:
 
 @pytest.mark.parametrize("width", [80, 38, 12])
 def test_a_verdict_without_a_heading_is_not_taken_apart(width: int) -> None:
-    """It once stood there letter below letter, or not at all."""
+    """A column without a heading must not be so narrow that its text is split into letters, or missing."""
     console = Console()
     console.file, console.width = io.StringIO(), width
     table = TextTable(right=("frequency [Hz]", "DT measured", "± 2u", "DT model", "off [u]"), last=("",))
@@ -106,7 +106,7 @@ def test_the_name_of_a_file_is_printed_whole(
 
 
 def test_there_is_one_way_to_the_terminal() -> None:
-    """A module that imports rich's own console, or its columns that parse markup, bypasses ours."""
+    """A module that imports rich's own console, or its columns that parse markup, would bypass ours."""
     for path in CLI.glob("*.py"):
         if path.name == "terminal.py":
             continue

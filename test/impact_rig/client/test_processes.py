@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The testing kit itself: isolation, clear words about dead processes, nothing left running."""
+"""The testing kit itself: isolation, clear messages about dead processes, no process left running."""
 
 from __future__ import annotations
 
@@ -84,19 +84,19 @@ def test_ports_of_killed_processes_are_removed_and_those_in_use_are_not(tmp_path
     ],
 )
 def test_parameters_are_written_as_ros_reads_them(value: object, text: str) -> None:
-    """A number of numpy, a float as well, once came as the text `np.float64(0.004)`, which no node took."""
+    """A number of NumPy must not become the text `np.float64(0.004)`, which no node accepts."""
     assert _yaml(value) == text
 
 
 @pytest.fixture
 def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A place for small modules that `Processes` can start instead of nodes."""
+    """Return a function that makes small modules, which `Processes` can start instead of nodes."""
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     return tmp_path
 
 
 def test_a_name_that_is_none_takes_no_process_out_of_the_end(module: Path) -> None:
-    """Those named before it were forgotten, and ran on."""
+    """If a name is unknown, the processes named before it must still be stopped."""
     (module / "sleeps.py").write_text("import time\ntime.sleep(60)\n")
     with Processes(1, module / "logs") as processes:
         process = processes.start("sleeps")

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Waiting: only the time in which nothing could happen counts."""
+"""Waiting: only the time in which something could happen counts."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ ROOT = Path(__file__).parents[3]
 
 
 class Worker:
-    """An executor whose callback takes its time, like a hosted node that compiles."""
+    """Executor whose callback takes long, like a hosted node that compiles."""
 
     def __init__(self, works_s: float) -> None:
         self._works_s = works_s
@@ -59,7 +59,7 @@ def run_pytest(tmp_path: Path, source: str, *options: str) -> subprocess.Complet
 
 @pytest.mark.ros
 def test_a_client_works_where_pytest_captures_what_is_printed(tmp_path: Path) -> None:
-    """Under `pytest -s` with `capsys` there is no file behind sys.stderr."""
+    """Under `pytest -s` with `capsys`, sys.stderr has no file."""
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     done = run_pytest(
         tmp_path,
@@ -127,7 +127,7 @@ def test_a_rig_that_the_user_has_seen_start_is_the_one_that_is_meant() -> None:
 
 
 def test_a_command_given_at_once_belongs_to_the_rig_that_is_there() -> None:
-    """A client that was quicker than the window of outdated diagnostics took the successor for its rig, and waited."""
+    """A quick client must not take the successor for its rig because outdated diagnostics are ignored for a while."""
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     from impact_rig.client.client import Activation, RigGoneError
 
@@ -146,7 +146,7 @@ def test_a_command_given_at_once_belongs_to_the_rig_that_is_there() -> None:
 
 @pytest.mark.ros
 def test_a_rig_outside_of_the_namespace_is_another_one() -> None:
-    """Before, `/rig` was mistaken for `/here/rig`, and its commands were reported as lost with a rig that is gone."""
+    """`/rig` must not be taken for `/here/rig`; then its commands would be reported as lost with a rig that is gone."""
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
@@ -173,7 +173,7 @@ def test_a_rig_outside_of_the_namespace_is_another_one() -> None:
 
 @pytest.mark.ros
 def test_a_list_is_emptied_as_an_empty_list() -> None:
-    """ROS 2 cannot tell of which type an empty list is: the rig wanted strings and was given bytes."""
+    """ROS 2 cannot state the type of an empty list: the rig expects strings, and rclpy would send bytes."""
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     from kits.nodes import host_rig
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Scripts for NI's `nidaqmx` package, the real one, on the rig."""
+"""Scripts for the real `nidaqmx` package of NI, run against the rig."""
 
 from __future__ import annotations
 
@@ -60,14 +60,14 @@ MakeTask = Callable[[], Any]
 
 @pytest.fixture
 def address() -> Iterator[str]:
-    """Host and port of a board of ideal instruments."""
+    """Host and port of a board with ideal instruments."""
     with serving(Board(from_flat(RigConfig(), IDEAL)), "127.0.0.1:0") as (_, port):
         yield f"127.0.0.1:{port}"
 
 
 @pytest.fixture
 def task(address: str) -> Iterator[MakeTask]:
-    """A function that makes a task; all are closed after the test."""
+    """Return a function that makes tasks; all tasks are closed after the test."""
     with grpc.insecure_channel(address) as channel:
         made: list[Any] = []
 
@@ -107,7 +107,7 @@ def test_finite_input_of_all_channels(task: MakeTask) -> None:
 
 
 def read_all(ai: Any, most: int) -> int:
-    """Read without a number of samples, which the package does for no task, and return how many were read."""
+    """Read without a number of samples, which the package itself never does, and return how many were read."""
     values = np.zeros((1, most))
     return int(ai._interpreter.read_analog_f64(ai._handle, -1, 10.0, FillMode.GROUP_BY_CHANNEL.value, values)[1])
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Output and acquisition of a rig: each alone, in threads, in processes, and in the words of DAQ libraries."""
+"""Output and acquisition of a rig: each alone, in threads, in processes, and used like DAQ libraries."""
 
 from __future__ import annotations
 
@@ -228,7 +228,7 @@ def test_an_output_alone_keeps_nothing_of_what_the_rig_publishes() -> None:
 
 @pytest.fixture(params=["local", pytest.param("ros", marks=pytest.mark.ros)])
 def shared(request: pytest.FixtureRequest) -> Iterator[RigDriver]:
-    """A rig that two threads share: in this process, and in real time behind topics."""
+    """Rig that two threads share, in this process or in real time over topics."""
     if request.param == "local":
         yield LocalRig(STREAM)
         return

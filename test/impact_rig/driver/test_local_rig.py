@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A rig in the test's process: inputs at exact samples, waiting in rig time, comparison, and the run that is left."""
+"""Rig in the test's process: inputs at exact samples, waits in rig time, comparison, and the saved run."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_a_rig_starts_again_at_scan_0_with_everything_at_rest() -> None:
 
 
 def test_faults_begin_and_end_at_their_samples_planned_or_injected() -> None:
-    """Odd numbers on purpose: a fault need not begin with a block."""
+    """The numbers are odd on purpose: a fault need not begin with a block."""
     planned = Fault(kind="saturation", channel="laser", start_sample=4003, samples=17, value=1e-6)
     rig = LocalRig({**LINEAR, "drive.amplitude": 0.2}, [planned])
     rig.run(0.1)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A rig that a program drives does the same in this process and behind topics: the same calls, the same samples."""
+"""A rig driver does the same in this process and over topics: the same calls give the same samples."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Start = Callable[..., RigDriver]
 
 @pytest.fixture(params=["local", pytest.param("ros", marks=pytest.mark.ros)])
 def start(request: pytest.FixtureRequest) -> Iterator[Start]:
-    """A function that starts a rig, in this process or behind topics."""
+    """Return a function that starts a rig, in this process or over topics."""
     started: list[RigDriver] = []
 
     def begin(*args: Any, **kwargs: Any) -> RigDriver:

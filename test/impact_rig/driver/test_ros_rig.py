@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A rig on a domain of its own, in lockstep with nodes under test: hosted, answering, or acknowledging themselves."""
+"""Rig on its own ROS domain, in lockstep with nodes under test: hosted, answering, or acknowledging by themselves."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class Answerer(Node):
 
 
 class Acknowledger(Node):
-    """Sends `daq/ack` itself."""
+    """Node that sends `daq/ack` itself."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("acknowledger", **kwargs)
@@ -87,7 +87,7 @@ def rig() -> Iterator[RosRig]:
 
 
 def test_it_gives_the_samples_of_the_rig_without_ros(rig: RosRig) -> None:
-    """Both forms, one rig: a test may move from one to the other."""
+    """Both drivers of one rig give equal samples, so a test may change from one to the other."""
     node = rig.host(Counter)
     virtual = LocalRig(LINEAR, [LOST])
     for each in (rig, virtual):
@@ -118,7 +118,7 @@ def test_a_node_can_answer_or_acknowledge_and_is_named_when_it_falls_silent(rig:
 
 
 def test_no_blocks_and_blocks_set_by_parameter_are_stepped_as_asked_for(rig: RosRig) -> None:
-    """No time at all was refused; once `step.blocks` was set, a step took that many blocks, whatever was asked for."""
+    """A time of zero is valid; with `step.blocks` set, a step still takes the number of blocks that it is asked for."""
     rig.run(0.0)
     rig.configure({"step.blocks": 3})
     rig.step(1)
@@ -128,7 +128,7 @@ def test_no_blocks_and_blocks_set_by_parameter_are_stepped_as_asked_for(rig: Ros
 
 
 def test_an_injected_fault_is_told_at_the_scan_it_acts_on(rig: RosRig) -> None:
-    """A report once gave its start counted from the instant of the injection."""
+    """The time of an injected fault in reports counts from scan 0, not from the injection."""
     rig.step(10)
     fault = Fault(kind="offset_step", channel="laser", start_sample=1200, value=1e-3)
     rig.inject(fault)
@@ -137,7 +137,7 @@ def test_an_injected_fault_is_told_at_the_scan_it_acts_on(rig: RosRig) -> None:
 
 
 def test_a_running_rig_takes_changes_and_faults_and_has_its_own_analysis(rig: RosRig) -> None:
-    """As docs/how-to/testing.md says it is done through topics; without ROS it is `configure` and `inject`."""
+    """Over topics, it is done as docs/how-to/testing.md says; without ROS, by `configure` and `inject`."""
     rig.processes.start("analysis")
     assert rig.follow("analysis") is None, "it acknowledges by itself"
     acknowledged = rig.listen("daq/ack")
@@ -163,7 +163,7 @@ def test_a_node_that_does_not_listen_cannot_be_in_lockstep(rig: RosRig) -> None:
 
 @pytest.mark.pipeline
 def test_processes_die_with_their_last_words_and_leave_a_whole_run(tmp_path: Path) -> None:
-    """The run saved from real processes, after the rig was killed, is still proved bit for bit."""
+    """The run saved from real processes after the rig was killed is still verified bit for bit."""
     rig = RosRig({"barriers.gap_m": 0.002}, record=True)
     try:
         rig.command(frequency_hz=9.1, current_a=0.52, at_sample=500)
@@ -183,7 +183,7 @@ def test_processes_die_with_their_last_words_and_leave_a_whole_run(tmp_path: Pat
 
 
 def test_a_rig_that_cannot_be_built_says_so_at_once(tmp_path: Path) -> None:
-    """Its configuration is sound, its file is not there: only the node finds out."""
+    """Its configuration is valid, but a file is missing: only the node can find this out."""
     with isolated_domain() as domain_id, Client(domain_id) as client:
         client.host(RigNode, parameter_overrides=[Parameter("config_file", value=str(tmp_path / "none.yaml"))])
         with pytest.raises(ServiceFailedError, match=r"rig: cannot configure: cannot read configuration: .*none\.yaml"):
@@ -219,7 +219,7 @@ def test_a_peer_that_hangs(ros_rig):
 
 
 def test_every_failure_leaves_a_recording_and_its_properties(tmp_path: Path) -> None:
-    """Also where a hosted node raises, or a peer hangs: then what had come."""
+    """This also holds if a hosted node raises, or a peer hangs: then the run contains what had arrived."""
     (tmp_path / "test_failing.py").write_text(FAILING, encoding="utf-8")
     runs, junit = tmp_path / "runs", tmp_path / "junit.xml"
     command = [sys.executable, "-m", "pytest", "-q", "-p", PLUGIN, "-p", "no:cacheprovider", "-n", "0"]
@@ -250,7 +250,7 @@ def test_what_is_printed(ros_rig, capsys):
     "option", ["-s", *(pytest.param(o, marks=pytest.mark.slow) for o in ("--capture=sys", "--capture=fd"))]
 )
 def test_a_test_may_use_capsys_however_pytest_captures(tmp_path: Path, option: str) -> None:
-    """A bug once: with `-s` the executor found no file behind sys.stderr, `UnsupportedOperation: fileno`."""
+    """With `-s`, sys.stderr has no file, so the events executor would raise `UnsupportedOperation: fileno`."""
     (tmp_path / "test_capsys.py").write_text(WITH_CAPSYS, encoding="utf-8")
     command = [sys.executable, "-m", "pytest", "-q", "-p", PLUGIN, "-p", "no:cacheprovider", option, str(tmp_path)]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=250)

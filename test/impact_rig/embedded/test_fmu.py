@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A rig without Python gives the bits of the rig in Python: as a co-simulation unit, driven by FMPy."""
+"""A rig without Python gives the bits of the rig in Python, as a co-simulation unit driven by FMPy."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ CHANGES: list[dict[str, Any]] = [
 
 
 class Native:
-    """The rig in Python, read as a unit is: the motion at the end of a step, and the newest readings."""
+    """Rig in Python, read like a unit: the motion at the end of a step, and the newest readings."""
 
     def __init__(self, config: RigConfig) -> None:
         self.rig = Rig(config)
@@ -78,7 +78,7 @@ class Native:
 
 
 class Unit:
-    """An instance of a co-simulation unit of either version."""
+    """Instance of a co-simulation unit of either version."""
 
     def __init__(self, path: Path, folder: Path) -> None:
         description = fmpy.read_model_description(str(path))
@@ -140,7 +140,7 @@ def test_the_names_of_the_outputs(path: Path) -> None:
 
 @pytest.mark.parametrize("ticks", [1, 5, 50])
 def test_it_gives_the_bits_of_the_rig(unit: Unit, ticks: int) -> None:
-    """With a change of the current on the way."""
+    """The current changes during the run."""
     native = Native(RigConfig())
     unit.set(1, 9.1)
     for current, steps in ((0.52, 100 // ticks), (0.3, 50 // ticks)):
@@ -215,21 +215,21 @@ def of_samples(rate_hz: int, hold: str, **changes: Any) -> RigConfig:
 
 
 def drive_of(rate_hz: int, count: int) -> list[float]:
-    """Return samples of two sines, strong enough for impacts."""
+    """Return samples of two sines that are strong enough for impacts."""
     t = np.arange(count) / rate_hz
     found: list[float] = (0.5 * np.sin(2 * np.pi * 9.1 * t) + 0.1 * np.sin(2 * np.pi * 31.7 * t + 1.0)).tolist()
     return found
 
 
 def begin(unit: Unit, first: float) -> None:
-    """Give the sample at time 0, from which the first line goes."""
+    """Set the sample at time 0, from which the first straight line begins."""
     unit.set(2, first)
     unit.fmu.exitInitializationMode()
     unit.ready = True
 
 
 def motions_of(native: Native, tick: int) -> dict[int, list[float]]:
-    """Return the motion of the last tick where each segment of the drive ends, by time [ns], from what is before it."""
+    """Return the motion of the last tick at the end of each segment of the drive, by time [ns]."""
     model, found, _ = native.motion.sampled
     tick_s = native.rig._generator._tick_s
     at = {}
@@ -248,7 +248,7 @@ def motions_of(native: Native, tick: int) -> dict[int, list[float]]:
 def test_samples_give_the_bits_of_a_rig_fed_with_them(
     rate_hz: int, seconds: float, version: str, hold: str, tmp_path: Path
 ) -> None:
-    """Motion and impacts at the end of each step, and the newest reading that all channels have converted by then."""
+    """Compare motion and impacts at the end of each step, and the newest readings that are complete by then."""
     config, steps, ahead = of_samples(rate_hz, hold), round(rate_hz * seconds), hold == "first_order"
     values = drive_of(rate_hz, steps + rate_hz // 50)
     native = Native(config)
@@ -276,7 +276,7 @@ def test_samples_give_the_bits_of_a_rig_fed_with_them(
 
 @pytest.mark.parametrize("version", VERSIONS)
 def test_a_state_between_ticks_gives_the_same_future(version: str, tmp_path: Path) -> None:
-    """Steps of uneven lengths; some states lie within a contact, whose readings are not complete yet."""
+    """Steps have uneven lengths; some states lie within a contact, whose readings are not complete yet."""
     config = of_samples(10_000, "first_order", **{"barriers.gap_m": 0.002})
     write_fmu(config, tmp_path / "rig.fmu", version)
     unit, other = (Unit(tmp_path / "rig.fmu", tmp_path / f"unpacked_{i}") for i in range(2))

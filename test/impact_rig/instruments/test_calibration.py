@@ -30,7 +30,7 @@ SEEDS = 400
 
 
 def quiet(seed, **changes):
-    """No noise and steps, but all calibration errors."""
+    """Configuration without noise and steps, but with all calibration errors."""
     return configured(
         1_000,
         seed=seed,
@@ -46,7 +46,7 @@ def quiet(seed, **changes):
 
 
 def curve(sensor, errors, values):
-    """Return departure from a straight line, in units, of a static reading."""
+    """Return the departure of static readings from a straight line, in units of the channel."""
     channel, volts = with_fields(np.zeros(1, conversion.CHANNEL)), values.copy()
     conversion.set_output(channel, attrs.evolve(sensor, noise=0.0), errors, 1e-4)
     conversion.to_volts(channel[0], volts, np.zeros(len(values), np.bool_), np.zeros(len(values)))
@@ -82,7 +82,7 @@ def test_errors_fill_their_tolerances():
 
 @pytest.mark.repeats
 def test_certificate_covers_gain_and_zero_of_many_rigs():
-    """Small sines about zero, on many rigs: mean and spread of gain and zero are those of the certificate."""
+    """Small sines about zero, on many rigs: mean and spread of gain and zero agree with the certificate."""
     frequency = 10.0
     peaks = {"accelerometer": 10.0, "laser": 1e-4, "base": 1e-4, "current": 0.1}
     motion = AnalyticMotion(

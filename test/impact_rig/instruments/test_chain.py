@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The chain as a whole: nothing depends on how it is called, seeds change what they should, reset starts over."""
+"""The complete chain: readings do not depend on how calls are divided, seeds change them, a reset starts again."""
 
 import attrs
 import numpy as np
@@ -33,7 +33,7 @@ TICKS = 30
 
 
 def lively_motion(**kwargs):
-    """All quantities move, with contacts inside ticks and across one."""
+    """Motion in which all quantities change, with contacts within ticks and across one."""
     contacts = [(0.0523456, 42e-6), (0.10999, 36e-6), (0.2, 60e-6), (0.21, 90e-6)]
     forces = [hertz_pulse(start, duration, 60.0) for start, duration in contacts]
     return AnalyticMotion(
@@ -158,7 +158,7 @@ def test_changed_instruments_leave_the_others_alone():
 
 
 def test_clock_error_scales_the_physics_beneath():
-    """100 ppm fast: in a tick of DAQ time a little less of the motion passes, so its frequency reads lower."""
+    """If the clock is 100 ppm fast, a tick of DAQ time covers less of the motion, so its frequency reads lower."""
     tick_s = 0.01 * (1 - 100e-6)
     config = configured(10_000, exact=True)
     chain = Chain(config)
@@ -192,7 +192,7 @@ def test_ideal_instruments_read_the_motion_itself():
 
 @pytest.mark.parametrize("ticks", [3, 53])
 def test_every_channel_of_instruments_made_ideal_reads_each_scan_once(ticks):
-    """A bug once: a channel whose conversion lay beyond the tick's end lost it, and was a scan behind for good."""
+    """A channel whose conversion lies beyond the end of a tick must not miss it, or it stays one scan behind."""
     config = configured(1234)
     chain, motion = Chain(config), lively_motion()
     chain.acquire(motion, 0, ticks)
@@ -212,7 +212,7 @@ def test_every_channel_of_instruments_made_ideal_reads_each_scan_once(ticks):
 
 @pytest.mark.parametrize("change", [{"adc.multiplexed": False}, {"adc.conversion_ns": 1000}], ids=["one", "sooner"])
 def test_a_scan_that_a_smaller_skew_puts_into_the_past_delays_no_other(change):
-    """A bug once: it was made at the tick's start, and all others of that piece came as much too late as it did."""
+    """If a scan is in the past after the change, it must not delay the others of that piece."""
     config = configured(1234, exact=True, base__bandwidth_hz=1e5)
     then = from_flat(config, {f"instruments.{name}": value for name, value in change.items()})
     motion, chain, twin = AnalyticMotion(x_b=sine(20.0, 10e-3)), Chain(config), Chain(then)
@@ -263,7 +263,7 @@ def test_calibration_sine_replaces_one_channel_for_a_while():
 
 @pytest.mark.parametrize("ideal", [True, False])
 def test_a_calibration_sine_goes_on_where_the_scan_clock_begins_to_err(ideal):
-    """Its phase once jumped by what the new length of a tick makes of all ticks since it began: by half a turn here."""
+    """The phase must not jump, as it would if the new length of a tick were applied to all ticks so far."""
     config = configured(10_000, exact=True)
     config = attrs.evolve(config, instruments=attrs.evolve(config.instruments, ideal=ideal))
     chain = Chain(config)
@@ -276,7 +276,7 @@ def test_a_calibration_sine_goes_on_where_the_scan_clock_begins_to_err(ideal):
 
 
 def test_memory_is_bounded():
-    """Only what has not been read is kept."""
+    """Only data that have not been read are kept."""
     chain = Chain(configured(10_000))
     handed_out = 0
 

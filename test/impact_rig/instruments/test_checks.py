@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The known-input check passes every sound rig and finds what is broken."""
+"""The check with a known input passes every sound rig, and finds faulty channels."""
 
 import pytest
 from kits.instruments import configured

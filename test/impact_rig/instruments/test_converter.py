@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The converter: steps, clipping, flags, ranges, and what it cannot do."""
+"""Converter: steps, clipping, flags, ranges, and limits of its rate."""
 
 import numpy as np
 import pytest
@@ -124,7 +124,7 @@ def test_inverted_wiring_turns_the_sign():
 
 
 def test_exact_means_exact():
-    """Every error of the instruments has a switch in the kit; the other tests rely on it."""
+    """Every error of the instruments has a switch in the kit, on which the other tests rely."""
     tolerances = [name for name, value in EXACT.items() if value == 0]
     assert len(tolerances) == 18
     for sensor in sensors(configured(exact=True)):

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Faults on demand: each does what it says, where it says, and is written down."""
+"""Injected faults: each has its described effect at its time and channel, and is recorded."""
 
 import attrs
 import numpy as np
@@ -33,7 +33,7 @@ MOTION = AnalyticMotion(x_1=sine(9.1, 5e-3), x_b=sine(9.1, 1e-3), current=sine(9
 
 
 def with_fault(kind, channel="laser", seconds=0.1, **fault):
-    """Return (scans with, scans without the fault), of the same rig with all its noise."""
+    """Return scans with the fault and scans without it, of the same rig with all its noise."""
     config = configured(10_000)
     chain = Chain(config)
     chain.inject(Fault(kind=kind, channel=channel, start_sample=START, samples=DURATION, **fault))
@@ -147,7 +147,7 @@ def test_clock_drift_adds_up():
 
 
 def test_a_scan_clock_never_stands_nor_runs_backwards():
-    """A bug once: a drift of -2e6 ppm gave ticks of negative length and ended the rig, -1e6 ones that brought none."""
+    """A drift of -1e6 ppm would stop the clock, and a larger one give ticks of negative length."""
     chain = Chain(configured(10_000))
     for _ in range(3):
         chain.inject(Fault(kind="clock_drift", value=-4e5))

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Noise: variance and spectrum of every channel against the specification; bounds follow from the sample size."""
+"""Noise: variance and spectrum of every channel compared with the specification; the sample size gives the bounds."""
 
 import math
 
@@ -30,7 +30,7 @@ N = 200_000
 
 
 def expected_spectrum(sensor, adc, rate_hz, frequency_hz):
-    """One-sided density of first-order noise, sampled, on top of the converter's white noise [unit²/Hz]."""
+    """One-sided density of sampled first-order noise, in addition to the white noise of the converter [unit²/Hz]."""
     memory = math.exp(-2 * math.pi * sensor.bandwidth_hz / rate_hz)
     shape = (1 - memory**2) / (1 - 2 * memory * np.cos(2 * np.pi * frequency_hz / rate_hz) + memory**2)
     white = (converter_noise_v(sensor, adc) ** 2 + lsb_v(sensor, adc) ** 2 / 12) / sensor.volt_per_unit**2

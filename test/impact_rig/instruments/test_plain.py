@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The kernels of instruments, drive and cycles are ordinary Python as well, and give the same bits."""
+"""The kernels of instruments, drive and cycles also run as ordinary Python, and give the same bits."""
 
 from __future__ import annotations
 

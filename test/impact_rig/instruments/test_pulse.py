@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A contact of 40 µs must come through the accelerometer as its transfer function says, at any scan rate."""
+"""A contact of 40 µs passes the accelerometer according to its transfer function, at any scan rate."""
 
 import numpy as np
 import pytest
@@ -84,7 +84,7 @@ def test_pulses_of_the_simulated_rig_agree_with_its_true_acceleration(rate_hz):
 
 
 def test_pulse_keeps_its_impulse_whatever_the_rate():
-    """The area of a pulse is the velocity it gives to the structure, less what the 1 Hz high-pass takes."""
+    """The area of a pulse is the change of the structure's velocity, reduced by the 1 Hz high-pass."""
     force = hertz_pulse(0.0123, 42e-6, 60.5)
     motion = AnalyticMotion(steps_of(0.0123, 42e-6), a_1=lambda t: force(t) / MASS_KG)
     scans = measured(Chain(configured(200_000, exact=True)), motion, 0.02)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Step and frequency responses of every channel against their transfer functions, and the skew that a sine shows."""
+"""Step and frequency responses of every channel compared with their transfer functions, and the skew in a sine."""
 
 import numpy as np
 import pytest
@@ -87,7 +87,7 @@ def test_displacements_start_settled_and_the_accelerometer_at_rest():
 
 
 def test_anti_alias_filter_removes_what_would_fold():
-    """The 25 kHz ringing after a blow folds into a 10 kS/s record: a corner at 1 kHz takes it out."""
+    """The 25 kHz ringing after a blow would alias at 10 kS/s: a corner at 1 kHz removes it."""
     quiet = {}
     for choice in ("none", "butterworth"):
         config = configured(10_000, exact=True, adc__anti_alias=choice, adc__anti_alias_hz=1000.0)

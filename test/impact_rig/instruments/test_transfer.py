@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Partial fractions against the transfer functions they stand for, and a mode's answer against quadrature."""
+"""Partial fractions compared with their transfer functions, and the response of a mode compared with quadrature."""
 
 import numpy as np
 import pytest

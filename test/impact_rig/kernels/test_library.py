@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The library of compiled kernels: it is what runs, it belongs to these sources, and a wrong type calls nothing.
+"""Library of compiled kernels: it is used, it belongs to these sources, and a call with a wrong type is rejected.
 
-That its bits are those of Numba's own compiler and of plain Python is in test_digests.py.
+That its bits are those of Numba's own compiler and of plain Python is tested in test_digests.py.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def test_a_rig_runs_without_numba() -> None:
 
 @needs_library
 def test_a_cache_of_numba_is_neither_cleaned_up_nor_read(tmp_path: Path) -> None:
-    """A bug once: of all directories `compiled-*` there, the user's own among them, any start deleted all but six."""
+    """A start must not delete other directories named `compiled-*` there, which may be the user's own."""
     theirs = [tmp_path / f"compiled-thesis-{number}" / "data.nbi" for number in range(1, 10)]
     for number, file in enumerate(theirs):
         file.parent.mkdir()
@@ -109,7 +109,7 @@ def test_a_cache_of_numba_is_neither_cleaned_up_nor_read(tmp_path: Path) -> None
 
 @needs_library
 def test_a_law_from_elsewhere_runs_compiled_by_numba_or_as_plain_python() -> None:
-    """The same force as the package's own: the same bits, whichever way it is called."""
+    """The same force as in the package gives the same bits, compiled or as plain Python."""
     _, ours, _ = run(ms=500)
     assert run(law=OWN_LAW, ms=500)[:2] == ["library", ours]
     blocked = f"{NO_NUMBA_FOUND}{WITHOUT_NUMBA}"
@@ -121,7 +121,7 @@ def test_a_law_from_elsewhere_runs_compiled_by_numba_or_as_plain_python() -> Non
 @needs_library
 @pytest.mark.parametrize("found", ["", f"{NO_NUMBA_FOUND}{WITHOUT_NUMBA}"], ids=["numba", "plain"])
 def test_a_law_that_raises_ends_the_run(found: str) -> None:
-    """Each call printed a traceback, up to 31,000 lines, and on ARM the run never ended."""
+    """An exception in a law must end the run at once, with one message, on every processor."""
     raising = OWN_LAW.replace("    hertz = ", "    if w > 1e-4:\\n        raise ValueError('too deep')\\n    hertz = ")
     program = RIG.format(before=found, law=raising.replace("\\n", "\n"), ms=500)
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
@@ -148,13 +148,13 @@ def test_a_library_of_other_sources_is_not_loaded_and_says_so(
 @needs_library
 @pytest.mark.parametrize("kept", [0.0, 0.05, 0.5, 0.999])
 def test_a_library_that_was_cut_off_costs_one_line(tmp_path: Path, kept: float) -> None:
-    """The system's loader maps what is not there: the process once ended with SIGBUS."""
+    """The system's loader maps pages that do not exist, so the process would end with SIGBUS."""
     whole = next(kernels.PACKAGE.glob("kernels/_library*.so")).read_bytes()
     end_with_one_line(tmp_path, whole[: int(kept * len(whole))])
 
 
 def test_a_library_that_cannot_be_loaded_costs_one_line(tmp_path: Path) -> None:
-    """That of another machine ended every import of the package."""
+    """A library for another machine must not prevent the import of the package."""
     end_with_one_line(tmp_path, b"\x7fELF, and no more")
 
 
@@ -195,7 +195,7 @@ def test_the_cpu_follows_from_the_machine() -> None:
     ],
 )
 def test_what_was_not_built_is_refused(call: object, words: str) -> None:
-    """Nothing is called with a type it was not made for: a wrong one would write where it must not."""
+    """No kernel is called with a type it was not compiled for: it would write to wrong addresses."""
     with pytest.raises((TypeError, AttributeError), match=words):
         call()
 
@@ -222,7 +222,7 @@ def test_an_unknown_way_to_run_kernels_is_named(asked: str) -> None:
 
 @needs_library
 def test_a_c_program_simulates_the_same_bits(tmp_path: Path) -> None:
-    """Ten seconds by examples/c, without Python, beside the same ten by `Simulation`."""
+    """Ten seconds by examples/c, without Python, compared with the same ten seconds of `Simulation`."""
     if not shutil.which("cc"):
         pytest.skip("no C compiler here")
     example, folder = ROOT / "examples" / "c", Path(kernels.__file__).parent
@@ -254,7 +254,7 @@ def test_the_words_of_the_header_are_those_of_the_kernels() -> None:
 
 @needs_library
 def test_the_header_says_of_each_record_what_its_own_fields_mean() -> None:
-    """A field once carried what a field of the same name in another record of its module means; some had none."""
+    """Each field has the description of its own record, even if another record has a field of the same name."""
     text = (Path(kernels.__file__).parent / "impact_rig.h").read_text(encoding="utf-8")
     flight = text.partition("} ir_flight;")[0].rpartition("typedef struct")[2]
     assert "double y[5]; /* structural state where `structure_at` evaluated it last" in flight

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The kernels on other machines: what the compiler emits for them."""
+"""Kernels for other machines: properties of the code that the compiler emits."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def translated() -> Path:
 
 @pytest.mark.parametrize("part", build.PARTS)
 def test_aarch64_neither_contracts_nor_calls_soft_floats(translated: Path, part: str) -> None:
-    """LLVM took the name of an x86-64 CPU, ignored it there and emitted calls of `__muldf3`."""
+    """The name of an x86-64 CPU must not reach LLVM here: it would ignore it and emit calls of `__muldf3`."""
     from impact_rig.kernels.emit import emit  # needs LLVM
 
     text = emit(translated / f"{part}.bc", "aarch64")[1]
@@ -96,7 +96,7 @@ def test_a_build_that_is_not_possible_names_the_remedy(tmp_path: Path, monkeypat
 
 
 def test_webassembly_gives_the_committed_bits(translated: Path, tmp_path: Path) -> None:
-    """The short runs, their kernels in wasmtime; `make portability` compares all runs."""
+    """Short runs, with their kernels in wasmtime; `make portability` compares all runs."""
     pytest.importorskip("wasmtime", reason="pip install wasmtime")
     pytest.importorskip("ziglang", reason="pip install ziglang")
     from impact_rig.embedded.wasm import build_wasm  # needs LLVM
