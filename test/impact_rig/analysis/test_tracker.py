@@ -112,7 +112,7 @@ def test_the_bound_of_waiting_is_kept_and_named():
 
 
 def test_windows_that_were_thrown_away_are_no_wait():
-    """If a channel is over range for longer than the time limit, the next 8 windows must not be reported as they are."""
+    """If a channel is over range for longer than the limit, the next 8 windows must not be reported as they are."""
     truth = linear_transmissibility(9.1)
     rows = record(seconds=50.0, transient=lambda t: truth * (1 + 0.05 * np.sin(3.3 * t) + 0.03 * np.sin(1.3 * t)))
     rows["status"][: 26 * RATE] = 2

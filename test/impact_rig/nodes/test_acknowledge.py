@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Readers acknowledge: a block alone at once, those of a burst together, nothing that the promise does not hold for."""
+"""Readers acknowledge a single block at once and the blocks of a burst together, and never a block that is not safe."""
 
 from __future__ import annotations
 

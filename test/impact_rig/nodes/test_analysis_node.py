@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The analysis node gives what `Tracker` gives, and acknowledges every block."""
+"""The analysis node gives the results of `Tracker`, and acknowledges every block."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_rows_are_those_of_the_tracker_bit_for_bit(client: Client) -> None:
 
 @pytest.mark.parametrize("last_s", [math.nan, math.inf, 1e300])
 def test_a_time_that_is_none_is_a_status_and_the_block_is_acknowledged(client: Client, last_s: float) -> None:
-    """A rig that waits for the analysis must not stand still because of what it has measured."""
+    """A rig that waits for the analysis must not stand still because of invalid scans."""
     node = client.host(AnalysisNode)
     client.wait_active("analysis")
     acknowledged = client.collect("daq/ack")
@@ -87,7 +87,7 @@ def test_a_time_that_is_none_is_a_status_and_the_block_is_acknowledged(client: C
 def test_blocks_are_acknowledged_after_a_deactivation_that_failed(
     client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Blocks of real time are acknowledged again, although the timer ended with the activation."""
+    """Blocks in real time are acknowledged again, although the timer ended with the failed deactivation."""
     client.host(AnalysisNode)
     host_rig(client, "realtime")
     client.wait_active("rig", "analysis")

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Monitor messages look right in a plotter: REP-103, REP-117, REP-145, stamps by the rule."""
+"""Monitor messages fit for a plotter: REP-103, REP-117, REP-145, and stamps by the rule."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def test_monitor_values_are_the_scans_around_their_stamp_low_passed(default) -> 
 
 
 def test_a_monitor_passes_the_vibration_and_folds_nothing_into_it() -> None:
-    """At 50 Hz, 9.1 Hz keep amplitude and phase; 41 Hz and a chatter at 109 Hz would be seen as 9 Hz, and are not."""
+    """At 50 Hz, a vibration of 9.1 Hz keeps amplitude and phase; 41 Hz and chatter at 109 Hz must not alias to 9 Hz."""
     time = np.arange(20_000) / 10_000
     rows = np.zeros(20_000, dtype=[("laser", "<f8"), ("status", "u1")])
 
@@ -199,7 +199,7 @@ def test_joint_states_serve_a_topic_based_hardware_interface_as_the_page_says(de
 
 @attrs.frozen(eq=False)
 class Raw:
-    """A message as bytes, where a table would be."""
+    """Message as bytes, in place of a table."""
 
     data: bytes
     stamp_ns: int = 0
@@ -211,7 +211,7 @@ class Raw:
 def beside_scans(
     monkeypatch: pytest.MonkeyPatch, since: int = 0, altered: Callable[[Topic, bytes], bytes] = lambda _, data: data
 ) -> list[tuple[str, Any]]:
-    """Return the output of a rig in two seconds: journal, scans, and monitors from a block on."""
+    """Return the output of a rig in two seconds: journal, scans, and monitors from a given block on."""
     config = from_flat(RigConfig(), {"drive.amplitude": 0.52, "barriers.gap_m": 0.006})
     rig, found = Rig(config), []
     info = rig.info().rows
@@ -267,7 +267,7 @@ def test_verify_finds_a_reading_that_its_scans_do_not_give(
 def test_verify_accuses_no_monitor_of_scans_that_a_recorder_no_longer_heard(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cut: int
 ) -> None:
-    """Topics end one after the other: of the last instants a rig has weighed scans that are in no recording."""
+    """Topics end one after the other: the last monitor messages depend on scans that no recording contains."""
     found = beside_scans(monkeypatch)
     last = [place for place, (name, _) in enumerate(found) if name == "daq/scan"][-cut:]
     with open_run(record(tmp_path / "run", [one for place, one in enumerate(found) if place not in last])) as run:
@@ -279,7 +279,7 @@ def test_verify_accuses_no_monitor_of_scans_that_a_recorder_no_longer_heard(
 
 
 def test_scans_over_range_are_counted_when_they_are_asked_for() -> None:
-    """They are searched in lots, and none of them is reported late."""
+    """Scans are searched many at a time, but the counts are complete whenever they are requested."""
     rig = Rig(from_flat(RigConfig(), {"drive.amplitude": 0.52, "instruments.laser.half_range_m": 1e-4}))
     blocks, counts = rig.advance(400_000_000), Counts()
     expected = 0

@@ -114,7 +114,7 @@ def test_the_share_of_a_core_is_that_since_the_last_look() -> None:
 def test_a_step_of_the_system_clock_is_reported_and_moves_no_stamp(
     client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """An hour back: the rig is paced by the monotonic clock, so no block comes late, twice or with a gap."""
+    """The clock goes back by an hour: the monotonic clock paces the rig, so no block is late, duplicated or missing."""
     host_rig(client, "realtime")
     client.wait_active("rig")
     scans = client.collect("daq/scan")
@@ -130,7 +130,7 @@ def test_a_step_of_the_system_clock_is_reported_and_moves_no_stamp(
 
 
 def test_two_rigs_in_two_namespaces_of_one_domain_do_not_meet() -> None:
-    """Neither commands, services, parameters nor diagnostics of one reach the other."""
+    """Commands, services, parameters and diagnostics of one rig never reach the other."""
     with isolated_domain() as domain, Client(domain, "/one") as one, Client(domain, "/two") as two:
         for user, gap in ((one, 0.002), (two, 0.008)):
             host_rig(user, time__peers=["client"], time__publish_clock="never", barriers__gap_m=gap)

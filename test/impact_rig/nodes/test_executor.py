@@ -119,7 +119,7 @@ def test_messages_that_were_never_told_are_handed_over_in_order(
 def test_a_callback_that_raises_in_a_look_keeps_nobody_from_what_follows(
     executors: list[Any], make_node: Callable[[str], Node], qos: QoSProfile
 ) -> None:
-    """An exception that leaves a task of rclpy's events executor ends the process: a segmentation fault."""
+    """An exception that leaves a task of rclpy's events executor ends the process with a segmentation fault."""
     told, heard = executors
     node, other = make_node("one"), make_node("other")
     got: list[str] = []

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Names and values from the network: a recorder stays in its directory, diagnostics and logs stay short and plain."""
+"""Names and values from the network: a recorder stays in its directory; diagnostics and logs stay short and plain."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Two rigs in one graph: frames, clocks and topics of each belong to its namespace."""
+"""Two rigs in one graph: the frames, clocks and topics of each belong to its namespace."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ OWN_CLOCK = ["--ros-args", "-r", "/clock:=clock"]
 
 
 def frames(collectors: list[Collector]) -> dict[str, set[str]]:
-    """Return the frames of what was received, by topic."""
+    """Return the frames in the received messages, by topic."""
 
     def frame(data: Any) -> str:
         return codec.header(data)[1] if isinstance(data, bytes) else data.header.frame_id
@@ -90,7 +90,7 @@ def test_two_rigs_share_neither_frames_nor_clocks() -> None:
 
 @pytest.mark.parametrize(("prefix", "expected"), [("my/", "my/"), ("/", "")])
 def test_a_prefix_in_the_settings_replaces_the_namespace(prefix: str, expected: str) -> None:
-    """The analysis takes it from the scans that it receives."""
+    """The analysis takes the prefix from the scans that it receives."""
     with isolated_domain() as domain_id, Client(domain_id, namespace="/rig") as client:
         found = frames_of_a_rig(client, prefix)
     own = {topic.name: topic.frame_id for topic in TOPICS}

@@ -11,9 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Hostile input from another process: nothing crashes or hangs, refusals are explained and counted, signals finite.
+"""Hostile input from another process: nothing crashes or hangs, rejections are explained and counted, signals stay
+finite.
 
-The rig, the analysis and the recorder are processes of their own, this process is the attacker.
+The rig, the analysis and the recorder are separate processes; this process is the attacker.
 """
 
 from __future__ import annotations
@@ -79,7 +80,7 @@ def attacked(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Attacked]:
     ("topic", "low", "high"), [(topics.FREQUENCY, 5.0, 200.0), (topics.CURRENT, 0.0, 15.0 * math.sqrt(2.0))]
 )
 def test_commands_of_any_value(attacked: Attacked, topic: topics.Topic, low: float, high: float) -> None:
-    """Taken in order exactly when finite and in range; every other one refused and counted."""
+    """Commands are accepted in order if they are finite and in range; every other command is rejected and counted."""
     client, column = attacked.client, topic.name.removeprefix("shaker/")
     client.set_parameters("rig", {"shaker.travel_limit_m": 1.0})  # the interlock has tests of its own
     expected: list[float] = []
@@ -144,14 +145,14 @@ _NAMES = st.sampled_from(
 
 
 def _given(value: ParameterValue) -> object:
-    """Return what a value means; an unknown type is an object nothing accepts."""
+    """Return what a value means; an object of unknown type is not accepted by any parameter."""
     names = {1: "bool_value", 2: "integer_value", 3: "double_value", 4: "string_value", 9: "string_array_value"}
     found = getattr(value, names[value.type]) if value.type in names else object()
     return tuple(found) if value.type == 9 else found
 
 
 def test_parameters_of_any_name_type_and_value(attacked: Attacked) -> None:
-    """The rig takes what the validator takes, and refuses the rest in its words."""
+    """The rig accepts what the validator accepts, and rejects the rest with the validator's messages."""
     client, before = attacked.client, attacked.refused_before("rig", "parameter")
     refused = 0
 
@@ -234,7 +235,7 @@ _SHUTDOWNS = (
 
 @pytest.mark.parametrize("node", ["rig", "analysis", "recorder"])
 def test_transitions_in_any_order(attacked: Attacked, node: str) -> None:
-    """Valid ones happen, others are answered with no and counted; after 2000 of them the node works."""
+    """Valid transitions happen, others are rejected and counted; after 2000 of them, the node still works."""
     client = attacked.client
     state, refused = client.state(node), attacked.refused_before(node, "transition")
 
@@ -264,7 +265,7 @@ def test_transitions_in_any_order(attacked: Attacked, node: str) -> None:
 
 @pytest.fixture
 def recorded(attacked: Attacked) -> Attacked:
-    """The same while a run is recorded, readable in the end; another test may have ended the one before."""
+    """The same graph while a run is recorded; the file must be readable in the end."""
     if not attacked.client.node.get_subscriptions_info_by_topic("/target/truth/faults"):
         attacked.record()
     return attacked

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Hostile start values: a rig is configured with what the validator takes, or stays unconfigured and says why."""
+"""Hostile start values: a rig is configured if the validator accepts them, else it stays unconfigured and says why."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _START_NAMES = st.sampled_from([*FIELDS, "barriers.gap", "barriers", "a" * 999])
 
 
 def test_start_values_of_any_name_and_type() -> None:
-    """A rig is configured with exactly what the validator takes together; else it stays unconfigured and says why."""
+    """The rig is configured only if the validator accepts all values; else it stays unconfigured and says why."""
     with isolated_domain() as domain_id, Client(domain_id) as client:
 
         @settings(cases, max_examples=max(1, CASES // 2))

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The interlock as an operator meets it: an error until it is cleared, a journal that tells, a run that verifies."""
+"""Interlock for an operator: an error until it is cleared, an entry in the journal, a run that can be verified."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ pytestmark = pytest.mark.ros
 
 
 def told(client: Client, node: RigNode) -> dict[str, str]:
-    """Return the figures of the rig as they are now."""
+    """Return the present figures of the rig."""
     client.diagnostics.clear()
     node.report_now()
     return client.wait_until(lambda: client.figures("rig"), "the figures")
@@ -77,7 +77,7 @@ def test_a_recorded_trip_latches_until_cleared_and_verifies_bit_for_bit(client: 
 @pytest.mark.parametrize("by", ["stop", "over_travel"])
 @pytest.mark.parametrize("through", ["inactive", "unconfigured"])
 def test_a_latch_survives_leaving_the_active_state(client: Client, by: str, through: str) -> None:
-    """The next rig begins latched and at rest, though its configuration drives it from the start."""
+    """The next rig starts latched and at rest, although its configuration drives it from the start."""
     node = host_rig(client, drive__frequency_hz=8.0, drive__amplitude=8.0, shaker__ramp_s=0.0)
     client.wait_active("rig")
     if by == "stop":
@@ -105,7 +105,7 @@ def test_a_latch_survives_leaving_the_active_state(client: Client, by: str, thro
 def test_no_step_of_the_system_clock_decides_about_commands_after_a_suspension(
     client: Client, monkeypatch: pytest.MonkeyPatch, step_s: int
 ) -> None:
-    """It is set while the process is suspended, and set back after that: what is received later is accepted."""
+    """The clock is set during the suspension, and set back afterwards: commands received after that are accepted."""
     node = host_rig(client, "realtime")
     client.wait_active("rig")
     client.command(current_a=0.1)

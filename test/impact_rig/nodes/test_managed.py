@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Lifecycle guards, the parameter validator and diagnostics, on a small node and on both executors."""
+"""Lifecycle guards, parameter validator and diagnostics of a small node, on both executors."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Settings:
 
 
 class Small(ManagedNode[Settings]):
-    """Everything a node can do wrong."""
+    """Node that makes every mistake a node can make."""
 
     STATES = states.RecorderWord
 
@@ -130,7 +130,7 @@ def test_a_node_survives_bugs_in_callbacks_and_says_so(user: Client) -> None:
 
 
 def test_a_node_that_is_told_to_end_has_no_more_news(user: Client) -> None:
-    """A rig that was ended together with its analysis still warned that the analysis had gone."""
+    """When a rig and its analysis end together, the rig must not warn that the analysis is gone."""
     node = user.host(Small)
     user.wait_active("small")
     reports = user.listen("/diagnostics")
@@ -199,7 +199,7 @@ def test_a_bad_value_is_refused_in_the_words_of_the_validator(
 
 @pytest.fixture(scope="module")
 def lasting():
-    """One node for all refusals: they must not change it."""
+    """One node for all rejections, which must not change it."""
     with isolated_domain() as domain_id, Client(domain_id) as client:
         client.host(Small)
         client.wait_active("small")
@@ -247,7 +247,7 @@ def test_every_node_may_begin_from_a_configuration_file(client: Client, tmp_path
 
 
 def test_a_parameter_of_a_type_that_does_not_exist_is_refused(user: Client) -> None:
-    """A bug once: it raises inside rclpy's own parameter services, which ended the process."""
+    """An unknown parameter type raises inside rclpy's own parameter services, which must not end the process."""
     node = user.host(Small)
     user.wait_active("small")
     odd = ParameterMessage(name="count", value=ParameterValue(type=10))
@@ -263,7 +263,7 @@ def test_a_parameter_of_a_type_that_does_not_exist_is_refused(user: Client) -> N
 
 
 def test_a_clock_before_1970_is_survived_by_a_node_in_simulated_time(user: Client) -> None:
-    """A bug once: rclpy's own subscription to /clock raises, which ended the process."""
+    """A clock before 1970 raises inside rclpy's own subscription to /clock, which must not end the process."""
     node = user.host(Small, parameter_overrides=ros_parameters({"use_sim_time": True, "bugs": False}))
     user.wait_active("small")
     user.publish(topics.CLOCK, Clock(clock=Time(sec=-5)))

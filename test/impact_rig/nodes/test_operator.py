@@ -73,7 +73,7 @@ def test_a_plotter_gets_even_steps_of_present_time_and_a_frame(plotted, name: st
 
 
 def test_the_wire_says_what_is_not_measured(plotted) -> None:
-    """REP-145 of the Imu, REP-117's range of the Range, and a displacement along x only."""
+    """Unmeasured parts are marked by REP-145 (Imu), REP-117 (Range), and by a displacement along x only."""
     client, heard = plotted
     info = client.collect("daq/info")
     client.wait_until(lambda: len(info), "the calibration")

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Pacing without a wall clock: the clock is a number the test turns."""
+"""Pacing without a wall clock: the test sets the time."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ def test_without_peers_there_is_always_room() -> None:
 
 
 def test_a_peer_that_is_named_anew_is_waited_for_again() -> None:
-    """One given up for its silence was not, whatever list it was in, until it spoke: blocks were lost to it."""
+    """A peer that was given up is waited for again when it is listed again; otherwise, blocks are lost to it."""
     clock = FakeClock()
     window = AckWindow(("a", "b"), 4, NS_PER_S, clock)
     window.published(0)
@@ -179,7 +179,7 @@ def test_new_peers_owe_nothing_of_the_past() -> None:
 
 @given(st.lists(st.tuples(st.sampled_from(["publish", "a", "b"]), st.integers(-5, 400)), max_size=200))
 def test_window_is_never_overrun_by_any_acknowledgements(steps: list[tuple[str, int]]) -> None:
-    """Whatever peers send, the rig is at most `window` blocks ahead of what each of them really acknowledged."""
+    """Whatever peers send, the rig is at most `window` blocks ahead of the block that each of them has acknowledged."""
     window = AckWindow(("a", "b"), 3, NS_PER_S, FakeClock())
     published, last = 0, {"a": -1, "b": -1}
     for who, stamp in steps:

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The place of a rig: whether the graph must be waited for, and who has it."""
+"""Namespace lock of a rig: whether the rig must wait for the graph, and who holds the namespace."""
 
 from __future__ import annotations
 

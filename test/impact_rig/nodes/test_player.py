@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A player and who acknowledges what it replays: in every round, and after a time away."""
+"""A player and the peers that acknowledge its blocks: in every round, and after a suspension."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def run(tmp_path: Path) -> Path:
 
 
 def follow(client: Client, run: Run) -> tuple[Player, Collector]:
-    """A player as fast as this client acknowledges, in the client's node."""
+    """Return a player as fast as this client acknowledges, in the client's node."""
     playing = Player(run, client.node, client.executor.spin_once, factor=None, peers=[client.name])
     return playing, client.collect("daq/scan", acknowledge=True)
 
@@ -48,7 +48,7 @@ def follow(client: Client, run: Run) -> tuple[Player, Collector]:
 def test_a_run_is_replayed_again_and_again_to_who_acknowledges(
     client: Client, run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In the second round once nothing counted as acknowledged: stamps began again, and the window had those before."""
+    """In the second round stamps start again, so the window must not contain those of the first round."""
     monkeypatch.setattr(player, "PEER_TIMEOUT_S", 1.0)
     with Run(run) as opened:
         playing, scans = follow(client, opened)

@@ -39,7 +39,7 @@ RATE = 2000
 
 @pytest.fixture(scope="module")
 def plotted() -> Iterator[tuple[Client, dict[str, Collector], Collector]]:
-    """A rig in lockstep at resonance without the sphere, 6 s of it seen by a plotter."""
+    """Rig in lockstep at resonance without the sphere; a plotter receives 6 s of it."""
     with isolated_domain() as domain_id, Client(domain_id) as client:
         client.host(AnalysisNode)
         plot = client.host(PlotNode)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The recorder writes every message it gets, says what it did not get, and acknowledges nothing it cannot write."""
+"""The recorder writes every message it receives, reports losses, and acknowledges nothing that it cannot write."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_a_run_holds_every_message_and_the_configuration(client: Client, tmp_pat
 
 @pytest.mark.parametrize("seed", ["abc", ".inf", "null", "[1]"])
 def test_a_seed_that_is_no_number_keeps_nobody_from_recording(client: Client, tmp_path: Path, seed: str) -> None:
-    """Any node may send it. Before, the recorder stayed idle, acknowledged nothing, and gave no reason."""
+    """Any node may send a seed. An invalid one must not leave the recorder idle without a reason."""
     host_recorder(client, tmp_path)
     client.wait_active("recorder")
     client.publish(topics.CONFIGURATION, String(data=f"daq: {{seed: {seed}}}"), listener="recorder")
@@ -102,7 +102,7 @@ def test_a_seed_that_is_no_number_keeps_nobody_from_recording(client: Client, tm
 def test_in_real_time_what_several_blocks_bring_is_taken_together_and_all_of_it_before_the_end(
     client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, end: str
 ) -> None:
-    """An error in what waits, of a disk for one, neither leaves the run open nor is it forgotten by ~/stop."""
+    """An error in the queued messages, such as a full disk, must close the run, and ~/stop must report it."""
     monkeypatch.setattr("impact_rig.nodes.acknowledgements.REALTIME_S", 60.0)  # whatever else takes it comes to light
     came: list[str] = []
     kept: list[int] = []
@@ -151,7 +151,7 @@ def test_in_real_time_what_several_blocks_bring_is_taken_together_and_all_of_it_
 def test_a_recorder_that_cannot_write_holds_up_who_waits_for_it_until_it_is_told_what_to_do(
     client: Client, tmp_path: Path
 ) -> None:
-    """Nothing is overwritten; a rig that waits for the recorder says by name why it does not go on."""
+    """Nothing is overwritten; a rig that waits for the recorder names it as the reason."""
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "metadata.yaml").write_text("precious")
     host_recorder(client, tmp_path)
@@ -190,7 +190,7 @@ def test_start_and_stop_in_every_state(client: Client, tmp_path: Path) -> None:
 
 
 def test_recordings_of_one_second_are_numbered(client: Client, tmp_path: Path) -> None:
-    """A bug once: who stopped and recorded again within a second was refused, as the name was taken."""
+    """Stopping and starting again within one second must work, although the name of the run is taken."""
     host_recorder(client, tmp_path, record=False, name="", configuration_wait_s=0.0)
     client.wait_active("recorder")
     begun = []
@@ -204,7 +204,7 @@ def test_recordings_of_one_second_are_numbered(client: Client, tmp_path: Path) -
 def test_a_recorder_whose_disk_fails_acknowledges_no_more(
     client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A rig in lockstep does not count a block as recorded that the recorder could not write."""
+    """A rig in lockstep must not count a block as recorded that the recorder could not write."""
     really = os.write
 
     def full(descriptor: int, data: bytes) -> int:
@@ -227,7 +227,7 @@ def test_a_recorder_whose_disk_fails_acknowledges_no_more(
 def test_every_change_of_calibration_and_configuration_is_kept_however_fast_they_come(
     client: Client, tmp_path: Path
 ) -> None:
-    """The recorder is busy elsewhere while all of them are made."""
+    """The recorder is busy with other work while all the changes are made."""
     recorder = host_recorder(client, tmp_path)
     rig = host_rig(client, time__peers=["recorder"])
     client.wait_active("rig", "recorder")
@@ -250,7 +250,7 @@ def test_every_change_of_calibration_and_configuration_is_kept_however_fast_they
 
 
 def test_several_publishers_of_a_topic_are_no_loss(client: Client, tmp_path: Path) -> None:
-    """Two operators command and remark: each counts its own messages."""
+    """Two operators send commands and remarks: each has its own sequence numbers."""
     host_recorder(client, tmp_path)
     host_rig(client, time__peers=["recorder"])
     client.wait_active("rig", "recorder")
@@ -412,7 +412,7 @@ def test_long_blocks_ahead_of_time_lose_no_monitor_message(client: Client, tmp_p
 
 
 def test_results_of_before_are_not_those_of_a_run(client: Client, tmp_path: Path) -> None:
-    """A latched topic hands a recorder that comes what earlier cases measured."""
+    """A recorder that starts receives latched results of earlier cases, which are not part of its run."""
     node = client.host(Node, node_name="analysis")
     profile = messages.profile(topics.TRANSMISSIBILITY_TABLE.qos)
     table = node.create_publisher(messages.class_of(topics.SCAN), topics.TRANSMISSIBILITY_TABLE.name, profile)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The life of the rig node: start, reset, what a late subscriber still gets, a simulation that cannot go on."""
+"""Life of the rig node: start, reset, latched messages for late subscribers, and a simulation that cannot continue."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_a_late_subscriber_gets_calibration_configuration_journal_and_present_co
 def test_the_scans_of_a_block_are_published_after_the_rest_of_it(
     client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Scans are acknowledged for the whole block: what is true of it, and readings that are filtered 80 ms later."""
+    """Scans are acknowledged for the complete block: its true values, and readings that are filtered 80 ms later."""
     sent: list[tuple[str, int]] = []
     delays = {"truth/joint_states": 0, "laser": 8 * TICK}
     send = ManagedNode.send

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A rig begins when it is alone at its topics and, in realtime, when its peers listen: visibly, and bounded."""
+"""A rig starts when it is alone on its topics and, in realtime, when its peers are connected, or a limit is over."""
 
 from __future__ import annotations
 
@@ -94,13 +94,13 @@ def test_a_rig_that_is_not_alone_says_by_whom_and_goes_on(client: Client, topic:
 
 
 def starts(journal: Collector) -> int:
-    """Return how many starts a journal holds."""
+    """Return the number of starts in a journal."""
     return [entry.kind.value for entry in journal.entries()].count("start")
 
 
 @pytest.mark.parametrize("mode", ["realtime", "lockstep"])
 def test_a_second_rig_waits_until_the_first_is_gone(client: Client, mode: str) -> None:
-    """Two rigs with one name in one namespace were merged into one recording."""
+    """Two rigs with one name in one namespace would be merged into one recording."""
     first = host_rig(client, "realtime")
     client.wait_active("rig")
     scans = client.collect("daq/scan")
@@ -143,7 +143,7 @@ def test_a_rig_in_real_time_has_no_clock_to_quarrel_about(client: Client) -> Non
 
 
 def test_a_clock_can_belong_to_a_namespace(client: Client) -> None:
-    """As the launch file does it: two rigs that are not in real time side by side."""
+    """The launch file starts two rigs this way, next to each other and not in real time."""
     remapped = ["--ros-args", "-r", "/clock:=clock"]
     for name in ("one", "two"):
         client.host(

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Commands and parameters through topics and services: taken in order, journaled, or refused and counted."""
+"""Commands and parameters over topics and services: applied in order and journaled, or rejected and counted."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_hostile_commands_are_refused_counted_and_change_nothing(client: Client)
 
 
 def test_a_command_that_is_refused_says_why_at_once(client: Client) -> None:
-    """It once waited its ten seconds, and ended without a reason: a refusal leaves the rig in good health."""
+    """A rejected command must return the reason at once, not after ten seconds, although the rig has no problem."""
     host_rig(client)
     client.wait_active("rig")
     with pytest.raises(CommandError, match=r"frequency must be >= 5 .*, got 250"):
@@ -84,7 +84,7 @@ def test_commands_before_activation_are_refused_and_parameters_accepted(client: 
 
 
 def test_what_was_commanded_before_a_rig_begins_is_dropped(client: Client) -> None:
-    """It waited in the queue of the node, which was busy with its start: meant for another rig, or for none."""
+    """A command that waited in the node's queue during its start was meant for another rig, or for none."""
     node = host_rig(client, output__autostart=False)
     publisher = client.publisher(topics.CURRENT)
     client.wait_until(publisher.get_subscription_count, "the subscription")
@@ -117,7 +117,7 @@ def test_the_description_is_latched_and_follows_the_gap_and_nothing_that_is_not_
 
 
 def test_a_flood_of_commands_leaves_order_and_a_whole_journal(client: Client) -> None:
-    """As fast as a client can publish: the queue keeps the newest, every accepted one is journaled."""
+    """A client publishes as fast as it can: the queue keeps the newest commands; every accepted one is journaled."""
     host_rig(client, "realtime")
     client.wait_active("rig")
     journal, scans = client.collect("rig/journal"), client.collect("daq/scan")
@@ -177,7 +177,7 @@ def test_pluck_uses_its_parameter(client: Client) -> None:
 def test_a_new_client_takes_nothing_of_the_past_for_the_answer_to_its_command(
     client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Rows of before, which a newcomer is sent, once ended its first `command`: with a scan of the past."""
+    """A new client receives old rows, which must not end its first `command` with a scan of the past."""
     host_rig(client)
     client.wait_active("rig")
     client.command(current_a=0.5)

@@ -80,7 +80,7 @@ def test_a_step_waits_for_the_slowest_peer(client: Client) -> None:
 
 
 def test_a_reader_that_cannot_match_holds_nobody_up(client: Client) -> None:
-    """It asks for history that daq/scan does not offer; the peer is there all the same."""
+    """The subscriber requests history that daq/scan does not offer, so it never matches; the peer is known all the same."""
     profile = messages.profile(topics.SCAN.qos)
     profile.durability = DurabilityPolicy.TRANSIENT_LOCAL
     client.node.create_subscription(messages.class_of(topics.SCAN), topics.SCAN.name, lambda _: None, profile)
@@ -106,7 +106,7 @@ def test_free_running_without_anybody_to_follow_is_refused(client: Client) -> No
 
 
 def test_a_peer_that_has_begun_anew_owes_nothing_and_the_rig_goes_on(client: Client) -> None:
-    """A recorder that was killed and started again once left the rig standing: it got no block, so it said nothing."""
+    """A restarted recorder received none of the earlier blocks, so the rig must not wait for it to acknowledge them."""
     host_rig(client, "free_running", time__peers=["client"], time__peer_timeout_s=0.5, time__ack_window=4)
     client.wait_active("rig")
     dead = client.subscribe(topics.SCAN, lambda *_: None, raw=True)
@@ -130,7 +130,7 @@ def test_a_rig_told_to_go_on_goes_on_without_the_one_that_is_silent(client: Clie
 
 
 def test_peers_that_were_refused_together_with_something_else_are_not_waited_for(client: Client) -> None:
-    """Once the rig stood still for a peer that is not in its parameters, and nothing but a new list let it go on."""
+    """The rig must not wait for a peer whose addition was rejected together with another parameter."""
     host_rig(client, "free_running", time__peers=["client"])
     client.wait_active("rig")
     scans = client.collect("daq/scan", acknowledge=True)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Rig time: all modes give the same bits, a pause holds it, and a step answers when all is done."""
+"""Rig time: all modes give the same bits, a pause stops it, and a step is answered when all its work is done."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_stepped_publishes_exactly_what_the_rig_computes(client: Client) -> None
 
 
 def test_only_another_speed_gives_the_work_another_rhythm(client: Client) -> None:
-    """Before, every parameter that was set, such as a gap, restarted the period of the blocks."""
+    """A parameter such as a gap must not restart the period of the blocks."""
     node = host_rig(client, "realtime")
     client.wait_active("rig")
     scans = client.collect("daq/scan")
@@ -75,7 +75,7 @@ def test_only_another_speed_gives_the_work_another_rhythm(client: Client) -> Non
 
 @pytest.mark.parametrize("mode", ["realtime", "free_running"])
 def test_other_modes_give_the_same_bits_for_the_same_journal(client: Client, mode: str) -> None:
-    """Commands arrive whenever they arrive; the journal says where they acted."""
+    """Commands may arrive at any time; the journal states where they acted."""
     host_rig(client, mode, time__peers=["client"], daq__seed=3, barriers__gap_m=0.002)
     client.wait_active("rig")
     journal = client.collect("rig/journal")
@@ -109,7 +109,7 @@ def test_pause_holds_rig_time(client: Client) -> None:
 
 
 def test_a_pause_is_answered_when_everything_out_was_processed(client: Client) -> None:
-    """So that what is done next (a reset, a new recording) has no blocks of the past on the way."""
+    """The next action (a reset, a new recording) then has no blocks of the past under way."""
     host_rig(client, "free_running", time__peers=["client"])
     client.wait_active("rig")
     scans = client.collect("daq/scan", acknowledge=True)
@@ -135,7 +135,7 @@ def test_services_do_not_answer_success_twice(client: Client) -> None:
 
 @pytest.mark.parametrize("mode", ["realtime", "free_running", "lockstep"])
 def test_a_paused_rig_is_stepped_block_by_block_and_stays_paused(client: Client, mode: str) -> None:
-    """As simulation_interfaces have it: a step needs PAUSED; the samples are those of any other way."""
+    """As simulation_interfaces defines it, a step needs the state PAUSED; the samples are those of any other mode."""
     node = host_rig(client, mode, time__peers=["client"], drive__amplitude=0.52)
     scans, journal = (client.collect(name, acknowledge=name == "daq/scan") for name in ("daq/scan", "rig/journal"))
     client.wait_active("rig")
@@ -184,7 +184,7 @@ def test_a_pause_holds_the_rest_of_a_step(client: Client) -> None:
 
 
 def test_a_reset_ends_a_step_that_waits(client: Client) -> None:
-    """Before, the restarted rig continued the remainder of the step."""
+    """The restarted rig must not continue the remaining blocks of the step."""
     host_rig(client, time__peers=["client"])
     scans = client.collect("daq/scan")
     client.wait_active("rig")
@@ -229,7 +229,7 @@ def test_the_clock_runs_when_rig_time_is_not_real_time(client: Client, mode: str
 
 
 def test_a_rig_slower_than_real_time_says_so_and_still_answers(client: Client) -> None:
-    """Ten thousand lossless bounces a second: legal; at 1000 times real time too much for any machine."""
+    """Ten thousand lossless bounces a second are valid, but at 1000 times real time too much for any machine."""
     host_rig(
         client, "realtime", drive__amplitude=0.52, time__factor=1000.0,
         contact__law="restitution", contact__restitution=1.0, barriers__gap_m=1e-6,
@@ -242,7 +242,7 @@ def test_a_rig_slower_than_real_time_says_so_and_still_answers(client: Client) -
 
 
 def test_blocks_longer_than_the_lag_that_is_given_up_come_in_real_time(client: Client) -> None:
-    """Once the lag was counted from the last block: one of two seconds was given up halfway, again and again."""
+    """The lag counts within a block: a block of two seconds must not be given up halfway, again and again."""
     node = host_rig(client, "realtime", daq__rate_hz=1000, daq__block_scans=2000)
     client.wait_active("rig")
     scans = client.collect("daq/scan")
@@ -252,7 +252,7 @@ def test_blocks_longer_than_the_lag_that_is_given_up_come_in_real_time(client: C
 
 @pytest.mark.parametrize("scans", [700, 730, 2500, 10_000])
 def test_the_work_timer_calls_at_the_end_of_every_block(client: Client, scans: int) -> None:
-    """A timer period that does not divide the block would call up to one period late."""
+    """A timer whose period does not divide the block would call up to one period late."""
     node = host_rig(client, "realtime", daq__block_scans=scans)
     client.wait_active("rig")
     calls = scans / 10_000 / node._session._timer._period_s
@@ -260,7 +260,7 @@ def test_the_work_timer_calls_at_the_end_of_every_block(client: Client, scans: i
 
 
 def test_a_pause_and_another_speed_keep_what_there_is_of_a_block(client: Client) -> None:
-    """Once the pacer began again with the block, and the rig stood still for as long as it was into it."""
+    """The pacer continues within the block; otherwise the rig would stand still for as long as the block has lasted."""
     node = host_rig(client, "realtime", daq__rate_hz=1000, daq__block_scans=10_000)
     client.wait_active("rig")
     session = node._session
@@ -273,7 +273,7 @@ def test_a_pause_and_another_speed_keep_what_there_is_of_a_block(client: Client)
 
 
 def test_going_on_while_running_gives_up_no_time(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Blocks that are due keep their time: only a pause restarts the time base."""
+    """Blocks that are due keep their time, because only a pause restarts the time base."""
     pacers = []
     made = Pacer.__init__
     monkeypatch.setattr(Pacer, "__init__", lambda self, *given: (pacers.append(self), made(self, *given))[1])
@@ -281,7 +281,7 @@ def test_going_on_while_running_gives_up_no_time(client: Client, monkeypatch: py
     client.wait_active("rig")
 
     def due_ns() -> int:
-        """When the rig's second 1 is due; what is read first can only be too early."""
+        """Return when the rig's second 1 is due; the clock that is read first can only make this too early."""
         return max(time.monotonic_ns() + pacers[-1].wait_ns(10**9) for _ in range(100))
 
     before, begin = due_ns(), time.monotonic_ns()
@@ -308,7 +308,7 @@ def test_a_paused_rig_looks_at_each_step_who_listens(client: Client, monkeypatch
 
 
 def test_a_subscriber_that_has_the_scans_of_a_block_has_all_of_it(client: Client) -> None:
-    """Scans are acknowledged for the whole block: published first, they left a killed recorder without the rest."""
+    """If scans were published before the rest of a block, they would leave a killed recorder without the rest."""
     host_rig(client, daq__block_scans=2000)
     client.wait_active("rig")
     held: list[tuple[int, int]] = []  # end of each block of scans, and stamp of the newest joint state before it

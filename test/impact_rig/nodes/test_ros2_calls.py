@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A slice of `qualification/ros2_calls.py`: what the `ros2` command line would be answered by nodes in this process."""
+"""Part of `qualification/ros2_calls.py`: answers of nodes in this process to calls of the `ros2` command line."""
 
 from __future__ import annotations
 

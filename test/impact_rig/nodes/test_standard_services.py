@@ -11,11 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The services of simulation_interfaces, with stand-ins for its messages: the package is not on the index of wheels.
+"""Services of simulation_interfaces, with stand-ins for its messages, because the index of wheels does not have the
+package.
 
-The stand-ins have the fields and constants of version 2.0.0, as https://docs.ros.org/en/jazzy/p/simulation_interfaces
-shows its msg and srv files. What ROS itself would do with them (types, transport) is not seen here: a call hands the
-request to the callback and takes the response where rclpy would send it.
+The stand-ins have the fields and constants of version 2.0.0, as in its msg and srv files at
+https://docs.ros.org/en/jazzy/p/simulation_interfaces/. Types and transport of ROS are not tested here: a call passes
+the request to the callback, and takes the response where rclpy would send it.
 """
 
 from __future__ import annotations
@@ -125,13 +126,13 @@ class StandIn:
 
 @attrs.define
 class User:
-    """Calls the stand-ins of a rig."""
+    """Client that calls the stand-ins of a rig."""
 
     client: Client
     offered: dict[str, StandIn] = attrs.Factory(dict)
 
     def begin(self, name: str, request: Any) -> list[Any]:
-        """Call a service; the answer will be in the list."""
+        """Call a service; its answer is appended to the list."""
         service, answers = self.offered[f"~/{name}"], []
         response = service.callback(request, None)
         service.send_response(response, answers)
@@ -156,7 +157,7 @@ class User:
 
 @pytest.fixture
 def user(client: Client, monkeypatch: pytest.MonkeyPatch) -> User:
-    """A user of rigs on a machine that has the package."""
+    """User of rigs on a machine that has the package."""
     user = User(client)
     for name, content in {
         "simulation_interfaces": {},
@@ -269,7 +270,7 @@ def test_a_reset_is_of_the_state_alone(user: User) -> None:
 
 
 def test_a_rig_that_begins_anew_is_not_the_one_that_was_stopped(user: User) -> None:
-    """At the time at which one before it was stopped it once was STOPPED in a pause, and took no step."""
+    """A new rig, paused at the time at which the previous one was stopped, does not report STOPPED, and takes steps."""
     client = user.client
     host_rig(client, "lockstep", time__peers=["client"])
     client.wait_active("rig")

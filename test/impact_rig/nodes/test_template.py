@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A message rendered from a template is, byte for byte, the message filled and serialised."""
+"""A message rendered from a template equals the filled and serialised message, byte for byte."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The table of topics is what is on the graph."""
+"""The topics on the graph are those of the table of topics."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The phase of the work timer: blocks come after their ends, not a period later."""
+"""Phase of the work timer: blocks are published at their ends, not a period later."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Node:
         del self._timers[timer]
 
     def wait(self) -> None:
-        """Go on to the next timer that is due, and call it."""
+        """Advance to the next timer that is due, and call it."""
         number = min(self._timers, key=lambda one: self._timers[one][0])
         self.now_s, period_s, callback = self._timers[number]
         self._timers[number][0] += period_s
@@ -76,7 +76,7 @@ def test_what_is_overdue_waits_for_the_next_call_in_step(wait_s: float, expected
 
 @pytest.mark.parametrize("wait_s", [0.003, -0.001, -0.021])
 def test_calls_that_are_late_for_a_while_are_put_in_step(wait_s: float) -> None:
-    """A negative wait is as late as a short one: the next block came due during the call."""
+    """A negative wait is as late as a short one: the next block became due during the call."""
     found = instants(0.001, LATE_CALLS + 3, [wait_s] * LATE_CALLS)
     steps = [after - before for before, after in itertools.pairwise(found)]
     assert steps[: LATE_CALLS - 1] == pytest.approx([PERIOD_S] * (LATE_CALLS - 1)), "a single one may be chance"

@@ -13,7 +13,7 @@
 # limitations under the License.
 """Faulty controllers as processes next to a rig in real time: each ends as docs/how-to/drive.md says, and is recorded.
 
-They come one after the other to one rig; at its end the recording has all of it, and verifies.
+They drive one rig, one after the other; at its end, the recording contains everything and can be verified.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ rclpy.spin(Paced())
 
 
 class Bench:
-    """A rig driven by its stream and a recorder, as processes, and what the rig has told so far."""
+    """Rig driven by its stream, and a recorder, as processes, with everything that the rig has reported so far."""
 
     def __init__(self, client: Client, processes: Processes, directory: Path, domain_id: int) -> None:
         self.client, self.processes, self.directory, self.domain_id = client, processes, directory, domain_id
@@ -161,7 +161,7 @@ def test_a_file_is_played_to_a_rig_that_runs_already(bench: Bench, tmp_path: Pat
 
 
 def test_one_that_is_stopped_and_goes_on_is_late_and_then_in_force_again(bench: Bench) -> None:
-    """The recorder is stopped with it; at the end of this file it must have every block."""
+    """The recorder is stopped together with the controller; at the end of this file, it must have every block."""
     with bench.controller("feedback"):
         late, begun, process = bench.state("late"), bench.told("begin"), bench.processes.running["feedback"]
         recorder = bench.processes.running["recorder"]

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Ends of processes, stopped and restarted: nothing is left, files are readable, the next start is not hindered."""
+"""Ends of processes: stopped and restarted, nothing is left, files are readable, and the next start is not hindered."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def threads_of_dds(process: int) -> list[Path]:
 def test_killed_processes_leave_a_readable_file_and_do_not_hinder_the_next_start(
     processes: Processes, tmp_path: Path
 ) -> None:
-    """SIGKILL for all, the reader first; then the same again on the same domain, ended by every signal there is."""
+    """SIGKILL ends all, the reader first; then the same again on the same domain, with each available signal."""
     start_all(processes, tmp_path / "killed", "realtime")
     with Client(processes.domain_id) as client:
         client.wait_active(*ALL)

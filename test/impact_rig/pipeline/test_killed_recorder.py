@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A recorder that is killed, suspended or too slow at 50 kS/s: what it has acknowledged is there, on every topic."""
+"""A recorder that is killed, suspended or too slow at 50 kS/s: all that it has acknowledged is on disk."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ Live = tuple[Client, Processes, dict[str, Collector]]
 
 @pytest.fixture(scope="module")
 def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
-    """A rig in real time, and everything it publishes with its blocks."""
+    """Rig in real time, and everything that it publishes with its blocks."""
     directory = tmp_path_factory.mktemp("killed")
     overrides = {
         "daq.rate_hz": RATE_HZ, "daq.block_scans": RATE_HZ * BLOCK_NS // 10**9, "drive.amplitude": 0.52,
@@ -52,7 +52,7 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
 
 
 def kill_and_recover(live: Live, directory: Path, after_s: float, stopped_s: float = 0.0) -> None:
-    """Kill a recorder some time after its start or after a suspension, and compare what it has acknowledged."""
+    """Kill a recorder some time after its start or after a suspension; check everything that it has acknowledged."""
     client, processes, published = live
     for collector in published.values():
         collector.clear()

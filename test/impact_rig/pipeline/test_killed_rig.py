@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A rig that is killed or suspended: what was given to it is over, and neither a later one nor it itself does it."""
+"""Commands for a rig that is killed or suspended: neither the next rig nor the resumed one executes them."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ AT_ONCE_S = 1.0
 
 
 def drive(client: Client, current_a: float) -> None:
-    """Let the rig drive, and hear it say so: before, a client does not know which activation it speaks to."""
+    """Drive the rig until it reports so: only then does a client know which activation it addresses."""
     client.command(current_a=current_a)
     client.wait_until(lambda: client.figures("rig").get("state") == "driving", "the rig to drive")
 
 
 @pytest.fixture
 def driven(tmp_path: Path) -> Iterator[tuple[Client, Processes]]:
-    """A rig in real time that was driven, and has been killed."""
+    """Rig in real time that was driven, and has been killed."""
     with isolated_domain() as domain_id, Processes(domain_id, tmp_path / "logs") as processes:
         processes.start("rig")
         with Client(domain_id) as client:  # without knowledge of the processes: it knows the graph alone
@@ -79,7 +79,7 @@ def test_a_command_to_a_dead_rig_is_over_and_moves_no_later_one(driven: tuple[Cl
 
 
 def test_who_waits_while_another_rig_begins_is_told(driven: tuple[Client, Processes]) -> None:
-    """The rig is replaced within the two seconds: the command was the first one's."""
+    """The rig is replaced within two seconds: the command belongs to the first rig, and its sender gets an error."""
     client, processes = driven
     client.given("nothing")  # it was there a moment ago
     processes.start("rig")

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The whole graph as its users run it: rig, analysis and recorder as processes, a client, an MCAP file at the end."""
+"""The complete graph as users run it: rig, analysis and recorder as processes, a client, an MCAP file at the end."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def start_all(processes: Processes, client: Client, tmp_path: Path, **rig: objec
 def test_a_stepped_run_is_whole_and_is_what_its_journal_says(
     processes: Processes, client: Client, tmp_path: Path
 ) -> None:
-    """Published = recorded = re-simulated, and the recorded analysis is the one an offline tracker gives."""
+    """Published, recorded and re-simulated data are equal, and the recorded analysis is that of an offline tracker."""
     start_all(processes, client, tmp_path, time__mode="lockstep")
     scans = client.collect("daq/scan")
     client.step(20)
@@ -122,7 +122,7 @@ def test_a_killed_process_is_named_with_its_last_words_and_its_file_is_recovered
 def test_realtime_survives_a_suspension_and_a_second_rig_in_its_place(
     processes: Processes, client: Client, tmp_path: Path
 ) -> None:
-    """SIGSTOP for longer than the pacer catches up: time is given up, said, and the stamps stay contiguous."""
+    """SIGSTOP lasts longer than the pacer can catch up: time is given up and reported; stamps stay contiguous."""
     processes.start("rig", {"time.peers": [""]})
     client.wait_active("rig")
     scans = client.collect("daq/scan")
@@ -150,7 +150,7 @@ def test_realtime_survives_a_suspension_and_a_second_rig_in_its_place(
 def test_a_run_in_real_time_is_whole_from_scan_0_on_and_is_found_again(
     processes: Processes, client: Client, tmp_path: Path
 ) -> None:
-    """As the launch file starts it: recorder and analysis come after the rig, which waits for them."""
+    """Started like by the launch file: recorder and analysis start after the rig, which waits for them."""
     processes.start("rig", {**RIG, "time.start_wait_s": 3600.0, "sphere.present": False, "time.factor": 4.0})
     client.wait_active("rig")
     client.wait_until(lambda: "waiting for peer analysis, recorder" in client.status("rig").message, "the rig to wait")

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Bags as rosbag2 and other writers of MCAP make them: read, or refused with the reason and a command that helps."""
+"""Bags of rosbag2 and other writers of MCAP: they are read, or refused with the reason and a command that helps."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def content(path: Path) -> list[tuple[str, bytes, int]]:
 
 @pytest.fixture
 def native(record: Callable[..., RunWriter]) -> Path:
-    """A run of the own recorder."""
+    """Run of our own recorder."""
     with record() as writer:
         fill(writer, 30)
     return writer.directory
@@ -92,7 +92,7 @@ def test_every_preset_is_read(native, tmp_path, preset):
 
 
 def test_info_says_which_checksums_exist(native, tmp_path):
-    """A checksum of 0 says that there is none."""
+    """A checksum of 0 means that there is none."""
     without = rewrite(native, tmp_path / "without.mcap", enable_crcs=False)
     assert info(without).verdict.startswith("its messages carry no checksums, 30 blocks of daq/scan without a gap")
     outside = rewrite(native, tmp_path / "outside.mcap", use_chunking=False, enable_crcs=False)
@@ -159,7 +159,7 @@ def test_the_advice_for_an_unfinished_bag_works(native, tmp_path, chunked):
     ("kind", "schema"), [("jsonschema", b"{}"), ("protobuf", b"\x0a\xff\x00\xc3"), ("ros2msg", b"int32 a")]
 )
 def test_recovery_keeps_the_schemas_and_metadata_of_other_programs(tmp_path, kind, schema, crcs):
-    """Messages whose type has no name of ROS were lost, and metadata, which has no checksum, counted as damage."""
+    """Messages whose type has no ROS name are kept, and metadata without a checksum do not count as damage."""
     path = tmp_path / "bag.mcap"
     writer = Writer(str(path), chunk_size=200, use_statistics=False, enable_crcs=crcs)
     writer.start("", "other")
@@ -230,7 +230,7 @@ WRITERS = {
 
 @pytest.mark.parametrize("shape", WRITERS)
 def test_a_bag_of_another_driver_is_counted_right(tmp_path, shape):
-    """A bag of 30 strings in 0.29 s and no scan, in each shape that was once called damaged or missing."""
+    """A bag of 30 strings in 0.29 s without scans, in each valid shape: it must not be called damaged or incomplete."""
     (tmp_path / "bag").mkdir()
     file, topics = tmp_path / "bag" / "bag_0.mcap", {"/notes": 30}
     with file.open("wb") as target:
@@ -318,7 +318,7 @@ def test_older_metadata_with_the_folder_in_front_is_read(native, tmp_path):
 
 @pytest.mark.parametrize("what", ["index", "statistics"])
 def test_a_topic_that_is_in_no_index_is_missed(native, tmp_path, what):
-    """Its messages are in the chunks, and no reader that goes by the index ever sees them."""
+    """The messages are in the chunks, but no reader that uses the index can find them."""
     from impact_rig.recording.records import CHUNK_INDEX, STATISTICS
 
     opcode = {"index": CHUNK_INDEX, "statistics": STATISTICS}[what]
@@ -334,7 +334,7 @@ def test_a_topic_that_is_in_no_index_is_missed(native, tmp_path, what):
 
 
 def _record(data: bytearray, opcode: int) -> int:
-    """Place of the first record of a kind in the summary of a file."""
+    """Return the position of the first record of a kind in the summary of a file."""
     start = int.from_bytes(data[-28:-20], "little")
     while data[start] != opcode:
         start += 9 + int.from_bytes(data[start + 1 : start + 9], "little")

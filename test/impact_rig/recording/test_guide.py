@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The guide and the layouts in `docs/` and `config/` fit what is recorded."""
+"""The guide and the layouts in `docs/` and `config/` fit the recorded data."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def blocks(info):
 
 @pytest.mark.parametrize("notes", [["gap 2 mm"], []], ids=["notes", "no notes"])
 def test_the_notebook_guide_finds_the_transmissibility(notes, record, capsys):
-    """A base of 1 mm and a structure of 3.2 mm at 9.1 Hz: the guide must find 3.2."""
+    """With a base of 1 mm and a structure of 3.2 mm at 9.1 Hz, the guide must find 3.2."""
     with record("sweep_2mm") as writer:
         for topic in (SCAN_TOPIC, APPLIED_TOPIC, *([NOTES_TOPIC] if notes else [])):
             writer.add_topic(topic)

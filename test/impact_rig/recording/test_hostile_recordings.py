@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Recordings made to fill the memory, to run for ever, to command the terminal or to write where they must not.
+"""Recordings that try to fill the memory, to run forever, to control the terminal or to write to other places.
 
-`qualification/hostile.py` makes them and measures what each command takes; here every recording meets the commands that
-read all of it, and some of them the others.
+`qualification/hostile.py` makes them and measures what each command needs. Here, the commands that read everything get
+every recording, and the other commands some of them.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def test_the_budget_can_be_raised_by_whom_it_protects(tmp_path: Path, monkeypatc
 
 
 def test_small_messages_are_counted_before_they_become_objects(tmp_path: Path) -> None:
-    """A chunk within its bytes can still hold a million messages."""
+    """A chunk within the limit of bytes can still contain a million messages."""
     most = budget.HELD_BYTES // budget.MESSAGE_BYTES
     path = TOOL["recording"](tmp_path / "many.mcap", [TOOL["message"](0, b"") * (most + 1)], count=3)
     with open_run(path) as run, pytest.raises(BudgetError, match=f"{most + 1} records in a chunk, more than {most}"):
@@ -146,7 +146,7 @@ def test_quality_of_service_is_read_by_field_and_never_expanded() -> None:
 
 
 def test_a_schema_of_blank_lines_is_read_in_one_go() -> None:
-    """Looking for the first field went through the rest again from every line: hours for this one."""
+    """A search that starts again from every line would need hours for this schema."""
     assert not starts_with_header("package/msg/Type", "\n" * 2_000_000)
     assert starts_with_header("package/msg/Type", "\n" * 1000 + "  std_msgs/Header header\n")
 

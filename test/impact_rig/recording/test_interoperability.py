@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Files are what rosbag2 of Jazzy writes: read by tools that know nothing of this package, compared field by field."""
+"""Files are those of rosbag2 of Jazzy: read by tools that do not know this package, and compared field by field."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def test_mcap_ros2_decodes_every_topic_from_the_schemas_in_the_file(run):
 
 @pytest.fixture(scope="module")
 def every_type():
-    """The run that the JavaScript check records: every message type of the rig, something in every field."""
+    """Run that the JavaScript check also records: every message type of the rig, with a value in every field."""
     path = Path(__file__).parents[3] / "qualification" / "check_mcap_js" / "check.py"
     spec = importlib.util.spec_from_file_location("check_mcap_js", path)
     assert spec is not None
@@ -274,7 +274,7 @@ def test_no_offered_profile_is_an_empty_list():
 
 @pytest.mark.parametrize("type_name", RIG_TYPES)
 def test_schema_text_is_what_an_independent_parser_understands(type_name):
-    """rosbags computes the type hash from the text: if a line or a dependency were missing, it would differ."""
+    """rosbags computes the type hash from the text: if a line or a dependency were missing, the hash would differ."""
     store = get_typestore(Stores.EMPTY)
     store.register(get_types_from_msg(schema_text(type_name), type_name))
     assert store.hash_rihs01(type_name) == type_hash(type_name)

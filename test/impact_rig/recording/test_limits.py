@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A full disk, a file size limit, a directory that cannot be used: a clear message, and nothing earlier is harmed."""
+"""A full disk, a file size limit, an unusable directory: a clear message, and earlier data are intact."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_two_writers_cannot_share_a_file(record, tmp_path):
 
 @pytest.mark.parametrize("where", ["file", "file/below"])
 def test_a_file_where_the_directory_should_be(record, tmp_path, where):
-    """Fails for root as well, unlike a directory without write permission."""
+    """This fails for root as well, unlike a directory without write permission."""
     (tmp_path / "file").write_text("mine")
     with pytest.raises(
         RecordingError, match=r"is a file, not a directory|cannot create the run directory .*: Not a directory"
@@ -128,7 +128,7 @@ def test_a_file_is_split_by_size_and_each_part_stands_alone(record):
 
 
 def test_a_full_file_takes_no_further_message(record):
-    """Full is a file of exactly that size as well: here the size of the whole ones is known beforehand."""
+    """A file of exactly the maximum size is full as well; here the size of the complete files is known beforehand."""
     alone = record("run1", max_file_bytes=10**9, chunk_bytes=20_000)
     alone.add_topic(SCAN_TOPIC)
     for number in range(40):
@@ -288,7 +288,7 @@ def test_recording_stops_while_the_disk_still_has_room(record, monkeypatch):
 
 
 def test_the_message_at_which_a_recording_stops_is_accounted_for(record, monkeypatch):
-    """The account was written before it was counted: `info` said that a message is in the file twice."""
+    """The account must contain the last message; otherwise, `info` says that a message is in the file twice."""
     writer = record(chunk_bytes=20_000)
     writer.add_topic(SCAN_TOPIC)
     monkeypatch.setattr(recording_writer, "MIN_FREE_BYTES", 2**62)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The recorder's account: what is missing is found by topic and publisher, and nothing else is called a loss."""
+"""The recorder's account: missing messages are found by topic and publisher, and nothing else counts as a loss."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_every_message_missing_between_two_of_one_publisher_is_counted(kept):
 
 
 def test_a_publisher_that_begins_anew_is_no_loss():
-    """A node that was started again counts from 1, with another identifier in the graph."""
+    """A node that was restarted counts from 1 again, with another identifier in the graph."""
     present = {"first": "/rig/rig"}
     account = Account(lambda _: present)
     for sequence in range(10, 30):
@@ -68,7 +68,7 @@ def test_a_publisher_that_begins_anew_is_no_loss():
 
 
 def test_a_loss_is_found_however_many_publishers_there_were_before():
-    """When streams had been dropped there seemed to be publishers yet to be heard, and no gap was a loss any more."""
+    """After streams have been dropped, a gap must still count as a loss, not as an unknown publisher."""
     present = {}
     account = Account(lambda _: present)
     for number in range(MAX_STREAMS + 6):
@@ -105,7 +105,7 @@ def test_a_run_that_lacks_messages_of_any_topic_is_not_called_whole(record, caps
 
 
 def test_a_recording_without_an_account_is_not_called_whole(record, capsys):
-    """One of another recorder: nothing is known to be missing, and nothing is proved."""
+    """Nothing is known to be missing in a recording of another recorder, but nothing is proved either."""
     with record() as writer:
         writer.add_topic(SCAN_TOPIC)
         for number in range(3):
@@ -148,7 +148,7 @@ def test_an_account_that_is_none_is_damage(record, text):
 
 
 def test_a_further_file_repeats_only_what_is_in_force(record):
-    """After 700 calibrations, files of a megabyte were full at once, for ever."""
+    """If 700 calibrations were repeated in every file, each file of a megabyte would be full at once."""
     with record(max_file_bytes=40_000, chunk_bytes=10_000) as writer:
         writer.add_topic(NOTES_TOPIC)
         for number in range(700):

@@ -86,7 +86,7 @@ def test_a_chunk_ends_with_the_message_that_fills_it_definitions_counted(record)
 
 
 def test_times_that_rosbag2_cannot_read_become_those_it_can(record):
-    """Its times are signed, those of MCAP are not."""
+    """Times of rosbag2 are signed, those of MCAP are not."""
     with record() as writer:
         writer.add_topic(NOTES_TOPIC)
         for publish_time in (-1, 0, INFINITE_NS, INFINITE_NS + 1):
@@ -106,7 +106,7 @@ def test_log_time_order_and_ties(record):
 
 @pytest.mark.parametrize("chunk_bytes", [2_000, 20_000])
 def test_closing_a_run_ends_what_still_reads_from_it(record, chunk_bytes):
-    """An iteration that an exception interrupted may live on in its traceback."""
+    """An iteration that was interrupted by an exception may live on in its traceback."""
     with record(chunk_bytes=chunk_bytes) as writer:
         fill(writer, 50)
     with open_run(writer.directory) as run:

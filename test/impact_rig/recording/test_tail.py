@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Secured messages survive a process killed at any instant: none missing, none twice, no others."""
+"""Secured messages survive a kill at any instant: none is missing, none is duplicated, and there are no others."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ BLOCKS = 12
 
 
 def given_back(directory, out):
-    """Recover a run and return its messages' data, in order."""
+    """Recover a run and return the data of its messages, in order."""
     try:
         recover(directory, out)
     except RecordingError as error:
@@ -46,7 +46,7 @@ def given_back(directory, out):
 
 
 def write(writer, number):
-    """Write a block and, with every third, a note; return their data."""
+    """Write a block and, with every third, a remark; return their data."""
     data = [scan_block(number, scans=20)]
     writer.write(SCAN_TOPIC.name, data[0], 0, number)
     if number % 3 == 0:
@@ -61,7 +61,7 @@ def write(writer, number):
 @pytest.mark.parametrize("options", [{"chunk_bytes": 2500}, {"max_file_bytes": 3000, "chunk_bytes": 1500}])
 @pytest.mark.repeats
 def test_killed_after_any_call_all_that_was_secured_is_given_back(record, tmp_path, options):
-    """A directory as a killed process leaves it is a copy of what is on disk between two calls."""
+    """A copy of the files between two calls is what a killed process would leave."""
     writer = record(tail=True, **options)
     writer.add_topic(SCAN_TOPIC)
     sent, secured, copies = [], 0, 0
@@ -87,7 +87,7 @@ def test_killed_after_any_call_all_that_was_secured_is_given_back(record, tmp_pa
 @pytest.mark.parametrize("chunk_bytes", range(1500, 5000, 100))
 @pytest.mark.repeats
 def test_a_topic_that_comes_when_a_chunk_is_nearly_full_costs_nothing(record, tmp_path, chunk_bytes):
-    """Its definition may fill the chunk: what is secured after that belongs to the next one."""
+    """The definition may fill the chunk: messages secured afterwards belong to the next chunk."""
     writer = record(tail=True, chunk_bytes=chunk_bytes)
     writer.add_topic(SCAN_TOPIC)
     sent = []
@@ -104,7 +104,7 @@ def test_a_topic_that_comes_when_a_chunk_is_nearly_full_costs_nothing(record, tm
 
 @pytest.mark.parametrize("left", [1, 9, 500, -1])
 def test_a_chunk_cut_behind_an_attachment_is_no_loss_where_the_tail_holds_it(record, tmp_path, left):
-    """Looked for where the chunk began, before the attachment, it was not found: the tail had all, and it counted."""
+    """The tail has all messages of the chunk, so an attachment before the damaged chunk must not cause a loss."""
     writer = record(tail=True)
     writer.add_topic(SCAN_TOPIC)
     for number in range(10):
@@ -125,7 +125,7 @@ def test_a_chunk_cut_behind_an_attachment_is_no_loss_where_the_tail_holds_it(rec
 
 
 def test_killed_between_chunk_and_removal_nothing_is_given_back_twice(record, tmp_path, monkeypatch):
-    """The one instant at which both files hold the same messages."""
+    """This is the only instant at which both files contain the same messages."""
     instants = []
 
     def remove(tail):
@@ -150,7 +150,7 @@ def test_killed_between_chunk_and_removal_nothing_is_given_back_twice(record, tm
 
 
 def test_a_chunk_cut_short_while_it_was_written_is_replaced_by_the_tail(record, tmp_path):
-    """The process was killed inside the write of a chunk, or inside that of the tail."""
+    """The process was killed while it wrote a chunk, or while it wrote the tail."""
     writer = record(tail=True, chunk_bytes=10_000)
     writer.add_topic(SCAN_TOPIC)
     sent = []
@@ -201,7 +201,7 @@ def test_a_tail_of_somebody_else_is_not_overwritten(record):
 
 
 def flipped_tails(kept, whole):
-    """The tail with one bit flipped at each structural place and at some inside each chunk, and cut short."""
+    """Yield the tail with one bit flipped at each structural position and at some within each chunk, and truncated."""
     rng = np.random.default_rng(5)
     ends, offset = [], len(records.MAGIC)
     while offset < len(whole):
@@ -217,7 +217,7 @@ def flipped_tails(kept, whole):
 
 
 def test_one_flipped_bit_in_the_tail_costs_at_most_one_of_its_chunks(record, tmp_path):
-    """Neither what it says of itself nor the definitions in its first chunk are needed to read the others."""
+    """The other chunks can be read without the metadata of the tail, and without the definitions in its first chunk."""
     writer = record(tail=True, chunk_bytes=10**6)
     writer.add_topic(SCAN_TOPIC)
     sent = []
