@@ -78,7 +78,7 @@ def test_every_table_of_the_interface_comes_back(name, rows):
 
 
 def test_rows_are_a_view_that_cannot_be_written():
-    """Copying 20 kB per block is a waste, and a reader that changed it would change the recording."""
+    """Copying 20 kB per block would cost time, and a reader that changed it would change the recording."""
     data = bytearray(encode(scan_table()))
     rows = decode(data).rows
     data[-10] ^= 0xFF  # inside the last row
@@ -88,7 +88,7 @@ def test_rows_are_a_view_that_cannot_be_written():
 
 
 def test_messages_of_one_length_are_told_apart():
-    """The type of the message before does not decide how the next one of the same length is read."""
+    """The type of one message must not decide how the next one of the same length is read."""
     one, other = np.dtype([("ab", "<f4"), ("cd", "<u4")]), np.dtype([("cd", "<u4"), ("ab", "<f4")])
     wide, narrow = np.dtype([("ab", "<f8"), ("cd", "<f8")]), np.dtype([("ab", "<f4"), ("cd", "<f4")])
     alike = [
@@ -111,7 +111,7 @@ def test_a_message_that_lies_is_refused_though_one_of_its_length_was_read():
 
 
 def test_rows_with_holes_and_columns_in_any_order_are_read():
-    """PointCloud2 lets the sender pad points and order fields as it likes; PCL does both."""
+    """PointCloud2 allows padding of points and any order of fields; PCL uses both."""
     dtype = np.dtype({"names": ["b", "a"], "formats": ["<f8", "u1"], "offsets": [8, 0], "itemsize": 24})
     rows = np.zeros(2, dtype)
     rows["a"], rows["b"] = [1, 2], [0.5, -0.5]
@@ -172,7 +172,7 @@ def test_a_stamp_that_is_none_is_refused(data, message):
 
 
 class Message:
-    """A PointCloud2 written field by field, so that each can be wrong: the codec's independent counterpart."""
+    """PointCloud2 written field by field, so that each can be wrong: an independent counterpart of the codec."""
 
     def __init__(self, **wrong):
         self.values = {
@@ -356,7 +356,7 @@ def test_the_stamp_of_any_message_with_a_header_is_found():
 
 @pytest.mark.parametrize("count", [-1, 0, 13, 10**30])
 def test_members_in_no_number_that_fits_the_message_are_refused(count):
-    """A definition in a file may say any number: none at all, or very many, once ended in Python's own errors."""
+    """A definition in a file may state any number of members: none or very many must not raise Python's own errors."""
     message = b"\0\1\0\0" + bytes(12)
     assert plain(message, [("x", "uint8", 12)]) == {"x": (0,) * 12}
     with pytest.raises(CodecError, match=r"^x "):
@@ -364,7 +364,7 @@ def test_members_in_no_number_that_fits_the_message_are_refused(count):
 
 
 def changed(table, name=None, value=None, drop=(), kinds=None):
-    """The table with a value changed, columns dropped, or columns of other types."""
+    """Return the table with a changed value, without some columns, or with columns of other types."""
     kinds = {column: table.rows.dtype[column] for column in table.rows.dtype.names} | (kinds or {})
     rows = np.zeros(len(table.rows), [(column, kind) for column, kind in kinds.items() if column not in drop])
     for column in rows.dtype.names:

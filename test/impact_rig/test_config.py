@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""One validator for every way in: what it accepts, what it refuses, and in which words."""
+"""One validator for every kind of input: what it accepts, what it rejects, and its messages."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_every_value_says_what_it_is():
 
 
 def test_names_carry_their_unit():
-    """`gap_m` cannot be mistaken for millimetres."""
+    """The unit in the name `gap_m` excludes that it is taken for millimetres."""
     endings = {"m": "_m", "Hz": "_hz", "kg": "_kg", "Pa": "_pa", "N/m": "_n_m", "ppm": "_ppm", "ohm": "_ohm"}
     for name, (about, _) in FIELDS.items():
         assert name.removesuffix("_rms").endswith(endings.get(about.unit, "")), f"{name} [{about.unit}]"
@@ -158,7 +158,7 @@ def test_a_refusal_names_key_value_and_range(changes, message):
 
 
 def test_changes_are_judged_together_not_one_by_one():
-    """Both limits above the old upper one: either order, one at a time, would be refused."""
+    """Both new limits are above the old upper one, so one at a time would be rejected in either order."""
     changes = {"shaker.frequency_min_hz": 300.0, "shaker.frequency_max_hz": 400.0, "drive.frequency_hz": 350.0}
     assert config.from_flat(RigConfig(), changes).drive.frequency_hz == 350.0
 
@@ -213,7 +213,7 @@ def test_a_file_that_is_not_there_is_refused_with_its_name(tmp_path):
 
 
 def test_a_file_of_the_package_is_named_where_it_is_installed(tmp_path, monkeypatch):
-    """The pages call it `config/nominal.yaml`, which an installed package does not have in the working directory."""
+    """The pages call it `config/nominal.yaml`, which is not in the working directory of an installed package."""
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ConfigError, match=r"\(config/nominal\.yaml\); the package has (.+)") as refused:
         config.load_config("config/nominal.yaml")
@@ -252,14 +252,14 @@ def test_what_means_nothing_is_still_refused(name, given):
 
 @pytest.mark.parametrize("name", sorted(FIELDS))
 def test_no_word_to_choose_from_is_something_else_to_yaml(name):
-    """`ros2 param load` reads the text of a value once more: `on` would come back as a boolean."""
+    """`ros2 param load` parses the text of a value once more: `on` would become a boolean."""
     for word in FIELDS[name][0].choices:
         assert yaml.safe_load(word) == word
 
 
 @given(st.sampled_from(sorted(FIELDS)), anything)
 def test_no_value_gets_past_the_validator(name, value):
-    """Whatever is accepted is of the field's type, finite and in range; whatever is refused says so."""
+    """An accepted value has the field's type, is finite and in range; every other one is rejected with a message."""
     try:
         changed = config.from_flat(RigConfig(), {name: value})
     except ConfigError as error:
@@ -286,7 +286,7 @@ def test_no_file_crashes_the_loader(content, tmp_path_factory):
 
 @pytest.mark.parametrize(("formerly", "now"), [("freewheel", "free_running"), ("stepped", "lockstep")])
 def test_time_modes_of_the_version_before_are_read(formerly: str, now: str) -> None:
-    """Recordings hold them, in their configurations."""
+    """Recordings contain the old names in their configurations."""
     assert from_flat(RigConfig(), {"time.peers": ["analysis"], "time.mode": formerly}).time.mode == now
     with pytest.raises(ConfigError, match="one of realtime, free_running, lockstep, got 'flying'"):
         from_flat(RigConfig(), {"time.mode": "flying"})

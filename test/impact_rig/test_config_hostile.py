@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Configuration files with mistakes in them: refused by file, key, value and range, or a rig that runs.
+"""Configuration files with mistakes: they are rejected with file, key, value and range, or the rig runs.
 
-A short slice by default; IMPACT_RIG_HOSTILE=2000 draws that many files.
+By default, a short sample is tested; IMPACT_RIG_HOSTILE=2000 tests this number of files.
 """
 
 from __future__ import annotations
@@ -47,13 +47,13 @@ SLIPS = {"m": 1e3, "kg": 1e3, "Pa": 1e-9, "kg/m^3": 1e-3, "H": 1e3}
 
 
 def slipped(name: str) -> object:
-    """Return the default in the unit it is often thought in."""
+    """Return the default in a unit that is often used by mistake."""
     return FIELDS[name][1] * SLIPS[FIELDS[name][0].unit]
 
 
 @pytest.mark.parametrize("name", [name for name, (about, value) in FIELDS.items() if about.unit in SLIPS and value])
 def test_a_slip_of_units_is_refused(name: str) -> None:
-    """A gap of 6 instead of 0.006, a mass of 130 instead of 0.13."""
+    """For example, a gap of 6 instead of 0.006, or a mass of 130 instead of 0.13."""
     with pytest.raises(ConfigError, match=f"{name.rsplit('.', maxsplit=1)[-1]} must be"):
         config.from_flat(RigConfig(), {name: slipped(name)})
 
@@ -122,7 +122,7 @@ def test_a_file_with_mistakes_is_refused_by_name_or_runs(tmp_path_factory, mista
 
 
 def _runs(path: Path) -> None:
-    """A configuration that `check` calls valid makes a rig, and the rig finite signals."""
+    """Check that a configuration that `check` calls valid makes a rig with finite signals."""
     rig = Rig(config.load_config(path))
     for block in rig.advance(20_000_000):
         for name in CHANNELS:
@@ -131,7 +131,7 @@ def _runs(path: Path) -> None:
 
 @pytest.mark.parametrize("text", ["a: 1\na: 2\n", "b: {a: 1, a: 1}", "- {'x': 1, x: 2}"])
 def test_a_key_that_is_there_twice_is_refused(text: str) -> None:
-    """The later value would silently take the place of the first."""
+    """Otherwise, the later value would silently replace the first."""
     with pytest.raises(budget.PlainYamlError, match=r"duplicate key .* in line"):
         budget.load_yaml(text, 100)
     assert budget.load_yaml("1: a\n'1': b\n", 100) == {1: "a", "1": "b"}

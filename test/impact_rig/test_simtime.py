@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Rig time is exact at any rate and for years."""
+"""Rig time is exact at any rate, for years."""
 
 from __future__ import annotations
 
@@ -34,6 +34,6 @@ def test_a_stamp_is_the_exact_instant_rounded_down(index, rate, start):
 
 
 def test_stamps_do_not_drift_where_the_period_is_no_whole_number_of_nanoseconds():
-    """At 25 600 S/s a period is 39 062.5 ns; adding rounded periods would be 12.8 µs off after a second."""
+    """At 25,600 S/s a period is 39,062.5 ns; rounded periods would add up to an error of 12.8 µs in a second."""
     assert stamp_ns(25_600, 25_600) == NS_PER_S
     assert [stamp_ns(i, 25_600) for i in range(4)] == [0, 39_062, 78_125, 117_187]

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The first look: what `impact_rig.simulate` gives is what rig and analysis give; docs/index.md is run by test_docs."""
+"""`impact_rig.simulate` gives the results of rig and analysis; test_docs.py runs the code of docs/index.md."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_scans_are_the_rigs_and_impacts_found_are_the_true_ones():
     ids=["time-out", "trip"],
 )
 def test_the_analysis_hears_of_a_drive_that_was_stopped(parameters):
-    """Before, it knew only the initial drive, and continued with a current that did not exist."""
+    """The analysis must know that the current is zero, not only the initial drive."""
     record = simulate(3.0, {**parameters, "sphere.present": False})
     assert (record.state.word, record.state.reason) == (AnalysisWord.AT_REST, "")
 
@@ -95,7 +95,7 @@ def test_importing_the_package_loads_nothing_heavy():
 
 
 def test_a_record_of_which_every_scan_was_withheld_is_drawn_empty():
-    """A bug once: the drawing asked for the time of the first scan."""
+    """The drawing must not need the time of a first scan."""
     record = simulate(0.1, {"instruments.faults.planned": ["lost_block"]})
     assert len(record.scans) == 0
     assert record.plot().axes[0].get_title(loc="left") == str(record)

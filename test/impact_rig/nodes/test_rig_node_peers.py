@@ -80,7 +80,7 @@ def test_a_step_waits_for_the_slowest_peer(client: Client) -> None:
 
 
 def test_a_reader_that_cannot_match_holds_nobody_up(client: Client) -> None:
-    """The subscriber requests history that daq/scan does not offer, so it never matches; the peer is known all the same."""
+    """The subscriber requests history that daq/scan does not offer, so it never matches; the peer counts as present."""
     profile = messages.profile(topics.SCAN.qos)
     profile.durability = DurabilityPolicy.TRANSIENT_LOCAL
     client.node.create_subscription(messages.class_of(topics.SCAN), topics.SCAN.name, lambda _: None, profile)

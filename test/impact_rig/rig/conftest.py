@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Fixtures with which several files compare their rigs."""
+"""Fixtures to which several files compare their rigs."""
 
 from __future__ import annotations
 
@@ -29,5 +29,5 @@ def reference() -> list[Block]:
 
 @pytest.fixture(scope="module")
 def hammered() -> Rig:
-    """A rig that goes on through every example of a file."""
+    """One rig that continues through every example of a file."""
     return Rig(config())

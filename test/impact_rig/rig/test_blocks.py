@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Blocks: when they come, what is in them, and that they are the receiver's own."""
+"""Blocks: when they are complete, what they contain, and that later advances do not change them."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_a_block_comes_when_it_is_complete_and_not_before() -> None:
 
 
 def test_a_long_block_is_simulated_tick_by_tick() -> None:
-    """So that a command in realtime waits for one tick, not for a block."""
+    """A command in realtime then waits for one tick, not for a block."""
     rig = Rig(config(daq__block_scans=10_000))
     assert rig.advance(25 * TICK + 1) == []
     assert rig.frontier_ns == 25 * TICK
@@ -45,7 +45,7 @@ def test_a_long_block_is_simulated_tick_by_tick() -> None:
     [(100, 1), (333, 3), (997, 7), (997, 1), (1_000, 13), (8_192, 82), (10_000, 100), (44_100, 1_001), (49_999, 5_000)],
 )
 def test_to_which_block_a_contact_belongs_is_decided_by_when_it_ends(rate_hz: int, block_scans: int) -> None:
-    """Whatever the calls are cut into: by half a millisecond, by blocks, by many blocks, all at once."""
+    """The calls advance by half a millisecond, by a block, by many blocks, or by everything at once."""
     chosen = config(
         daq__rate_hz=rate_hz,
         daq__block_scans=block_scans,
@@ -116,7 +116,7 @@ def test_memory_stays_bounded() -> None:
 
 
 def test_blocks_are_values_of_their_own() -> None:
-    """A later advance must not write into a block that was handed out."""
+    """A later advance must not write into a block that has been returned."""
     rig = Rig(config())
     (block,) = rig.advance(TICK)
     before = attrs.evolve(block), block.scan.rows.copy(), block.monitor_states.copy()

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Commands act at the first instant not yet simulated, or are refused and change nothing."""
+"""Commands act at the first instant that is not simulated yet, or are rejected and change nothing."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_a_refused_command_names_value_and_range_and_changes_nothing(
 
 @pytest.mark.parametrize("waveform", ["chirp", "random"])
 def test_a_drive_of_many_frequencies_takes_no_command_of_one(waveform: str) -> None:
-    """It was once taken, journaled and told as applied, and changed nothing; an amplitude is taken."""
+    """Such a command would change nothing, so it is rejected and not journaled; an amplitude is accepted."""
     rig = Rig(config(drive__waveform=waveform))
     rig.advance(10 * TICK)
     rig.take_applied(), rig.take_journal()
@@ -114,7 +114,7 @@ def test_the_initial_drive_is_checked_like_a_command() -> None:
 @settings(max_examples=2000)
 @pytest.mark.repeats
 def test_any_command_is_accepted_within_range_or_refused(hammered: Rig, frequency: float, current: float) -> None:
-    """Whatever is sent, the drive stays finite and within the shaker's limits."""
+    """After any command, the drive stays finite and within the limits of the shaker."""
     for command in ({"frequency_hz": frequency}, {"amplitude": current}, {"frequency_hz": 5 + abs(frequency) % 195}):
         with contextlib.suppress(CommandError):
             hammered.accept(**command)

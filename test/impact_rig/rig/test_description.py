@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The rig as URDF, as parsers of other people read it: bodies, masses, and where they are."""
+"""The rig as URDF, read by independent parsers: bodies, masses and positions."""
 
 from __future__ import annotations
 
@@ -164,7 +164,7 @@ def test_every_frame_of_a_header_is_in_the_tree() -> None:
 
 
 def test_inertias_are_those_of_bodies() -> None:
-    """Each moment at most the sum of the others, and the sphere's 2/5 m r²."""
+    """Each moment is at most the sum of the others, and that of the sphere is 2/5 m r²."""
     for inertia in tree().iter("inertia"):
         moments = sorted(float(inertia.get(key, "")) for key in ("ixx", "iyy", "izz"))
         assert 0.0 < moments[2] <= moments[0] + moments[1]
@@ -175,7 +175,7 @@ def test_inertias_are_those_of_bodies() -> None:
 
 
 def test_the_inertia_of_a_plate_that_a_wide_gap_makes_longer_is_its_own() -> None:
-    """It was that of the plate of a narrow gap."""
+    """A wide gap makes the plate longer, so its inertia must be computed from its own length."""
     link = tree(barriers__gap_m=0.2).find("link[@name='superior_base']")
     assert link is not None
 

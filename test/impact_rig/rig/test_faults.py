@@ -26,7 +26,7 @@ from impact_rig.rig.journal import InputKind
 
 
 def test_faults_come_and_go_with_the_list_of_planned_ones() -> None:
-    """Counted from when it is set; journaled as what it is, so a re-simulation has it too."""
+    """Times count from when the list is set; the journal contains the faults, so that a re-simulation has them too."""
     rig = Rig(config(instruments__faults__planned=["stuck channel=base start_s=0.005"]))
     blocks = rig.advance(10 * TICK)
     rig.configure({"instruments.faults.planned": ["dropout channel=laser start_s=0.02 duration_s=0.03"]})
@@ -49,7 +49,7 @@ def test_faults_come_and_go_with_the_list_of_planned_ones() -> None:
 
 
 def test_a_blank_line_plans_no_fault() -> None:
-    """Neither at the start, where it takes no number of the board, nor when it comes later."""
+    """A blank line has no number of the board, neither at the start nor later."""
     stuck, dropout = "stuck channel=base", "dropout channel=laser"
     rig = Rig(config(instruments__faults__planned=[" ", stuck, dropout]))
     rig.configure({"instruments.faults.planned": [" ", "  ", stuck]})
@@ -59,7 +59,7 @@ def test_a_blank_line_plans_no_fault() -> None:
 
 
 def test_a_fault_that_has_ended_may_go_before_its_block_comes() -> None:
-    """A bug once: a re-simulation, which had cut blocks that the rig had not, knew no such fault and stopped."""
+    """A re-simulation divides blocks in another way, and must still know a fault that has ended."""
     line = "dropout channel=laser duration_s=0.0004"
     rig = Rig(config(daq__block_scans=10, instruments__faults__planned=[line]))
     blocks = rig.advance(TICK // 10)  # simulates a whole tick
@@ -69,13 +69,13 @@ def test_a_fault_that_has_ended_may_go_before_its_block_comes() -> None:
 
 
 def test_a_planned_fault_of_two_lines_is_one_in_the_journal() -> None:
-    """A bug once: the journal keeps one item on a line, and a re-simulation took this for two faults."""
+    """The journal keeps one item on one line, so a re-simulation must not take the lines for two faults."""
     rig = Rig(config(instruments__faults__planned=["dropout\nchannel=laser\n"]))
     resimulated(rig.advance(5 * TICK), rig.take_journal())
 
 
 def test_a_planned_fault_that_would_start_too_late_changes_nothing() -> None:
-    """Before, it was rejected after the rest of the change was active and in the journal."""
+    """It must be rejected before the rest of the change is active and in the journal."""
     rig = Rig(config())
     rig.advance(5 * TICK)
     before = rig.config

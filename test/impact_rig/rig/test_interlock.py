@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Protection of the shaker: limits without a way around them, and the interlock on the true motion."""
+"""Protection of the shaker: limits that cannot be bypassed, and the interlock on the true motion."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ BELOW_IT = {"drive__frequency_hz": 8.0}  # where the table moves most
 
 
 def test_a_new_kind_of_drive_waits_for_the_reset_and_does_not_switch_the_interlock_off() -> None:
-    """A bug once: the watch looked at the kind of drive of the next reset."""
+    """The interlock must use the kind of drive that is active, not the one that the next reset will select."""
     rig = Rig(paper_rig(drive__frequency_hz=8.0, shaker__travel_limit_m=2e-3))
     rig.configure({"drive.kind": "prescribed"})
     rig.accept(amplitude=5.0)
@@ -53,7 +53,7 @@ def test_an_initial_drive_that_the_shaker_refuses_is_refused_when_it_is_set() ->
 
 
 def test_a_shaker_that_a_new_kind_of_drive_cannot_move_is_refused_when_it_is_set() -> None:
-    """A bug once: a prescribed base has no shaker, so only the reset found out, and could not begin."""
+    """A prescribed base has no shaker; if only the reset found this out, the rig could not start."""
     stiff = {"shaker.coil_inductance_h": 1e-7}
     for first, then in (({}, {**stiff, "drive.kind": "voltage"}), (stiff, {"drive.kind": "voltage"})):
         rig = Rig(paper_rig(drive__kind="prescribed", drive__amplitude=0.0))
@@ -70,7 +70,7 @@ def test_a_shaker_that_a_new_kind_of_drive_cannot_move_is_refused_when_it_is_set
 
 
 def test_a_reset_that_cannot_begin_changes_nothing() -> None:
-    """A bug once: the new start was noted before the initial drive was refused, and time jumped."""
+    """The initial drive must be checked before the new start is noted; otherwise, time would jump."""
     rig, twin = Rig(paper_rig(drive__amplitude=2.0)), Rig(paper_rig(drive__amplitude=2.0))
     for one in (rig, twin):
         one.advance(20 * TICK)
@@ -94,7 +94,7 @@ def test_a_reset_that_cannot_begin_changes_nothing() -> None:
     ids=["resonance", "no sphere", "below resonance", "a little too much"],
 )
 def test_over_travel_trips_within_a_block_of_the_true_travel_and_ramps_as_specified(chosen: dict) -> None:
-    """Truth at 50 kS/s tells when the table passed its limit; the current then falls in a straight line in 0.1 s."""
+    """The truth at 50 kS/s shows when the table passed its limit; the current then falls linearly in 0.1 s."""
     rig = Rig(paper_rig(**chosen, daq__rate_hz=FINE_HZ, daq__block_scans=500, output__truth_scan=True))
     limit, blocks = rig.config.shaker.travel_limit_m, []
     while rig.latched is None and rig.frontier_ns < 1000 * TICK:
@@ -135,7 +135,7 @@ def test_a_trip_is_cleared_on_request_only_and_the_amplitude_stays_zero() -> Non
 
 
 def test_the_largest_current_that_is_accepted_does_not_trip() -> None:
-    """A bug once: the average of a sine ripples, and at the limit the ripple passed it."""
+    """The average of a sine ripples, and at the limit, the ripple must not pass it."""
     rig = Rig(paper_rig(drive__frequency_hz=5.0, shaker__travel_limit_m=1.0))
     rig.accept(amplitude=rig.config.shaker.current_limit_a_rms * math.sqrt(2.0))
     rig.advance(800 * TICK)
@@ -143,7 +143,7 @@ def test_the_largest_current_that_is_accepted_does_not_trip() -> None:
 
 
 def test_clearing_what_is_not_latched_forgets_no_current() -> None:
-    """Before, `~/clear_trip` on a free rig restarted the average, so that frequent calls disabled the interlock."""
+    """If `~/clear_trip` restarted the average on a free rig, frequent calls would disable the interlock."""
     trips = []
     for clears in (False, True):
         rig = Rig(paper_rig(drive__frequency_hz=5.0, shaker__travel_limit_m=1.0))
@@ -164,7 +164,7 @@ def test_the_current_is_averaged_over_a_tick_without_its_beginning() -> None:
 
 @given(st.floats(1.0, 30.0), st.floats(0.0, 2 * math.pi), st.floats(-1.0, 1.0))
 def test_an_extreme_between_two_looks_is_found(frequency_hz: float, phase: float, offset: float) -> None:
-    """To h⁴ ω⁴ / 384 of the amplitude, which is 3e-6 at 30 Hz."""
+    """The error is h⁴ ω⁴ / 384 of the amplitude, which is 3e-6 at 30 Hz."""
     omega = 2 * math.pi * frequency_hz
     instants, fine = np.arange(LOOKS_PER_TICK + 1) * SAMPLE_S, np.linspace(0.0, LOOKS_PER_TICK * SAMPLE_S, 100_001)
     position = offset + np.sin(omega * instants + phase)
@@ -175,6 +175,6 @@ def test_an_extreme_between_two_looks_is_found(frequency_hz: float, phase: float
 
 
 def test_a_saddle_at_a_look_is_no_root_of_a_negative_number() -> None:
-    """As plain Python it once raised; compiled, the root was NaN and the ends decided."""
+    """The root of a negative number must neither raise (plain Python) nor be NaN (compiled)."""
     rate = 0.9693949389499377
     assert largest_travel(np.array([0.0, rate / 3.0]), np.array([rate, -1e-22]), 1.0) == pytest.approx(rate / 3.0)

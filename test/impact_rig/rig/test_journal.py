@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The journal tells everything: the same samples come out of it again."""
+"""The journal contains all inputs: a re-simulation from it gives the same samples."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from impact_rig.rig.resimulation import Resimulation
 
 
 def eventful(chosen: RigConfig, cuts: int) -> tuple[list[Block], list[JournalEntry], Rig]:
-    """A run with every kind of input; `cuts` advances between two of them."""
+    """Run with every kind of input, and `cuts` advances between two of them."""
     rig, blocks = Rig(chosen, START_NS), []
 
     def go(ticks: int) -> None:
@@ -77,7 +77,7 @@ def test_a_resimulation_begins_at_the_last_reset() -> None:
 
 
 def test_a_fault_ordered_ahead_does_not_end_what_a_resimulation_is_given_before_a_reset() -> None:
-    """A bug once: where no block came before the reset, changes behind such a fault were left out."""
+    """If no block comes before the reset, changes after such a fault must not be left out."""
     rig = Rig(config(daq__block_scans=1000))
     rig.inject(Fault(kind="dropout", channel="laser", start_sample=50_000))
     rig.advance(2 * TICK)
@@ -137,7 +137,7 @@ def test_every_number_of_a_fault_comes_back_exactly(start, samples, seed, value,
 
 
 def test_a_view_follows_a_journal_entry_by_entry() -> None:
-    """Re-simulation, playback and page read it alike: whole inputs, and the state that they leave behind."""
+    """Re-simulation, playback and page read the journal alike: complete inputs, and the state after each of them."""
     rig = Rig(from_flat(RigConfig(), {"daq.seed": 5, "contact.law": "hunt_crossley"}), START_NS)
     view = JournalView()
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Parameters at run time: all or none, at the command instant."""
+"""Parameters at run time: all or none of them, at the command instant."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_any_change_of_parameters_is_taken_whole_or_refused_whole(hammered: Rig,
 
 
 def test_two_changes_of_one_instant_are_two() -> None:
-    """There and back: nothing differs in the end, but the sphere was put to its start."""
+    """The second change takes back the first, so no value differs in the end, but the sphere was put to its start."""
     rig = Rig(config(drive__amplitude=0.52, barriers__gap_m=0.006))
     blocks = rig.advance(300 * TICK)
     rig.configure({"barriers.gap_m": 0.004, "contact.law": "hunt_crossley"})
@@ -83,7 +83,7 @@ def test_a_gap_change_rests_the_sphere_at_its_start() -> None:
 
 
 def test_limits_and_ramp_leave_the_motion_as_it_is(reference: list[Block]) -> None:
-    """Before, they put the sphere back to its start, and restarted the energy account."""
+    """They must neither put the sphere back to its start nor restart the energy account."""
     rig = Rig(config())
     blocks = rig.advance(40 * TICK)
     work = rig.simulation.energy().work
@@ -145,9 +145,9 @@ def test_a_seed_is_taken_at_the_next_reset() -> None:
     ids=["mass", "fastest drive"],
 )
 def test_instruments_know_the_mechanics_as_they_are(chosen: dict, then: dict[str, object], hertz: float) -> None:
-    """A bug once: they kept the mass that an impact kicks, and pieces as short as the fastest drive needs, of before.
+    """Instruments must use the new mass that an impact kicks, and pieces short enough for the fastest new drive.
 
-    Readings after the change were eight times too high, or off by half of what they should be.
+    Otherwise, readings after the change would be eight times too high, or off by half of their value.
     """
     read = []
     for first, later in (({}, then), (then, {})):
@@ -160,7 +160,7 @@ def test_instruments_know_the_mechanics_as_they_are(chosen: dict, then: dict[str
 
 
 def test_a_drive_faster_than_a_new_limit_is_still_read_as_it_is() -> None:
-    """The limit applies to the next command; the instruments must not confuse it with the active amplitude."""
+    """The limit applies to the next command; the instruments must use the amplitude that is active."""
     read = []
     for then in ({}, {"shaker.frequency_max_hz": 200.0, "instruments.laser.lag_s": 1e-3}):
         rig = Rig(config(sphere__present=False, shaker__frequency_max_hz=1000.0))
@@ -171,7 +171,7 @@ def test_a_drive_faster_than_a_new_limit_is_still_read_as_it_is() -> None:
 
 
 def test_a_chirp_beyond_the_highest_command_is_read_as_it_is() -> None:
-    """A bug once: pieces were as long as the fastest command allows, and a chirp to 1 kHz of 0.5 A read 0.62 A."""
+    """Pieces must be short enough for a chirp to 1 kHz, not only for commands; otherwise, 0.5 A reads 0.62 A."""
     read = []
     for highest_hz in (200.0, 1000.0):
         chirp = {"drive__waveform": "chirp", "drive__frequency_hz": 150.0, "drive__chirp_end_hz": 1000.0}

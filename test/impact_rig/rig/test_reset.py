@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A reset begins as new; a pluck locks the base until then."""
+"""A reset starts the rig as if it were new; a pluck locks the base until the reset."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ def test_over_travel_trips_within_a_tick_whatever_the_cut(step: int) -> None:
 
 
 def journal_of(chosen: RigConfig, blocks: int) -> list[JournalEntry]:
-    """The journal of the same rig, advanced in one go."""
+    """Return the journal of the same rig, advanced in one go."""
     rig = Rig(chosen)
     rig.advance(blocks * TICK)
     return rig.take_journal()
@@ -131,7 +131,7 @@ def feed(rig: Rig, value: float, samples: int = 8) -> None:
 
 @pytest.mark.parametrize("again", ["stop", "pluck", "ramp", "trip"])
 def test_nothing_after_a_stop_prolongs_it(again: str) -> None:
-    """However long the ramp of ordinary commands is, and whatever comes while the shaker is latched."""
+    """This holds for any ramp of ordinary commands, and for all inputs while the shaker is latched."""
     rig = Rig(paper_rig(**QUIET, drive__amplitude=3.0, shaker__ramp_s=60.0))
     rig.configure({"shaker.ramp_s": 0.0})
     rig.accept(amplitude=3.0)
@@ -192,7 +192,7 @@ def test_the_interlock_watches_a_latched_shaker_and_reports_each_reason_once() -
 @pytest.mark.parametrize("hold", ["first_order", "zero_order"])
 @pytest.mark.parametrize("when", ["playing", "holding", "ramping"])
 def test_a_stream_of_slow_samples_stops_as_quickly(hold: str, when: str) -> None:
-    """Samples may be a second apart: neither the next of them nor a ramp in samples is waited for."""
+    """Samples may be a second apart: the stop must not wait for the next one, nor for a ramp in samples."""
     rig = Rig(
         paper_rig(**{
             **QUIET, **STREAM, "drive__stream_rate_hz": 1, "drive__stream_hold": hold, "shaker__ramp_s": 60.0,
@@ -210,7 +210,7 @@ def test_a_stream_of_slow_samples_stops_as_quickly(hold: str, when: str) -> None
 
 
 def sequence(seed: int) -> None:
-    """Drive a rig by a random sequence of inputs; check that it is at rest in time and stays there."""
+    """Drive a rig by a random sequence of inputs; check that it comes to rest in time and stays at rest."""
     chance = random.Random(seed)
     rig = Rig(paper_rig(**QUIET, **DRIVES[seed % len(DRIVES)], shaker__ramp_s=chance.choice([0.0, 0.1, 60.0])))
     is_stream, quantity = rig.takes_samples, "x_b" if rig.config.drive.kind == "prescribed" else "current"

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A stream drives the rig by what came in time, however it came; its journal and what was sent give the run again."""
+"""A stream drives the rig with the samples that arrive in time; the journal and the samples give the run again."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def shuffled(blocks: Blocks, within: int) -> Blocks:
 
 
 def played(sent: Blocks, step: int = TICK, until_ns: int = SECONDS * NS_PER_S, **values: object) -> list[Block]:
-    """Give the blocks as soon as the buffer takes them; go on as far as there are samples."""
+    """Feed the blocks as soon as the buffer accepts them; advance as far as there are samples."""
     rig, found, coming = stream_rig(**values), [], list(sent)
     while rig.frontier_ns < until_ns:
         while coming and coming[0][0] + len(coming[0][1]) <= rig.stream.played + RATE_HZ:
@@ -114,9 +114,10 @@ def test_missing_samples_ramp_to_zero_and_are_told():
 
 @pytest.mark.parametrize("order", list(itertools.permutations(range(4))))
 def test_an_end_is_one_in_whatever_order_it_comes(order):
-    """Two pieces with a pause, and their ends.
+    """The stream consists of two pieces with a pause, and their ends.
 
-    Once a later block or end made an earlier end forgotten: a pause that the controller had asked for was an underrun.
+    A later block or end must not replace an earlier end; otherwise, a pause that the controller requested is an
+    underrun.
     """
     rig = stream_rig(drive__on_underrun="trip")
     blocks = [(0, np.full(500, 0.3)), (500, []), (1_500, np.full(500, 0.1)), (2_000, [])]
@@ -156,7 +157,7 @@ def test_what_an_underrun_does_can_be_chosen():
 
 
 def test_an_underrun_hides_no_trip_of_the_interlock_in_the_same_tick():
-    """Before, the row said underrun, and the over-travel was not reported."""
+    """The row of that tick must report the over-travel, not only the underrun."""
     limits = {"drive__on_underrun": "trip", "shaker__travel_limit_m": 1e-3}
     whole, cut = stream_rig(**limits), stream_rig(**limits)
     whole.feed(0, 10.0 * WAVE[:RATE_HZ])
@@ -216,7 +217,7 @@ def test_a_stop_drops_what_is_buffered_and_refuses_more():
 
 
 def test_the_interlock_sees_what_lies_between_its_looks():
-    """A current that is zero at every millisecond has an rms of 7.4 A for all that."""
+    """A current that is zero at every millisecond still has an rms of 7.4 A."""
     rig = stream_rig(shaker__current_limit_a_rms=6.0, sphere__present=False)
     number = np.arange(20_000)
     rig.feed(0, np.where(number % 10 == 0, 0.0, np.where(number // 10 % 2, -8.0, 8.0)))
@@ -245,7 +246,7 @@ def test_the_rig_has_samples_for_so_many_blocks():
 
 
 def eventful() -> tuple[Rig, list[Block], Blocks]:
-    """A run in which samples are late, replaced and missing, the shaker is stopped, and parameters change."""
+    """Run in which samples are late, replaced and missing, the shaker is stopped, and parameters change."""
     rig, sent, found = stream_rig(), [], []
 
     def send(first: int, values: NDArray[np.float64]) -> None:

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""One time base: neither cuts nor block length nor rate nor noise move a sample or an impact."""
+"""One time base: neither division into calls, block length, rate nor noise change a sample or an impact."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_the_rate_moves_no_impact(reference: list[Block], rate_hz: int) -> None:
 
 @pytest.mark.parametrize("rate_hz", [10_000, 25_600, 44_100])
 def test_stamps_are_computed_from_the_index(rate_hz: int) -> None:
-    """At 25 600 S/s a period is 39 062.5 ns: adding it up would drift."""
+    """At 25,600 S/s a period is 39,062.5 ns: adding up rounded periods would drift."""
     blocks = Rig(config(daq__rate_hz=rate_hz, daq__block_scans=97), START_NS).advance(START_NS + NS_PER_S)
     assert len(blocks) == rate_hz // 97
     for k, block in enumerate(blocks):
@@ -84,7 +84,7 @@ def test_a_seed_changes_noise_and_errors_but_not_one_impact(reference: list[Bloc
 
 
 def test_the_clock_error_scales_the_physics_beneath_the_samples() -> None:
-    """A scan clock that is 1000 ppm slow spans more of true time: the drive seems 1000 ppm faster."""
+    """A scan clock that is 1000 ppm slow covers more true time between scans: the drive seems 1000 ppm faster."""
     slow = Rig(config(daq__clock_error_ppm=1000.0, instruments__ideal=True, sphere__present=False))
     current = samples(slow.advance(100 * TICK))["current"][2000:]
     seconds = (np.arange(len(current)) + 2000) / 10_000

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig analyze RUN --figures DIR`: what is drawn of a run, and that it says so."""
+"""`impact-rig analyze RUN --figures DIR`: the figures of a run, and their labels."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ CLI = [sys.executable, "-c", "import sys; from impact_rig.cli import main; sys.e
 
 @pytest.fixture(scope="module")
 def measured() -> Messages:
-    """Two points of a sweep with the sphere, a settled measurement each."""
+    """Two points of a sweep with the sphere, with a settled measurement each."""
     rig = LocalRig({"barriers.gap_m": 0.006, "daq.rate_hz": 5000, "daq.block_scans": 50})
     for frequency_hz in (9.0, 9.1):
         rig.command(frequency_hz=frequency_hz, current_a=0.52)
@@ -82,7 +82,7 @@ def test_the_command_line_draws_and_names_what_it_wrote(run: Path, tmp_path: Pat
 
 
 def test_the_curve_of_a_run_is_fit_to_print_and_the_same_each_time(run: Path, tmp_path: Path) -> None:
-    """Quantities and units at the axes, gap, current and ± 2u in the legend, no date in any file."""
+    """Quantities and units at the axes; gap, current and ± 2u in the legend; no date in any file."""
     for where in ("first", "second"):
         assert main(["analyze", str(run), "--figures", str(tmp_path / where)]) == 0
     for first in (tmp_path / "first").iterdir():
@@ -140,7 +140,7 @@ def test_where_nothing_settled_it_is_the_end_after_the_last_gap(measured: Messag
 
 
 def test_after_a_reset_time_begins_anew(measured: Messages, tmp_path: Path) -> None:
-    """The same four seconds twice: rig time goes back, and what was before is not mixed in."""
+    """The same four seconds twice: rig time goes back, and the data before the reset are not mixed in."""
     four = [one for one in measured if one[1].stamp_ns < 4_000_000_000]
     excerpt = excerpt_of(record(tmp_path / "reset", [*four, *four[:200]]))
     assert excerpt.rows["time"][0] == 0.0

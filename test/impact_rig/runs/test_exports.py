@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Exported tables hold the recorded bits."""
+"""Exported tables contain the recorded bits."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ LEADING = ["time", "timestamp", "earlier"]
 
 
 def expected():
-    """The times in ns since the first scan, and the other columns by name."""
+    """Return the times since the first scan [ns], and the other columns by name."""
     rows = np.concatenate([codec.decode(scan_block(number)).rows for number in range(30)])
     since_ns = np.repeat(np.arange(30) * 10_000_000, 100) + np.round(rows["time"] * 1e9).astype(np.int64)
     return since_ns, {name: rows[name] for name in rows.dtype.names if name != "time"}
@@ -88,7 +88,7 @@ def test_csv_reads_back_to_the_same_bits(run, tmp_path):
 
 
 def test_time_runs_on_from_block_to_block_and_is_the_same_in_all_topics(run, tmp_path):
-    """It began again in each block, and the stamp had 19 digits, which a spreadsheet rounds."""
+    """Time must not restart in each block; a stamp of 19 digits would be rounded by a spreadsheet."""
     with np.load(export(run, "daq/scan", tmp_path / "scan.npz")) as found:
         assert (np.diff(found["time"]) > 0.0).all()
         assert found["time"][[0, -1]].tolist() == [0.0, pytest.approx(0.2999, abs=1e-12)]
@@ -108,7 +108,7 @@ def test_text_becomes_text(run, tmp_path):
 
 @pytest.mark.parametrize("is_table", [False, True], ids=["this version", "third version"])
 def test_a_journal_is_one_row_per_entry(tmp_path, is_table):
-    """A recording of the third version holds it as a table."""
+    """A recording of the third version contains the journal as a table."""
     rig = Rig(RigConfig())
     rig.configure({"barriers.gap_m": 0.1 + 0.2})
     found = [("rig/journal", entry) for entry in rig.take_journal()]
@@ -123,7 +123,7 @@ def test_a_journal_is_one_row_per_entry(tmp_path, is_table):
 
 @pytest.mark.parametrize("former", ["curve", "held", "locked"])
 def test_sweeps_of_earlier_versions_are_exported(former, tmp_path):
-    """They had a topic each; now `sweep/table` holds all of them."""
+    """They had a topic each; in this version, `sweep/table` contains all of them."""
     rows = np.zeros(2, TRANSMISSIBILITY)
     rows["frequency"] = [9.0, 9.1]
     name = f"transmissibility/{former}"
@@ -134,14 +134,14 @@ def test_sweeps_of_earlier_versions_are_exported(former, tmp_path):
 
 
 def test_rows_published_before_the_recording_began_are_marked(run, tmp_path):
-    """Thirteen of sixteen rows of a run were those of the cases before it, and nothing said so."""
+    """Thirteen of the sixteen rows belong to cases before this run."""
     for topic, earlier in (("daq/scan", 0), ("texts", 1)):
         with np.load(export(run, topic, tmp_path / f"{earlier}.npz")) as found:
             assert (found["earlier"] == earlier).all()
 
 
 def test_a_publish_time_that_only_repeats_the_log_time_says_nothing(tmp_path):
-    """Log times of a rig in one process count from 1970, which makes no message `earlier`."""
+    """Log times of a rig in one process count from 1970; this must not make a message `earlier`."""
     with LocalRig(record=tmp_path / "run") as rig:
         rig.step()
     with open_run(tmp_path / "run") as run, np.load(export(run, "daq/scan", tmp_path / "scan.npz")) as found:
@@ -199,7 +199,7 @@ def test_a_curve_is_a_frequency_response_function_per_gap(tmp_path):
 
 
 def test_what_is_no_number_stays_out_of_a_universal_file(tmp_path):
-    """A measurement that was refused once stood in the file with a DT of 0."""
+    """A measurement that was refused must not be in the file with a DT of 0."""
     pyuff = pytest.importorskip("pyuff")
     columns = {
         "time": np.arange(4.0), "dt": np.array([3.0, np.nan, 5.0, 6.0]),
@@ -214,7 +214,7 @@ def test_what_is_no_number_stays_out_of_a_universal_file(tmp_path):
     ("rate_hz", "begin_s", "even"), [(5000, 0, 1), (5000, 3, 1), (3000, 0, 0), (5000, 12345.6788, 0)]
 )
 def test_times_in_a_universal_file_are_right_to_the_last(tmp_path, rate_hz, begin_s, even):
-    """A step of 1/3000 s has six digits there: the last time of a minute was 0.2 scans off; of a late begin, 21 ms."""
+    """With a step of 1/3000 s in six digits, the last time of a minute would be wrong by 0.2 scans."""
     pyuff = pytest.importorskip("pyuff")
     times = begin_s + np.arange(60 * rate_hz) / rate_hz
     columns = {"time": times, "x": np.ones(len(times))}

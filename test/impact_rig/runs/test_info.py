@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Output of `info` about a run, and the rule by which blocks follow each other."""
+"""Output of `info` about a run, and the rule by which blocks are contiguous."""
 
 from __future__ import annotations
 
@@ -180,7 +180,7 @@ RATES = st.sampled_from([10_000, 50_000, 25_600, 44_100, 100_003])
 
 @given(rate=RATES, start=st.integers(0, 2**61), first=st.integers(0, 10**9), lengths=st.lists(st.integers(1, 999)))
 def test_blocks_by_the_rule_are_contiguous(rate, start, first, lengths):
-    """`start_ns + i * 10**9 // rate_hz`, from whichever index on, whether or not the start is known."""
+    """Stamps are `start_ns + i * 10**9 // rate_hz`, from any index on, whether or not the start is known."""
     blocks, index = [], first
     for length in lengths:
         blocks.append((stamp_ns(index, rate, start), length))
@@ -221,7 +221,7 @@ def test_a_stamp_off_the_grid_is_a_gap(known):
 
 @pytest.mark.parametrize("missed", [0, 1, 7])
 def test_between_two_rigs_nothing_is_missing_but_blocks_of_the_second(missed):
-    """The time between the death of a rig and scan 0 of the next once counted as 774 missing blocks."""
+    """The time between the death of a rig and scan 0 of the next must not count as missing blocks."""
     again = START_NS + 7_740_000_123
     blocks = [(START_NS, 100), (START_NS + 10_000_000, 100), (again + missed * 10_000_000, 100)]
     for known in (START_NS, None):
@@ -250,7 +250,7 @@ def test_a_block_with_a_single_scan_has_no_rate(record):
 
 
 def rewritten(run, out, change):
-    """A copy of a run whose messages have gone through `change`, with everything it says of itself as it was."""
+    """Return a copy of a run whose messages have passed through `change`, with its own metadata unchanged."""
     with open_run(run) as opened:
         account = losses.read_record(opened.record(losses.RECORD_NAME))
         record = {name: json.dumps([attrs.asdict(one) for one in found]) for name, found in account.items()}
@@ -266,7 +266,7 @@ def rewritten(run, out, change):
 
 @pytest.mark.parametrize("topic", ["/rig/notes", "/rig/daq/scan"])
 def test_a_message_removed_and_its_neighbour_doubled_is_found_by_their_numbers(record, tmp_path, topic):
-    """As many messages as were received, and not those."""
+    """The number of messages is that of the received ones, but they are not the same messages."""
     with record() as writer:
         fill(writer, 30)
 
@@ -317,7 +317,7 @@ def test_an_account_that_leaves_a_topic_out_makes_no_run_whole(record, tmp_path)
 
 @pytest.mark.parametrize("times", [np.array([b"a", b"b"], "S32"), np.array([0.0, 5e-324])])
 def test_times_that_are_none_say_no_rate(record, times):
-    """Words for times, or times closer than numbers go, once ended recording, reading and recovery in a ValueError."""
+    """Texts for times, or times that are too close for numbers, must not raise a ValueError in recording or reading."""
     rows = np.zeros(2, [("time", times.dtype), ("laser", "f4")])
     rows["time"] = times
     with record() as writer:
@@ -329,7 +329,7 @@ def test_times_that_are_none_say_no_rate(record, times):
 
 
 def test_blocks_of_two_rigs_in_one_recording_are_judged_rig_by_rig(record):
-    """They come in turn: every second one was once a gap, at which the stamps go back."""
+    """The blocks of the rigs alternate: every second one would be a gap at which the stamps go back."""
 
     def judged(name, missing):
         with record(name) as writer:
@@ -348,7 +348,7 @@ def test_blocks_of_two_rigs_in_one_recording_are_judged_rig_by_rig(record):
 
 
 def test_blocks_of_one_scan_are_judged_too(record):
-    """Their times say no rate; the calibration does, or the stamps."""
+    """Their times give no rate; the calibration or the stamps do."""
 
     def blocks(directory, numbers, calibration):
         with record(directory) as writer:
@@ -383,7 +383,7 @@ def test_a_split_run_without_its_last_file_is_not_whole(record):
 
 
 def test_a_run_being_written_is_told_from_one_that_was_cut_short(record, tmp_path):
-    """Its writer holds a lock as long as it lives; the advice for either works."""
+    """The writer of a run holds a lock while it is alive; the advice for each case works."""
     writer = record(tail=True)
     sent = fill(writer, 5)
     writer.secure()

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`analyze` compares with the live results where both saw the same data, and says what it could not compare."""
+"""`analyze` compares with the live results where both saw the same data, and reports what it could not compare."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def whole() -> Messages:
 
 @pytest.fixture(scope="module")
 def long() -> Messages:
-    """With rows at 10.6 and 15.9 s, and one at 24.5 s, after a change at 16 s."""
+    """Run with rows at 10.6 and 15.9 s, and one at 24.5 s, after a change at 16 s."""
     return messages(26, (1600,))
 
 
@@ -80,7 +80,7 @@ def measured_live(found: Messages, hears: Callable[[int], bool]) -> Messages:
 
 
 def early_rows(found: Messages) -> list[Table]:
-    """Return the live results of all but the last two seconds, which a recorder that stops cannot have missed."""
+    """Return the live results except those of the last two seconds, which a recorder that stops may have missed."""
     end_ns = max(table.stamp_ns for name, table in found if name == "daq/scan")
     return [table for name, table in found if name == TABLE and table.stamp_ns < end_ns - 2 * NS_PER_S]
 
@@ -128,7 +128,7 @@ def test_elsewhere_results_agree_to_a_billionth_and_the_answer_says_so(
 def test_a_recorder_that_came_late_is_compared_from_the_first_shared_change(
     whole: Messages, tmp_path: Path, late: int
 ) -> None:
-    """A command is the first change that both saw; before it, live had waited since 0.07 s, the file since it began."""
+    """The first change that both saw is a command; before it, live had waited since 0.07 s, the file since its start."""
     data = messages(again=AGAIN)
     part = [(name, table) for name, table in data if name not in ("daq/scan", TABLE) or table.stamp_ns >= late * TICK]
     found = compared(tmp_path, part)
@@ -180,7 +180,7 @@ def test_a_recording_that_lacks_blocks_is_compared_where_it_has_them(
 def test_an_analysis_that_was_stopped_for_a_while_is_compared_where_it_had_scans(
     long: Messages, tmp_path: Path, begin: int, end: int
 ) -> None:
-    """Rows measured from scans that the live analysis had lost do not count as missed."""
+    """Rows measured from scans that the live analysis had lost must not count as missing."""
     found = compared(tmp_path, measured_live(long, lambda stamp_ns: not begin * TICK <= stamp_ns < end * TICK))
     assert found.same, found.reason
     assert found.identical
@@ -188,14 +188,14 @@ def test_an_analysis_that_was_stopped_for_a_while_is_compared_where_it_had_scans
 
 
 def test_results_of_the_run_before_are_not_those_of_this_one(whole: Messages, tmp_path: Path) -> None:
-    """A campaign's rig begins each run at 0 s again, and a latched topic hands a recorder what was measured before."""
+    """A campaign's rig starts each run at 0 s again, and a latched topic gives a recorder the earlier results."""
     before = [(name, attrs.evolve(table, stamp_ns=table.stamp_ns + 1)) for name, table in whole if "table" in name]
     assert before
     assert compared(tmp_path, before + whole).identical
 
 
 def test_a_recording_without_a_live_measurement_is_not_called_identical(whole: Messages, tmp_path: Path) -> None:
-    """The recorder came after the last one: only the latched table of before is in the run."""
+    """The recorder started after the last measurement: only an earlier latched table is in the run."""
     (last,) = [table for name, table in whole if name == TABLE][-1:]
     early = (TABLE, attrs.evolve(last, stamp_ns=0))
     scans = [one for one in whole if one[0] != TABLE]
@@ -249,7 +249,7 @@ def test_calibration_and_drive_that_come_some_blocks_late_are_those_of_the_first
 
 
 def with_impacts(**values: object) -> Messages:
-    """A rig that strikes, with all that its analysis publishes."""
+    """Rig that hits its walls, with everything that its analysis publishes."""
     data = messages(6, (), **{"sphere.present": True, "barriers.gap_m": 0.002, **values})
     tracker, result = Tracker(), []
     tracker.label(0.0, 0)
@@ -290,7 +290,7 @@ def test_the_impacts_that_live_had_found_are_compared_too(tmp_path: Path) -> Non
 
 
 def shifted(message: tuple[str, Table]) -> Messages:
-    """The message, 3 ms earlier."""
+    """Return the message with a stamp 3 ms earlier."""
     name, table = message
     return [(name, attrs.evolve(table, stamp_ns=table.stamp_ns - 3_000_000))]
 
@@ -336,7 +336,7 @@ def test_a_table_of_another_version_or_with_a_hostile_number_is_answered_in_one_
 def test_settings_of_another_publisher_that_are_none_cost_nothing_but_themselves(
     whole: Messages, tmp_path: Path
 ) -> None:
-    """A key that is unknown, a column that is missing: the settings of the analysis are there, and are believed."""
+    """The settings have an unknown key, or lack a column: those of the analysis are still used."""
     own = next(message for message in whole if message[0] == "analysis/settings")
     foreign = [
         edited([own], "analysis/settings", change)[0]
@@ -354,7 +354,7 @@ def test_a_measurement_of_a_version_before_some_columns_is_compared(whole: Messa
 
 
 def test_an_analysis_that_was_started_again_is_compared_until_it_ended(whole: Messages, tmp_path: Path) -> None:
-    """It labels what it will see from stamp 0 on, which once labelled the whole run and accused the rows before."""
+    """The restarted analysis labels what it will receive from stamp 0 on, which must not label the rows before it."""
     killed_ns, again_ns = 11 * NS_PER_S, 11_500_000_000
     found: Messages = []
     for name, table in whole:
@@ -369,7 +369,7 @@ def test_an_analysis_that_was_started_again_is_compared_until_it_ended(whole: Me
 
 
 def test_two_analyses_that_label_one_run_in_turn_leave_its_gap_unknown(whole: Messages, tmp_path: Path) -> None:
-    """Rows of two labs in one namespace have no gap; a restarted lab says nothing about the time before."""
+    """Rows of two labs in one namespace have no gap; a restarted lab does not label the time before."""
     found: Messages = []
     for name, table in whole:
         for second, gap_m, started_s in ((3, 0.006, 2.0), (5, 0.010, 1.0), (7, 0.002, 2.0)):
@@ -386,7 +386,7 @@ def test_two_analyses_that_label_one_run_in_turn_leave_its_gap_unknown(whole: Me
 
 
 def test_a_difference_is_found_in_any_column_of_a_row(whole: Messages) -> None:
-    """Here to the last bit, on another machine too beyond a billionth: a word, a number, one in the place of none."""
+    """Here to the last bit, and on another machine beyond 1e-9: a word, a number, or a number instead of none."""
     (row,) = next(table for name, table in whole if name == TABLE and table.rows["settled"][0] == 1).rows
     for name in row.dtype.names:
         other = row.copy()
@@ -398,7 +398,7 @@ def test_a_difference_is_found_in_any_column_of_a_row(whole: Messages) -> None:
 
 
 def test_a_label_that_is_told_before_the_first_scan_is_of_the_same_analysis(whole: Messages, tmp_path: Path) -> None:
-    """The demo's first job labels an analysis that has seen nothing yet: its stamp is 0, as that of a start."""
+    """The first job of the demo labels an analysis that has seen no scan: its stamp is 0, as at a start."""
     place = next(place for place, (name, _) in enumerate(whole) if name == "analysis/settings")
     result = compared(tmp_path, [*whole[: place + 1], whole[place], *whole[place + 1 :]])
     assert result.identical, str(result)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig recover`: what was given back and what is missing, and a run that says where it comes from."""
+"""`impact-rig recover`: what was recovered and what is missing, and a run that states its origin."""
 
 from __future__ import annotations
 

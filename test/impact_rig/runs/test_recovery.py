@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Whatever happened to a file, what is given back is what was recorded: never wrong data, never a hang."""
+"""From a file with any damage, only recorded data are recovered: never wrong data, and never a hang."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def key(message):
 
 
 def small_run(directory, compression="zstd", topics=SMALL_TOPICS):
-    """Some 4 kB: twelve messages in a few chunks, two topics, one attachment."""
+    """Run of about 4 kB: twelve messages in a few chunks, two topics, one attachment."""
     with RunWriter(
         directory,
         provenance=Provenance(version="1", seed=3, wall_start_ns=4),
@@ -96,7 +96,7 @@ def chunk_ends(path):
 
 
 def record_starts(data):
-    """Return the beginning of each record of a file, and the end of the last one."""
+    """Return the start of each record of a file, and the end of the last one."""
     starts = [len(records.MAGIC)]
     while starts[-1] < len(data) - len(records.MAGIC):
         starts.append(starts[-1] + records.RECORD_HEAD.size + records.RECORD_HEAD.unpack_from(data, starts[-1])[1])
@@ -104,7 +104,7 @@ def record_starts(data):
 
 
 def near_records(data):
-    """Every edge of a record, of its length and of its content, a byte to either side, and a sample between them."""
+    """Return every edge of a record and of its content, a byte before and after each, and some offsets between."""
     edges = {start + inside for start in (0, *record_starts(data)) for inside in (0, 1, records.RECORD_HEAD.size)}
     between = np.random.default_rng(4).choice(len(data), 40, replace=False).tolist()
     return sorted({edge + side for edge in edges for side in (-1, 0, 1)} & set(range(len(data))) | set(between))
@@ -180,7 +180,7 @@ def test_a_cut_run_is_readable_by_other_tools_again(record, tmp_path):
 
 
 def check_never_wrong(path, out, sent, attachments, provenance):
-    """Recover and read `path`; return how many messages came back. All that comes back must have been sent."""
+    """Recover and read `path`; check that all recovered messages were sent, and return their number."""
     try:
         with open_run(path) as run:
             got = [key(m) for m in run.messages(recorded_order=True)]
@@ -213,7 +213,7 @@ def flip(data, bits):
 @pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
 @pytest.mark.repeats
 def test_one_flipped_bit_costs_at_most_one_chunk(tmp_path, compression, flips):
-    """One in the kind and one in the length of every record, and a sample of all."""
+    """One bit in the opcode and one in the length of every record, and a sample of all bits."""
     path = small_run(tmp_path / "run", compression)
     data = path.read_bytes()
     sent, attachments, provenance = read_all(path)
@@ -249,7 +249,7 @@ def test_many_flipped_bits_and_overwritten_stretches(tmp_path, cases):
 
 
 def test_a_chunk_is_found_wherever_the_damage_before_it_ends(tmp_path, monkeypatch):
-    """It may lie across the edges of what is read at once; and none is too short by the length of a name."""
+    """The chunk may lie across the edges of what is read at once."""
     monkeypatch.setattr(recovery, "_FIRST_WINDOW_BYTES", recovery._PATTERN_BYTES)
     path = tmp_path / "damaged.mcap"
     for name in (b"", b"lz4", b"zstd", b"x" * recovery._LONGEST_NAME):
@@ -336,7 +336,7 @@ def test_a_damaged_metadata_yaml_does_not_stop_recovery(record, tmp_path):
 
 
 def test_files_of_a_split_run_are_recovered_in_order_whatever_lists_them(record, tmp_path):
-    """Without metadata.yaml the eleventh file once came before the third: blocks went back in time."""
+    """Without metadata.yaml, the eleventh file must not come before the third."""
     with record(max_file_duration_ns=20_000_000) as writer:
         sent = fill(writer, 40)
     assert len(writer.files) > 10
@@ -347,7 +347,7 @@ def test_files_of_a_split_run_are_recovered_in_order_whatever_lists_them(record,
 
 
 def test_the_first_of_several_attachments_of_one_name_is_that_of_the_start(record, tmp_path):
-    """A recovered run once had the configuration of the last file, and a reader took the last one of a file."""
+    """A recovered run must not have the configuration of the last file."""
     with record(max_file_duration_ns=20_000_000) as writer:
         writer.attach(Attachment("config.yaml", b"later"))
         fill(writer, 10)
@@ -358,7 +358,7 @@ def test_the_first_of_several_attachments_of_one_name_is_that_of_the_start(recor
 
 
 def test_what_an_earlier_recovery_left_out_is_still_told(record, tmp_path):
-    """The result of a recovery, recovered again, once claimed that nothing is left out of it."""
+    """The result of a recovery that is recovered again must still state what the first one left out."""
     with record(chunk_bytes=20_000) as writer:
         fill(writer, 30)
     (path,) = writer.files
@@ -500,7 +500,7 @@ def test_a_killed_writer_loses_less_than_a_second_at_any_instant(tmp_path, after
 
 
 def test_more_topics_than_any_reader_takes_are_not_collected(tmp_path, monkeypatch):
-    """A small file can define very many; the bound is that of reading a whole run."""
+    """A small file can define very many topics; the limit is that for reading a run."""
     path = tmp_path / "many.mcap"
     writer = Writer(str(path), compression=CompressionType.NONE)
     writer.start("ros2")
@@ -518,7 +518,7 @@ def test_more_topics_than_any_reader_takes_are_not_collected(tmp_path, monkeypat
 
 
 def test_where_records_do_not_follow_each_other_metadata_and_attachments_are_found_again(tmp_path):
-    """One damaged length must not cost what stands between it and the next chunk."""
+    """One damaged length must not lose what is between it and the next chunk."""
     path = small_run(tmp_path / "run")
     whole = path.read_bytes()
     _, _, first = records.split(memoryview(whole), len(records.MAGIC))

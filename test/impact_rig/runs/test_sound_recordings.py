@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Sound but unusual recordings are accepted by every command, and span what they hold."""
+"""Sound but unusual recordings are accepted by every command, and their durations are right."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def analysed(rig: Rig, blocks: int, deeds: dict[int, Any], until: int | None = N
 
 
 def bag_of_everything(path: Path, **runs: Path) -> Path:
-    """Write runs into one file as `ros2 bag record -a` would: each in a namespace, with more topics."""
+    """Write several runs into one file as `ros2 bag record -a` would: each in a namespace, with additional topics."""
     writer = Writer(str(path))
     writer.start("ros2")
     for namespace, source in runs.items():
@@ -117,7 +117,7 @@ def test_a_recording_of_everything_is_verified(tmp_path: Path, capsys: pytest.Ca
 
 @pytest.mark.parametrize("blocks", [60, 61, 64])
 def test_a_recording_over_a_restart_at_zero_is_verified(tmp_path: Path, blocks: int) -> None:
-    """The last blocks of the first rig hold no joint states; those of the second begin at 0 again."""
+    """The last blocks of the first rig have no joint states; those of the second start at 0 again."""
     rigs = [Rig(from_flat(RigConfig(), {"daq.seed": seed})) for seed in (3, 4)]
     source = record(tmp_path / "run", [one for rig in rigs for one in everything(rig, blocks)])
     with open_run(source) as run:
@@ -173,7 +173,7 @@ def test_a_recording_of_the_third_version_is_still_read() -> None:
 
 
 def test_a_reset_inside_a_block_is_no_gap(tmp_path: Path) -> None:
-    """A reset drops what does not fill a block."""
+    """A reset drops the scans that do not fill a block."""
     rig = Rig(from_flat(RigConfig(), {"daq.block_scans": 150, "sphere.present": False}))
     parts: list[Any] = []
     for _ in range(3):
@@ -242,7 +242,7 @@ def test_a_hole_that_the_rig_had_not_reached_is_no_difference(tmp_path: Path) ->
 
 
 def test_another_sample_that_is_missing_is_found(tmp_path: Path) -> None:
-    """The rig had it."""
+    """The rig had this sample, so its absence is a difference."""
     rig = Rig(from_flat(RigConfig(), {"drive.waveform": "stream", "drive.amplitude": 0.0, "sphere.present": False}))
     found: list[Any] = []
     for first in range(0, 3000, 500):

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`verify` and `analyze`: identical when nothing was touched, the first difference by name when something was."""
+"""`verify` and `analyze`: identical for an unchanged run, the first difference for a changed one."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def verdict(directory: Path, found: Messages) -> Verification:
 
 
 def test_a_run_is_what_its_journal_says(whole: Messages, tmp_path: Path) -> None:
-    """Commands, changed mechanics, a fault and an emergency stop: every scan again, bit for bit."""
+    """With commands, changed mechanics, a fault and an emergency stop, every scan is re-simulated bit for bit."""
     found = verdict(tmp_path, whole)
     scans = sum(len(table.rows) for name, table in whole if name == "daq/scan")
     assert found == Verification(True, scans)
@@ -70,7 +70,7 @@ def test_a_recorder_that_came_late_can_verify_too(whole: Messages, tmp_path: Pat
 
 
 def test_one_changed_bit_is_named(whole: Messages, tmp_path: Path) -> None:
-    """Topic, stamp, sample and both values."""
+    """The message names topic, stamp, sample and both values."""
     number = iter(range(10**6))
 
     def change(rows: np.ndarray) -> np.ndarray:
@@ -141,7 +141,7 @@ class _OfBefore(Provenance):
     ids=["named", "unwritten"],
 )
 def test_a_run_of_another_arithmetic_is_not_accused(whole: Messages, tmp_path: Path, provenance: Provenance) -> None:
-    """Its bits cannot be made here: one changed scan among them is not found, and nothing is called different."""
+    """This version cannot compute its bits: a changed scan is not found, and nothing is called different."""
 
     def change(rows: np.ndarray) -> np.ndarray:
         rows["laser"][0] += 1e-6
@@ -170,7 +170,7 @@ def test_a_rescued_run_keeps_its_arithmetic(whole: Messages, tmp_path: Path) -> 
 
 @pytest.mark.parametrize("deed", ["drive", "gap", "reset"])
 def test_what_a_killed_recorder_had_not_received_is_no_difference(tmp_path: Path, deed: str) -> None:
-    """Topics overtake each other: scans and other topics were recorded, the entry about what acted on them was not."""
+    """Topics overtake each other: scans and other topics were recorded, but not the entry about the cause."""
     rig = Rig(from_flat(RigConfig(), {"daq.seed": 5, "drive.amplitude": 0.52}))
     deeds: dict[str, Callable[[], object]] = {
         "drive": lambda: rig.accept(frequency_hz=9.3),
@@ -199,7 +199,7 @@ def test_what_a_killed_recorder_had_not_received_is_no_difference(tmp_path: Path
 
 
 def reset_rig() -> tuple[Messages, Messages, Messages]:
-    """A rig that is reset twice, each time with another seed, and measures before, between and after."""
+    """Rig that is reset twice, each time with another seed, and measures before, between and after the resets."""
     rig = Rig(from_flat(RigConfig(), {"daq.seed": 5, "drive.amplitude": 0.52}))
     parts = []
     for seed in (6, 7, 8):
@@ -211,7 +211,7 @@ def reset_rig() -> tuple[Messages, Messages, Messages]:
 
 
 def test_a_run_goes_on_behind_a_reset(tmp_path: Path) -> None:
-    """The journal of what came before was forgotten, and a sound run called different after no identical scan."""
+    """The journal before the reset must be kept; without it, a sound run differs after no identical scan."""
     first, second, third = reset_rig()
     found = verdict(tmp_path / "whole", [*first, *second, *third])
     assert found == Verification(True, 3 * 30 * 100)
@@ -303,7 +303,7 @@ def test_tables_of_another_kind_are_no_settings(whole: Messages, tmp_path: Path)
 
 @pytest.fixture(scope="module")
 def told() -> list[tuple[str, object]]:
-    """All that a rig publishes about itself: it strikes, is faulty, trips, is reset and goes on."""
+    """Everything that a rig publishes about itself: it has impacts, a fault, a trip and a reset, and continues."""
     rig = Rig(from_flat(RigConfig(), {"daq.seed": 5, "barriers.gap_m": 0.002, "output.truth_scan": True}))
     return everything(
         rig,
@@ -339,7 +339,7 @@ def test_everything_that_the_rig_published_is_compared_and_told_topic_by_topic(t
 
 @pytest.mark.parametrize("begun", [3, 80, 200], ids=lambda block: f"block {block}")
 def test_a_recorder_that_came_late_heard_less_and_is_not_accused(told, tmp_path: Path, begun: int) -> None:
-    """Truth and scans begin one after the other; what is latched is there from before."""
+    """Truth and scans begin one after the other; latched messages are there from before."""
     latched = ("rig/journal", "shaker/applied", "daq/info", "truth/faults", "rig/configuration")
     scans = [place for place, (name, _) in enumerate(told) if name == "daq/scan"]
     late = [
@@ -415,7 +415,7 @@ def test_an_altered_joint_state_and_configuration_are_named(told, tmp_path: Path
 
 
 def test_a_session_that_came_back_to_its_first_configuration_is_not_accused(told, tmp_path: Path) -> None:
-    """Latched texts of before: the first like the run's own, the next not; once that was called different."""
+    """The first earlier latched text equals the run's own, the next one does not; this is no difference."""
     place = next(place for place, (name, _) in enumerate(told) if name == "rig/configuration")
     name, own = told[place]
     other = (name, attrs.evolve(own, text=own.text.replace("gap_m: 0.002", "gap_m: 0.0021")))
@@ -428,7 +428,7 @@ def test_a_session_that_came_back_to_its_first_configuration_is_not_accused(told
 
 
 def test_a_row_that_the_rig_itself_would_have_written_cannot_be_invented_or_removed(told, tmp_path: Path) -> None:
-    """A trip is a result: the journal without it, or with one more, leads to other rows."""
+    """A trip is a result: a journal without it, or with another one, leads to other rows."""
     assert any(name == "rig/journal" and one.kind is InputKind.TRIP for name, one in told)
 
     def renumbered(change: Callable[[JournalEntry], list[JournalEntry]]) -> list[tuple[str, object]]:
@@ -454,7 +454,7 @@ def test_a_row_that_the_rig_itself_would_have_written_cannot_be_invented_or_remo
 
 
 def test_a_command_altered_by_less_than_a_step_of_the_converter_is_found(told, tmp_path: Path) -> None:
-    """The scans are the same to the last bit; what was applied, and what is true, is not."""
+    """The scans are the same to the last bit, but the applied command and the truth differ."""
 
     def command(entry: JournalEntry) -> JournalEntry:
         altered = entry.name == "current" and entry.value == 0.52

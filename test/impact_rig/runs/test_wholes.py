@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig analyze RUN --frf, --sine`: what is measured of a recorded run as one whole record."""
+"""`impact-rig analyze RUN --frf` and `--sine`: measurements of a recorded run as one record."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def steady(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A settled measurement at 9.3 Hz."""
+    """Settled measurement at 9.3 Hz."""
     rig = LocalRig(RIG)
     rig.command(frequency_hz=9.3, current_a=0.3)
     rig.run(seconds=13.0)
@@ -93,7 +93,7 @@ def test_the_command_prints_and_draws_a_frequency_response(
 
 
 def test_the_window_of_a_frequency_response_can_be_chosen(swept: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """One with wide lines resolves less, and says so."""
+    """A window with wide lines resolves less, and the result states this."""
     bias = []
     for window in ("hann", "flattop"):
         assert main(["analyze", str(swept), "--frf", "--segment", "40", "--window", window, "--json"]) == 0

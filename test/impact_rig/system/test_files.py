@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Files in directories that others may write to: nothing of theirs is followed, waited for or overwritten."""
+"""Files in directories that others may write to: links of other users are not followed, waited for or overwritten."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def test_what_must_be_kept_is_kept(tmp_path: Path, victim: Path, what: str) -> N
 
 
 def test_what_must_be_kept_is_kept_without_hard_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As on FAT: there is no such file system to test on, so the call that it lacks is taken away."""
+    """This is as on FAT. There is no such file system to test on, so the system call that FAT lacks is removed."""
 
     def refuse(*_: object) -> None:
         raise PermissionError
@@ -209,7 +209,7 @@ def test_state_is_kept_in_the_users_folder_else_in_a_temporary_one(
 
 
 def test_a_path_that_exists_gets_a_number(tmp_path: Path) -> None:
-    """Two commands without --output that began within one second had one folder, and the second one failed."""
+    """Two commands without --output that start within one second must not use one folder."""
     taken = []
     for _ in range(3):
         taken.append(files.free_path(tmp_path / "hold_20261128_034830"))

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Locks that one process holds at a time."""
+"""Locks that only one process can hold at a time."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_a_lock_is_free_as_soon_as_its_holder_is_killed(tmp_path) -> None:
 
 
 def test_a_lock_that_another_program_holds_means_nothing() -> None:
-    """`flock FILE` of any program kept rigs from beginning, with an untrue reason."""
+    """A lock that `flock FILE` of another program holds must not stop a rig from starting."""
     os.close(files.hold("places", "7.cell") or 0)
     path = files.lock_directory() / "places" / "7.cell.lock"
     command = [sys.executable, "-c", STRANGER, str(path)]
@@ -114,7 +114,7 @@ def test_no_variable_moves_the_locks(monkeypatch) -> None:
 
 
 def test_what_another_user_could_change_is_passed_over(tmp_path, monkeypatch) -> None:
-    """An open directory or a link under the name: the next candidate is used, or the error names the cause."""
+    """If an open directory or a link has the name, the next candidate is used, or the error names the cause."""
     name = files.lock_directory().name
     parents = [tmp_path / parent for parent in ("open", "link", "absent", "good")]
     for parent in parents:

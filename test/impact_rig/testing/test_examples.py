@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The worked examples in `examples/`, run as their reader runs them: one pytest of its own, the plugin loaded."""
+"""Worked examples in `examples/`, run as a reader runs them: a separate pytest with the plugin loaded."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_every_example_passes(tmp_path: Path) -> None:
 
 
 def test_they_are_collected_in_a_checkout() -> None:
-    """`pytest examples`, with the configuration of this repository and nothing of it on the path."""
+    """Run `pytest examples` with the configuration of this repository, and nothing of it on the path."""
     command = [sys.executable, "-P", "-m", "pytest", "-p", "impact_rig.testing.plugin", "-p", "no:cacheprovider"]
     command += ["-q", "--collect-only", "examples"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Tests of the pages on testing, followed to the letter in an empty folder: every block prints what its page says."""
+"""Pages on testing, followed to the letter in an empty folder: every block prints what its page shows."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ _BLOCK = re.compile(r"^```(\w+)(?: ([^\n]*))?\n(.*?)^```$", re.MULTILINE | re.DO
 
 
 def blocks() -> Iterator[tuple[str, str, str]]:
-    """Language, what follows it, and content of each block, in order."""
+    """Return language, following text and content of each block, in order."""
     for page in PAGES:
         yield from (match.groups(default="") for match in _BLOCK.finditer(page.read_text(encoding="utf-8")))
 
 
 def run(commands: str, folder: Path, project: Path = ROOT) -> subprocess.CompletedProcess[str]:
-    """Run lines of shell as a user with the plugin installed does; that of a checkout is named, as it is not."""
+    """Run shell lines like a user who has installed the plugin; in a checkout, the plugin must be named."""
     pytest_here = f"{sys.executable} -m pytest -p impact_rig.testing.plugin -p no:cacheprovider"
     line = " && ".join(re.sub(r"^pytest", pytest_here, command) for command in commands.splitlines())
     environment = {key: value for key, value in os.environ.items() if not key.startswith(("PYTEST_", "COV_"))}

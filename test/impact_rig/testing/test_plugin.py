@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The pytest plugin: cheap to load, registered where pytest looks, out of the way of other suites."""
+"""Pytest plugin: it loads quickly, is registered where pytest searches, and does not disturb other suites."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_everything_the_package_offers_can_be_had() -> None:
 
 
 def test_no_two_rigs_of_a_test_have_one_name(request: pytest.FixtureRequest) -> None:
-    """They have a folder each; after one was closed, the next was once called as one that was still there."""
+    """They have a folder each; after one was closed, the next one must not have the name of one that still exists."""
     started = plugin._starting(request, lambda name: LocalRig(name=name))
     start = next(started)
     first, second = start(), start()
@@ -145,7 +145,7 @@ def test_a_rig_of_a_module_or_session_is_as_new_in_each_test(
 @pytest.mark.ros
 @pytest.mark.pipeline
 def test_each_failure_names_a_complete_run_in_an_environment_like_that_of_a_container() -> None:
-    """Ten tests of the fifty that `qualification/container_tests.py` runs."""
+    """Ten of the fifty tests that `qualification/container_tests.py` runs."""
     program = [sys.executable, str(ROOT / "qualification/container_tests.py"), "--tests", "10"]
     if os.getuid() == 0 and subprocess.run(["unshare", "--mount", "true"], check=False).returncode:
         pytest.skip("this machine allows no mounts of one's own")

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Schedules of callbacks: the modelled transport delivers the same messages as the middleware, in a decided order."""
+"""Schedules of callbacks: the modelled transport delivers the same messages as the middleware, in a chosen order."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ LATCHED, LOSSY = DurabilityPolicy.TRANSIENT_LOCAL, ReliabilityPolicy.BEST_EFFORT
 
 
 class Observer(Node):
-    """Publishes the number of each block as it arrives, and 0 by a timer."""
+    """Node that publishes the number of each block as it arrives, and 0 by a timer."""
 
     def __init__(self, depth: int = 10, reliability: Any = ReliabilityPolicy.RELIABLE) -> None:
         super().__init__("observer")
@@ -90,7 +90,7 @@ class Observer(Node):
 
 
 def played(actions: list[Any], make_node: Any = Observer, **kwargs: Any) -> list[float]:
-    """Return the values that a node publishes in a scenario; a timer is a 0."""
+    """Return the values that a node publishes in a scenario; a timer gives 0."""
     with ScheduledRig(QUICK) as rig:
         out = rig.listen("out")
         repeat(rig, lambda rig: rig.host(make_node, **kwargs) and None, actions)
@@ -136,7 +136,7 @@ PAIRS = [(offer, request) for offer in range(len(OFFERS)) for request in range(l
 
 
 class Receiver(Node):
-    """Keeps what arrives on a topic for each pair of offered and requested quality of service."""
+    """Node that keeps what arrives on a topic, for each pair of offered and requested quality of service."""
 
     def __init__(self) -> None:
         super().__init__("receiver")
@@ -182,7 +182,7 @@ def test_the_transport_delivers_what_the_middleware_delivers() -> None:
 
 
 def test_a_node_gives_the_same_answers_as_behind_the_middleware(ros_rig: Any) -> None:
-    """The answers to 50 blocks, to a command and to a change of a parameter, without the timer's."""
+    """Compare the answers to 50 blocks, to a command and to a change of a parameter, without those of the timer."""
     found = []
     with ScheduledRig(QUICK) as scheduled:
         for rig in (scheduled, ros_rig(QUICK, hosted=True)):
@@ -229,7 +229,7 @@ def test_the_rig_gives_all_its_topics_and_follows_commands() -> None:
 
 
 class Waiting(Node):
-    """Waits in its callback for its timer, for a clock, or for ever."""
+    """Node that waits in its callback for its timer, for a clock, or forever."""
 
     def __init__(self, how: str) -> None:
         super().__init__("waiting")
@@ -276,7 +276,7 @@ def test_a_coroutine_that_awaits_nothing_runs_as_any_callback() -> None:
 
 @pytest.mark.parametrize("how", ["sleep", "clock"])
 def test_what_a_callback_sleeps_is_rig_time(how: str) -> None:
-    """Sleep for 35 ms in each callback, so that one of four blocks is processed and the queue of 4 overflows."""
+    """Each callback sleeps for 35 ms, so that one of four blocks is processed and the queue of 4 overflows."""
     begin = time.monotonic()
     with ScheduledRig(QUICK) as rig:
         node = rig.host(Waiting, how=how)

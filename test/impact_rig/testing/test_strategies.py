@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A planted off-by-one is found, shrunk and repeated; a sound consumer is left in peace."""
+"""A planted off-by-one is found, shrunk and repeated; a correct consumer is not blamed."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LIMIT_S = 30.0
 
 
 class Losses:
-    """Counts the scans that were lost, from stamps; `planted` too many for each gap."""
+    """Consumer that counts lost scans by their stamps, `planted` too many for each gap."""
 
     def __init__(self, rig, planted=0):
         self.rig, self.planted, self.lost, self.next = rig, planted, 0, None
@@ -40,7 +40,7 @@ class Losses:
         self.next = first + len(block.rows)
 
     def matches(self):
-        """Assert what the rig knows to have been lost between two blocks."""
+        """Assert that the loss agrees with the rig's own number of lost scans between two blocks."""
         true = [end - first for first, end in self.rig.lost_samples() if first and self.next and end < self.next]
         assert self.lost == sum(true)
 
