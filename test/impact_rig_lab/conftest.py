@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""One rig for the module: every test gets pages of its own and looks at the ROS side."""
+"""One rig for the module: every test gets its own pages, and checks the ROS side."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from kits.browser import Browser, Page
 
 @pytest.fixture
 def open_page(browser: Browser) -> Iterator[Callable[..., Page]]:
-    """Open pages; whatever a console complained of by the end fails the test."""
+    """Open pages; any complaint of a console by the end fails the test."""
     pages: list[Page] = []
 
     def open_one(address: str, width: int = 1280, height: int = 800, **features: str) -> Page:

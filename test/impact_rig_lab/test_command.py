@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig lab` as a program: its first words and pages, attaching to rigs, and what it refuses."""
+"""`impact-rig lab` as a program: its first output and pages, attaching to rigs, and what it refuses."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ PROGRAM = [sys.executable, "-c", "from impact_rig.cli import main; raise SystemE
 
 @contextmanager
 def lab(directory: Path, *arguments: str, **environment: str) -> Iterator[str]:
-    """Run the program, and give the address it prints; Ctrl-C is how it ends well."""
+    """Run the program and return the address that it prints; Ctrl-C ends it."""
     log = directory / "lab.log"
     with log.open("wb") as output:
         process = subprocess.Popen(
@@ -114,7 +114,7 @@ def test_of_two_rigs_one_is_chosen(open_page: Callable[..., Page], tmp_path: Pat
 
 
 async def shown(address: str, name: str) -> None:
-    """Wait until the page that is served at an address is sent a name."""
+    """Wait until the page at an address receives a part of the state with this name."""
     at = address.replace("/?", "/socket?")
     async with (
         asyncio.timeout(PATIENCE_S),

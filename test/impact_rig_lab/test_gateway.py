@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The lab in the graph, beside nothing else."""
+"""The lab in the graph, without a browser."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ pytestmark = pytest.mark.ros
 
 
 def test_the_lab_hears_every_topic_once() -> None:
-    """Before, it kept a second list of everything applied, which grew for as long as it ran and had no reader."""
+    """One list of applied commands is enough: a second one without a reader would grow forever."""
     with isolated_domain() as domain_id, Client(domain_id, "rig", name="observer") as observer:
 
         def times(topic: topics.Topic) -> int:
@@ -68,7 +68,7 @@ def test_a_rig_of_others_is_sent_nothing_sooner_than_our_own(tmp_path: Path, mon
 
 
 def test_a_stop_is_told_as_done_whichever_of_two_rigs_answers_first(tmp_path: Path) -> None:
-    """The one that waits to be alone once answered first: "not done", of an emergency stop that the other had made."""
+    """The rig that waits to be alone may answer first, but the other one stops: the answer is no error."""
     with (
         isolated_domain() as domain_id,
         Client(domain_id, "rig", name="lab") as client,

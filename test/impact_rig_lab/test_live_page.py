@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Every control of the page, used in a real Chromium, its effect looked at on the ROS side."""
+"""Every control of the page, used in a real Chromium; the effect is checked on the ROS side."""
 
 from __future__ import annotations
 
@@ -77,13 +77,13 @@ class Lab:
     page: Page | None = None  # the newest
 
     def journal(self) -> list[tuple[str, str, float]]:
-        """Kinds, keys and values of the journal so far."""
+        """Return kinds, keys and values of the journal so far."""
         self.client.spin_for(0.0)
         entries = self.topics["rig/journal"].entries()
         return [(entry.kind.value, entry.name, entry.value or 0.0) for entry in entries]
 
     def until(self, condition: Callable[[], Any], what: str) -> Any:
-        """Wait on the ROS side; in vain, say what the page shows."""
+        """Wait for a condition on the ROS side; if it times out, report what the page shows."""
         try:
             return self.client.wait_until(condition, what, PATIENCE_S)
         except WaitTimeoutError as error:
@@ -94,7 +94,7 @@ class Lab:
         self.until(lambda: self.client.get_parameters(node, [name])[name] == value, f"{name} = {value}")
 
     def applied(self, column: str, value: float) -> None:
-        """Wait until the shaker does what was commanded."""
+        """Wait until the shaker applies the command."""
         rows = self.topics["shaker/applied"]
         self.until(lambda: np.any(np.isclose(rows.rows()[column][-1:], value)), f"{column} {value}")
 
@@ -115,7 +115,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
 
 @pytest.fixture
 def page(lab: Lab, open_page: Callable[..., Page]) -> Page:
-    """A page on which traces are drawn, of a rig at rest as it is by default: no fault of an earlier test is left."""
+    """Page on which traces are drawn, of a rig at rest with the default settings, without faults of an earlier test."""
     lab.client.trigger("rig/clear_trip")
     lab.client.trigger("rig/reset")
     lab.client.set_parameters("rig", USUAL)
@@ -177,7 +177,7 @@ def test_from_r_to_a_settled_transmissibility(lab: Lab, page: Page) -> None:
 
 
 def curve(page: Page, directory: Path) -> None:
-    """A point can be taken away and brought back; curve and scope are saved by the browser."""
+    """A point can be removed and restored; the browser saves curve and scope."""
     page.call("Page.setDownloadBehavior", behavior="allow", downloadPath=str(directory))
     for button, name in (
         ("curve-csv", "transmissibility.csv"),
@@ -255,7 +255,7 @@ def test_gap_sphere_law_and_restitution(lab: Lab, page: Page) -> None:
 
 
 def test_what_is_written_replaces_what_has_come_meanwhile(lab: Lab, page: Page) -> None:
-    """A bug once: 4 mm came while the field had the focus, 6 was written, and the gap became 46 mm."""
+    """If 4 mm arrives while the field has the focus, and 6 is typed, the gap must become 6 mm, not 46 mm."""
     page.js("(() => { const e = document.getElementById('knob-gap'); e.focus(); e.select(); })()")
     lab.client.set_parameters("rig", {"barriers.gap_m": 0.004})
     page.wait("document.getElementById('knob-gap').value === '4'", "what came")
@@ -338,7 +338,7 @@ def test_stop_works_whatever_others_publish(lab: Lab, page: Page, hostile: Calla
 
 
 def test_a_rival_is_named_while_it_is_there(lab: Lab, page: Page) -> None:
-    """A bug once: a rig with a second publisher of its topics was shown "at rest"."""
+    """A rig with a second publisher of its topics must not be shown as "at rest"."""
     word(page, "at rest")
     topic = by_name("truth/impacts")
     rival = lab.client.node.create_publisher(messages.class_of(topic), topic.name, messages.profile(topic.qos))
@@ -411,7 +411,7 @@ def test_pluck_pause_and_reset(lab: Lab, page: Page) -> None:
 
 
 def test_faults_and_remarks(lab: Lab, page: Page) -> None:
-    """The laser is off by less than its calibration may be: nothing but the truth can tell."""
+    """The laser's error is below its calibration uncertainty: only the truth can show it."""
     page.js("document.getElementById('faulting').open = true")
     page.choose("#fault-kind", "gain_error")
     for field, value in (("fault-value", 0.003), ("fault-duration", 1000)):
@@ -547,7 +547,7 @@ def test_two_browsers_see_one_rig(lab: Lab, page: Page, open_page: Callable[...,
 
 
 def test_keyboard_alone(lab: Lab, page: Page) -> None:
-    """Tab reaches every control that can be used, in the order of the page; keys do the rest."""
+    """Tab reaches every control that can be used, in the order of the page; keys do everything else."""
     page.key("f")
     assert page.js("document.activeElement.id") == "knob-frequency"
     page.key("ArrowUp")
@@ -567,7 +567,7 @@ def test_keyboard_alone(lab: Lab, page: Page) -> None:
 
 
 def test_a_page_that_does_not_draw_gets_no_pictures(lab: Lab, page: Page) -> None:
-    """Drop frames rather than pile them up: nothing is sent before the last picture was drawn."""
+    """Pictures are dropped rather than queued: none is sent before the last one was drawn."""
     page.js("lab.link.acknowledge = () => undefined")
     page.js("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
     count = page.js("lab.drawn.pictures")
@@ -578,7 +578,7 @@ def test_a_page_that_does_not_draw_gets_no_pictures(lab: Lab, page: Page) -> Non
 
 
 def test_motion_that_nobody_can_follow_is_not_drawn(lab: Lab, page: Page) -> None:
-    """Nor received: at many times real time publishing it would hold the rig back. The scope goes on now and then."""
+    """It is not received either: at many times real time, this would slow the rig. The scope is drawn now and then."""
     page.wait("lab.motion.states.length > 10", "the motion")
     listeners = lab.client.node.count_subscribers("daq/scan")
     lab.client.set_parameters("rig", {"time.factor": 6.0})

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Recorded runs on the page: the slider, its marks, steps to impacts, two runs at once; the server that comes back."""
+"""Recorded runs on the page: slider, marks, steps to impacts, two runs at once, and a server that restarts."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from impact_rig_lab.server import Server
 
 @pytest.fixture
 def shown(sample: Path) -> Iterator[Callable[..., Server]]:
-    """Serve runs; ended in order."""
+    """Serve runs until the end of the test."""
     open_ones: list[tuple[Server, PlaybackSource]] = []
 
     def serve(*paths: Path) -> Server:
@@ -113,7 +113,7 @@ def test_knobs_are_those_of_the_recording_and_cannot_be_turned(
 
 
 def asked(source: PlaybackSource, do: str, **values: object) -> tuple[bool, str]:
-    """Ask for something, and return the answer."""
+    """Send a request, and return the answer."""
     answers: queue.SimpleQueue[tuple[bool, str]] = queue.SimpleQueue()
     source.ask(Request(1, do, values), lambda ok, text: answers.put((ok, text)))
     return answers.get(timeout=PATIENCE_S)
@@ -130,7 +130,7 @@ def from_second(found: Messages, second: float) -> Messages:
 
 
 def test_every_impact_is_stepped_to_and_the_last_one_ends_it(sample: Path) -> None:
-    """One less than 50 ms before the end of the run was found again and again: those behind it were never reached."""
+    """An impact less than 50 ms before the end of the run must not be found again and again: later ones follow."""
     with PlaybackSource([sample]) as source:
         run = source._runs[0]
         wait_until(lambda: run.whole, "the marks")
@@ -149,7 +149,7 @@ def test_every_impact_is_stepped_to_and_the_last_one_ends_it(sample: Path) -> No
 def test_two_runs_are_aligned_by_start_time_or_change_and_have_a_legend(
     shown: Callable[..., Server], open_page: Callable[..., Page], recorded: Messages, tmp_path: Path
 ) -> None:
-    """The second begins five seconds later in rig time: by their starts both show, by rig time one comes late."""
+    """The second run begins five seconds later in rig time: by start both show, by rig time one comes later."""
     late = record(tmp_path / "late", from_second(recorded, 5.0))
     page = open_page(shown(record(tmp_path / "first", recorded), late).address, 1920, 1080, prefers_color_scheme="dark")
     page.wait("window.lab && lab.now.playback?.read === 1", "the marks")
@@ -204,7 +204,7 @@ def test_of_a_recording_of_two_rigs_one_is_shown(tmp_path: Path) -> None:
 def test_of_two_runs_of_a_session_nothing_is_played_of_what_lies_between_them(
     recorded: Messages, tmp_path: Path
 ) -> None:
-    """Laid out by rig time, a run that began 21 minutes after the first had ended came after 21 minutes of nothing."""
+    """By rig time, the second run began 21 minutes after the end of the first: the player must skip this time."""
     first = [(name, table) for name, table in recorded if table.stamp_ns < 3e9]
     runs = [record(tmp_path / "first", first), record(tmp_path / "late", from_second(recorded, 8.0))]
     with PlaybackSource(runs) as source:
@@ -219,7 +219,7 @@ def test_of_two_runs_of_a_session_nothing_is_played_of_what_lies_between_them(
 
 
 def test_a_recorded_value_holds_only_until_something_changes(recorded: Messages, tmp_path: Path) -> None:
-    """At rest, while it settles, and after the latch the last value is not the present one."""
+    """At rest, while settling, and after the latch, the last value is not the present one."""
     rows = [table for name, table in recorded if name == "transmissibility/table"]
     measured_s = rows[0].stamp_ns / 1e9
     with PlaybackSource([record(tmp_path / "run", recorded)]) as source:
@@ -236,7 +236,7 @@ def test_a_recorded_value_holds_only_until_something_changes(recorded: Messages,
 
 
 def test_of_a_long_run_the_beginning_is_shown_as_well(recorded: Messages, tmp_path: Path) -> None:
-    """Only the last 400 rows and 300 faults and lines were kept: what had been measured before them was not shown."""
+    """Not only the last 400 rows, 300 faults and lines are kept: earlier measurements must be shown as well."""
     measured = next(table for name, table in recorded if name == "transmissibility/table")
     with PlaybackSource([record(tmp_path / "run", recorded)]) as source:
         run = source._runs[0]
@@ -298,7 +298,7 @@ def test_a_rate_that_no_board_has_is_one_line(recorded: Messages, tmp_path: Path
 
 
 def without(column: str) -> Callable[[np.ndarray], np.ndarray]:
-    """Leave a column out."""
+    """Return a table without a column."""
 
     def change(rows: np.ndarray) -> np.ndarray:
         names = [name for name in rows.dtype.names if name != column]
@@ -321,7 +321,7 @@ def without(column: str) -> Callable[[np.ndarray], np.ndarray]:
 def test_tables_without_a_column_cost_themselves_alone(
     recorded: Messages, tmp_path: Path, topic: str, column: str
 ) -> None:
-    """Every table of one topic is broken from the third second on; the others are played to the end."""
+    """From the third second on, every table of one topic is broken; the other topics are played to the end."""
     broken = [
         (name, attrs.evolve(table, rows=without(column)(table.rows)))
         if name == topic and (table.stamp_ns >= 3e9 or name != "daq/scan") else (name, table)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Nodes that die or cannot measure: grey, last seen, started again from the page; a command never outlives its rig."""
+"""Nodes that die or cannot measure: shown in grey, restarted from the page; a command ends with its rig."""
 
 from __future__ import annotations
 

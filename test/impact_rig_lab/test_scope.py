@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Windows of the scope: every scan is in exactly one pair, gaps stay gaps, the trigger is on the current's phase."""
+"""Windows of the scope: every scan is in exactly one pair, gaps stay gaps, the trigger follows the current."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ BLOCKS = st.lists(st.tuples(st.integers(0, 30_000), st.integers(1_000, 40_000)),
 def test_every_column_shows_what_came_and_nothing_older(
     blocks: list[tuple[int, int]], span: float, columns: int, seed: int, watched: bool
 ) -> None:
-    """Scans come in blocks with gaps before them, once around the ring and more; each is noise, and some over-range."""
+    """Scans arrive in blocks with gaps before them, more than once around the ring; they are noise, some over range."""
     rng = np.random.default_rng(seed)
     came = np.full(sum(gap + count for gap, count in blocks), np.nan, np.float32)
     status = np.zeros(len(came), np.uint8)

@@ -107,7 +107,7 @@ def test_the_page_needs_the_token_and_carries_a_strict_policy(server: Server) ->
     ],
 )
 def test_whoever_is_refused_is_not_held_on_to(server: Server, request_line: str, host: str | None, status: int) -> None:
-    """Before, they stayed open for a minute: sixty-four of them, from any client, blocked every page."""
+    """If refused connections stayed open for a minute, sixty-four of them from any client would block every page."""
     here = f"{LOOPBACK}:{server.port}"
     lines = [f"{request_line.format(token=server.token)} HTTP/1.1", f"Host: {host or here}"]
     lines += [f"Origin: http://{here}"] if host is None else []
@@ -182,7 +182,7 @@ def test_who_talks_nonsense_without_end_is_cut_off(server: Server) -> None:
 
 
 def test_a_stalled_page_gets_two_pictures_and_another_all_of_them(server: Server, source: FakeSource) -> None:
-    """The third picture waits for the first to be drawn; the state, which is small, goes on."""
+    """The third picture waits until the first is drawn; the state, which is small, is still sent."""
 
     async def talk() -> tuple[int, int]:
         async with aiohttp.ClientSession(timeout=TIMEOUT) as session:
@@ -211,7 +211,7 @@ def test_a_stalled_page_gets_two_pictures_and_another_all_of_them(server: Server
 
 
 def test_what_is_in_force_comes_before_the_answer(server: Server, source: FakeSource) -> None:
-    """A page that takes the answer for the end of waiting must not meet an old value after it."""
+    """A page that takes the answer as the end of its wait must not receive an old value after it."""
 
     def ask(request: protocol.Request, answer: Any) -> None:
         source.snapshot.put(applied={"frequency": request.values["value"]})
@@ -244,7 +244,7 @@ def test_pages_are_counted(server: Server, source: FakeSource) -> None:
 
 
 def talk_to(server: Server, data: bytes) -> bytes:
-    """Send some bytes, and return what comes until the server closes."""
+    """Send some bytes, and return what arrives until the server closes the connection."""
     with socket.create_connection((LOOPBACK, server.port), timeout=30.0) as connection:
         connection.sendall(data)
         found = b""
@@ -267,7 +267,7 @@ def test_a_request_that_never_ends_is_closed_and_none_prints_anything(
 
 
 def test_more_connections_than_there_may_be_are_turned_away_and_the_page_goes_on(server: Server) -> None:
-    """Each takes a descriptor: without a bound, a process that has none left cannot accept even its operator."""
+    """Each connection needs a descriptor: without a limit, a process without any left could not accept its operator."""
 
     async def talk() -> list[bytes]:
         async with aiohttp.ClientSession(timeout=TIMEOUT) as session:
@@ -296,7 +296,7 @@ def test_more_connections_than_there_may_be_are_turned_away_and_the_page_goes_on
 def test_a_knob_without_a_told_value_shows_none(
     server: Server, source: FakeSource, open_page: Callable[..., Page]
 ) -> None:
-    """A slider always has a position: the middle by default, or the value of the rig before."""
+    """A slider always has a position: the middle by default, or the value of the previous rig."""
     page = open_page(server.address)
     slider = "document.querySelector('.knob:has(#knob-gap) input[type=range]')"
     seen = f"[document.getElementById('knob-gap').value, getComputedStyle({slider}).visibility].join()"
@@ -308,7 +308,7 @@ def test_a_knob_without_a_told_value_shows_none(
 
 
 def test_a_lab_that_is_started_anew_begins_a_new_record(open_page: Callable[..., Page]) -> None:
-    """Its first record has the number of the one before: impacts of the rig that was gone stayed in the scope."""
+    """The new lab's first record has the number of the old one, but impacts of the old rig must not stay."""
 
     def found(second: int) -> FakeSource:
         made = FakeSource()
@@ -359,7 +359,7 @@ def test_runs_are_listed_and_played_beside_what_the_lab_shows(
 
 
 def test_a_run_that_cannot_be_looked_at_does_not_hide_the_others(source: FakeSource, tmp_path: Path) -> None:
-    """One link that leads nowhere, or a run that was being removed, and the page got no list at all."""
+    """A dangling link, or a run that is being removed, must not prevent the list of the other runs."""
     for name in ("gone", "whole"):
         (tmp_path / name).mkdir()
     (tmp_path / "gone" / "run.mcap").symlink_to(tmp_path / "nowhere.mcap")
@@ -371,14 +371,14 @@ def test_a_run_that_cannot_be_looked_at_does_not_hide_the_others(source: FakeSou
 
 
 def test_the_address_of_an_ipv6_lab_is_one(source: FakeSource) -> None:
-    """It had no brackets, and no browser could open it."""
+    """Without brackets around it, no browser could open the address."""
     with Server(source, "::1", 0) as server:
         assert server.address.startswith(f"http://[::1]:{server.port}/?token=")
 
 
 @pytest.mark.parametrize("host", [LOOPBACK, "localhost", "127.0.0.2", "::1"])
 def test_no_other_name_leads_to_a_lab_of_this_machine(source: FakeSource, host: str) -> None:
-    """Before, only names of 127.0.0.1 were checked: a foreign page could let its own name resolve to `localhost`."""
+    """If other names were not checked, a foreign page could let its own name resolve to `localhost`."""
     with Server(source, host, 0) as server:
         own = server.address.removeprefix("http://").partition("/")[0]
         for name, status in ((own, 200), (f"localhost:{server.port}", 200), ("evil.example", 403)):
@@ -390,7 +390,7 @@ def test_no_other_name_leads_to_a_lab_of_this_machine(source: FakeSource, host: 
 
 
 def test_at_the_port_of_http_a_page_is_asked_for_without_it(source: FakeSource) -> None:
-    """A browser leaves port 80 out of the name, and every page was refused: this lab had another one."""
+    """A browser leaves port 80 out of the name; the page must not be refused because of this."""
     server = Server(source)
     server.port = 80
     assert {"127.0.0.1", "localhost", "127.0.0.1:80"} <= server._hosts()
@@ -420,7 +420,7 @@ def test_the_token_is_kept_for_this_user_alone(tmp_path: Path, monkeypatch: pyte
 
 
 def test_a_player_ends_with_whoever_asked_for_it(source: FakeSource, sample: Path) -> None:
-    """The player also ends after a request that asks for no WebSocket, with its thread and files."""
+    """The player also ends after a request that is not for a WebSocket, with its thread and files."""
     before = set(threading.enumerate())
     with Server(source, port=0, runs=sample.parent) as server:
         path = f"/socket?token={server.token}&run={sample.name}"
@@ -432,7 +432,7 @@ def test_a_player_ends_with_whoever_asked_for_it(source: FakeSource, sample: Pat
 
 
 def test_pages_that_still_open_count(source: FakeSource, sample: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """While players looked for their runs any number of pages came in."""
+    """Pages count while their players search for runs; otherwise, any number of pages could open."""
     release, players = threading.Event(), []
 
     def player(server: Server, _names: object) -> FakeSource:

@@ -229,7 +229,7 @@ def test_a_measurement_holds_until_the_rig_is_changed_and_again_from_a_row_that_
 
 
 def test_the_speed_is_that_of_one_rig() -> None:
-    """Two rigs in one namespace, or one started again, tell times that have nothing to do with each other."""
+    """The times of two rigs in one namespace, or of one that was restarted, are unrelated."""
     now = [0.0]
     pace = Pace(lambda: now[0])
     for at_s, rig_s, instance, speed in (
@@ -253,7 +253,7 @@ def test_every_word_that_is_shown_has_help() -> None:
 
 
 def test_a_fault_that_has_ended_speaks_against_what_was_measured_under_it() -> None:
-    """A page once said "the measurement holds" for seconds after a gain error was cleared, over a value wrong by it."""
+    """After a gain error is cleared, the page must not say that the measurement applies: its value is wrong."""
     record, row = RigView(), np.zeros(1, topics.TRANSMISSIBILITY_TABLE.columns)
     row["status"], row["frequency"], row["cycles"], row["gap"] = b"ok", 10.0, 40.0, 0.006
     fault = np.zeros(1, topics.FAULTS.columns)
@@ -331,7 +331,7 @@ def test_a_rate_that_no_board_has_is_refused_before_rings_are_made(rate: float) 
 
 
 def test_every_parameter_of_a_change_stands_in_the_journal() -> None:
-    """A gap that comes with the sphere is the second row of one change."""
+    """A gap that is set together with the sphere is the second value of one change."""
     rig = Rig(RigConfig())
     journal = RigHistory()
     rig.configure({"sphere.present": False})
@@ -449,7 +449,7 @@ def clock() -> HandClock:
 
 
 def speed(clock: HandClock, pace: Pace, factor: float) -> float:
-    """Return what a pace says after two readings, half a second apart."""
+    """Return the speed after two readings, half a second apart."""
     pace.read(50.0)
     clock.now_s += 0.5
     return pace.read(50.0 + 0.5 * factor)
@@ -497,7 +497,7 @@ def test_a_reset_or_a_long_silence_gives_no_speed_of_its_own(clock: HandClock) -
 
 
 def test_a_drive_that_was_heard_before_a_rig_began_is_not_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A rig at twice our speed stamps a minute ahead after a minute; the stamps of the next one begin behind that."""
+    """A rig at twice our speed stamps a minute ahead after a minute; the stamps of the next rig begin before that."""
     now_s = [100.0]
     monkeypatch.setattr("impact_rig_lab.record.time.monotonic", lambda: now_s[0])
     record = RigView()

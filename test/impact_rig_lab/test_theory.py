@@ -57,7 +57,7 @@ def test_a_line_is_the_prediction_of_these_knobs() -> None:
 
 
 def test_a_measured_motion_that_is_not_the_predicted_one_is_told() -> None:
-    """At 6 mm the rig strikes four times a cycle; the prediction is of two."""
+    """At 6 mm, the rig has four impacts per cycle; the prediction is for two."""
     found = of(6.0)
     assert contradiction(found, 4.0).startswith("Measured: 4.00 impacts per cycle.")
     for same in (contradiction(found, 2.01), contradiction(found, np.nan), contradiction(of(32.0), 4.0)):
@@ -152,7 +152,7 @@ COLOURED = """(want => {
 
 
 def test_continued_motions_are_drawn_where_they_exist(tmp_path: Path) -> None:
-    """Four impacts per cycle at 6 mm: an island between two folds, of which one is passed here."""
+    """Four impacts per cycle at 6 mm exist on an island between two folds, one of which is passed here."""
     study, out = tmp_path / "study.yaml", tmp_path / "out"
     study.write_text(
         "title: island\nset: {barriers.gap_m: 0.006}\n"

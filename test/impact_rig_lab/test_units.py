@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The page's pure modules (numbers, scales, motion, frames, what may be believed) in the browser that runs them."""
+"""Pure modules of the page (numbers, scales, motion, frames, valid values), in the browser that runs them."""
 
 from __future__ import annotations
 

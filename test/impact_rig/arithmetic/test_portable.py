@@ -11,8 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Nothing that computes a sample or an impact calls a function that differs between machines: checked in sources and
-library.
+"""Nothing that computes a sample or an impact calls a function that differs between machines, in sources and library.
 
 Libm, BLAS, LAPACK and NumPy's sums may give other last bits on another machine, and a power of floats calls pow of
 libm. The remaining calls are listed here, with the reason why no sample and no impact depends on them.

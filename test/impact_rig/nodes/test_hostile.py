@@ -11,8 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Hostile input from another process: nothing crashes or hangs, rejections are explained and counted, signals stay
-finite.
+"""Hostile input from another process: nothing crashes or hangs, rejections are explained, signals stay finite.
 
 The rig, the analysis and the recorder are separate processes; this process is the attacker.
 """

@@ -11,8 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Services of simulation_interfaces, with stand-ins for its messages, because the index of wheels does not have the
-package.
+"""Services of simulation_interfaces, with stand-ins for its messages: the index of wheels lacks the package.
 
 The stand-ins have the fields and constants of version 2.0.0, as in its msg and srv files at
 https://docs.ros.org/en/jazzy/p/simulation_interfaces/. Types and transport of ROS are not tested here: a call passes

@@ -128,7 +128,7 @@ def test_elsewhere_results_agree_to_a_billionth_and_the_answer_says_so(
 def test_a_recorder_that_came_late_is_compared_from_the_first_shared_change(
     whole: Messages, tmp_path: Path, late: int
 ) -> None:
-    """The first change that both saw is a command; before it, live had waited since 0.07 s, the file since its start."""
+    """The first change that both saw is a command; before it, live had waited since 0.07 s, the file since 0 s."""
     data = messages(again=AGAIN)
     part = [(name, table) for name, table in data if name not in ("daq/scan", TABLE) or table.stamp_ns >= late * TICK]
     found = compared(tmp_path, part)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A campaign on a Dask cluster of separate worker processes, one of them killed half-way: all points, same bits."""
+"""Campaign on a Dask cluster of separate worker processes, one of which is killed: all points, with equal bits."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def free_port():
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory):
-    """Yield a scheduler's address and its two workers; no dashboard, no nanny that would start a killed one again."""
+    """Yield a scheduler's address and its two workers; no dashboard, and no nanny that restarts a killed worker."""
     folder, port = tmp_path_factory.mktemp("dask"), free_port()
     address = f"tcp://127.0.0.1:{port}"
     quiet = {"cwd": folder, "stdout": subprocess.DEVNULL, "stderr": (folder / "log").open("w")}
@@ -75,7 +75,7 @@ def cluster(tmp_path_factory):
 
 
 def start(file, directory, address, name="campaign", before=""):
-    """Start the command in a process of its own: Dask leaves threads behind."""
+    """Start the command in a separate process, because Dask leaves threads behind."""
     command = [sys.executable, "-c", f"import sys; {before}from impact_rig.cli import main; sys.exit(main())", name]
     arguments = [str(file), "--output", str(directory), "--through", "dask", address]
     return subprocess.Popen([*command, *arguments], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
@@ -156,7 +156,7 @@ def test_a_map_has_the_same_bits_there(cluster, tmp_path):
 
 
 def test_workers_with_other_code_are_named_and_nothing_of_them_is_stored(cluster, tmp_path):
-    """One is there from the start, one joins late: results of other code were stored as right."""
+    """One such worker is there from the start, one joins late; their results must not be stored."""
     from distributed import Client
 
     address, workers = cluster

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Campaign files made to fill the memory: refused before they are read, or before their points are made."""
+"""Campaign files made to fill the memory: rejected before they are read, or before their points are made."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_what_is_no_regular_file_is_neither_read_nor_waited_for(tmp_path: Path) 
 
 @pytest.fixture
 def stored(tmp_path: Path) -> tuple[Store, Job, Path]:
-    """A campaign of one measured job with a trace: its store, the job and its file."""
+    """Campaign of one measured job with a trace: its store, the job and its file."""
     (tmp_path / "plan.yaml").write_text(TINY)
     campaign = load_campaign(tmp_path / "plan.yaml")
     store = run.prepare(campaign, tmp_path / "campaign", "process")

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A campaign file becomes jobs, or a refusal that names key, value, range and file."""
+"""A campaign file becomes jobs, or it is rejected with key, value, range and file."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def test_the_papers_campaign_is_six_cases_at_ten_frequencies():
 
 @pytest.mark.parametrize("name", ["restitution", "mass", "amplitude"])
 def test_studies_that_are_run_alone_keep_the_campaign_s_reference_rig(name):
-    """The first of them gave another one: a rig of light spheres was judged by the paper's statements."""
+    """The first study run alone must not define another reference rig, such as one of light spheres."""
     campaign = load_campaign(config_dir() / "campaigns" / "beyond.yaml")
     whole = {one.job.key: one.reference for one in campaign.planned()}
     alone = campaign.only((name,)).planned()

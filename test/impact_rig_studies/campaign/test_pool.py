@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Worker processes that are left before they are done."""
+"""Worker processes whose results are no longer needed before they are done."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ def test_ros_and_process_give_the_same_bits(tmp_path, measured):
 
 
 def test_a_job_after_one_that_tripped_is_measured(tmp_path, measured):
-    """The latch outlives the transitions: every job after a trip once failed."""
+    """The latch survives the lifecycle transitions: without a reset, every job after a trip would fail."""
     from impact_rig_studies.ros_campaign import ros_runner
 
     point, _, _, _, trip, _ = (job for job, _ in measured.values())

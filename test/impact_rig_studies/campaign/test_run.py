@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A campaign gives the same bits however it is run, stops and goes on, and survives points that fail."""
+"""A campaign gives equal bits however it is run, can be stopped and resumed, and survives points that fail."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_a_run_stored_without_its_trace_counts_but_is_measured_again_for_the_tra
 
 
 def test_a_run_that_fails_now_leaves_no_trace_of_an_earlier_one(measured, tmp_path):
-    """The trace of earlier code stayed beside it: it was damaged for ever, and so was the whole campaign."""
+    """If the trace of the earlier run stayed, the point, and with it the campaign, would count as damaged forever."""
     job, outcome = next((job, outcome) for job, outcome in measured.values() if outcome.trace)
     store = Store(tmp_path)
     store.put(job, outcome)
@@ -114,7 +114,7 @@ def test_a_result_of_other_code_is_shown_but_not_mixed_with_new_ones(tiny, measu
 
 
 def test_curves_are_exported_as_a_universal_file(tiny, measured, tmp_path):
-    """The example of `impact-rig export --help`: a function per curve, those of other studies and directions apart."""
+    """The example of `impact-rig export --help`: one function per curve, separate for studies and directions."""
     pyuff = pytest.importorskip("pyuff")
     store = run.prepare(tiny, tmp_path / "campaign", "process")
     for job, outcome in measured.values():
@@ -155,7 +155,7 @@ def test_a_sweep_visits_up_and_down_and_keeps_the_state(tiny, measured):
 
 
 def test_a_point_that_was_left_out_after_its_first_row_says_why(tiny, measured):
-    """It was `not reached`, and the way down, which the rig's trip had ended, was over range."""
+    """The reason must not be `not reached`, nor that of the way down, which the rig's trip had ended."""
     sweep = next(one for one in tiny.planned() if one.study == "sweep")
     job = attrs.evolve(sweep.job, repetitions=2)
     rows = measured[sweep.job.key][1].rows[[0, 1, 1]]  # one at the first frequency, two at the second, going up
@@ -212,7 +212,7 @@ def test_a_campaign_runs_where_optional_packages_are_not_installed(tmp_path):
 
 
 def test_a_command_that_fails_before_its_first_result_leaves_no_directory(tmp_path):
-    """A half-made directory would look like a result, and the next attempt would be refused or resume nothing."""
+    """An incomplete directory would look like a result, and the next attempt would be rejected or resume nothing."""
     plans = {
         "campaign": "studies: {one: {frequencies_hz: 9.1, gaps_m: none}}",
         "map": "axes: {gap_m: [0.006, 0.008], frequency_hz: [9.0, 9.1]}",
@@ -233,7 +233,7 @@ def test_a_command_that_fails_before_its_first_result_leaves_no_directory(tmp_pa
 
 
 def test_a_point_without_impacts_is_measured_and_passes_the_check(tmp_path, capsys):
-    """Two minutes of silence were asked for at 12 mm, and the bound of one minute made the point a failure."""
+    """At 12 mm, a wait of two minutes would exceed the time limit of one minute and make the point a failure."""
     file = tmp_path / "quiet.yaml"
     file.write_text("studies: {quiet: {frequencies_hz: 9.1, gaps_m: [none, 0.012], starts: [centre]}}")
     assert main(["campaign", str(file), "--output", str(tmp_path / "out"), "--check", "--workers", "1"]) == 0
@@ -245,7 +245,7 @@ def test_a_point_without_impacts_is_measured_and_passes_the_check(tmp_path, caps
 
 
 def start(file, directory, *more, environment=None):
-    """Start the command with two workers in a process of its own: they and what watches them end with it."""
+    """Start the command with two workers in a separate process; they and what watches them end with it."""
     command = [sys.executable, "-c", "import sys; from impact_rig.cli import main; sys.exit(main())", "campaign"]
     arguments = [str(file), "--output", str(directory), "--workers", "2", *more]
     return subprocess.Popen(

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Each of the seven statements holds on curves made to hold it, and fails when just that is broken."""
+"""Each of the seven statements holds for curves made to satisfy it, and fails if just this property is broken."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ WIDE_M = (0.020, 0.028, 0.032)
 
 
 def dt(gap, frequency):
-    """A resonance; with the sphere 0.45 % lower and so damped that it is reduced at 9.1 Hz as wanted."""
+    """Return DT of a resonance; with the sphere, it is 0.45 % lower, and damped as the reduction at 9.1 Hz requires."""
     without, with_sphere = 9.105, 9.105 * (1.0 - 0.0045)
     if gap == 0:
         return 1.0 / np.hypot(1.0 - (frequency / without) ** 2, 0.009)
@@ -134,7 +134,7 @@ CHOSEN = {"shaker.damping_n_s_m": 10.0, "shaker.base_mass_kg": 0.84, "structure.
 
 
 def test_a_fit_is_what_another_choice_of_constants_breaks():
-    """In closed form: the statement on amplitudes holds for the rig by 1 %, and for none of three other choices."""
+    """In closed form, the statement on amplitudes holds by 1 % for the rig, and for none of three other choices."""
     rigs = [{}, *({name: value} for name, value in CHOSEN.items())]
     found = variations([made for changes in rigs for made in without_sphere(changes)])
     assert [dict(one.changed) for one in found] == rigs
@@ -152,7 +152,7 @@ def test_one_rig_or_another_current_is_no_variation(points):
 
 
 def test_the_constants_that_were_chosen_are_six():
-    """Five of the configuration; the current is the sixth."""
+    """Five of them are in the configuration; the current is the sixth."""
     chosen = {name for name, about, _ in fields() if about.origin is Origin.IDENTIFIED}
     assert len(chosen) + 1 == 6
     assert chosen > set(CHOSEN)

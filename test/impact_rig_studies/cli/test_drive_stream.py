@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`play`, `frf` and the loops through a stream write a run that verifies, with what was reached, however they end."""
+"""`play`, `frf` and the control loops write a run that can be verified, with what was reached, however they end."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_a_played_file_is_what_the_current_was(tmp_path, capsys):
 
 
 def test_names_that_are_no_text_are_told_on_the_page(tmp_path):
-    """The run was driven, and then its page could not be written: a traceback instead of what was found."""
+    """If the names were written as they are, the page could not be written after the run."""
     file, directory = tmp_path / os.fsdecode(b"d\xff.csv"), tmp_path / os.fsdecode(b"run\xff")
     file.write_text("time,current\n0,0\n0.05,0.1\n0.1,0\n")
     assert run("drive", "play", file, "--output", directory) == 0
@@ -112,7 +112,7 @@ def test_a_history_and_a_shock_are_told_trial_by_trial(tmp_path):
 
 
 def test_an_interrupt_leaves_a_run_that_verifies_and_a_page(tmp_path):
-    """A real process, told by SIGINT in the midst of loops that it does not come to the end of meanwhile."""
+    """A real process gets SIGINT in the middle of loops that it cannot finish meanwhile."""
     (tmp_path / "long.yaml").write_text("{loops: 500}")
     process = subprocess.Popen(
         [*PROGRAM, "drive", "random", str(tmp_path / "long.yaml"), "--gap", "none", "--output", str(tmp_path / "run")],

@@ -33,7 +33,7 @@ LENGTH_OPTIONS = {"--gap", "--drop", "--abort"}
 
 
 def options(parser: argparse.ArgumentParser, name: str = "") -> Iterator[tuple[str, argparse.Action]]:
-    """Give every option and argument of a parser and of its subcommands, with the words that lead to it."""
+    """Yield every option and argument of a parser and of its subcommands, with the words that lead to it."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for word, one in action.choices.items():
@@ -103,7 +103,7 @@ def test_a_length_or_the_name_of_a_signal() -> None:
 
 
 def test_an_option_has_one_meaning_in_every_command() -> None:
-    """The placeholder of its value shows it: one everywhere, but where a signal of a file may be named instead."""
+    """The placeholder of its value shows it: the same everywhere, unless a signal of a file may be named instead."""
     values: dict[str, set[str]] = {}
     for name, action in OPTIONS:
         assert action.help, f"{name} {action.option_strings or action.dest} has no help"
@@ -118,7 +118,7 @@ def test_an_option_has_one_meaning_in_every_command() -> None:
 
 
 def test_every_length_of_every_command_needs_a_unit() -> None:
-    """Options that carry a length are of the one type, and nothing else takes a length."""
+    """Options with a length have the one type for lengths, and no other option accepts a length."""
     assert {option for _, action in LENGTHS for option in action.option_strings} == LENGTH_OPTIONS - {"--abort"}
     commands = {name for name, action in OPTIONS if "--gap" in action.option_strings}
     assert commands == {name for name, action in LENGTHS if "--gap" in action.option_strings}

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Maps of the mechanics: what a place settles to, resumption to the same bits, refusals, the optimum, the pictures."""
+"""Maps of the mechanics: settled motion of a point, resumption with equal bits, rejections, optimum, pictures."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def one_by_one(lines):
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory: pytest.TempPathFactory) -> tuple[MapPlan, Path]:
-    """A map of 3 × 2 places in both directions, measured by the command."""
+    """Map of 3 × 2 points in both directions, measured by the command."""
     folder = tmp_path_factory.mktemp("map")
     path = written(folder)
     assert main(["map", str(path), "--output", str(folder / "done"), "--workers", "1"]) == 0
@@ -107,7 +107,7 @@ def test_two_impacts_per_cycle_are_the_prediction(small):
     ],
 )
 def test_what_has_settled_is_what_a_long_motion_does(gap_m, frequency_hz, period):
-    """DT within `settle_tolerance`, from a hundredth of the cycles, and from no samples."""
+    """DT agrees within `settle_tolerance`, from a hundredth of the cycles and without samples."""
     rig = MapRig(from_flat(RigConfig(), {"barriers.gap_m": gap_m}), Settings())
     found = rig.measure(frequency_hz, CURRENT_A)
     rig.reset()
@@ -124,7 +124,7 @@ def test_what_has_settled_is_what_a_long_motion_does(gap_m, frequency_hz, period
 
 
 def test_impacts_of_what_has_not_settled_are_counted_as_they_came():
-    """The amplitude repeats, within what counts as periodic; the sphere does not, so it is chaotic."""
+    """The amplitude repeats within the tolerance for periodic; the sphere does not, so the motion is chaotic."""
     found = MapRig(from_flat(RigConfig(), {"barriers.gap_m": 0.004}), Settings()).measure(8.725, CURRENT_A)
     assert (found.regime, found.cycles) == ("chaotic", 200.0)
     assert found.impacts_per_cycle * 200.0 == pytest.approx(round(found.impacts_per_cycle * 200.0), abs=1e-9)
@@ -142,7 +142,7 @@ frequency_hz: 9.1
 
 
 def test_where_the_sphere_begins_decides_between_three_motions(tmp_path):
-    """30 mm, 9.1 Hz: two impacts per cycle, none, and a third motion that no start at rest reaches."""
+    """At 30 mm and 9.1 Hz: two impacts per cycle, none, and a third motion that no start at rest reaches."""
     (tmp_path / "map.yaml").write_text(COEXISTENCE)
     found = [reading for line in load_map(tmp_path / "map.yaml").lines() for reading in measure_line(line)]
     assert sorted(round(reading.dt) for reading in found) == [36, 36, 96, 110]
@@ -151,7 +151,7 @@ def test_where_the_sphere_begins_decides_between_three_motions(tmp_path):
 
 
 def test_a_sphere_on_its_way_to_a_wall_is_not_at_rest():
-    """No impact in hundreds of cycles, the structure as steady as without a sphere, which drifts and strikes later."""
+    """The structure is as steady as without a sphere for hundreds of cycles, but the sphere drifts and will strike."""
     rig = MapRig(from_flat(RigConfig(), {"barriers.gap_m": 0.040}), Settings())
     rig.reset((0.0, 3e-4))
     found = rig.measure(10.5, CURRENT_A)
@@ -235,9 +235,9 @@ def test_the_best_gap_agrees_with_the_prediction(small):
 
 
 def test_what_an_optimum_hangs_on_is_told_at_the_end_of_a_range_too(tmp_path):
-    """At e = 1 the sensitivity is the difference to a smaller e.
+    """At e = 1, the sensitivity is the difference to a smaller e.
 
-    Before, an elastic contact's optimum failed after all measurements, because e = 1.005 is not allowed.
+    A larger e, such as 1.005, is not allowed, and must not fail the optimum after all measurements.
     """
     search = "optimum: {over: gap_m, from: 0.0279, to: 0.0281, points: 5}\nset: {contact.restitution: 1.0}"
     plan = load_map(written(tmp_path, f"{search}\naxes: {{gap_m: [0.01, 0.02], current_a: [0.4, 0.5]}}"))
@@ -348,7 +348,7 @@ def test_three_axes_are_one_picture_each(tmp_path):
 
 
 SEARCH = "optimum: {{over: {}, from: {}, to: {}}}\naxes: {{gap_m: [0.01, 0.02], current_a: [0.4, 0.5]}}"
-"""A wrong end of the search was once found when the whole map had been measured."""
+"""A wrong end of the search must be rejected before the map is measured."""
 
 
 @pytest.mark.parametrize(
@@ -388,7 +388,7 @@ def test_a_map_that_would_take_too_long_is_refused_with_its_time(tmp_path, monke
 
 
 def test_a_map_that_took_long_is_opened_on_any_machine(small, tmp_path, monkeypatch):
-    """Measured points take no time, so the limit on the time does not apply to them."""
+    """Points that are already measured cost no time, so the time limit does not apply to them."""
     plan, directory = small
     monkeypatch.setattr("impact_rig_studies.maps.plan.LIMIT_S", 1e-6)
     with pytest.raises(BudgetError):

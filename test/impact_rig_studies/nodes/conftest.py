@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A user of the graph on a ROS domain of its own."""
+"""A user of the graph, on its own ROS domain."""
 
 import pytest
 

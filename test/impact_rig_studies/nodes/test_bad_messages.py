@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""One bad message costs that message: every subscription of every node and of the client takes anything that comes."""
+"""A bad message affects only itself: every subscription of every node and of the client accepts any bytes."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def good(topic: topics.Topic, rows: int = 2) -> Table:
 
 
 def malformed(topic: topics.Topic) -> Iterator[bytes]:
-    """Yield messages on a table topic that are no such table, whatever they are."""
+    """Yield messages on a table topic that are not tables of that topic."""
     table = good(topic)
     names = [column.name for column in topic.fields]
     for name in names:
@@ -80,7 +80,7 @@ def malformed(topic: topics.Topic) -> Iterator[bytes]:
 
 
 def hostile(topic: topics.Topic) -> Iterator[bytes]:
-    """Yield tables of the right columns with numbers, texts and stamps that no rig has sent."""
+    """Yield tables with the right columns and with numbers, texts and stamps that no rig sends."""
     for column in topic.fields:
         for value in {"S": (b"\xff\xfe", b"nobody"), "f": NUMBERS}.get(np.dtype(column.kind).kind, (0, 1, 127)):
             table = good(topic)
@@ -119,7 +119,7 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Client, di
 def test_every_subscription_of_a_node_takes_anything(
     graph: tuple[Client, dict[str, ManagedNode[Any]]], name: str
 ) -> None:
-    """Messages that are no table of their topic are refused and counted under it; none is an exception."""
+    """Messages that are not tables of their topic are rejected and counted under it; none raises an exception."""
     node = graph[1][name]
     info = {"source_timestamp": 1, "received_timestamp": 1, "publication_sequence_number": 0}
     tried = 0

@@ -93,7 +93,7 @@ def test_services_of_the_graph_are_those_of_the_page(running) -> None:
 
 
 def test_parameters_of_the_graph_are_those_of_the_page_with_unit_and_range(running) -> None:
-    """Output of `ros2 param list` and `ros2 param describe`."""
+    """Compare with the output of `ros2 param list` and `ros2 param describe`."""
     client, nodes = running
     for node in nodes:
         listed = client.call(ListParameters, f"{node}/list_parameters", ListParameters.Request()).result.names
@@ -141,7 +141,7 @@ def test_figures_of_the_diagnostics_are_those_of_the_page(running) -> None:
 
 @pytest.mark.parametrize("node", [*NODES])
 def test_a_program_tells_its_use_and_starts_nothing(node: str) -> None:
-    """A bug once: `rig_node --help` started a rig."""
+    """`rig_node --help` must print its usage, and not start a rig."""
     module = "impact_rig_lab.node" if node == "lab" else "impact_rig.nodes.__main__"
     call = f"import sys, {module} as m; sys.argv[1:] = ['--help']; m.{'main' if node == 'lab' else node}(); "
     done = subprocess.run(
@@ -202,7 +202,7 @@ def finalized() -> Iterator[tuple[Client, RigNode]]:
 
 @pytest.fixture
 def situated(situation: Situation, mortal, finalized) -> Iterator[tuple[Client, RigNode]]:
-    """A rig in the situation."""
+    """Rig in the given situation."""
     if situation is Situation.FINALIZED:
         yield finalized
         return

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`ros2 param dump`, `load` and `dump` again, by the very code of rclpy that the command calls."""
+"""`ros2 param dump`, `load` and `dump` again, by the code of rclpy that the command calls."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ NUMBERS = itertools.count()
 
 
 def host(client: Client, node: str, values: dict[str, Any]) -> ManagedNode[Any]:
-    """Run a node under a name that no other has."""
+    """Run a node under a unique name."""
     name = f"{node}{next(NUMBERS)}"
     hosted: ManagedNode[Any] = client.host(
         NODES[node][0],
@@ -119,7 +119,7 @@ CASES = [(node, values) for node, (_, variants) in NODES.items() for values in v
 
 @pytest.mark.parametrize(("node", "values"), CASES, ids=[f"{node}-{i}" for i, (node, _) in enumerate(CASES)])
 def test_dump_load_dump_is_the_identity(user: Client, tmp_path: Path, node: str, values: dict[str, Any]) -> None:
-    """Also into another node that was started without them, but for what is fixed at the start."""
+    """This also holds for another node that was started without them, except for what is fixed at the start."""
     first = host(user, node, values)
     before = dump(user, first.get_name(), tmp_path / "first.yaml")
     assert load(user, first.get_name(), tmp_path / "first.yaml") == []

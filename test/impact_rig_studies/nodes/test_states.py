@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Every word of the table of states, said by a real node in that state: as a key, at once, with why and since when."""
+"""Every word of the table of states, reported by a real node in that state at once, with reason and time."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ NODES: dict[str, type[ManagedNode[Any]]] = {
 
 
 def wait_for(client: Client, node: str, word: str, reason: str = "") -> dict[str, str]:
-    """Wait until a node says a word, for a reason with these words in it; return its figures."""
+    """Wait until a node reports a word, with a reason that contains these words; return its figures."""
 
     def said() -> dict[str, str] | None:
         figures = client.figures(node)
@@ -116,7 +116,7 @@ def test_a_silent_peer_is_named(client: Client) -> None:
 
 
 def test_rigs_in_one_namespace_are_rivals_both(client: Client) -> None:
-    """The one that came first goes on, the other one waits; neither looks like a rig at rest."""
+    """The first rig continues, and the other one waits; neither is shown as a rig at rest."""
     first = host_rig(client, "realtime")
     client.wait_active("rig")
     wait_for(client, "rig", "at_rest")
@@ -171,7 +171,7 @@ def test_an_analysis_says_what_it_can_measure(client: Client) -> None:
 
 
 def test_lost_blocks_and_an_unmeasurable_signal_are_states_of_the_analysis(client: Client) -> None:
-    """The base sensor stuck: scans come, but no DT can come of them."""
+    """The base sensor is stuck: scans arrive, but DT cannot be measured."""
     faults = ["lost_block start_s=2 duration_s=0.01", "dropout channel=base start_s=3"]
     host_analysis(client)
     host_rig(
@@ -234,7 +234,7 @@ def journal_of_somebody() -> bytes:
 
 
 def test_a_recorder_says_what_it_did_not_get_and_who_wrote_in_anothers_place(client: Client, tmp_path: Path) -> None:
-    """Either makes the run impossible to verify."""
+    """Each of the two makes the run impossible to verify."""
     recorder = host_recorder(client, tmp_path)
     host_rig(client, time__peers=["recorder"])
     client.wait_active("rig", "recorder")

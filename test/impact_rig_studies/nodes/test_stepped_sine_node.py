@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The stepped-sine node measures a curve through the topics, and leaves the shaker at rest whatever happens."""
+"""The stepped-sine node measures a curve over topics, and leaves the shaker at rest whatever happens."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ FREQUENCIES_HZ = [8.0, 10.5, 9.5]
 
 @pytest.fixture
 def sweeping(client: Client) -> Client:
-    """A rig that runs as fast as its analysis, and a stepped-sine node."""
+    """Rig that runs as fast as its analysis, and a stepped-sine node."""
     client.host(AnalysisNode)
     values = {"frequencies_hz": FREQUENCIES_HZ, "direction": "up_down"}
     client.host(SteppedSineNode, parameter_overrides=ros_parameters(values))
@@ -58,7 +58,7 @@ def begin(client: Client) -> None:
 
 
 def _started(client: Client) -> bool:
-    """Ask for a sweep; it is refused until the node has found rig and analysis."""
+    """Request a sweep; it is rejected until the node has found rig and analysis."""
     return bool(client.call(Trigger, "stepped_sine/start", Trigger.Request()).success)
 
 
@@ -101,7 +101,7 @@ def test_an_amplitude_is_held_and_its_curve_published(sweeping: Client) -> None:
 
 @pytest.fixture
 def locking(client: Client) -> Client:
-    """A linear rig that waits for the node that locks on its resonance, ahead of it by two blocks at most."""
+    """Linear rig that waits for the node that locks on its resonance, at most two blocks ahead of it."""
     values = {"hold": "phase", "frequencies_hz": [8.9], "current_a": 0.3, "dwell_s": 4.0, "within_deg": 1.0}
     client.host(SteppedSineNode, parameter_overrides=ros_parameters(values))
     ahead = {"daq__block_scans": 500, "time__ack_window": 2}

@@ -70,7 +70,7 @@ def send(client: Client, first: int, values: NDArray[np.float64], start_ns: int 
 
 @contextlib.contextmanager
 def paused(client: Client) -> Iterator[None]:
-    """A rig in real time that waits: what is sent meanwhile is in time, however busy the machine is."""
+    """Rig in real time that is paused: samples sent meanwhile are in time, however busy the machine is."""
     client.pause()
     yield
     client.pause(False)
@@ -230,7 +230,7 @@ def test_a_rig_ahead_of_time_waits_for_samples_and_names_who_sends_none(client):
 
 
 def starved(client: Client, mode: str = "free_running", **values: Any) -> tuple[RigNode, Collector]:
-    """A rig ahead of time that is out of samples after twenty blocks, but for half a block."""
+    """Free-running rig that has no samples after twenty blocks, except for half a block."""
     node = host_rig(client, mode, time__peers=[client.name], **STREAM, **values)
     client.wait_active("rig")
     scans = client.collect("daq/scan", acknowledge=True)
@@ -240,7 +240,7 @@ def starved(client: Client, mode: str = "free_running", **values: Any) -> tuple[
 
 
 def test_samples_that_come_during_a_pause_are_played_after_it(client: Client) -> None:
-    """A rig paused while it waited for them once ended the stream when it went on, though they had come."""
+    """If a rig was paused while it waited for samples, their arrival must not end the stream when it resumes."""
     node, scans = starved(client, time__peer_timeout_s=0.3)
     rig = node._session.rig
     client.pause()
@@ -255,7 +255,7 @@ def test_samples_that_come_during_a_pause_are_played_after_it(client: Client) ->
 
 
 def test_a_stop_during_a_pause_leaves_nothing_to_wait_for(client: Client) -> None:
-    """To go on was refused as the shaker is latched, and done by half: no longer paused, but the work not begun."""
+    """The latched shaker must not make the resumption fail halfway: no longer paused, but without work."""
     node, scans = starved(client, time__peer_timeout_s=0.3)
     client.pause()
     client.trigger("rig/stop")
@@ -267,7 +267,7 @@ def test_a_stop_during_a_pause_leaves_nothing_to_wait_for(client: Client) -> Non
 
 @pytest.mark.parametrize("what", ["reset", "suspended"])
 def test_the_time_to_wait_for_samples_begins_anew(client: Client, monkeypatch: pytest.MonkeyPatch, what: str) -> None:
-    """A step was refused at once for the samples that had not come before the reset, or while this process was away."""
+    """Samples that were missing before the reset, or during a suspension, must not reject a step at once."""
     node = host_rig(client, "lockstep", time__peers=[client.name], time__peer_timeout_s=0.5, **STREAM)
     client.wait_active("rig")
     client.collect("daq/scan", acknowledge=True)
@@ -311,7 +311,7 @@ def test_a_controllers_hardware_reads_over_topics_what_it_reads_in_process():
 
 
 def test_a_controller_whose_rig_has_died_is_told_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Before, it waited actively until its time was over, and then reported that no scans had arrived."""
+    """It must not wait until its time limit, and then report that no scans have arrived."""
     with RosRig({**FLAT, "time.mode": "free_running"}, hosted=True) as rig:
 
         class Died:

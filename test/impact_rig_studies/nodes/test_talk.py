@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Text for the user: the lines of the log, and the names in diagnostics."""
+"""Text for the user: lines of the log, and names in diagnostics."""
 
 from __future__ import annotations
 
@@ -51,12 +51,12 @@ class Console:
         self.lines.append((message.level, message.name, message.msg))
 
     def wait(self, level: LoggingSeverity, text: str) -> None:
-        """Wait until a line of this level holds the text."""
+        """Wait until a line of this level contains the text."""
         found = lambda: any(line[0] == level.value and text in line[2] for line in self.lines)  # noqa: E731  # asked again
         self.client.wait_until(found, f"{text!r} in the log, which has {self.lines}")
 
     def count(self, text: str) -> int:
-        """Return how many lines hold the text."""
+        """Return the number of lines that contain the text."""
         return sum(text in line[2] for line in self.lines)
 
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Controlled sine: what it commands on a rig of known gain, its limits, and its curve on the rig."""
+"""Controlled sine: its commands for a rig of known gain, its limits, and its curve on the rig."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ HELD = HoldPlan(hold=Hold.BASE, target=1e-4)
 
 
 class Bench:
-    """Accepts everything, and every second measures a base amplitude of 2e-4 (current/1 A)^power."""
+    """Rig that accepts everything and measures a base amplitude of 2e-4 (current/1 A)^power every second."""
 
     stopped = ""
 
@@ -97,7 +97,7 @@ def test_a_point_that_cannot_be_held_keeps_its_error():
 
 
 def test_a_point_that_is_left_out_takes_no_corrections_from_the_next():
-    """Its count was kept: the next point had none left, and was taken as it was."""
+    """The next point must have all of its corrections, not the rest of the previous point's."""
 
     class Loud(Bench):
         def rows(self, topic):
@@ -148,7 +148,7 @@ def test_on_the_linear_rig_it_is_held_and_dt_is_the_closed_form(what, target):
 
 
 def test_a_held_base_gives_the_prescribed_drive_s_dt():
-    """All gaps and frequencies: `python -m qualification.closed_loop`."""
+    """All gaps and frequencies are checked by `python -m qualification.closed_loop`."""
     job = by_test.job(9.4, 10e-3)
     found = hold(job, HoldPlan(hold=Hold.BASE, target=60e-6))
     assert found.rows["held"].tolist() == [1.0]

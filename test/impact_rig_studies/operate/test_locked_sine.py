@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A phase lock walked through by an operator: blocks and accepted commands in, setpoints out, whatever goes wrong."""
+"""Phase lock with an operator: blocks and accepted commands go in, setpoints come out, with any failure in between."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ TRUE_HZ = 9.105 / math.sqrt(1.0 - 4.0 * LINEAR.structure.damping_ratio**2)
 
 
 class Running:
-    """A rig whose time passes by itself, with an operator."""
+    """Rig whose time passes by itself, with an operator."""
 
     def __init__(self, plan: LockPlan = PLAN) -> None:
         self.rig = Rig(LINEAR)
@@ -57,7 +57,7 @@ class Running:
         self.operator.begin(self.now_ns())
 
     def block(self, lost: bool = False, accepted: bool = True) -> None:
-        """Let a block pass, and tell the operator of it."""
+        """Let a block pass, and inform the operator of it."""
         blocks = self.rig.advance(self.rig.block_end_ns(1))
         applied = [one for table in self.rig.take_applied() for one in Applied.of(table)] if accepted else []
         scans = [] if lost else [block.scan for block in blocks]

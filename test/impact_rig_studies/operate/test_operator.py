@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The loop: what it sets, where it ends, what it reports, with a rig that follows a script."""
+"""Operator loop: what it sets, where it ends and what it reports, with a rig that follows a script."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def test_a_rig_that_stops_ends_the_sweep_with_what_was_measured():
 
 
 def test_measurements_come_before_what_stopped_the_rig():
-    """A sweep whose last measurement came together with the trip is complete."""
+    """A sweep whose last measurement arrived together with the trip is complete."""
     sweep = SteppedSine(PLAN)
     operate(sweep, Script(stops_s=4))
     assert (sweep.state, sweep.reason, sweep.measured) == (SweepState.FINISHED, "", 4)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Search, track and dwell: on a resonance of known answer, on the rig, over topics; and the sweep of a backbone."""
+"""Search, track and dwell on a resonance with a known response, on the rig, and over topics; and the backbone sweep."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_a_resonance_is_found_and_held(reference, start_hz, zeta):
 
 @pytest.mark.parametrize(("start_hz", "side", "low_hz", "high_hz"), [(9.9, 1.0, 5.0, 10.0), (8.1, -1.0, 8.0, 20.0)])
 def test_a_transient_that_dies_at_an_end_of_the_range_is_no_resonance(start_hz, side, low_hz, high_hz):
-    """The frequency stood still between the two samples: the slope was 0, and the lock never left the end again."""
+    """Between two samples the frequency stood still: a slope of 0 must not keep the lock at the end forever."""
 
     class Ringing(Resonance):
         def sample(self, seconds):
@@ -104,7 +104,7 @@ def test_a_transient_that_dies_at_an_end_of_the_range_is_no_resonance(start_hz, 
 
 @pytest.mark.parametrize(("sample_s", "command_s"), [(0.5, 0.6), (0.1, 0.03)])
 def test_it_locks_where_commands_take_their_time(sample_s, command_s):
-    """Samples were counted as if one followed the other at once: with these the phase was held, and nothing locked."""
+    """Commands need time: if samples counted as consecutive, the phase would be held and nothing would lock."""
 
     class Late(Resonance):
         def sample(self, seconds):

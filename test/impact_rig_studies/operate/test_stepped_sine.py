@@ -151,7 +151,7 @@ def test_a_plan_that_cannot_work_is_refused(changes, message):
 
 
 def test_closed_loop_with_the_tracker_gives_the_curve():
-    """A campaign in small: the tracker's rows drive the sweep, the sweep's commands drive the (closed-form) rig."""
+    """This is a small campaign: the tracker's rows drive the sweep, and its commands drive the closed-form rig."""
     rate, block = 2000, 200
     rng = np.random.default_rng(1)
     one = sweep(direction=Direction.UP_DOWN)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A report of hostile names runs nothing, asks for nothing, and writes nothing outside its directory."""
+"""A report of hostile names runs nothing, fetches nothing, and writes nothing outside its directory."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ POLICY = re.compile(r'<meta http-equiv="Content-Security-Policy" content="([^"]*
 
 
 class Elements(HTMLParser):
-    """Collects the elements of a page and the names of their attributes."""
+    """Parser that collects the elements of a page and the names of their attributes."""
 
     def __init__(self, text):
         super().__init__()
@@ -47,7 +47,7 @@ class Elements(HTMLParser):
 
 
 def assert_harmless(text):
-    """A page has no element or attribute that runs or fetches, and a policy that would forbid both."""
+    """Assert that a page has no element or attribute that runs or fetches, and a policy that would forbid both."""
     found = Elements(text)
     assert not found.tags & {"script", "img", "iframe", "object", "embed", "form", "base"}
     assert not [name for name in found.attributes if name.startswith("on") or name == "style"]
@@ -60,7 +60,7 @@ def assert_harmless(text):
 
 
 def tree(folder):
-    """Every path below a folder but what is in its `campaign`."""
+    """Return every path below a folder, except those in its `campaign`."""
     return {path for path in folder.rglob("*") if "campaign" not in path.relative_to(folder).parts}
 
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The report of an imported measurement, or of a run, says what was measured and nothing else."""
+"""The report of an imported measurement, or of a run, contains the measured results and nothing else."""
 
 from __future__ import annotations
 

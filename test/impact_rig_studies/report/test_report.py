@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The report is one page that needs nothing else, and shows what was measured."""
+"""The report is one self-contained page, and shows the measured results."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ VOID = {"meta", "link", "br", "use"}
 
 
 class Page(HTMLParser):
-    """Collects identifiers, addresses, text and unbalanced elements."""
+    """Parser that collects identifiers, addresses, text and unbalanced elements."""
 
     def __init__(self, text):
         super().__init__()
@@ -84,7 +84,7 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def short(tmp_path_factory):
-    """A campaign with the paper's curves at three frequencies and a point that fails, and what came of its jobs."""
+    """Campaign with the paper's curves at three frequencies and a point that fails, with the outcomes of its jobs."""
     folder = tmp_path_factory.mktemp("report")
     file = folder / "short.yaml"
     campaign = load_campaign(config_dir() / "paper.yaml").only(("curves",))
@@ -116,7 +116,7 @@ def reported(short, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def compared(short, tmp_path_factory):
-    """The same without its traces, and a page that tells of margins and of continued motions as well."""
+    """The same campaign without its traces, with a page that also shows margins and continued motions."""
     folder = tmp_path_factory.mktemp("compared")
     campaign, found = short
     out = stored(folder / "out", campaign, [(job, attrs.evolve(one, trace={})) for job, one in found])
@@ -223,7 +223,7 @@ NUMBER = re.compile(r"(?<![\w.])[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.]*[A-Z
 
 
 def leaves(value):
-    """Every number and every text in what a JSON file holds."""
+    """Yield every number and every text in the content of a JSON file."""
     for item in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
         yield from leaves(item)
     if isinstance(value, (int, float, str)):
@@ -231,7 +231,7 @@ def leaves(value):
 
 
 def kept(folder):
-    """Return the numbers that a program can read, and those written in texts."""
+    """Return the numbers that a program can read, and those in texts."""
     numbers, written = set(), set()
     report, summary = (json.loads((folder / name).read_text()) for name in ("report.json", "summary.json"))
     del report["figures"]  # thousands of numbers, that no text shows
@@ -247,7 +247,7 @@ def kept(folder):
 
 
 def stands_for(shown, number):
-    """Return whether the shown text is this number, rounded to the digits that are shown."""
+    """Return whether the shown text is this number, rounded to the shown digits."""
     _, _, decimals = shown.partition("e")[0].partition(".")
     digits = len(re.sub(r"e.*|\D", "", shown).lstrip("0").rstrip("0" if not decimals else "")) or 1
     return float(shown) in (round(number, len(decimals)), float(f"{number:.{digits}g}"))
@@ -382,7 +382,7 @@ def drawable(**changes):
     ("impacts", "shade", "text"), [(2.0, PERIODIC, "2.0"), (0.0, QUIET, "0.0"), (np.nan, PERIODIC, "")]
 )
 def test_where_nobody_counted_impacts_the_map_does_not_say_that_there_are_none(monkeypatch, impacts, shade, text):
-    """A measurement without an accelerometer was once drawn as one without impacts, nan of them."""
+    """A measurement without an accelerometer must not be drawn as one without impacts, with nan of them."""
     monkeypatch.setattr(dt, "Drawn", lambda _, figure, *__: figure)
     (figure,) = dt.regime_map(drawable(impacts_per_cycle=impacts))
     (axis,) = figure.axes
@@ -393,7 +393,7 @@ def test_where_nobody_counted_impacts_the_map_does_not_say_that_there_are_none(m
 
 
 def test_a_phase_on_either_side_of_half_a_turn_is_in_the_figure(monkeypatch):
-    """Before, a point that noise had turned into a lead of 179° was invisible above the axis."""
+    """A point that noise has turned into a lead of 179° must not be invisible above the axis."""
     monkeypatch.setattr(dt, "Drawn", lambda _, figure, *__: figure)
     for figure in dt.by_frequency(drawable(phase=np.pi - 0.01), RigConfig()):
         axis = figure.axes[2]

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A study is drawn over its longest axis, a line per other value, at the heights that were measured."""
+"""A study is drawn over its longest axis, with one line per other value, at the measured heights."""
 
 from __future__ import annotations
 
