@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A model driven by what was measured does what the measured rig did; where their constants differ, it shows."""
+"""A model driven by the measured drive moves like the measured rig; the comparison shows differing constants."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def test_the_model_with_the_rigs_own_constants_does_what_the_rig_did(
     recorded: dict[str, Path], name: str, driven_by: str
 ) -> None:
-    """Time traces within what the sensors' gains are off, DT and phase within their uncertainty."""
+    """Time traces agree within the gain errors of the sensors, DT and phase within their uncertainty."""
     with open_run(recorded[name]) as run:
         found = compare(run, driven_by=driven_by, fits=False)
     (place,) = found.places
@@ -72,7 +72,7 @@ def test_the_model_with_the_rigs_own_constants_does_what_the_rig_did(
 
 
 def test_other_constants_show_and_better_ones_are_found(recorded: dict[str, Path]) -> None:
-    """A model whose resonance is 0.5 % higher is off by many u; the fit finds the resonance of the rig."""
+    """A model whose resonance is 0.5 % higher differs by many u; the fit finds the resonance of the rig."""
     known = from_flat(RigConfig(), {"structure.natural_frequency_hz": 9.15, "sphere.present": False})
     with open_run(recorded["linear"]) as run:
         found = compare(run, known)
@@ -84,7 +84,7 @@ def test_other_constants_show_and_better_ones_are_found(recorded: dict[str, Path
 
 
 def differentiated(values: np.ndarray, order: int) -> np.ndarray:
-    """Return a derivative of a record that repeats, without what is above 100 Hz."""
+    """Return a derivative of a periodic record, without the part above 100 Hz."""
     frequency = np.fft.rfftfreq(len(values), 1.0 / RATE_HZ)
     factor = (2j * np.pi * frequency) ** order * (frequency < 100.0) if order else np.ones(len(frequency))
     return np.fft.irfft(np.fft.rfft(values) * factor, len(values))
@@ -94,9 +94,9 @@ def differentiated(values: np.ndarray, order: int) -> np.ndarray:
 def test_a_record_that_begins_amid_the_motion_is_compared_and_one_with_a_gap_in_parts(
     tmp_path: Path, laser: str, base: str
 ) -> None:
-    """Imported: 10 s from the middle of a motion, without current; half a second is missing.
+    """The imported record has 10 s from the middle of a motion, without current; half a second is missing.
 
-    Accelerations were once compared as if they were displacements.
+    Accelerations must not be compared as if they were displacements.
     """
     rig = measured_rig(24, **{"sphere.present": False})
     rows = rig.rows()[14 * RATE_HZ :]  # 91 cycles
@@ -143,7 +143,7 @@ def test_a_run_in_which_nothing_settled_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("channel", [LASER, CURRENT])
 def test_lag_and_skew_of_a_sensor_are_undone(channel: int) -> None:
-    """A sine as the sensor gives it becomes the true one, to its ends."""
+    """The measured sine of a sensor becomes the true one, up to its ends."""
     calibration = Calibration.from_info(LocalRig({"daq.rate_hz": RATE_HZ, "daq.block_scans": 200}).core.info().rows)
     time_s = np.arange(3 * RATE_HZ) / RATE_HZ
     true = np.exp(2j * np.pi * 9.1 * time_s)

@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A slice of `qualification/coverage_of_uncertainties.py`: rows of the rig's instruments against the truth.
+"""Part of `qualification/coverage_of_uncertainties.py`: rows of the rig's instruments compared with the truth.
 
-And a place of `qualification/resting_places.py`.
+It includes a point of `qualification/resting_places.py`.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def judged(case):
 @pytest.mark.parametrize("bits", [12, 16])
 @pytest.mark.repeats
 def test_reductions_are_off_by_what_they_state(bits):
-    """Scattered at 16 bits: a sum of (error/u)² is a chi-square. Bounded by the steps at 12: hardly one beyond 2u."""
+    """At 16 bits, errors scatter: a sum of (error/u)² is a chi-square. At 12 bits, steps limit them: few exceed 2u."""
     case = next(case for case in TOOL["reduction_cases"]() if case.label == (f"{bits}",))
     found, _ = judged(attrs.evolve(case, gaps_m=(0.0, 0.008, 0.002), span_s=14.0))  # time for two rows
     assert set(found) == {(f"{bits}", gap, count) for gap in ("2", "8") for count in ("1", "2")}
@@ -59,7 +59,7 @@ def test_reductions_are_off_by_what_they_state(bits):
 )
 @pytest.mark.repeats
 def test_small_signals_are_covered_or_refused(base_um, bits, noise, measured):
-    """At 6 Hz x_1 is 1.8 times the base: 9 µm and less on a laser of 8 µm steps, 4 µm on a converter of 10."""
+    """At 6 Hz, x_1 is 1.8 times the base: 9 µm or less with laser steps of 8 µm, 4 µm with converter steps of 10 µm."""
     case = next(case for case in TOOL["small_cases"]((6.0,)) if case.label[1:] == (base_um, bits, noise))
     found, refused = judged(case)
     if not measured:
@@ -72,7 +72,7 @@ def test_small_signals_are_covered_or_refused(base_um, bits, noise, measured):
 
 
 def test_a_sphere_that_drifts_for_twenty_seconds_is_not_at_rest():
-    """At 18 mm, 10.85 Hz it leaves a wall at less than 1 mm/s and strikes again; who waits for 16 s is deceived."""
+    """At 18 mm and 10.85 Hz, it leaves a wall at less than 1 mm/s: a wait of 16 s would miss its next impact."""
     config = PLACES["configuration"](18.0)
     (motion,) = PLACES["driven"](config, 10.85, 40.0)
     struck, _ = PLACES["strikes"]([motion])

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Energy that the impacts take from the structure, from DT with and without the sphere: equal joule by joule."""
+"""Energy that the impacts take from the structure, from DT with and without the sphere: it agrees joule by joule."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ FREQUENCY_HZ, CURRENT_A, SECONDS = 9.1, 0.52, 20.0
 
 
 def measured(parameters: dict[str, object]) -> tuple[NDArray[np.void], LocalRig]:
-    """Return the last settled row of a rig, and the rig."""
+    """Return the last settled row of a rig, and the rig itself."""
     rig = LocalRig({"daq.rate_hz": 5000, "daq.block_scans": 500, **parameters})
     rig.command(frequency_hz=FREQUENCY_HZ, current_a=CURRENT_A)
     rig.run(SECONDS)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Free decay and drop test: exact on their model, honest in noise, silent on nonsense."""
+"""Free decay and drop test: exact for their model, valid uncertainties in noise, a reason for invalid records."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_a_noiseless_decay_gives_back_its_parameters(method, f_n, zeta, phase, a
 @METHODS
 @pytest.mark.parametrize("rate_hz", [19.0, 30.0, 40.0, 45.0, 46.0])
 def test_a_rate_at_which_a_cycle_has_too_few_samples_gives_no_fit(method, rate_hz):
-    """Below five of them its fit was a singular matrix, and its error all that the user saw."""
+    """With fewer than five samples in a cycle, the fit has a singular matrix; the user must get the reason instead."""
     rng = np.random.default_rng(3)
     y = decay(20.0, rate_hz) + 1e-6 * rng.standard_normal(round(20 * rate_hz))
     found = method(y, rate_hz)
@@ -66,7 +66,7 @@ def test_a_rate_at_which_a_cycle_has_too_few_samples_gives_no_fit(method, rate_h
 
 @METHODS
 def test_acceptance_on_a_locked_base_decay(method):
-    """f_n within 0.02 %, ζ within 2 %: laser steps of 8 µm, 3 µm of noise, 10 kS/s, 5 mm."""
+    """f_n within 0.02 % and ζ within 2 %, with laser steps of 8 µm, 3 µm of noise, 10 kS/s and 5 mm."""
     rng = np.random.default_rng(1)
     y = decay(20.0, 10_000.0) + 3e-6 * rng.standard_normal(200_000)
     found = method(8e-6 * np.round(y / 8e-6), 10_000.0)
@@ -105,7 +105,7 @@ def scans(y):
 @METHODS
 @pytest.mark.repeats
 def test_the_curve_of_the_sensor_is_in_the_uncertainty_of_the_damping(method):
-    """300 rigs with different gain and curve (Legendre, |c_2| + |c_3| <= 1); noise alone would be 10 times too sure."""
+    """300 rigs with different gain and curve (Legendre, |c_2| + |c_3| <= 1); noise alone would give a tenth of u."""
     rng = np.random.default_rng(6)
     rate = 190
     info = info_rows(rate, gain_u=2e-3)
@@ -132,7 +132,7 @@ def _bent_by_sums(decay_per_s, seconds):
 
 
 def test_a_record_that_holds_the_whole_decay_is_bent_by_a_half():
-    """And 2 for a short one: ln(1 + κe^{−2λt}) then falls by 2κλ per second."""
+    """For a short record the factor is 2: ln(1 + κe^{−2λt}) then falls by 2κλ per second."""
     assert bent(0.25, 100.0) == pytest.approx(0.5, rel=1e-9)
     assert bent(0.25, 0.01) == pytest.approx(2.0, rel=1e-2)
     assert bent(0.25, 8.0) == pytest.approx(_bent_by_sums(0.25, 8.0), rel=1e-3)
@@ -150,7 +150,7 @@ def test_a_clipped_decay_is_named():
 
 
 def test_a_decay_of_a_damping_that_changes_with_the_amplitude_is_refused():
-    """Impacts that no accelerometer sees, say: twice the damping as long as the amplitude is large."""
+    """For example, impacts that no accelerometer measures double the damping while the amplitude is large."""
     rate = 500
     time = np.arange(20 * rate) / rate
     envelope = np.exp(-np.cumsum(np.where(time < 3.0, 0.5, 0.25)) / rate)

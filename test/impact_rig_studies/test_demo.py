@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig demo` as a user runs it: five reductions from three real processes, and a clear end when one dies."""
+"""`impact-rig demo` as a user runs it: five reductions from three real processes, and a clear error if one dies."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def node_pid(demo: subprocess.Popen[str], node: str) -> int | None:
 
 
 def wait_for(demo: subprocess.Popen[str], path: Path, size: int = 0) -> None:
-    """Wait until the demo has made `path`, this large; every look is a bounded wait for the demo's own end."""
+    """Wait until the demo has made `path` with this size; each check waits a limited time for the demo's own end."""
     deadline = time.monotonic() + START_S
     while not path.exists() or path.stat().st_size < size:
         try:
@@ -77,7 +77,7 @@ def wait_for(demo: subprocess.Popen[str], path: Path, size: int = 0) -> None:
 
 
 def recorded_reductions(directory: Path) -> dict[str, Reduction]:
-    """Return the reductions by gap in mm, as the recorded certificate and measurements give them."""
+    """Return the reductions by gap in mm, from the recorded certificate and measurements."""
     rows = {}
     for gap_m, name in RUNS.items():
         with open_run(directory / name) as run:

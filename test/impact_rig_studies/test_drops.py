@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig analyze RUN --drop`: the drops that were noted with a run."""
+"""`impact-rig analyze RUN --drop`: the drops in the remarks of a run."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def recorded(rig: LocalRig) -> Messages:
 def test_drops_noted_with_a_run_give_the_restitution_of_the_law(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A sphere that falls from h0 comes back to e² h0, where e is what the law of the configuration returns."""
+    """A sphere that falls from h0 rebounds to e² h0, where e is that of the configured law."""
     e = from_config(RigConfig().contact).realised_restitution()
     rng = np.random.default_rng(1)
     heights = [(0.2 + 0.01 * k, e**2 * (0.2 + 0.01 * k) + 2e-4 * rng.standard_normal()) for k in range(8)]

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The dynamics of the model against closed forms, published limits, the map's marching, and a rig over ROS."""
+"""Dynamics of the model, compared with closed forms, published limits, marching over a map, and a rig over ROS."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ PLACE = Place(RigConfig(), 9.1, 0.52)
 
 
 def study(folder: Path, kind: str, text: str) -> list[dict[str, object]]:
-    """The rows of a study, by name."""
+    """Return the rows of a study by name."""
     path = folder / "study.yaml"
     path.write_text(text)
     found = plan.load(path, kind)
@@ -57,7 +57,7 @@ def study(folder: Path, kind: str, text: str) -> list[dict[str, object]]:
 
 
 def standard(z: np.ndarray, e: float, gamma: float) -> np.ndarray:
-    """Holmes's map of a bouncing ball that flies high: (phase of the impact, speed after it), over the table's."""
+    """Return Holmes's map of a ball that bounces high: (phase of the impact, speed after it / speed of the table)."""
     phase = z[0] + z[1]
     return np.array([phase, e * z[1] - gamma * math.cos(phase)])
 
@@ -88,9 +88,9 @@ def test_a_high_bouncing_ball_doubles_its_period_where_holmes_says():
 
 @pytest.mark.parametrize("aside", [0.09, 0.12, 0.15])
 def test_an_orbit_that_the_last_round_finds_is_found(aside):
-    """At a fold Newton's method halves the distance in each round, and takes all of them from a little way off.
+    """At a fold, Newton's method halves the distance in each round, and needs all rounds from a short distance.
 
-    Once what the last round found was looked at no more, and thrown away.
+    The result of the last round must be checked as well, and not thrown away.
     """
 
     def touching(z: np.ndarray, _p: float) -> np.ndarray:
@@ -104,9 +104,9 @@ def test_an_orbit_that_the_last_round_finds_is_found(aside):
 
 @pytest.mark.parametrize("moves", [0, 1, 3])
 def test_a_branch_that_meets_itself_is_closed_in_whatever_coordinates(moves):
-    """A circle, whose coordinates are shifted on the way.
+    """The branch is a circle, whose coordinates are shifted along the way.
 
-    Once the first orbit was not: it was never met again, and the branch went round and round.
+    The first orbit must be shifted as well; otherwise, it is never met again, and the branch continues forever.
     """
     shift = 0.0
 
@@ -128,9 +128,9 @@ def test_a_branch_that_meets_itself_is_closed_in_whatever_coordinates(moves):
 
 @pytest.mark.parametrize("beyond", [1e-4, 0.02, 0.1])
 def test_a_branch_tells_of_a_change_just_before_the_end_of_the_range(beyond):
-    """The logistic map's flip at 3, in the last step up to the edge or before it.
+    """The logistic map flips at 3, in the last step up to the end of the range or before it.
 
-    Once the last step was taken for its end alone: a branch turned unstable there and said nothing.
+    A change of stability in the last step must be reported, although this step also reaches the end.
     """
 
     def logistic(z: np.ndarray, p: float) -> np.ndarray:
@@ -145,14 +145,14 @@ def test_a_branch_tells_of_a_change_just_before_the_end_of_the_range(beyond):
 
 @attrs.frozen
 class Bouncer:
-    """A ball on a table under gravity, made of the rig itself: g is a slow acceleration of a soft structure.
+    """A ball on a table under gravity, made from the rig: g is a slow acceleration of a soft structure.
 
-    Columns of 1/1,000 of the frequency stand so far from their rest that the superior base is accelerated by g, and
-    moves beside that with the amplitude that the base gives it. Two coordinates: height above the left wall, and rate.
+    Columns with a thousandth of the frequency are far from their rest position, so the superior base is accelerated by
+    g, and also moves with the amplitude of the base. The two coordinates are height above the left wall, and its rate.
 
     Attributes:
         e: restitution.
-        gamma: the table's largest acceleration over g.
+        gamma: largest acceleration of the table, divided by g.
     """
 
     e: float
@@ -185,7 +185,7 @@ class Bouncer:
 
 
 def bounced(e: float, gamma: float) -> np.ndarray:
-    """Height and rate, over those of the table, at phase 0 of the orbit that bounces once a period."""
+    """Return height and rate, relative to those of the table, at phase 0 of the orbit with one bounce per period."""
     g, cosine = 1.0 / gamma, math.pi * (1.0 - e) / ((1.0 + e) * gamma)
     phase = -math.acos(-cosine) % TWO_PI  # the table moves as −sin: up where its cosine is negative
     late = TWO_PI - phase  # from the impact to phase 0
@@ -217,11 +217,11 @@ def test_the_rig_as_a_bouncing_ball_doubles_its_period_where_luck_and_mehta_say(
 
 
 def test_the_rig_as_a_bouncing_ball_doubles_its_period_again_where_a_published_diagram_does():
-    """Tufillaro, Abbott & Reilly (1992), An Experimental Approach to Nonlinear Dynamics and Chaos, Fig. 1.16:
+    """Tufillaro, Abbott & Reilly (1992), An Experimental Approach to Nonlinear Dynamics and Chaos, Fig. 1.16.
 
-    two bounces in two periods up to an amplitude of 0.0115 cm. Its ball returns half of its speed, its table moves with
-    60 Hz: inferred from the authors' other figures, as the text beside the diagram names neither. The exact map from
-    impact to impact, solved without the rig, doubles at Γ = 1.6671307.
+    Two bounces in two periods exist up to an amplitude of 0.0115 cm. The ball keeps half of its speed, and the table
+    moves with 60 Hz: this follows from other figures of the authors, as the text near the diagram states neither. The
+    exact map from impact to impact, solved without the rig, doubles its period at Γ = 1.6671307.
     """
     e, g, omega = 0.5, 9.81, TWO_PI * 60.0
 
@@ -239,7 +239,7 @@ def test_the_rig_as_a_bouncing_ball_doubles_its_period_again_where_a_published_d
 
 
 def impact_map_exponent(e: float, gamma: float, bounces: int) -> float:
-    """The largest exponent per period from the exact impact map and its derivative, without the rig."""
+    """Return the largest exponent per period from the exact impact map and its derivative, without the rig."""
     g, t, v = 1.0 / gamma, 0.0, math.pi / gamma
     vector, total, begin = np.array([1.0, 0.3]), 0.0, 0.0
     for number in range(bounces):
@@ -263,7 +263,7 @@ def impact_map_exponent(e: float, gamma: float, bounces: int) -> float:
 
 
 def test_the_exponents_of_a_bouncing_ball():
-    """The exponent is ln e if the multipliers are a pair: the area shrinks by e² a bounce in both directions."""
+    """The exponent is ln e if the multipliers are a complex pair: the area shrinks by e² per bounce."""
     e, gamma = 0.5, 1.2
     found = exponent.largest(Bouncer(e, gamma), bounced(e, gamma), returns=60, windows=6)
     assert found.value == pytest.approx(math.log(e), abs=5e-3)
@@ -305,7 +305,7 @@ def test_the_orbits_of_masri_and_caughey_their_multipliers_and_where_they_end(ca
 
 @pytest.fixture(scope="module")
 def over_gap(tmp_path_factory) -> list[dict[str, object]]:
-    """The motion with two impacts per cycle at 9.1 Hz, over the gap, through its fold."""
+    """Return the motion with two impacts per cycle at 9.1 Hz, over the gap, through its fold."""
     text = "continue: {over: gap_m, from: 0.002, to: 0.036, at: [0.028], points: 120}"
     return study(tmp_path_factory.mktemp("gap"), "continue", text)
 
@@ -315,7 +315,7 @@ def event(rows, name):
 
 
 def test_both_branches_are_the_slow_invariant_manifold(over_gap):
-    """Loss factor of the damper against (m/m_1)(8/π²) ρΘ²/ξ², on the stable and on the unstable side of the fold."""
+    """Loss factor of the damper compared with (m/m_1)(8/π²) ρΘ²/ξ², on the stable and the unstable side of the fold."""
     rig = LinearRig.of(RigConfig())
     sphere, m_1 = rig.sphere_kg, RigConfig().structure.mass_kg
     seen = set()
@@ -340,9 +340,9 @@ def test_both_branches_are_the_slow_invariant_manifold(over_gap):
     ("friction", "gap_m"), [(2.0, 0.006), (0.3, 0.1), (0.05, 0.2)], ids=["held", "held and sliding", "sliding"]
 )
 def test_an_orbit_of_a_sphere_that_only_rubs_is_what_the_motion_settles_to(friction, gap_m, tmp_path):
-    """No impacts, and yet it is no free sphere: held it is a mass more, sliding it damps.
+    """Without impacts the sphere is still not free: at rest on the structure it adds mass, and sliding it adds damping.
 
-    Once every motion without impacts was taken for one of a free sphere, which rests: the orbit was another one.
+    A motion without impacts must not be taken for that of a free sphere, which rests.
     """
     rig = f"set: {{sphere.guide_friction: {friction}, barriers.gap_m: {gap_m}}}\n"
     measure = "measure: {settle_tolerance: 1.0e-6, settle_cycles: 2000}\n"
@@ -361,7 +361,7 @@ def test_energy_per_cycle_closes_and_gives_the_loss_factor_of_dt(over_gap):
 
 
 def marched(place: Place, over: str, values: np.ndarray) -> float:
-    """The last of the values to which a motion, carried from one to the next, repeats with as many impacts."""
+    """Return the last value at which a motion, continued from value to value, repeats with this number of impacts."""
     rig: MapRig | None = None
     for value in values.tolist():
         here = plan.at(place, over, value)
@@ -378,7 +378,7 @@ def marched(place: Place, over: str, values: np.ndarray) -> float:
 
 
 def test_a_section_of_a_motion_that_cannot_be_resolved_is_empty(tmp_path, monkeypatch):
-    """Once it was that of the first cycles from rest, for the rig had been reset."""
+    """It must not be the section of the first cycles after a reset of the rig."""
     real, calls = Simulation.advance, []
 
     def fail_first(self: Simulation, segments: np.ndarray) -> object:
@@ -398,7 +398,7 @@ TAKEN_ALONG = 1
 
 @pytest.fixture
 def stuck(monkeypatch):
-    """Let the rig's first run of so many cycles be one that cannot be resolved."""
+    """Make the rig's first run of this number of cycles fail."""
 
     def fail_once(cycles: int) -> None:
         real, left = MapRig.run_cycles, [cycles]
@@ -415,7 +415,7 @@ def stuck(monkeypatch):
 
 
 def test_a_value_that_cannot_be_resolved_after_it_has_settled_is_marked_and_the_others_go_on(stuck, tmp_path, capsys):
-    """Once the whole diagram ended with the error."""
+    """The error of one value must not end the diagram."""
     stuck(TAKEN_ALONG)
     path = tmp_path / "study.yaml"
     path.write_text("bifurcation: {over: gap_m, values: [0.011, 0.0115, 0.012], direction: up}")
@@ -429,7 +429,7 @@ def test_a_value_that_cannot_be_resolved_after_it_has_settled_is_marked_and_the_
 
 
 def test_a_start_that_cannot_be_resolved_is_marked_and_the_others_go_on(tmp_path, monkeypatch):
-    """Once the whole basin ended with the error."""
+    """The error of one start must not end the basin."""
     path = tmp_path / "study.yaml"
     path.write_text("basin: {sphere_position_m: [-0.002, 0.001, 0.002], sphere_speed_m_s: 0.5}")
     found = plan.load(path, "basin")
@@ -450,7 +450,7 @@ def test_a_start_that_cannot_be_resolved_is_marked_and_the_others_go_on(tmp_path
 
 
 def test_a_start_that_shows_no_attractor_leaves_the_others(stuck, tmp_path):
-    """Once a basin could not even be planned."""
+    """A start without an attractor must not prevent the plan of the basin."""
     stuck(TAKEN_ALONG)
     rows = study(tmp_path, "basin", "basin: {sphere_position_m: [-0.002, 0.002], sphere_speed_m_s: 0.5}")
     assert [(row["attractor"], row["regime"]) for row in rows] == [(0.0, "periodic")] * 2
@@ -458,7 +458,7 @@ def test_a_start_that_shows_no_attractor_leaves_the_others(stuck, tmp_path):
 
 @pytest.mark.parametrize(("kind", "told"), [("section", []), ("orbit", []), ("exponent", ["failed"])])
 def test_a_motion_that_cannot_be_resolved_after_it_has_settled_leaves_the_other_tasks(kind, told, stuck, tmp_path):
-    """Once the whole study ended with the error."""
+    """The error of one motion must not end the study."""
     stuck(TAKEN_ALONG)
     text = {"section": "{cycles: 1}", "orbit": "{starts: left}", "exponent": "{starts: left, cycles: 10, windows: 4}"}
     assert [row["regime"] for row in study(tmp_path, kind, f"{kind}: {text[kind]}")] == told
@@ -495,9 +495,10 @@ def test_at_6_mm_four_impacts_per_cycle_are_an_island_between_two_folds(tmp_path
 
 @pytest.mark.parametrize(("gap", "at", "stable", "period"), [(0.010, 0.010, 0.00975, 2), (0.008, 0.00806, 0.00806, 3)])
 def test_marching_doubles_its_period_at_the_flip(gap, at, stable, period, tmp_path):
-    """Past a flip the square of what alternates grows in proportion: by marching alone it vanishes at the flip.
+    """Past a flip, the square of the alternating part grows linearly: extrapolated from marching, it is zero at the
+    flip.
 
-    The branch of the doubled orbits, followed back, turns at its birth: that is the same flip and no fold.
+    The branch of doubled orbits, followed back, turns where it begins: this is the same flip, and not a fold.
     """
     text = f"continue: {{over: gap_m, from: {0.5 * gap}, to: {1.02 * gap}, at: {at}, points: 40}}"
     flip = event(study(tmp_path, "continue", text), "flip")["value"]
@@ -527,7 +528,7 @@ def test_marching_doubles_its_period_at_the_flip(gap, at, stable, period, tmp_pa
 
 @pytest.mark.parametrize(("gap", "e"), [(0.008, 0.6), (0.008, 0.8), (0.008, 0.35), (0.0065, 0.35)])
 def test_a_chaotic_sphere_that_leaves_the_structure_steady_is_called_chaotic(gap, e):
-    """The structure alone repeats to 1e-3 or better in all of them but the first."""
+    """In all cases but the first, the structure alone repeats to 1e-3 or better."""
     config = from_flat(RigConfig(), {"barriers.gap_m": gap, "contact.restitution": e})
     reading = MapRig(config, Settings()).measure(9.1, 0.52)
     assert reading.regime == "chaotic"
@@ -542,7 +543,7 @@ TWO_MOTIONS = ((9.1, 0.030), (9.1, 0.020), (9.1, 0.016), (9.0, 0.024), (9.2, 0.0
 
 @pytest.fixture(scope="module")
 def foretold(tmp_path_factory, request) -> dict[tuple[float, float], dict[str, float]]:
-    """DT by the place and where the sphere begins, from orbits; `basin` must find the same motions."""
+    """Return DT by the start position of the sphere, from orbits; `basin` must find the same motions."""
     folder, found = tmp_path_factory.mktemp("two"), {}
     for frequency, gap in TWO_MOTIONS if request.config.getoption("--thorough") else TWO_MOTIONS[:2]:
         text = (
@@ -644,7 +645,7 @@ LEADING = {
 
 @pytest.fixture(scope="module")
 def several(tmp_path_factory):
-    """A directory with two kinds of study."""
+    """Directory with two kinds of study."""
     folder = tmp_path_factory.mktemp("several")
     (folder / "small.yaml").write_text(SMALL)
     for kind in ("bifurcation", "basin"):
@@ -655,7 +656,7 @@ def several(tmp_path_factory):
 
 @pytest.mark.parametrize("kind", plan.KINDS)
 def test_the_table_of_a_study_names_parameter_direction_and_start(kind, tmp_path):
-    """Parameter, direction and start were in the file that was asked for, and not in the table."""
+    """The table must contain parameter, direction and start, as the exported file does."""
     path = tmp_path / "small.yaml"
     path.write_text(SMALL)
     study = plan.load(path, kind)

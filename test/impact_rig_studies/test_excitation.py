@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Excitation through the stream of a rig reaches its target, and its estimate is the closed form."""
+"""Excitation by a stream reaches its target, and its estimate agrees with the closed form."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ RATE_HZ = 2_000
 
 
 def hardware(**values: object) -> Hardware:
-    """A rig in this process, by configuration values with `__` for the point."""
+    """Return the hardware of a rig in this process, with configuration values by keys with `__` for the point."""
     settings = {
         "drive.waveform": "stream", "drive.stream_rate_hz": RATE_HZ,
         "daq.rate_hz": RATE_HZ, "daq.block_scans": RATE_HZ // 2,  # long ones: a block costs as much as what is in it
@@ -87,7 +87,7 @@ def test_a_frequency_response_is_within_its_uncertainty_of_the_closed_form(kind)
 
 
 def test_with_the_sphere_it_is_a_linear_approximation_within_its_uncertainty_of_the_linear_rig():
-    """Lines with a coherence above 0.9 count; the sphere disturbs the others."""
+    """Only lines with a coherence above 0.9 count, because the sphere disturbs the others."""
     rig = hardware()
     *_, found = measure(rig, Excitation(), "base")
     lines = (found.coherence > 0.9) & (found.frequency_hz > 4.0) & (found.frequency_hz < 60.0)
@@ -96,7 +96,7 @@ def test_with_the_sphere_it_is_a_linear_approximation_within_its_uncertainty_of_
 
 
 def test_random_error_without_calibration_covers_what_ideal_instruments_with_noise_only_show():
-    """Many frames of few lines: the scatter of the estimates themselves is what their uncertainty says."""
+    """Many frames of few lines: the scatter of the estimates agrees with their stated uncertainty."""
     rig = hardware(sphere__present=False)
     excitation = Excitation(frames=6, frame_s=4.0, low_hz=20.0)
     estimates = [list(measure(rig, attrs.evolve(excitation, seed=seed), "base"))[-1] for seed in range(8)]
@@ -116,7 +116,7 @@ def linear_response(rig: Hardware, frequency_hz: np.ndarray) -> np.ndarray:
 
 
 def test_random_control_holds_a_density_of_the_base_acceleration():
-    """Within 1 dB on 95 % of the lines from 5 to 200 Hz, by 60 averages; what is not is no distortion."""
+    """Within 1 dB on 95 % of the lines from 5 to 200 Hz, with 60 averages; the remaining error is not distortion."""
     *_, found = control(hardware(sphere__present=False), RandomPlan())
     assert found.within(1.0) >= 0.95
     assert found.kurtosis == pytest.approx(3.0, abs=0.3)
@@ -159,7 +159,7 @@ def test_a_compensated_pulse_leaves_nothing_behind():
     [(Response.SUPERIOR, False, 0.005), (Response.BASE, False, 0.005), (Response.BASE, True, 0.01)],
 )
 def test_a_replicated_history_is_as_near_to_the_true_motion_as_is_stated(response, sphere, most):
-    """The reading lags: it was followed to 0.36 % while the base was 3.0 % off, the superior base 4.5 %."""
+    """The sensor's lag must be corrected: the reading may follow to 0.36 % while the base is wrong by 3.0 %."""
     stated, error = replicated(response, sphere=sphere, seed=1)
     assert len(stated.errors) <= 6
     assert stated.relative(stated.reached - stated.asked) == pytest.approx(min(stated.errors))
@@ -179,7 +179,7 @@ def test_the_base_makes_a_half_sine_and_what_is_stated_is_within_the_floor_of_th
 
 
 def test_the_high_pass_of_the_accelerometer_is_corrected():
-    """At 4.5 Hz it turned the phase by 12 degrees."""
+    """At 4.5 Hz, the high-pass turns the phase by 12 degrees."""
     share, lines = accelerometer(CHIRP, 1)
     assert lines > 100
     assert share >= 0.92
@@ -229,7 +229,7 @@ def test_a_history_of_any_file_is_in_si_units_at_the_rate_of_the_rig(tmp_path):
 
 @pytest.mark.parametrize("file_hz", [3_000.0, 1.5e6, 7e6])
 def test_a_history_of_any_rate_keeps_its_length(tmp_path, file_hz):
-    """Down by more than a thousand it once took half as long again, or ended in an error of the resampling."""
+    """A reduction of the rate by more than a thousand must neither add length nor raise an error."""
     np.savez(
         tmp_path / "a.npz", drive=np.sin(2.0 * np.pi * 9.0 * np.arange(round(0.2 * file_hz)) / file_hz), fs=file_hz
     )
@@ -239,7 +239,7 @@ def test_a_history_of_any_rate_keeps_its_length(tmp_path, file_hz):
 
 
 def test_a_run_with_a_gap_is_no_history(tmp_path):
-    """Its scans were once joined, and played more slowly by as much as was missing; one scan divided by no time."""
+    """Joined scans would play too fast by the missing time, and one scan would have no duration."""
     rig = Rig(from_flat(RigConfig(), {"daq.rate_hz": 2_000, "daq.block_scans": 20}))
     scans = [("daq/scan", block.scan) for block in rig.advance(2_000_000_000)]
     whole = [("daq/info", rig.info()), *scans]

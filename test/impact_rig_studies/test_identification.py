@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Identification finds the constants of a rig within its stated uncertainties, and says what data cannot tell."""
+"""Identification finds the constants of a rig within its uncertainties, and states what the data leave open."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ GAPS = (0.004, 0.010)
 
 
 def test_the_curve_of_a_sensor_is_taken_where_its_readings_are():
-    """An accelerometer reads ω² times the displacement; a displacement was once compared with its range in m/s²."""
+    """An accelerometer reads ω² times the displacement: its range in m/s² must not be compared with a displacement."""
     info = Rig(RigConfig()).info().rows.copy()
     displacement = Gains.of(info).relative(1, np.array([0.004]), 9.1)
     row = info["name"] == b"laser"
@@ -76,9 +76,9 @@ def test_the_curve_of_a_sensor_is_taken_where_its_readings_are():
 
 
 def synthetic(rng, truth=TRUTH, gaps=(), errors=None):
-    """Return measurements of a rig in closed form, and reductions by simulation, with errors as the certificate says.
+    """Return closed-form measurements of a rig, and simulated reductions, with errors as stated by the certificate.
 
-    The errors of calibration are drawn unless they are given, shape (6,).
+    Errors of calibration are drawn at random unless they are given, shape (6,).
     """
     gains = Gains.of(Rig(truth).info().rows)
     frequency = np.array(FREQUENCIES_HZ)
@@ -113,14 +113,14 @@ def synthetic(rng, truth=TRUTH, gaps=(), errors=None):
 
 
 def foreign(rng, e):
-    """Return a rig whose masses are off by up to a quarter, and its coefficient of restitution."""
+    """Return a rig whose masses differ by up to a quarter, and its coefficient of restitution."""
     off = np.array([0.0, *rng.uniform(-0.25, 0.25, len(NAMES) - 1)])
     return from_flat(rig(RigConfig(), logarithms(RigConfig()) + off), {"contact.restitution": e})
 
 
 @pytest.mark.parametrize("draws", [4, pytest.param(40, marks=pytest.mark.slow)])
 def test_constants_are_found_within_the_stated_uncertainty_though_e_and_all_sensors_are_off(draws):
-    """e is off by its standard uncertainty of 0.02, up or down; no draw is off by more than by chance."""
+    """e is wrong by its standard uncertainty of 0.02, in either direction; draws may differ only by chance."""
     off = []
     for seed in range(draws):
         rng = np.random.default_rng(seed)
@@ -136,7 +136,7 @@ def test_constants_are_found_within_the_stated_uncertainty_though_e_and_all_sens
 
 
 def test_an_error_of_the_current_s_sensor_moves_the_force_factor_within_its_uncertainty():
-    """K_f follows the gain of that sensor and nothing else tells it, so u(K_f) is at least u(gain)."""
+    """K_f follows the gain of this sensor, and no other data determine it, so u(K_f) is at least u(gain)."""
     rng = np.random.default_rng(5)
     gains = Gains.of(Rig(TRUTH).info().rows)
     errors = np.zeros(len(NUISANCES))
@@ -150,7 +150,7 @@ def test_an_error_of_the_current_s_sensor_moves_the_force_factor_within_its_unce
 
 
 def test_a_fit_that_has_not_converged_is_called_consistent_by_nobody(monkeypatch):
-    """It once gave c_f 4.4 standard uncertainties off, and no alarm: its rounds were used up."""
+    """If the rounds are used up before the fit converges, c_f may be wrong by 4.4 u, so the fit must raise an alarm."""
     rng = np.random.default_rng(0)
     measured = synthetic(rng, TRUTH, (0.004, 0.010))
     assert identify(measured, RigConfig()).converged
@@ -161,7 +161,7 @@ def test_a_fit_that_has_not_converged_is_called_consistent_by_nobody(monkeypatch
 
 @pytest.mark.parametrize("without", [None, "decay", "sine"])
 def test_a_fit_without_reductions_converges_and_is_consistent(without):
-    """Forces and masses may be multiplied by one factor, and that once never came to rest: each fit was called bad."""
+    """A common factor of forces and masses is undetermined; the fit must converge nevertheless, and be consistent."""
     measured = synthetic(np.random.default_rng(0))
     found = identify(attrs.evolve(measured, **{without: None}) if without else measured, RigConfig())
     assert (found.converged, found.consistent) == (True, True)
@@ -170,7 +170,7 @@ def test_a_fit_without_reductions_converges_and_is_consistent(without):
 
 
 def test_a_phase_of_almost_half_a_turn_may_come_out_on_either_side_of_it():
-    """Far above resonance x_1 lags by half a turn; noise once made it lead by that, a whole turn off the model."""
+    """Far above resonance, x_1 lags by half a turn; with noise it may lead by that, which is not a whole turn away."""
     measured = synthetic(np.random.default_rng(0))
     assert measured.sine is not None
     phase, u = measured.sine.phase_rad.copy(), measured.sine.u_phase.copy()
@@ -195,7 +195,7 @@ def test_what_is_wrongly_taken_as_known_raises_an_alarm():
 
 
 def test_a_weakly_chaotic_motion_does_not_contradict_a_periodic_measurement():
-    """At 8 mm neighbours of the shipped rig's motion separate, but DT changes by less than any measurement resolves."""
+    """At 8 mm, motions near that of the shipped rig separate, but DT changes by less than any measurement resolves."""
     motion = simulated(RigConfig(), 0.008, 9.1, 0.52)
     assert (motion.regime, motion.seen) == (Regime.CHAOTIC.value, Regime.PERIODIC.value)
     assert 0.0 < motion.u < 1e-5
@@ -206,7 +206,7 @@ def test_a_weakly_chaotic_motion_does_not_contradict_a_periodic_measurement():
 
 @pytest.mark.parametrize(("gap", "slope"), [(0.006, 0.393427692), (0.010, 0.442785568)])
 def test_single_returns_tell_the_slope_of_an_orbit(gap, slope):
-    """d ln DT / d ln m_1 from the stroboscopic map; settled differences of step 1e-5 give the same to 1e-8."""
+    """The stroboscopic map gives d ln DT / d ln m_1; settled differences with a step of 1e-5 agree to 1e-8."""
     heavier = NAMES.index("m_1")
 
     def place(i, step):
@@ -221,7 +221,7 @@ def test_single_returns_tell_the_slope_of_an_orbit(gap, slope):
 
 
 def test_a_motion_that_does_not_repeat_has_a_mean_with_an_uncertainty():
-    """At 6.5 mm the sphere is chaotic, and hardly moves the structure: its mean tells as much as an orbit."""
+    """At 6.5 mm, the sphere is chaotic and hardly moves the structure: its mean is as informative as an orbit."""
     motions = [simulated(RigConfig(), 0.0065, 9.1, current) for current in (0.52, 0.52 * (1 + 1e-9))]
     for one in motions:
         assert one.regime == Regime.CHAOTIC.value
@@ -232,7 +232,7 @@ def test_a_motion_that_does_not_repeat_has_a_mean_with_an_uncertainty():
 
 
 def test_stated_uncertainties_cover_the_truth():
-    """Over 150 experiments, every combination reported as known is off by its standard uncertainty."""
+    """Over 150 experiments, the errors of all combinations reported as known agree with their uncertainties."""
     rng, truth = np.random.default_rng(1), logarithms(TRUTH)
     off = []
     for _ in range(150):
@@ -280,7 +280,7 @@ def test_what_a_nuisance_can_imitate_is_no_information():
 
 @pytest.fixture(scope="module")
 def directory(tmp_path_factory):
-    """Measured runs of TRUTH, through its instruments: ten points without sphere, two gaps."""
+    """Measured runs of TRUTH through its instruments: ten points without the sphere, two gaps."""
     folder = tmp_path_factory.mktemp("identify")
     file = folder / "runs.yaml"
     truth = {
@@ -322,7 +322,7 @@ def test_a_measured_rig_is_identified_within_its_uncertainties(directory):
 
 
 def test_a_regime_without_counted_impacts_contradicts_nothing(directory):
-    """A light sphere strikes irregularly while the amplitude stands still: only an accelerometer tells."""
+    """A light sphere strikes irregularly while the amplitude is constant: only an accelerometer can show this."""
     done = run.open_finished(directory)
     gains = Gains.of(Rig(done.campaign.base).info().rows)
     points = [attrs.evolve(point, rows=point.rows.copy()) for point in done.points]
@@ -356,7 +356,7 @@ def test_a_decay_is_measured_through_the_instruments():
 
 
 def test_a_pluck_with_the_sphere_on_is_refused(directory, tmp_path, capsys):
-    """It would give a ζ nearly twice that of the structure."""
+    """The result would be a ζ nearly twice that of the structure."""
     struck = Rig(TRUTH)
     struck.pluck(DISPLACEMENT_M)
     scans = [("daq/scan", block.scan) for block in struck.advance(8 * NS_PER_S)]
@@ -398,7 +398,7 @@ def test_a_recorded_pluck_gives_what_a_pluck_of_our_own_gives(directory, tmp_pat
 
 @pytest.mark.parametrize("ended_by", ["lost blocks", "reset"])
 def test_a_recorded_decay_ends_where_its_scans_do_not_follow_one_another(tmp_path, ended_by):
-    """Later scans do not belong to the decay: a jump would count as impacts, the next drive as its vibration."""
+    """Later scans do not belong to the decay: a jump would count as impacts, the next drive as vibration."""
     plucked = Rig(from_flat(TRUTH, {"sphere.present": False}))
     plucked.pluck(DISPLACEMENT_M)
     scans = [("daq/scan", block.scan) for block in plucked.advance(8 * NS_PER_S)]
@@ -418,7 +418,7 @@ def test_a_recorded_decay_ends_where_its_scans_do_not_follow_one_another(tmp_pat
 
 
 def test_a_fit_to_the_paper_that_runs_out_tells_the_reductions_of_its_own_constants(monkeypatch):
-    """It once took a last step of which nothing was computed: constants and reductions were of two rigs."""
+    """Constants and reductions in the result must belong to the same rig, also after the last step."""
     monkeypatch.setattr(paper_fit, "ITERATIONS", 1)
     found = paper_fit.fit_paper(RigConfig(), ("ζ",))
     assert not found.converged
@@ -430,7 +430,7 @@ def test_a_fit_to_the_paper_that_runs_out_tells_the_reductions_of_its_own_consta
 
 @pytest.mark.slow
 def test_the_shipped_rig_is_near_the_best_fit_to_the_paper():
-    """As docs/how-to/identification.md says: f_n and ζ follow from five reductions; a current would not."""
+    """As docs/how-to/identification.md says, f_n and ζ follow from the five reductions, but the current does not."""
     found = paper_fit.fit_paper(RigConfig())
     shipped = {"f_n": RigConfig().structure.natural_frequency_hz, "ζ": RigConfig().structure.damping_ratio}
     assert found.converged

@@ -53,7 +53,7 @@ Stamped = Iterator[tuple[str, str, int, dict[str, Any]]]  # topic, type, log tim
 
 
 def message(store: Any, kind: str, fields: dict[str, Any]) -> Any:
-    """Return a message with default fields, all zero, but for these; a header takes a stamp in nanoseconds."""
+    """Return a message whose fields are zero except for these; a header takes a stamp in nanoseconds."""
     definition = store.types[kind]
     values: dict[str, Any] = {}
     for name, (what, of) in store.fielddefs[kind][1]:
@@ -75,7 +75,7 @@ def message(store: Any, kind: str, fields: dict[str, Any]) -> Any:
 
 
 def bag(folder: Path, storage: str, messages: Stamped) -> Path:
-    """Write a bag; return what `import` is given."""
+    """Write a bag; return the path to import."""
     store = ROS_1 if storage == "ROS 1" else ROS_2
     path = folder / ("own.bag" if store is ROS_1 else "own")
     plugins = {"mcap": rosbag2.StoragePlugin.MCAP, "sqlite3": rosbag2.StoragePlugin.SQLITE3}
@@ -210,7 +210,7 @@ def test_a_cloud_of_points_is_no_series(tmp_path: Path) -> None:
 def test_topics_at_different_instants_are_brought_to_one_time(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A laser at 100 Hz beside an accelerometer at 125 Hz, neither of which has scans where the other has."""
+    """A laser at 100 Hz and an accelerometer at 125 Hz have no scans at the times of the other."""
 
     def both() -> Stamped:
         for time_s in TIME_S:
@@ -235,7 +235,7 @@ def test_topics_at_different_instants_are_brought_to_one_time(
 
 
 def test_a_stamp_that_is_a_little_later_is_a_skew(tmp_path: Path) -> None:
-    """Within half a period it was once ignored: 3 ms at 9.1 Hz are ten degrees."""
+    """A delay of less than half a period must be corrected: 3 ms at 9.1 Hz are ten degrees."""
 
     def both() -> Stamped:
         for time_s, x_b in zip(TIME_S, BASE, strict=True):

@@ -11,9 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Whole files as programs of the field write them: imported and analysed, each gives the motion that was put into it.
+"""Complete files as written by programs of the field: imported and analysed, each gives the motion that was put into
+it.
 
-The base moves by 0.1 mm, the structure by ten times as much and 40 degrees later, at 9.1 Hz.
+The base moves by 0.1 mm at 9.1 Hz, and the structure by ten times as much, 40 degrees later.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ NAMED = ["--channel", "base=channel_0 mm", "--channel", "laser=channel_1 mm"]
 
 
 def motion(rate_hz: float = 125.0, seconds: float = 12.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return times [s], motion of base and structure [mm] with a little noise."""
+    """Return times [s], and motions of base and structure [mm] with a little noise."""
     time_s = np.arange(round(seconds * rate_hz)) / rate_hz
     noise = 2e-5 * np.random.default_rng(4).standard_normal((2, len(time_s)))
     base = 0.1 * np.sin(2 * np.pi * HZ * time_s) + noise[0]
@@ -119,7 +120,7 @@ def two_streams(folder: Path) -> Path:
 
 
 def wav(folder: Path, bits: int) -> Path:
-    """Truncated towards zero, as a cast does, and a third shorter than its header says."""
+    """The samples are truncated towards zero, as by a cast, and the file is a third shorter than its header states."""
     _, base, laser = motion()
     scaled = np.trunc(0.5 * np.stack([base, laser], axis=1) * (2.0 ** (bits - 1) - 2.0 ** max(0, bits - 54)))
     data = scaled.astype(f"<i{bits // 8}").tobytes()
@@ -138,7 +139,7 @@ def rate_that_is_not_whole(folder: Path) -> Path:
 
 
 def matlab_integers(folder: Path) -> Path:
-    """Counts of a converter in a struct, floor instead of nearest."""
+    """Counts of a converter in a struct, rounded down instead of to nearest."""
     io = pytest.importorskip("scipy.io")
     time_s, base, laser = motion()
     counts = {name: np.floor(2000 * x).astype(np.int16) for name, x in (("base", base), ("laser", laser))}
@@ -182,7 +183,7 @@ FILES: dict[str, tuple[Callable[[Path], Path], list[str]]] = {
 
 @pytest.mark.parametrize("name", FILES)
 def test_files_of_the_field_give_their_transmissibility(tmp_path: Path, name: str) -> None:
-    """Within 3u, by chance once in 370, and u is not so large that everything would be."""
+    """Within 3u, which chance exceeds once in 370 cases; u is not so large that every result would pass."""
     write, options = FILES[name]
     assert main(["import", str(write(tmp_path)), "--output", str(tmp_path / "run"), *options]) == 0
     with open_run(tmp_path / "run") as run:
@@ -196,7 +197,7 @@ def test_files_of_the_field_give_their_transmissibility(tmp_path: Path, name: st
 @pytest.mark.parametrize("share", [3e-5, 1e-3, 0.02, 0.3])
 @pytest.mark.parametrize("offset", [0.0, 0.1234])
 def test_steps_are_found_in_whatever_digits_they_are_kept(amplitude: float, share: float, offset: float) -> None:
-    """24 steps, each in double and single precision and in nine digits."""
+    """There are 24 steps, each in double precision, single precision and with nine digits."""
     step, offset = 1.01 * share * amplitude, offset * amplitude
     values = step * np.trunc(amplitude * motion()[2] / step) + offset
     assert step_of(values) == pytest.approx(step, rel=1e-6)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Readers of files of other programs: every notation gives the right signals, or a refusal with its true reason."""
+"""Readers of files of other programs: every notation gives the right signals, or a rejection with its true reason."""
 
 from __future__ import annotations
 
@@ -212,7 +212,7 @@ def test_a_table_of_spectra_is_refused_as_such() -> None:
     ],
 )  # fmt: skip
 def test_what_stands_for_no_number_is_none(cell: str) -> None:
-    """A `#` inside a cell once began a comment: 1.#QNAN was read as 1.0."""
+    """A `#` within a cell must not begin a comment: 1.#QNAN is not 1.0."""
     lines = rows_of("time [s],base [mm],laser [mm]").splitlines()
     lines[20] = f"0.152,{cell},0.5"
     found = text_table("\n".join(lines))
@@ -310,7 +310,7 @@ def test_a_table_over_frequency_is_a_spectrum() -> None:
 @pytest.mark.parametrize("size", [1_000, 3_000_000])
 @pytest.mark.parametrize("text", ["base (", "base [(", "x" * 10 + "((", "sampling rate ", "1:1:1:", '"', "µ ", "1,1."])
 def test_a_long_heading_costs_time_in_proportion_to_its_length(text: str, size: int) -> None:
-    """A quadratic expression once took hours; the test ends by the limit of the suite if one is back."""
+    """A quadratic expression would need hours here, and end at the time limit of the suite."""
     long = (text + "a" * 50) * (size // (len(text) + 50))
     headings.split_unit(long)
     headings.is_time_name(long)
@@ -413,7 +413,7 @@ def test_abscissas_of_universal_files(tmp_path: Path, unit: str, factor: float, 
 def test_only_functions_of_time_are_time_responses(
     tmp_path: Path, function: int, quantity_code: int, unit: str
 ) -> None:
-    """87 variants: a spectrum over Hz was once imported as so many seconds."""
+    """87 variants: a spectrum over Hz must not be imported as a record over seconds."""
     content = uff(tmp_path, abscissa_spec_data_type=quantity_code, abscissa_axis_units_lab=unit)
     lines = content.split(b"\n")
     lines[7] = f"{function:5d}".encode() + lines[7][5:]  # pyuff writes some types only
@@ -456,7 +456,7 @@ def test_rates_of_divided_clocks_are_exact(divisor: int) -> None:
      ("0,000122", 8192), ("1", 1)],
 )  # fmt: skip
 def test_a_step_of_few_digits_is_a_likely_rate(step: str, rate_hz: float) -> None:
-    """LabVIEW prints six decimals of Delta_X: 1024 Hz were once 1023.54."""
+    """LabVIEW prints six decimals of Delta_X: a rate of 1024 Hz must not become 1023.54."""
     value = float(step.replace(",", "."))
     assert likely_rate(1.0 / value, half_digit(step) / value**2) == rate_hz
 
@@ -485,7 +485,7 @@ def wav_file(values: np.ndarray, width: int, *, floating: bool = False, claimed:
 @pytest.mark.parametrize("channels", [1, 2, 3])
 @pytest.mark.parametrize(("width", "floating"), [*((width, False) for width in range(1, 9)), (4, True), (8, True)])
 def test_samples_of_every_width_are_parts_of_full_scale(width: int, floating: bool, channels: int) -> None:
-    """30 variants; 36 to 64 bits once came out as 1e17."""
+    """30 variants; samples of 36 to 64 bits must not become 1e17."""
     values = np.stack([0.5 * LASER, 0.5 * BASE, 0.9 * LASER][:channels], axis=1)
     found = wav.read(PATH, wav_file(values, width, floating=floating))
     tolerance = (1e-7 if width == 4 else 1e-15) if floating else 2.0 / 2 ** (8 * width - 1) + 1e-15
@@ -635,7 +635,7 @@ def test_hdf5_never_opens_another_file(tmp_path: Path, how: str, suffix: str) ->
 
 
 def test_a_small_archive_does_not_become_a_large_one(tmp_path: Path) -> None:
-    """Less than a megabyte once became 1.6 GB."""
+    """Less than a megabyte could become 1.6 GB."""
     with zipfile.ZipFile(tmp_path / "own.npz", "w", zipfile.ZIP_DEFLATED) as archive, archive.open("a.npy", "w") as one:
         np.lib.format.write_array_header_1_0(one, {"descr": "<f8", "fortran_order": False, "shape": (20_000_000,)})
         for _ in range(160):
@@ -662,7 +662,7 @@ print(len(read(Path(sys.argv[1])).signals))
 
 @pytest.mark.parametrize("before", ["", "import pyarrow\n"])
 def test_a_long_table_is_read_whatever_reserves_the_memory_of_pyarrow(tmp_path: Path, before: str) -> None:
-    """Other pools than the system's reserve so many addresses that 100,000 rows exceeded the limit of the reader."""
+    """Other memory pools than the system's reserve many addresses: 100,000 rows would exceed the reader's limit."""
     pytest.importorskip("pyarrow")
     rows = np.random.default_rng(1).integers(0, 4096, (4, 100_000)) / 4096.0  # a file that is small for its rows
     stamps = np.arange(100_000).astype("datetime64[ns]")
@@ -676,7 +676,7 @@ def test_a_long_table_is_read_whatever_reserves_the_memory_of_pyarrow(tmp_path: 
 
 @pytest.mark.parametrize("suffix", sorted(readers.FORMATS))
 def test_what_is_no_file_or_empty_is_refused_at_once(tmp_path: Path, suffix: str) -> None:
-    """Reading a pipe once waited for ever."""
+    """Reading a pipe would wait forever."""
     os.mkfifo(tmp_path / f"pipe{suffix}")
     (tmp_path / f"empty{suffix}").touch()
     (tmp_path / f"folder{suffix}").mkdir()
@@ -718,7 +718,7 @@ UNITS = {
     ("unit", "si", "factor"), [(unit, si, factor) for si, known in UNITS.items() for unit, factor in known.items()]
 )
 def test_units_as_instruments_print_them(monkeypatch: pytest.MonkeyPatch, unit: str, si: str, factor: float) -> None:
-    """None of these needs pint, which the run tier lacks."""
+    """None of these units needs pint, which the run tier lacks."""
     monkeypatch.setitem(__import__("sys").modules, "pint", None)
     assert quantity(unit) == si
     assert unit_factor(unit, si) == pytest.approx(factor, rel=1e-12)
@@ -767,7 +767,7 @@ def test_a_table_of_records_in_an_archive(tmp_path: Path) -> None:
 
 
 def test_types_of_parquet_that_numpy_lacks(tmp_path: Path) -> None:
-    """A dictionary once loaded pandas in the process of the reader, which took it into its limit of time."""
+    """A dictionary must not load pandas in the reader's process, which has a time limit."""
     arrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
     decimals = arrow.array([decimal.Decimal(f"{one:.6f}") for one in BASE], arrow.decimal128(12, 6))
     words = arrow.array(["on"] * COUNT).dictionary_encode()
@@ -784,7 +784,7 @@ def test_netcdf_of_the_classic_format_is_named(tmp_path: Path) -> None:
 
 
 def test_an_extensible_wav_file_of_the_other_byte_order() -> None:
-    """The first group of its GUID has the order of the file: the encoding was once read as 0."""
+    """The first group of the GUID has the byte order of the file; otherwise, the encoding is read as 0."""
     form = struct.pack(">HHIIHH", 0xFFFE, 1, 125, 500, 4, 32) + struct.pack(">HHII", 22, 32, 0, 3) + bytes(12)
     data = LASER.astype(">f4").tobytes()
     body = b"WAVEfmt " + struct.pack(">I", len(form)) + form + b"data" + struct.pack(">I", len(data)) + data
@@ -812,13 +812,13 @@ def test_a_channel_of_another_time_base_is_guessed_and_refused_with_a_remedy(tmp
     ],
 )  # fmt: skip
 def test_frequency_and_gap_of_a_file_name(stem: str, hz: float | None, gap_m: float | None) -> None:
-    """Numbers that contradict each other give no guess; a gap that is named so is read."""
+    """Numbers that contradict each other give no guess; a gap with its name is read."""
     assert file_names.frequency_hz(stem) == hz
     assert file_names.gap_m(stem) == (None if gap_m is None else pytest.approx(gap_m))
 
 
 def test_a_recorder_that_writes_a_chunk_for_each_sample_is_read(tmp_path: Path) -> None:
-    """Rattlesnake streams so. HDF5 takes 2 kB for each chunk that one request names, and that was more than allowed."""
+    """Rattlesnake writes such files. HDF5 needs 2 kB for each chunk in one request, which must not exceed the limit."""
     h5py = pytest.importorskip("h5py")
     values = np.arange(2 * 90_000, dtype=float).reshape(2, -1)
     with h5py.File(tmp_path / "own.nc4", "w") as file:

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Imported runs: the transmissibility of a known motion, whatever was measured of it, and every face of such a run."""
+"""Imported runs: the transmissibility of a known motion, for any measured channels, in every output of such a run."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ ORDER = {"m": 0, "mm": 0, "µm": 0, "m/s": 1, "mm/s": 1, "m/s^2": 2, "g": 2, "mm
 
 
 def motion(unit: str, channel: str, times: np.ndarray, hz: float = HZ) -> np.ndarray:
-    """Return a motion as a sensor of a unit gives it: x_b = 0.1 mm peak, x_1 ten times as much and 40° behind."""
+    """Return a motion as measured by a sensor with a unit: x_b = 0.1 mm peak, x_1 ten times as much and 40° behind."""
     phasor = BASE_M if channel == "base" else BASE_M * DT * np.exp(1j * PHASE)
     size = PER_SI[unit] * (2j * np.pi * hz) ** ORDER[unit]
     noise = np.random.default_rng(len(channel)).standard_normal(len(times))
@@ -72,7 +72,7 @@ def last_row(run: Path) -> np.void:
 def test_any_two_kinds_of_motion_give_the_transmissibility_of_displacements(
     tmp_path: Path, base: str, laser: str
 ) -> None:
-    """The ratio is formed at the drive frequency, with the powers of it that the quantities differ by."""
+    """The ratio is formed at the drive frequency, with the power of it by which the quantities differ."""
     row = last_row(write(imported(source({"base": base, "laser": laser})), tmp_path / "run"))
     assert row["status"] == b"ok"
     assert abs(row["transmissibility"] - DT) < 3 * row["transmissibility_uncertainty"] < 0.02
@@ -98,7 +98,7 @@ def test_sensors_with_sensitivities_by_option(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("rate_hz", "seconds"), [(206.4516, 30.0), (2000.0, 20.0), (25_600.0, 8.0)])
 @pytest.mark.parametrize("unit", ["g", "m/s^2", "mm/s", "mm"])
 def test_noise_at_low_frequencies_is_not_the_drive(unit: str, rate_hz: float, seconds: float, noise: float) -> None:
-    """As a displacement the white noise of an accelerometer is largest at the lowest line, where it was once found."""
+    """As displacement, white noise of an accelerometer is largest at the lowest line, which is not the drive."""
     found = source({"base": unit, "laser": unit}, rate_hz, seconds)
     signals = {}
     for name, one in found.signals.items():
@@ -182,7 +182,7 @@ def test_every_face_takes_any_channels_and_any_rate(
     hz: float,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """A warning of matplotlib is an error here."""
+    """A warning of matplotlib is an error in this test."""
     given = source(
         {"laser" if name == "accelerometer" else name: unit for name, unit in units.items()}, rate_hz, seconds, hz
     )
@@ -203,7 +203,7 @@ def test_every_face_takes_any_channels_and_any_rate(
 
 
 def test_a_figure_without_impacts_is_filled_by_its_traces(tmp_path: Path) -> None:
-    """Marks of no impacts once left half of the page empty."""
+    """Marks without any impacts must not leave half of the page empty."""
     import matplotlib.image
 
     run = write(imported(source({"base": "m", "laser": "m"})), tmp_path / "run")
@@ -230,7 +230,7 @@ def test_frequency_response_without_a_base_is_refused(tmp_path: Path, capsys: py
 def test_guesses_from_the_file_name_are_compared_with_the_data(
     name: str, frequency_hz: float | None, gap_m: float | None
 ) -> None:
-    """A name that says 1 Hz of a motion of 9.1 Hz is not believed."""
+    """A file name that states 1 Hz for a motion of 9.1 Hz is not used."""
     given = source({"base": "m", "laser": "m"})
     found = imported(ImportedSignals(Path(f"{name}.csv"), given.format, given.signals))
     assert found.drive[0][1] == pytest.approx(frequency_hz or HZ, rel=1e-5)

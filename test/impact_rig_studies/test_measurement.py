@@ -51,7 +51,7 @@ MILLIMETRE = 1e-3
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run with sphere, driven from its first instant: 12 s at 2 kS/s."""
+    """Run with the sphere, driven from its first instant: 12 s at 2 kS/s."""
     rig = LocalRig({"daq.rate_hz": RATE_HZ, "daq.block_scans": 200, "barriers.gap_m": GAP_M})
     rig.command(frequency_hz=9.1, current_a=0.52)
     rig.step(SECONDS * RATE_HZ // 200)
@@ -64,7 +64,7 @@ def scans(run: Path) -> NDArray[np.void]:
 
 
 def analysed(run: Path) -> tuple[NDArray[np.void], list[bytes]]:
-    """Return measurements and impacts that the analysis finds in a run."""
+    """Return the measurements and impacts that the analysis finds in a run."""
     with open_run(run) as found:
         findings = list(reanalysis.analyze(found))
     impacts = [table.stamp_ns.to_bytes(8, "big") + table.rows.tobytes() for one in findings for table in one.impacts]
@@ -103,7 +103,7 @@ EXACT = ("csv", "npz", "parquet", "uff", "mat", "nc")
 
 @pytest.mark.parametrize("kind", EXACT)
 def test_what_is_exported_and_imported_is_measured_alike_bit_for_bit(recorded: Path, tmp_path: Path, kind: str) -> None:
-    """Scans, measurements and impacts: with the commands and the calibration that the run had."""
+    """Scans, measurements and impacts are equal, with the commands and the calibration of the run."""
     source = tmp_path / f"scans.{kind}"
     with open_run(recorded) as run:
         if kind in ("mat", "nc"):
@@ -136,7 +136,7 @@ def test_what_is_exported_and_imported_is_measured_alike_bit_for_bit(recorded: P
 
 
 def test_a_free_decay_is_identified_alike(tmp_path: Path) -> None:
-    """An imported one has no journal: it begins where the structure is farthest out, not where it was plucked."""
+    """An imported decay has no journal: it begins at the largest distance of the structure, not at the pluck."""
     rig = LocalRig({"daq.rate_hz": RATE_HZ, "daq.block_scans": 200, "sphere.present": False})
     rig.run(seconds=0.2)
     rig.core.pluck(0.004)
@@ -275,7 +275,7 @@ def test_scans_that_are_missing_stay_missing_and_uneven_ones_can_be_resampled(tm
 
 
 def test_resampling_neither_fills_holes_nor_moves_commands(tmp_path: Path) -> None:
-    """A cubic once bridged seconds without a scan, and commands moved where the rate of the times changes."""
+    """A cubic must not bridge seconds without a scan, nor move commands if the rate of the times changes."""
     times = np.concatenate([np.arange(100) / 100, 1 + np.arange(200) / 200, 4 + np.arange(100) / 200])
     rows = [f"{t:.4f},{np.sin(20 * t):.9f},{9 if t < 1 else 10 if t < 4.25 else 11}" for t in times]
     source = table(tmp_path, "\n".join(["time,laser [m],frequency", *rows]) + "\n")
@@ -289,7 +289,7 @@ def test_resampling_neither_fills_holes_nor_moves_commands(tmp_path: Path) -> No
 
 
 def test_a_sheet_of_calibration_says_where_scan_0_is_once(tmp_path: Path) -> None:
-    """Its `since_start` stayed in the run, where the stamp is that of scan 0 already: scan 0 was then 12 s earlier."""
+    """A `since_start` in the run, whose stamp is already that of scan 0, would put scan 0 12 s earlier."""
     source = table(tmp_path, lines(lambda k: f"{2 * 10**10 + k * 10**7},{k},{k}", "stamp_ns,laser,base"))
     sheet = table(tmp_path, "stamp_ns,name,since_start\n12000000000,laser,11.5\n12000000000,base,11.5\n", "sheet.csv")
     found = convert(source, guess(source), sheet=sheet)
@@ -298,7 +298,7 @@ def test_a_sheet_of_calibration_says_where_scan_0_is_once(tmp_path: Path) -> Non
 
 
 def test_commands_and_labels_of_a_file_that_spans_weeks_keep_their_instants(tmp_path: Path) -> None:
-    """The number of a scan times 10**9 once exceeded 64 bits: commands went back by years."""
+    """The number of a scan times 10**9 may exceed 64 bits; commands must not go back by years."""
     head, late_s = "t,laser,base,frequency,gap", 40 * 86_400
     rows = [*(np.arange(100) / 5000), *(late_s + np.arange(100) / 5000)]
     source = table(tmp_path, lines(lambda k: f"{rows[k]:.4f},{k},{k},{9 + k // 100},{k // 100 / 1e3}", head, 200))
@@ -308,7 +308,7 @@ def test_commands_and_labels_of_a_file_that_spans_weeks_keep_their_instants(tmp_
 
 
 def test_what_is_unknown_over_many_scans_is_said_once(tmp_path: Path) -> None:
-    """NaN differs from NaN: there was once a remark, and a command, for every scan."""
+    """NaN differs from NaN; this must not cause a remark and a command for every scan."""
     values = ["nan", "nan", "9", "9", "nan", "nan"]
     source = table(
         tmp_path, lines(lambda k: f"{k / 100},{k},{k},{values[k]},{values[k]}", "t,laser,base,frequency,gap", 6)
@@ -319,14 +319,14 @@ def test_what_is_unknown_over_many_scans_is_said_once(tmp_path: Path) -> None:
 
 
 def test_a_file_where_the_run_should_be_is_said(tmp_path: Path) -> None:
-    """It once ended in a NotADirectoryError."""
+    """The message must name the file, instead of a NotADirectoryError."""
     source = table(tmp_path, STEADY)
     with pytest.raises(ImpactRigError, match="is a file, not a directory"):
         write(convert(source, refined(guess(source), MM)), tmp_path / "own.csv")
 
 
 def test_a_mapping_reads_back_as_it_was_written() -> None:
-    """Numbers such as 1e-06 came back as texts: the mapping that a run keeps was refused."""
+    """Numbers such as 1e-06 must not become texts, or the mapping that a run keeps is rejected."""
     laser = Channel(
         column='"1e-6"', unit="mm", scale=2e-7, calibration={"noise": 1e-6, "range_high": 1e16, "lag": 1.5e-7}
     )
@@ -335,7 +335,7 @@ def test_a_mapping_reads_back_as_it_was_written() -> None:
 
 
 def test_a_universal_file_has_one_abscissa(tmp_path: Path) -> None:
-    """A signal as long as the first, at another rate, was once taken for one at the first one's times."""
+    """A signal as long as the first, at another rate, must not be put on the times of the first."""
     pyuff = pytest.importorskip("pyuff")
     sets = [
         {"type": 58, "binary": 1, "func_type": 1, "data": np.arange(50.0), "x": np.arange(50) / rate_hz,
@@ -354,7 +354,7 @@ def test_a_universal_file_has_one_abscissa(tmp_path: Path) -> None:
 
 
 def test_a_table_of_commands_counts_its_times_from_the_same_instant_as_the_scans(tmp_path: Path) -> None:
-    """Each file once counted from its own first row: a first command after 2 s came with the first scan."""
+    """If each file counted from its own first row, a first command after 2 s would act on the first scan."""
     head, commands = "time,laser,base", "time,frequency,current\n2,9,0.5\n6,10,0.5\n"
     for begins_s, instants_s in ((0, [2.0, 6.0]), (1, [1.0, 5.0])):
         source = table(tmp_path, lines(lambda k, begins_s=begins_s: f"{begins_s + k / 10},{k},{k}", head, 100))
@@ -365,7 +365,7 @@ def test_a_table_of_commands_counts_its_times_from_the_same_instant_as_the_scans
 
 
 def test_an_export_that_was_cut_amid_a_block_begins_with_its_first_row(tmp_path: Path) -> None:
-    """Its first stamp is that of the block; taken for that of the first row, commands came up to a block off."""
+    """The first stamp is that of the block, not of the first row: commands would be shifted by up to a block."""
 
     def row(k: int) -> str:
         return f"{10**9 + k // 10 * 10**8},{k % 10 / 100},{k},{k}"
@@ -389,7 +389,7 @@ def test_an_export_that_was_cut_amid_a_block_begins_with_its_first_row(tmp_path:
 def test_columns_of_one_name_are_told_apart_and_keep_their_units(
     tmp_path: Path, head: str, names: list[str], units: list[str]
 ) -> None:
-    """The first once had the unit of the last, and of two that differ in brackets only the last was left."""
+    """The first must not have the unit of the last; if names differ only in brackets, both are kept."""
     source = table(tmp_path, lines(lambda k: ";".join(f"{k + j}" for j in range(len(names) + 1)), head))
     assert list(source.signals) == names
     assert [one.unit for one in source.signals.values()] == units
@@ -397,7 +397,7 @@ def test_columns_of_one_name_are_told_apart_and_keep_their_units(
 
 
 def test_a_file_that_crashes_its_library_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A reader that ends its process as a fault of memory would."""
+    """The reader ends its process, as a memory fault would."""
 
     def crash(path: Path, content: bytes) -> ImportedSignals:
         os.kill(os.getpid(), signal.SIGSEGV)
@@ -410,7 +410,7 @@ def test_a_file_that_crashes_its_library_is_an_error(tmp_path: Path, monkeypatch
 
 
 def test_a_run_is_drawn_by_the_channels_that_it_has(tmp_path: Path) -> None:
-    """A measurement with an accelerometer alone: matplotlib would warn, here an error, of a spectrum of nothing."""
+    """The measurement has only an accelerometer; a warning of matplotlib about an empty spectrum is an error here."""
     np.savez(tmp_path / "own.npz", a=np.sin(0.3 * np.arange(4000)), rate=1000.0)
     words = ["--channel", "accelerometer=a", "m/s^2", "--frequency", "9", "--output", str(tmp_path / "run")]
     assert main(["import", str(tmp_path / "own.npz"), *words]) == 0
@@ -419,7 +419,7 @@ def test_a_run_is_drawn_by_the_channels_that_it_has(tmp_path: Path) -> None:
 
 
 def test_a_rate_that_the_file_states_counts_more_than_its_rounded_times(tmp_path: Path) -> None:
-    """Times of single precision, added up: a sixth of a period off after 4,096 values."""
+    """Times of single precision, added up, are wrong by a sixth of a period after 4,096 values."""
     times = np.arange(4096) / 1280 * (1 - 4e-5)
     np.savez(tmp_path / "own.npz", time=times, laser=times, rate=1280.0)
     source = readers.read(tmp_path / "own.npz")
@@ -452,7 +452,7 @@ def test_the_command_shows_before_it_writes_and_makes_a_campaign(
 def test_an_uncertainty_below_a_thousandth_is_not_shown_as_none(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A DT far above resonance, or of a base in a wrong unit: 0.064 ± 0.000 would say that it is exact."""
+    """For a DT far above resonance, or of a base in a wrong unit, 0.064 ± 0.000 would mean that it is exact."""
     times, rng = np.arange(40000) / 2000, np.random.default_rng(1)
     laser, base = (a * np.sin(2 * np.pi * 9.1 * times) + 1e-3 * rng.standard_normal(len(times)) for a in (1.0, 15.0))
     np.savez(tmp_path / "own.npz", time=times, laser=laser, base=base)
@@ -468,7 +468,7 @@ def test_an_uncertainty_below_a_thousandth_is_not_shown_as_none(
 def test_two_files_of_one_name_are_refused_before_one_is_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str]
 ) -> None:
-    """No file of a refused campaign is written, so none blocks a later attempt."""
+    """No file of a rejected campaign is written, so none blocks a later attempt."""
     turn = 2.0 * np.pi * 9.0 * np.arange(2_000) / RATE_HZ
     files = [tmp_path / folder / "own.npz" for folder in ("a", "b")]
     for file in files:

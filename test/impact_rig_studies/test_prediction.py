@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The prediction for two symmetric impacts per cycle, held against exact orbits, the simulation and its own limits."""
+"""Prediction for two symmetric impacts per cycle, compared with exact orbits, the simulation and its own limits."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def nominal() -> RigConfig:
 
 
 def settled(config: RigConfig, frequency_hz: float, cycles: int) -> tuple[complex, float, float]:
-    """DT, approach speed and impacts per cycle of the mechanics after `cycles`, over 24 more; one segment a cycle."""
+    """Return DT, approach speed and impacts per cycle of the mechanics, averaged over 24 cycles after `cycles` ones."""
     simulation, period, last = Simulation(config), 1.0 / frequency_hz, 24
     simulation.advance(sine(frequency_hz, CURRENT_A, period, cycles))
     motion = simulation.advance(sine(frequency_hz, CURRENT_A, period, last))
@@ -63,13 +63,13 @@ def test_the_published_fold_of_the_paper_s_rig():
 
 
 def half_period_map(e: float, theta: float) -> np.ndarray:
-    """The matrix, shape (2, 2), that carries (phase, speed/V) errors from one impact to the next."""
+    """Return the matrix, shape (2, 2), that maps errors of (phase, speed/V) from one impact to the next."""
     q = math.pi**2 / 4.0 * (1.0 + e) ** 2 * (theta - 1.0) / theta
     return np.array([[e, -math.pi * (1.0 + e) / 2.0], [e * 2.0 * q / (math.pi * (1.0 + e)), e - q]])
 
 
 def test_at_a_given_current_a_branch_is_stable_on_one_side_of_its_largest_gap(nominal):
-    """Two motions merge there: the slow flow's determinant is zero where the gap is stationary, its trace is not."""
+    """Two motions merge there: the determinant of the slow flow is zero if the gap is stationary, its trace is not."""
     motions = prediction.branch(nominal, 8.6, current_a=CURRENT_A)
     largest = int(np.argmax(motions.gap_m))
     assert 0 < largest < len(motions.theta) - 1
@@ -87,7 +87,7 @@ def test_the_bounds_of_stability_are_those_of_the_map(e):
 
 
 def test_symmetry_breaks_where_continuation_says():
-    """12.210 mm at 9.1 Hz; the sphere alone would keep its rhythm down to 11.99 mm."""
+    """12.210 mm at 9.1 Hz; the sphere alone would stay symmetric down to 11.99 mm."""
     found = prediction.branch(RigConfig(), 9.1, current_a=0.52)
     assert found.gap_m[found.kind == "symmetry"].max() == pytest.approx(12.210e-3, rel=2e-3)
     assert not found.stable[found.gap_m < 12.2e-3].any()
@@ -95,7 +95,7 @@ def test_symmetry_breaks_where_continuation_says():
 
 @pytest.mark.parametrize(("gap_mm", "kind"), [(8.6, "stable"), (8.75, "torus")])
 def test_a_torus_ends_the_motion_before_its_fold(gap_mm, kind):
-    """Sphere and structure, each stable by itself, exchange a slow beat; stability once held up to the fold."""
+    """Sphere and structure, each stable by itself, exchange a slow beat, so the motion is unstable before the fold."""
     sphere_kg = prediction.LinearRig.of(RigConfig()).sphere_kg
     config = from_flat(RigConfig(), {"structure.mass_kg": sphere_kg / 0.0263212, "barriers.gap_m": gap_mm * 1e-3})
     place = Place(config, 9.642195, 0.201917)
@@ -173,7 +173,7 @@ def test_the_mechanics_do_what_is_predicted(nominal, frequency_hz, gap_mm):
 
 
 def test_without_recoil_the_deviation_at_the_fold_falls_as_the_rig_grows_heavier():
-    """A rig of ten times the mass with ten times the force is the same linear rig; m/m_1 is a tenth."""
+    """A rig with ten times the mass and the force is the same linear rig; m/m_1 is a tenth."""
     nominal, plain, recoiling = RigConfig(), [], []
     names = ("force_factor_n_a", "suspension_stiffness_n_m", "damping_n_s_m", "armature_mass_kg", "base_mass_kg")
     for times, cycles in ((1.0, 220), (10.0, 1100)):

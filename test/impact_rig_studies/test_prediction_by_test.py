@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The prediction beside measurements: the rig's own instruments and analysis, as in a campaign."""
+"""Prediction compared with measurements through the rig's own instruments and analysis, as in a campaign."""
 
 from __future__ import annotations
 

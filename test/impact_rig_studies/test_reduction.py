@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A reduction is worth what its two measurements do not share: gains cancel, curves nearly, noise not at all."""
+"""Uncertainty of a reduction: gains, common to both measurements, cancel, curves nearly do, and noise does not."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def certificate(gain_u=2e-3, laser_linearity_m=30e-6):
 
 
 def measured(calibration, case, gains=(0.0, 0.0), curves=(0.0, 0.0), noise=(0.0,)):
-    """Return the rows that sensors with these errors give, a row per value of noise."""
+    """Return the rows that sensors with these errors measure, one row per value of noise."""
     rows = np.zeros(len(noise), TRANSMISSIBILITY)
     seen, variance = [], NOISE**2
     for channel, gain, c_3, amplitude in zip((LASER, BASE), gains, curves, (LASER_M[case], BASE_M[case]), strict=True):
@@ -58,7 +58,7 @@ def measured(calibration, case, gains=(0.0, 0.0), curves=(0.0, 0.0), noise=(0.0,
 @pytest.mark.parametrize("repetitions", [1, 3])
 @pytest.mark.repeats
 def test_the_uncertainty_covers_the_truth_when_calibrations_are_drawn_anew(linearity_m, repetitions):
-    """Gains and curves drawn for each experiment, the same in both measurements; noise drawn for each row."""
+    """Gains and curves are drawn for each experiment, equal in both measurements; noise is drawn for each row."""
     rng, calibration = np.random.default_rng(1), certificate(laser_linearity_m=linearity_m)
     inside = []
     for _ in range(DRAWS):
@@ -108,7 +108,7 @@ def test_ideal_instruments_add_nothing():
 
 
 def structure(frequency_hz, added_mass=0.0, loss=0.0, f_n=9.105, zeta=0.0045):
-    """Return X_1/X_b of a structure of mass 1 whose damper pushes with (added_mass − i loss) ω² X_1."""
+    """Return X_1/X_b of a structure of mass 1 whose damper exerts the force (added_mass − i loss) ω² X_1."""
     omega, omega_n = 2 * np.pi * frequency_hz, 2 * np.pi * f_n
     stiffness = omega_n**2 + 2j * zeta * omega_n * omega
     return stiffness / (stiffness - omega**2 * (1 + added_mass - 1j * loss))
@@ -126,7 +126,7 @@ def row_of(calibration, ratio, gain=1.0, noise=0.0):
 
 @pytest.mark.parametrize("frequency_hz", [8.5, 9.0, 9.105, 9.4])
 def test_transmissibility_with_and_without_tells_added_mass_and_loss_factor(frequency_hz):
-    """The closed form, exactly; and within 2u for 93 % of sensors with wrong gains, whatever else is wrong."""
+    """The closed form exactly, and within 2u for 93 % of sensors with wrong gains and other errors."""
     calibration = certificate(gain_u=5e-3, laser_linearity_m=0.0)
     wanted = 0.008, 0.006
     ratios = structure(frequency_hz), structure(frequency_hz, *wanted)

@@ -82,7 +82,7 @@ def test_the_command_line_draws_and_names_what_it_wrote(run: Path, tmp_path: Pat
 
 
 def test_the_curve_of_a_run_is_fit_to_print_and_the_same_each_time(run: Path, tmp_path: Path) -> None:
-    """Quantities and units at the axes; gap, current and ± 2u in the legend; no date in any file."""
+    """Axes have quantities and units, the legend has gap, current and ± 2u, and no file has a date."""
     for where in ("first", "second"):
         assert main(["analyze", str(run), "--figures", str(tmp_path / where)]) == 0
     for first in (tmp_path / "first").iterdir():
