@@ -106,9 +106,9 @@ class BoardChannel:
         name: name of the channel within the task.
         physical: name of the channel on the board, without the device.
         device: name of the device.
-        low: smallest value [unit of the channel].
-        high: largest value.
-        per_volt: value of one volt at the board.
+        low: smallest value of the range [unit of the channel].
+        high: largest value of the range.
+        per_volt: value that corresponds to one volt at the board.
         unit: unit of the values.
     """
 
@@ -140,12 +140,12 @@ class DaqmxTask:
         trigger: kind of the task whose start also starts this one; empty if it has no trigger.
         regenerates: whether an output repeats its buffer.
         auto_starts: whether a read starts it.
-        run: number of its starts.
+        run: number of times that it was started.
         begin_ns: wall time of its first sample [ns since 1970].
-        passed: samples read, of an output those handed to the rig.
-        written: samples written to an output.
-        error: what ended it.
-        data: samples of an output that are to be played, or repeated.
+        passed: number of samples that were read, or, of an output, passed to the rig.
+        written: number of samples written to an output.
+        error: error that ended it; None if there was none.
+        data: samples of an output that are still to be played, or are repeated [V].
     """
 
     name: str
