@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Choice of the package under test: the one that `colcon build` installed, or the one in this source tree.
+"""Choice of the package under test: the one that `colcon build` has installed, or the one in this source tree.
 
-`colcon test` starts pytest in the source tree, so Python would import the package from there, without what was built.
+`colcon test` starts pytest in the source tree, so Python would import the package from there, without the built parts.
 This module must not import the package.
 """
 
@@ -42,9 +42,9 @@ def find_installed() -> Path | None:
 
 
 def prefer_installed() -> None:
-    """Import the installed package from now on, here and in child processes, if the source tree was not built.
+    """From now on, import the installed package, here and in child processes, if the source tree was not built.
 
-    Under `colcon test` it is preferred in any case: the source tree may hold an older library of `make`.
+    Under `colcon test`, it is always preferred, because the source tree may contain an older library of `make`.
     """
     is_colcon = any(argument.startswith(COLCON_OPTION) for argument in sys.argv)
     if not is_colcon and (ROOT / PACKAGE / LIBRARY).exists():

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Tests of `CLAIMS.md`: every number of the first pages is in it, and the numbers that it computes have not drifted."""
+"""Tests of `CLAIMS.md`: it has every number of the first pages, and the numbers that it computes are unchanged."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def _text(kind: str, content: str) -> str:
 # --- What the code says now: each function returns text that must be in its claim -------------------------------------
 @functools.cache
 def transmissibility(gap_m: float) -> tuple[float, float]:
-    """Return DT and u of the first look; a gap of 0 is no sphere."""
+    """Return DT and u of the example on the first page; a gap of 0 means no sphere."""
     changed = {"barriers.gap_m": gap_m} if gap_m else {"sphere.present": False}
     return impact_rig.simulate(30.0, changed).transmissibility
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Every file in config/ loads, and says of every value what unit it has and where it comes from."""
+"""Every file in config/ loads, and states the unit and the origin of every value."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_nominal_is_the_default_configuration_complete():
 @pytest.mark.ros
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
 def test_ros_reads_the_same_values_with_the_same_types(path):
-    """A float without a dot, or an empty list, would be another type to ROS."""
+    """A float without a point, or an empty list, would have another type in ROS."""
     import rclpy
     from rclpy.node import Node
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The rig alone: without `impact_rig_studies` and `impact_rig_lab` it imports, has commands and passes its tests."""
+"""The rig alone, without `impact_rig_studies` and `impact_rig_lab`: it imports, has commands, and passes its tests."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ for module in pkgutil.walk_packages(impact_rig.__path__, "impact_rig."):
 
 @pytest.fixture(scope="module")
 def core(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the rig, its tests and its entry points, and nothing of the other packages."""
+    """Folder with the rig, its tests and its entry points, without the other packages."""
     folder = tmp_path_factory.mktemp("core")
     ignored = shutil.ignore_patterns("__pycache__")
     for name in ("impact_rig", "config", "launch", "urdf", "test/impact_rig", "test/kits", "test/data/third_version"):

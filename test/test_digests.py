@@ -41,7 +41,7 @@ pytestmark = pytest.mark.timeout(900)  # on a busy machine with an empty cache t
 
 @attrs.frozen
 class Recorded:
-    """Record of a process: digests, and its lines about differences."""
+    """Digests of a process, and its lines about differences."""
 
     digests: digests.Digests
     said: dict[str, str]
@@ -52,7 +52,7 @@ class Recorded:
 
 
 def record(directory: Path, mask: Mask, *arguments: str, **environment: str) -> Recorded:
-    """Record in a process of its own; of the runs that differ from kept ones, where."""
+    """Compute the digests in a separate process; report where runs differ from the kept ones."""
     output = directory / f"{mask.name}{len(list(directory.iterdir()))}.txt"
     command = [sys.executable, "-m", "qualification.portability.child", str(output), *arguments]
     found = full_environment(mask) | environment
@@ -71,7 +71,7 @@ def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def compiled(directory: Path) -> Recorded:
-    """Every run, on this machine as it is; their rows are kept."""
+    """Every run, on this machine as it is; the rows are kept."""
     return record(directory, BARE, "long", "short", "--save", str(directory / "rows"))
 
 
@@ -81,7 +81,7 @@ def test_this_machine_is_a_witness(compiled: Recorded) -> None:
 
 
 def test_no_library_decides_a_bit(compiled: Recorded, directory: Path) -> None:
-    """OpenBLAS, NumPy and glibc believe in an old CPU."""
+    """The masks make OpenBLAS, NumPy and glibc use the code for an old CPU."""
     record(directory, LIBRARIES, "long", "short", "--against", str(directory / "rows")).assert_committed()
 
 
@@ -93,7 +93,7 @@ def test_the_compiler_decides_no_bit(compiled: Recorded, directory: Path) -> Non
 
 
 def test_plain_python_gives_the_compiled_bits(directory: Path) -> None:
-    """A kernel is what its Python text says: a debugger and the table of coverage see the same physics."""
+    """A kernel computes what its Python text says, so debuggers and coverage see the same physics."""
     compiled = record(directory, BARE, "quick", "--save", str(directory / "quick"))
     plain = record(directory, BARE, "quick", "--against", str(directory / "quick"), IMPACT_RIG_KERNELS="plain")
     assert {run for run, _ in plain.digests} == {run.name for run in known(QUICK)}
@@ -111,7 +111,7 @@ def test_plain_python_gives_the_committed_bits(compiled: Recorded, directory: Pa
 
 
 def test_the_committed_digests_are_those_of_the_runs() -> None:
-    """None is left out, none is left over; laws that are still to come have no line yet."""
+    """No run is left out, and no digest is left over; laws that are not finished have no line yet."""
     header = digests.FILE.read_text(encoding="utf-8").splitlines()
     assert [line for line in header if line.startswith("#")] == digests.HEADER.splitlines()
     committed = digests.read()

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""README and docs hold: every code block is run or says why not, every command, path and link in them exists."""
+"""README and docs: every code block is run or states why not; every command, path and link in them exists."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_nothing_is_wrong_in_any_page():
 
 
 def symbol_rows(page: str) -> list[list[str]]:
-    """The rows (symbols, unit, meaning) of a page's table of symbols."""
+    """Return the rows (symbols, unit, meaning) of a page's table of symbols."""
     text = (
         (ROOT / "docs" / page).read_text(encoding="utf-8").partition("| symbol | unit | meaning |\n|---|---|---|\n")[2]
     )
@@ -90,7 +90,7 @@ def symbol_rows(page: str) -> list[list[str]]:
 
 
 def symbols_in(text: str) -> set[str]:
-    """The letters of equations, each with its subscript; one below Σ, or a number, is an index."""
+    """Return the letters of equations, each with its subscript; one below Σ, or a number, is an index."""
     found = re.findall(r"(?<![\w∂])[A-Za-zα-ωΑ-Ω](?:_\w+)?(?![\w-])", re.sub(r"`[^`]*`|'s ", " ", text))
     return {re.sub(r"²|³", "", symbol) for symbol in found if symbol[0] not in NO_SYMBOLS}
 
@@ -103,7 +103,7 @@ def known_symbols() -> list[str]:
 
 
 def kernels_that_read_aloud() -> list[Callable[..., Any]]:
-    """All compiled functions but those that keep the letters of their sources."""
+    """Return all compiled functions, except those that keep the letters of their sources."""
     for part in PARTS.values():
         for module in part:
             importlib.import_module(f"impact_rig.{module}")
@@ -147,7 +147,7 @@ def test_every_letter_in_the_code_of_kernels_is_listed():
 
 
 def test_every_symbol_of_the_equations_of_motion_stands_in_the_table_below_them():
-    """But the three states and what the equations themselves give: m_a, c_f, K_f, … were explained nowhere."""
+    """All but the three states and what the equations themselves define, such as m_a, c_f and K_f."""
     text = (
         (ROOT / "docs" / "explanation" / "physics.md")
         .read_text(encoding="utf-8")
@@ -255,7 +255,7 @@ def test_shell_is_shell(block):
 
 @pytest.mark.parametrize("block", [block for block in OURS if block.language == "python"], ids=by_place)
 def test_python_runs(block, monkeypatch, tmp_path):
-    """A session, `>>>`, prints what the page shows; other code runs to its end."""
+    """A session (`>>>`) prints what the page shows; other code runs to its end."""
     if ">>>" in block.content:
         monkeypatch.chdir(tmp_path)  # it may write
         session = doctest.DocTestParser().get_doctest(block.content, {}, by_place(block), block.page, block.line)
@@ -267,7 +267,7 @@ def test_python_runs(block, monkeypatch, tmp_path):
 
 @pytest.mark.parametrize("name", impact_rig.__all__)
 def test_examples_in_docstrings_of_public_names_run(name, monkeypatch, tmp_path):
-    """They print what they show; errors have none but the base class, and a few classes come from other calls."""
+    """They print what they show. Errors have none except the base class, and some classes come from other calls."""
     if name in {"Client", "RosRig"}:
         pytest.importorskip("rclpy")
     text = inspect.getdoc(getattr(impact_rig, name)) or ""
@@ -298,7 +298,7 @@ def test_yaml_is_accepted(block, tmp_path):
 
 
 def test_the_table_of_the_first_measurement_is_right_in_itself():
-    """The paper's numbers, the closed form, and the reductions that follow from the transmissibilities shown."""
+    """It has the paper's numbers, the closed form, and the reductions that follow from the shown transmissibilities."""
     (block,) = (
         block
         for block in BLOCKS
@@ -327,7 +327,7 @@ def test_the_reductions_on_the_page_of_the_paper_are_those_of_the_paper_and_of_t
 
 
 def test_taking_the_sphere_away_takes_as_long_as_the_first_measurement_says():
-    """About ten seconds of rig time: it said 40."""
+    """It is about ten seconds of rig time."""
     text = (ROOT / "docs" / "tutorials" / "first_measurement.md").read_text(encoding="utf-8")
     assert "Click *none* to remove the sphere. After about ten seconds DT is 110." in text
     rig = LocalRig()

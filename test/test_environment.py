@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The locked versions serve every supported Python, in three parts, and an installation goes on where it stopped."""
+"""The locked versions fit every supported Python, in three parts, and an installation resumes where it stopped."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def versions(*parts: str) -> dict[str, str]:
 
 @pytest.mark.parametrize("python", lock.PYTHONS)
 def test_every_pin_serves_every_python(python: str) -> None:
-    """As the index said when they were chosen; `make lock ARGS=--check` asks it again."""
+    """Compare with the index at the time of the choice; `make lock ARGS=--check` queries it again."""
     unfit = []
     for line in [line for part in LINES.values() for line in part]:
         pin, asked = Requirement(line.partition("  #")[0]), line.partition("# Python ")[2]
@@ -92,7 +92,7 @@ def test_every_pin_serves_every_python(python: str) -> None:
 @pytest.mark.parametrize("python", lock.PYTHONS)
 @pytest.mark.parametrize("part", ["run", "kernels", "test", "docs"])
 def test_nothing_that_a_pin_needs_is_missing(part: str, python: str) -> None:
-    """Every requirement of what is installed here, followed with the markers of each Python, is met by the lock."""
+    """Every requirement of the installed packages, with the markers of each Python, is satisfied by the lock."""
     pinned = versions("run", "wheels", part)
     known = {
         name: required(name)
@@ -108,7 +108,7 @@ def test_nothing_that_a_pin_needs_is_missing(part: str, python: str) -> None:
 
 
 def test_a_requirement_under_a_marker_is_followed_for_each_python() -> None:
-    """pip evaluates markers for the Python that runs it, whatever `--python-version` says."""
+    """pip evaluates markers for the Python that runs it, not for `--python-version`."""
     known = {"a": [Requirement("b; python_full_version < '3.11.1'"), Requirement("c[x]; python_version >= '3.12'")]}
     known["c"] = [Requirement("d; extra == 'x'"), Requirement("e; extra == 'y'")]
     begin = [Requirement("a")]
@@ -151,7 +151,7 @@ def test_the_cost_that_is_said_is_what_is_paid(part: str) -> None:
 def test_what_the_commands_of_the_readme_took_is_among_the_figures(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Each run leaves a file; a part that was not run lately is absent, never zero."""
+    """Each run writes a file; a part that was not run lately is absent, never zero."""
     from benchmarks import start
 
     monkeypatch.chdir(tmp_path)
@@ -164,7 +164,7 @@ def test_what_the_commands_of_the_readme_took_is_among_the_figures(
 
 @pytest.mark.ros
 def test_every_benchmark_can_begin() -> None:
-    """Before, one imported a renamed module, which only a complete bench run revealed."""
+    """The import of a renamed module, for example, must not be found only by a complete benchmark run."""
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     from benchmarks.__main__ import PARTS
 
@@ -211,7 +211,7 @@ def write_wheel(directory: Path, name: str, version: str = "1.0") -> None:
 
 
 class Checkout:
-    """A directory with the scripts of this one and a lock of its own."""
+    """Directory with the scripts of this checkout and its own lock."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
@@ -235,7 +235,7 @@ class Checkout:
             (self.root / "requirements" / f"{part}.txt").write_text(f"{text}\n")
 
     def install(self, *tiers: str, python: str = sys.executable, code: int = 0) -> str:
-        """Call the script as make does; returns all that it says."""
+        """Call the script as make does; return its output."""
         environment = {name: value for name, value in os.environ.items() if not name.startswith(("PIP_", "PYTHON"))}
         environment |= {"PIP_NO_INDEX": "1", "PIP_FIND_LINKS": str(self.wheels), "PYTHON": python}
         environment |= {"PIP_CONFIG_FILE": os.devnull}
@@ -254,7 +254,7 @@ class Checkout:
 
 @pytest.fixture(scope="module")
 def checkout(tmp_path_factory: pytest.TempPathFactory) -> Checkout:
-    """One environment for the tests below, which each begin with what the one before has left."""
+    """One environment for the tests below; each begins with the state that the previous one has left."""
     made = Checkout(tmp_path_factory.mktemp("checkout"))
     said = made.install("run")
     assert "installing 1 of 1 packages (run)" in said

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The recipes of docs/how-to/extending.md, done to the letter in a copy of the repository: no other file by hand.
+"""Recipes of docs/how-to/extending.md, followed to the letter in a copy of the repository: no other file is edited.
 
-All of them one after another in one copy, whose pages are made and whose tests are run once; each in a copy of its own
-with `--thorough`, which shows that none needs another one.
+They are done one after another in one copy, whose pages are made and whose tests are run once. With `--thorough`, each
+has its own copy, which shows that no recipe needs another one.
 """
 
 from __future__ import annotations
@@ -54,15 +54,15 @@ GENERATED = {str(path.relative_to(ROOT)) for path in generated()}
 
 @attrs.frozen
 class Recipe:
-    """One section of the page.
+    """Section of the page.
 
     Attributes:
-        files: what it writes, by path.
-        most: how many files its table allows.
-        common: tests that must take the new thing up by themselves.
-        chosen: words of which one must stand in the name of those that are run here.
-        passed: at least so many, with its own tests.
-        seen: generated files, and what must have come to them.
+        files: content of the files that it writes, by path.
+        most: number of files that its table allows.
+        common: tests that must include the new part by themselves.
+        chosen: words, one of which must be in the name of a test that is run here.
+        passed: minimum number of passed tests, with its own.
+        seen: generated files, and the text that they must contain.
     """
 
     title: str
@@ -127,12 +127,12 @@ RECIPES = (
 
 @attrs.frozen
 class Copy:
-    """A copy of the repository, as a developer has it."""
+    """Copy of the repository, as a developer has it."""
 
     root: Path
 
     def run(self, *arguments: str) -> str:
-        """Run Python in it; the library of kernels came with it."""
+        """Run Python in the copy, which includes the library of kernels."""
         environment = {**os.environ, "PYTHONPATH": str(self.root)}
         done = subprocess.run(
             [sys.executable, *arguments], cwd=self.root, env=environment, capture_output=True, text=True, check=False
@@ -141,7 +141,7 @@ class Copy:
         return done.stdout
 
     def state(self) -> dict[str, str]:
-        """Return a digest of each file in it."""
+        """Return a digest of each file in the copy."""
         files = (path for path in self.root.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
         return {str(path.relative_to(self.root)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 

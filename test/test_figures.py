@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Every figure of README and docs is as the code draws it, is used, and all of them together are small."""
+"""Every figure of README and docs is as the code draws it and is used, and all of them together are small."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_a_drawing_has_words_for_who_cannot_see_it_and_colours_for_the_dark(name
 
 @pytest.mark.parametrize("name", DRAWN)
 def test_a_drawing_has_only_colours_of_the_palette(name):
-    """Okabe and Ito's, told apart with any colour vision; each is a variable with values for light and for dark."""
+    """Okabe and Ito's palette suits any colour vision; each colour is a variable with values for light and for dark."""
     drawn = (IMAGES / name).read_text(encoding="utf-8").partition("</style>")[2]
     assert set(re.findall(r"(?<!&)#[0-9a-f]{3,8}\b", drawn)) == set()
     assert set(re.findall(r"var\(--([\w-]+)\)", drawn)) <= {*DARK, "sheet", "card"}
@@ -76,7 +76,7 @@ def test_a_drawing_has_only_colours_of_the_palette(name):
 @pytest.mark.heavy
 @pytest.mark.parametrize("name", TAKEN)
 def test_a_picture_shows_what_is_there_now(name):
-    """Pictures of the page showed one of long ago, and nothing failed."""
+    """A picture of an old page must make the test fail."""
     known = digests.written()
     assert name in known, f"run `{COMMAND}`"
     assert digests.of_file(IMAGES / name) == known[name]["file"], f"not made by `{COMMAND}`"

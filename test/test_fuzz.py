@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A short slice of `make fuzz`, and what it has found so far: every input that was wrongly taken or ended badly."""
+"""Short part of `make fuzz`, and its past findings: inputs that must not be accepted, or end in a traceback."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ SLICE = 60
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.repeats
 def test_a_slice_of_hostile_inputs(one: target.Target) -> None:
-    """The same inputs each time; `make fuzz` takes 10,000 per target."""
+    """The inputs are the same each time; `make fuzz` uses 10,000 per target."""
     tally = target.run(one, SLICE)
     assert tally.inputs >= SLICE
     assert tally.refused > 0, "hostile inputs are refused"
@@ -120,7 +120,7 @@ def test_a_journal_entry_far_in_the_future_costs_only_what_is_read() -> None:
     ],
 )
 def test_a_table_without_its_columns_is_refused_by_name(topic: str, rows: np.ndarray, words: str) -> None:
-    """They ended in numpy's `no field of name ...`."""
+    """The error must not be numpy's `no field of name ...`."""
     with pytest.raises(ConfigError, match=words):
         getattr(Tracker(), topic)(Table(0, rows))
 
@@ -142,7 +142,7 @@ def test_a_calibration_that_makes_no_sense_is_refused(column: str, value: object
 
 
 def test_scans_at_impossible_times_are_counted_as_lost() -> None:
-    """A scan 3e8 years before its block ended in OverflowError."""
+    """A scan 3e8 years before its block must not raise an OverflowError."""
     tracker = Tracker()
     tracker.configure(decoders.INFO)
     rows = decoders.SCANS[0].rows.copy()
@@ -152,7 +152,7 @@ def test_scans_at_impossible_times_are_counted_as_lost() -> None:
 
 
 def test_a_command_of_no_frequency_to_speak_of_is_not_measured() -> None:
-    """2.5e-65 Hz ended in OverflowError: its period fits no integer."""
+    """The period of 2.5e-65 Hz fits no integer; this must not raise an OverflowError."""
     tracker = Tracker()
     tracker.configure(decoders.INFO)
     applied = decoders.APPLIED.rows.copy()
@@ -164,7 +164,7 @@ def test_a_command_of_no_frequency_to_speak_of_is_not_measured() -> None:
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 5.5, 1e300])
 def test_recorded_settings_that_make_no_sense_are_refused(value: float) -> None:
-    """NaN and infinity ended in ValueError and OverflowError, a fraction was cut."""
+    """NaN and infinity must not raise ValueError or OverflowError, and a fraction must not be cut off."""
     with pytest.raises(ConfigError, match="harmonics must be"):
         read_settings(Table(0, np.array([("harmonics", value)], blocks.SETTINGS)))
 
@@ -183,7 +183,7 @@ def test_a_fault_line_without_a_word_is_refused() -> None:
     ],
 )
 def test_a_yaml_bomb_is_refused_at_once(tmp_path: Path, text: str) -> None:
-    """The first ended in RecursionError; the others double with each line, in whatever prints or copies them."""
+    """The first is nested too deeply; the others double with each line, wherever they are printed or copied."""
     (tmp_path / "rig.yaml").write_text(text)
     with pytest.raises(ConfigError, match=r"an alias .* is not accepted"):
         load_config(tmp_path / "rig.yaml")
@@ -200,7 +200,7 @@ def test_a_yaml_text_nested_without_end_is_refused_and_not_the_end_of_the_proces
 
 @pytest.mark.parametrize("digits", ["9" * 400, "0x" + "f" * 5000])
 def test_an_integer_beyond_all_floats_is_refused_by_name(tmp_path: Path, digits: str) -> None:
-    """The first ended in OverflowError, the second in ValueError: Python does not write it out."""
+    """The first must not raise an OverflowError, nor the second a ValueError, as Python does not write it out."""
     (tmp_path / "rig.yaml").write_text(f"daq:\n  seed: {digits}\n")
     with pytest.raises(ConfigError, match=r"seed must be .*, got a number too large to represent"):
         load_config(tmp_path / "rig.yaml")
@@ -208,7 +208,7 @@ def test_an_integer_beyond_all_floats_is_refused_by_name(tmp_path: Path, digits:
 
 @pytest.mark.parametrize("text", ["a: 2024-13-45", "&a [*a]", "[" * 1500, "a: &a {b: *a}"])
 def test_yaml_inside_a_recording_is_not_believed(tmp_path: Path, text: str) -> None:
-    """An invalid date ended in ValueError, deep nesting in RecursionError."""
+    """An invalid date must not raise a ValueError, nor deep nesting a RecursionError."""
     (tmp_path / "run.mcap").write_bytes(decoders.FILES[0])
     (tmp_path / "metadata.yaml").write_text(text)
     with pytest.raises(RecordingError, match="cannot parse"):

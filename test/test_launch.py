@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The launch files fit the package: programs, parameters and arguments exist, and what they start is what is asked for.
+"""The launch files fit the package: programs, parameters and arguments exist, and they start what is requested.
 
-`launch` comes with an apt-installed ROS only; elsewhere stand-ins take its place, which keep what they are given.
+`launch` comes with an apt-installed ROS only; elsewhere stand-ins are used, which keep their arguments.
 """
 
 from __future__ import annotations
@@ -115,14 +115,14 @@ def test_what_is_asked_for_daily_is_an_argument() -> None:
 
 
 def test_names_may_have_blanks_between_them() -> None:
-    """Scan 0 once waited for a peer called ` recorder`, whose end ended nothing."""
+    """Scan 0 must not wait for a peer called ` recorder`, whose end nothing would notice."""
     started = nodes(RIG, peers="analysis, recorder", required="rig, recorder")
     assert parameters(started["rig"])["time.peers"] == ["analysis", "recorder"]
     assert [name for name, node in started.items() if "on_exit" in node] == ["rig", "recorder"]
 
 
 def test_all_nodes_wait_for_their_lifecycle_services_where_the_rig_does() -> None:
-    """Analysis and recorder once began by themselves where the configuration says that nothing does."""
+    """Analysis and recorder must not start by themselves if the configuration says that the rig does not."""
     started = nodes(RIG, overrides="{output.autostart: false}")
     assert [parameters(started[name])["autostart"] for name in ("analysis", "recorder")] == [False, False]
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""One licence: the notice at the top of each file (ruff's CPY001 holds it), package.xml and LICENSE name the same."""
+"""One licence: the notice at the top of each file (ruff's CPY001 checks it), package.xml and LICENSE state the same."""
 
 from __future__ import annotations
 

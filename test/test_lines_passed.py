@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The lines that `make test` counts are those that a process passed, however it ends."""
+"""The lines that `make test` counts are those that a process has passed, however it ends."""
 
 from __future__ import annotations
 

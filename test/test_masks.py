@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A mask that did not take hold proves nothing: each is seen in the process it was put on."""
+"""A mask without effect proves nothing: each is detected in the process that has it."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def bare() -> Machine:
 
 @pytest.fixture(scope="module")
 def masked() -> Machine:
-    """Under all masks at once: each library is asked by itself."""
+    """With all masks at once, each library is queried."""
     return machine(ALL)
 
 
@@ -88,5 +88,5 @@ def test_a_mask_of_its_own_takes_hold_alone(mask: Mask, bare: Machine) -> None:
 
 @pytest.mark.parametrize("mask", MASKS, ids=lambda mask: mask.name)
 def test_a_mask_that_did_not_take_hold_is_seen(mask: Mask, bare: Machine) -> None:
-    """The unmasked machine passes for a masked one only where the CPU has nothing to hide."""
+    """An unmasked machine passes for a masked one only if its CPU has nothing to hide."""
     assert mask.verdict(bare, bare) in ("NO", "nothing to mask")

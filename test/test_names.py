@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Names from outside are data in every place that they are written to."""
+"""Names from outside are treated as data wherever they are written."""
 
 from __future__ import annotations
 

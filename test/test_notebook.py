@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The worked notebook runs from its first cell to its last, in a kernel of its own, and is kept without output."""
+"""The worked notebook runs from its first cell to its last, in its own kernel, and is stored without output."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Tests of the public names: each is documented, on its page and by itself, and loads when it is first used."""
+"""Public names: each is documented, on its page and in its docstring, and is loaded when it is first used."""
 
 from __future__ import annotations
 

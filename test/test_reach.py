@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`--changed` leaves out what a change cannot reach, and never what it can."""
+"""`--changed` leaves out tests that a change cannot reach, and never one that it can."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The package finds its own files, wherever it was installed to."""
+"""The package finds its own files wherever it is installed."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ RELEASED = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):
-    """The source distribution, and the wheel that is made from it, with the library that the tests run on."""
+    """Source distribution, and the wheel made from it, with the library that the tests run on."""
     return build(tmp_path_factory.mktemp("release"), FOLDER)
 
 
@@ -88,10 +88,10 @@ def test_a_release_holds_what_the_repository_holds_and_nothing_else(built, tmp_p
 @RELEASED
 @pytest.mark.ros
 def test_an_installed_wheel_works_where_no_checkout_is(built, tmp_path):
-    """It finds its files, serves the lab's page and is pytest's plugin, from an empty directory.
+    """In an empty directory, the wheel finds its files, serves the lab's page and is pytest's plugin.
 
-    `python -m tools.release --try` does the same with all that the wheel asks for in an empty environment. Here it is
-    put before the checkout.
+    `python -m tools.release --try` does the same with all requirements of the wheel in an empty environment. Here, the
+    wheel is put before the checkout on the path.
     """
     pytest.importorskip("aiohttp", reason="the extra [lab] is not installed")
     _, wheel = built
@@ -127,7 +127,7 @@ def test_an_installed_wheel_works_where_no_checkout_is(built, tmp_path):
 @RELEASED
 @pytest.mark.parametrize("kernels", ["jit", None])
 def test_a_wheel_is_without_the_library_only_if_that_was_asked_for(kernels, built, tmp_path):
-    """A library that cannot be built is no wheel: Numba at run time must not come by accident."""
+    """If the library cannot be built, there is no wheel: Numba at run time must not be an accident."""
     source = unpack(built[0], tmp_path)
     environment = {**os.environ, "PYTHONPATH": str(source / "requirements"), "CC": str(tmp_path / "no_compiler")}
     environment |= {"IMPACT_RIG_KERNELS": kernels} if kernels else {}

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Promises of docs/explanation/security.md: local traffic by default, no code from data, a policy that fits."""
+"""Promises of docs/explanation/security.md: local traffic by default, no code from data, and a policy that fits."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ STARTERS = {
 
 
 def _dotted(node: ast.expr) -> str:
-    """`a.b.c` as it is written, or nothing for what is no name; `ast.unparse` takes ten times as long."""
+    """Return `a.b.c` as it is written, or nothing if a node is not a name; `ast.unparse` needs ten times as long."""
     if isinstance(node, ast.Attribute):
         return f"{_dotted(node.value)}.{node.attr}"
     return node.id if isinstance(node, ast.Name) else ""
@@ -103,7 +103,7 @@ def test_what_is_started_for_the_user_is_seen_by_this_machine_only(
 
 @pytest.mark.ros
 def test_the_policy_allows_what_the_nodes_open_and_nothing_else(tmp_path: Path) -> None:
-    """The nodes run as the launch file starts them: in a namespace, which has a clock of its own."""
+    """The nodes run as the launch file starts them, in a namespace, which has its own clock."""
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     from kits.opened import opened_by
 

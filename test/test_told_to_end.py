@@ -11,9 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Programs that get a signal at any instant from their first import on: one line, a code, no process, intact files.
+"""Programs that get a signal at any instant from their first import on: one line, an exit code, no process, intact
+files.
 
-`qualification/endings.py` does it twenty times for each program and signal; here every program gets each signal once.
+`qualification/endings.py` does this twenty times for each program and signal; here, every program gets each signal
+once.
 """
 
 from __future__ import annotations
@@ -144,7 +146,7 @@ def campaign(tmp_path: Path) -> Iterator[subprocess.Popen[bytes]]:
 
 
 def workers(process: int) -> set[int]:
-    """Return the children of a process that measure."""
+    """Return the child processes that measure."""
     found = set()
     for task in Path(f"/proc/{process}/task").iterdir():
         for pid in map(int, (task / "children").read_text().split()):

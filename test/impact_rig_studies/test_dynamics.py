@@ -495,8 +495,7 @@ def test_at_6_mm_four_impacts_per_cycle_are_an_island_between_two_folds(tmp_path
 
 @pytest.mark.parametrize(("gap", "at", "stable", "period"), [(0.010, 0.010, 0.00975, 2), (0.008, 0.00806, 0.00806, 3)])
 def test_marching_doubles_its_period_at_the_flip(gap, at, stable, period, tmp_path):
-    """Past a flip, the square of the alternating part grows linearly: extrapolated from marching, it is zero at the
-    flip.
+    """Past a flip, the square of the alternating part grows linearly, so marching shows where it is zero.
 
     The branch of doubled orbits, followed back, turns where it begins: this is the same flip, and not a fold.
     """

@@ -11,8 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Complete files as written by programs of the field: imported and analysed, each gives the motion that was put into
-it.
+"""Complete files as written by programs of the field: imported and analysed, each gives the motion put into it.
 
 The base moves by 0.1 mm at 9.1 Hz, and the structure by ten times as much, 40 degrees later.
 """

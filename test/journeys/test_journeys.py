@@ -77,7 +77,7 @@ def imported(code: str) -> set[str]:
 
 
 def shown_code() -> dict[str, list[str]]:
-    """Return the Python that a page shows or leads to, by page."""
+    """Return the Python code that a page shows or links to, by page."""
     shown = {
         name: [
             one.content
@@ -92,7 +92,7 @@ def shown_code() -> dict[str, list[str]]:
 
 
 def test_python_needs_no_more_than_its_page_installs() -> None:
-    """The notebook once asked for rosbags, which only the tests' part has."""
+    """The notebook, for example, must not need rosbags, which only the part for tests installs."""
     owners = packages_distributions()
     missing = {}
     for page, codes in shown_code().items():
@@ -114,7 +114,7 @@ def test_python_needs_no_more_than_its_page_installs() -> None:
 
 @pytest.fixture(scope="module")
 def places(tmp_path_factory: pytest.TempPathFactory) -> Places:
-    """Return environments like those of the run tier and of the wheel, assembled from what the tests have installed."""
+    """Return environments like those of the run tier and of the wheel, made of the packages that the tests have."""
     try:
         distribution("ros-rclpy")
     except PackageNotFoundError:

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A real Chromium without a window, driven by its own protocol from a thread of its own; every call waits for its end.
+"""A real Chromium without a window, driven by its own protocol in a separate thread; every call waits until it is done.
 
 `IMPACT_RIG_REQUIRE_BROWSER=1` makes a missing browser an error instead of a reason to skip.
 """
@@ -72,7 +72,7 @@ def _answers(port: str) -> bool:
 
 
 def chromium() -> str:
-    """Path of a Chromium; skips, or fails where it is required."""
+    """Return the path of a Chromium; without one, skip the test, or fail if a browser is required."""
     found = next((path for name in NAMES if (path := shutil.which(name))), None)
     if found is None and REQUIRED:
         pytest.fail("IMPACT_RIG_REQUIRE_BROWSER=1, but there is no chromium")
@@ -82,7 +82,7 @@ def chromium() -> str:
 
 
 class Browser:
-    """One Chromium; `page` opens a page in a profile of its own."""
+    """Chromium process; `page` opens a page in its own profile."""
 
     def __init__(self) -> None:
         self._directory = tempfile.mkdtemp(prefix="impact_rig_browser_")
@@ -107,7 +107,7 @@ class Browser:
         self.run(self._connect())
 
     def run(self, work: Coroutine[Any, Any, Any]) -> Any:
-        """Result of a coroutine in the browser's loop."""
+        """Return the result of a coroutine in the browser's loop."""
         return asyncio.run_coroutine_threadsafe(work, self._loop).result(PATIENCE_S)
 
     async def _connect(self) -> None:
@@ -133,7 +133,7 @@ class Browser:
                 page.on_event(found["method"], found["params"])
 
     def call(self, method: str, session: str | None = None, **params: Any) -> Any:
-        """Result of a method of the protocol."""
+        """Return the result of a method of the protocol."""
 
         async def ask() -> Any:
             number = next(self._numbers)
@@ -147,7 +147,7 @@ class Browser:
         return answer["result"]
 
     def page(self, width: int = 1280, height: int = 800, **features: str) -> Page:
-        """A new page; `features` are media features with `_` for the hyphen."""
+        """Open a page; `features` are media features, with `_` for the hyphen."""
         context = self.call("Target.createBrowserContext")["browserContextId"]
         target = self.call("Target.createTarget", url="about:blank", browserContextId=context)["targetId"]
         session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
@@ -156,12 +156,12 @@ class Browser:
         return page
 
     def close_pages(self) -> None:
-        """Close what is still open: a page that a failed test has left goes on drawing."""
+        """Close the pages that are still open, because a page that a failed test has left continues to draw."""
         for page in list(self._pages.values()):
             page.close()
 
     def forget(self, session: str) -> bool:
-        """Hear no more of a page; whether it was known."""
+        """Ignore further events of a page; return whether it was known."""
         return self._pages.pop(session, None) is not None
 
     def close(self) -> None:
@@ -186,9 +186,9 @@ class Browser:
 
 
 class Page:
-    """One page; `errors` are what its console complained of, `fetched` where it asked for something.
+    """Page; `errors` are the complaints of its console, `fetched` the addresses that it requested.
 
-    A complaint that contains `expected` does not count: a test that stops the server expects some, which come late.
+    A complaint that contains `expected` does not count: a test that stops the server expects some, which arrive late.
     """
 
     def __init__(self, browser: Browser, session: str, context: str) -> None:
@@ -198,11 +198,11 @@ class Page:
         self._browser, self._session, self._context = browser, session, context
 
     def faults(self) -> list[str]:
-        """Its errors, without those of a server that has ended since: Chromium fetches a page's icon when it likes."""
+        """Complaints of the page, without those about a server that has ended: Chromium may request icons then."""
         return [error for error in self.errors if "net::ERR_" not in error or any(map(_answers, PORT.findall(error)))]
 
     def on_event(self, method: str, params: dict[str, Any]) -> None:
-        """Note what the page does."""
+        """Record an event of the page."""
         if method == "Runtime.exceptionThrown":
             self.errors.append(str(params["exceptionDetails"].get("exception", params)))
         elif method == "Runtime.consoleAPICalled" and params["type"] in ("error", "warning", "assert"):
@@ -233,13 +233,13 @@ class Page:
         self.wait("document.readyState === 'complete'", f"{address} to load")
 
     def js(self, expression: str) -> Any:
-        """Value of an expression, awaited."""
+        """Return the value of an expression; a promise is awaited."""
         found = self.call("Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True)
         assert "exceptionDetails" not in found, f"{expression}: {found['exceptionDetails']}"
         return found["result"].get("value")
 
     def wait(self, expression: str, what: str, timeout_s: float = PATIENCE_S) -> Any:
-        """Wait until an expression is true, looking at every picture the page draws, and return it."""
+        """Wait until an expression is true and return its value; it is evaluated after every picture of the page."""
         try:
             return wait_until(lambda: self.js(expression), what, timeout_s)
         except WaitTimeoutError as error:
@@ -249,7 +249,7 @@ class Page:
         return str(self.js(f"document.querySelector({selector!r}).textContent"))
 
     def click(self, selector: str) -> None:
-        """Click in the middle of what a selector finds, with the mouse, when it stands still and nothing covers it."""
+        """Click with the mouse in the middle of the selected element, when it does not move and nothing covers it."""
         x, y = self.wait(
             f"(async () => {{ const e = document.querySelector({selector!r}); if (!e) return;"
             " e.scrollIntoView({block: 'nearest'}); const frame = () => new Promise(requestAnimationFrame);"
@@ -273,13 +273,13 @@ class Page:
         self.call("Input.dispatchKeyEvent", type="keyUp", **common)
 
     def write(self, selector: str, text: str) -> None:
-        """Replace what a field holds, by the keyboard, and press Enter."""
+        """Replace the content of a field by the keyboard, and press Enter."""
         self.js(f"(() => {{ const e = document.querySelector({selector!r}); e.focus(); e.select(); }})()")
         self.call("Input.insertText", text=text)
         self.key("Enter")
 
     def choose(self, selector: str, value: str) -> None:
-        """Choose in a select."""
+        """Choose an entry of a select element."""
         self.js(
             f"(() => {{ const e = document.querySelector({selector!r}); e.value = {value!r};"
             " e.dispatchEvent(new Event('change', {bubbles: true})); })()"
@@ -289,15 +289,15 @@ class Page:
         path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
 
     def close(self) -> None:
-        """Close it with its profile, if it is open."""
+        """Close the page and its profile, if it is open."""
         if self._browser.forget(self._session):
             self._browser.call("Target.disposeBrowserContext", browserContextId=self._context)
 
 
 def serious_faults(page: Page) -> list[str]:
-    """Rule, element and what is wrong, of each fault that axe calls serious or critical; skips where axe is missing.
+    """Return rule, element and description of each fault that axe calls serious or critical; skip the test without axe.
 
-    A drawing is an image to those who cannot see it: its thousands of parts are left out.
+    For people who cannot see it, a drawing is one image, so its thousands of parts are left out.
     """
     axe = importlib.util.find_spec("axe_core_python")
     if axe is None:
@@ -315,7 +315,7 @@ def serious_faults(page: Page) -> list[str]:
 
 
 def wait_until(condition: Callable[[], Any], what: str, timeout_s: float = PATIENCE_S) -> Any:
-    """Return the result of `condition` as soon as it is true; it is called again and again."""
+    """Return the result of `condition` as soon as it is true; the function is called repeatedly."""
     deadline = time.monotonic() + timeout_s
     while not (found := condition()):
         if time.monotonic() > deadline:

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A campaign small enough for every test, and how two outcomes are compared."""
+"""A campaign small enough for every test, and the comparison of two outcomes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ studies:
 
 
 def assert_same(one: Outcome, other: Outcome) -> None:
-    """Compare what decides a campaign's numbers, bit for bit (NaN equals NaN)."""
+    """Compare the values that determine a campaign's numbers, bit for bit (NaN equals NaN)."""
     assert one.failure == other.failure
     assert one.skipped_hz == other.skipped_hz
     assert one.simulated_s == other.simulated_s

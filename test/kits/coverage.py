@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Comparison of stated uncertainties with the spread of draws, by fewer draws than counting alone would need."""
+"""Comparison of stated uncertainties with the spread of draws, with fewer draws than counting alone would need."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ WITHIN_2U = 0.9545
 
 
 def assert_covers(off):
-    """Assert that deviations over their standard uncertainties, shape (n, quantities), are as large as these say.
+    """Assert that deviations divided by their standard uncertainties, shape (n, quantities), have the stated size.
 
-    Their root mean square is 1 within three of its own standard deviations, and as many lie within ±2 as should. Of 300
-    the first sees an uncertainty that is 12 % too small or too large, which counting alone sees of 1,200.
+    Their root mean square must be 1 within three of its own standard deviations, and the right share must be within ±2.
+    With 300 draws, the first detects an uncertainty that is wrong by 12 %; counting alone would need 1,200.
     """
     off = np.asarray(off)
     spread, shares = np.sqrt(np.mean(np.square(off), axis=0)), np.mean(np.abs(off) < 2.0, axis=0)

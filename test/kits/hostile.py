@@ -13,7 +13,7 @@
 # limitations under the License.
 """Attacks on a node: number of cases, values of any kind, and the processes under attack.
 
-A short slice by default; IMPACT_RIG_HOSTILE=2000 draws that many cases of each kind.
+By default, a short sample is tested; IMPACT_RIG_HOSTILE=2000 tests this number of cases of each kind.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Attacked:
         self.monitors = [self.client.collect(name) for name in ("accelerometer", "laser", "base_displacement")]
 
     def record(self) -> None:
-        """Begin a run, whatever the recorder's parameters have become."""
+        """Start a run, whatever the parameters of the recorder are by now."""
         run = self.directory / f"run{len(self.runs)}"
         self.client.set_parameters("recorder", {"directory": str(run.parent), "name": run.name, "max_file_mb": 0})
         assert self.client.trigger("recorder/start") == str(run)
@@ -64,19 +64,19 @@ class Attacked:
         return int(self.client.figures(node).get(f"refused.{reason}", "0"))
 
     def refused_before(self, node: str, reason: str) -> int:
-        """Return the count once everything has been reported that was sent until now."""
+        """Return the count when everything that was sent before has been reported."""
         self.quiet()
         return self.refused(node, reason)
 
     def await_refusals(self, node: str, reason: str, count: int) -> None:
-        """Wait until diagnostics have counted `count` refusals; and they count no more, and explain the last."""
+        """Wait until diagnostics have counted `count` rejections, and no more; check that they explain the last one."""
         what = f"{count} refusals ({reason})"
         self.client.wait_until(lambda: self.refused(node, reason) >= count, what)
         assert self.refused(node, reason) == count
         assert count == 0 or self.client.figures(node)[f"last_refused.{reason}"]
 
     def assert_sound(self) -> None:
-        """New blocks come, finite and without a gap; every node answers and has caught no exception."""
+        """Assert that new blocks arrive, finite and without a gap, and that every node answers without an exception."""
         for collector in (self.scans, *self.monitors):
             collector.clear()
         self.client.wait_until(lambda: len(self.scans) >= 10 and all(self.monitors), "new blocks")
@@ -92,7 +92,7 @@ class Attacked:
             assert "refused.exception" not in self.client.figures(node), self.client.figures(node)
 
     def quiet(self) -> None:
-        """Wait for two reports: what was sent before is counted in the second."""
+        """Wait for two reports: messages sent before are counted in the second."""
         for _ in range(2):
             self.client.diagnostics.clear()
             self.client.wait_until(lambda: self.client.figures("rig"), "diagnostics")

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Names that command something where they are not taken for data, and a campaign whose studies are called so."""
+"""Names that would act as commands if they were not treated as data, and a campaign whose studies have such names."""
 
 from __future__ import annotations
 

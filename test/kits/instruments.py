@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Motions known in closed form, and configurations without errors: what the instruments are judged against.
+"""Motions known in closed form, and configurations without errors, with which the instruments are compared.
 
-`AnalyticMotion` is the oracle: it shares no code with the physics, quantities are formulas in t, breakpoints are exact.
+`AnalyticMotion` shares no code with the physics: quantities are formulas in t, and breakpoints are exact.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def configured(rate_hz: int = 10_000, exact: bool = False, **changes: object) ->
 
 
 class AnalyticMotion:
-    """A motion given by formulas of t; quantities without one are zero."""
+    """Motion given by formulas of t; quantities without a formula are zero."""
 
     def __init__(
         self,
@@ -97,7 +97,7 @@ def sine(frequency_hz: float, amplitude: float, phase: float = 0.0) -> Callable[
 
 
 def hertz_pulse(start_s: float, duration_s: float, peak: float) -> Callable[[np.ndarray], np.ndarray]:
-    """A force like that of a contact: δ^1.5 with δ half a sine, kinks of power 1.5 at both ends."""
+    """Force like that of a contact: δ^1.5 with δ half a sine, and kinks of power 1.5 at both ends."""
 
     def force(t: np.ndarray) -> np.ndarray:
         return peak * np.sin(np.pi * np.clip((t - start_s) / duration_s, 0.0, 1.0)) ** 1.5
@@ -106,7 +106,7 @@ def hertz_pulse(start_s: float, duration_s: float, peak: float) -> Callable[[np.
 
 
 def steps_of(start_s: float, duration_s: float, steps: int = 12) -> np.ndarray:
-    """Breakpoints of a contact that was integrated in so many steps."""
+    """Breakpoints of a contact that was integrated in this number of steps."""
     return start_s + duration_s * np.arange(steps + 1) / steps
 
 
@@ -131,7 +131,7 @@ def fitted(time_s: np.ndarray, values: np.ndarray, frequency_hz: float) -> compl
 
 
 def filtered(transfer: Transfer, time_s: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return the answer of a transfer function to densely sampled values, by scipy's state space: another road."""
+    """Return the response of a transfer function to densely sampled values, by SciPy's state space."""
     scale = 1e5  # time in tens of microseconds keeps the state matrix well conditioned
     order = len(transfer.poles) - len(transfer.zeros)
     zeros, poles = (np.array([complex(place) for place in places]) for places in (transfer.zeros, transfer.poles))

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A source without a rig: rings that a test fills, and a list of what was asked."""
+"""Source without a rig: ring buffers that a test fills, and a list of the requests."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class FakeSource:
 
 
 def scans(first: int, count: int, *, rate_hz: int = RATE, **columns: object) -> Table:
-    """A block from scan `first` on, some columns or all zero."""
+    """Block from scan `first` on; some columns are given, the others are zero."""
     rows = np.zeros(count, SCAN)
     rows["time"] = np.arange(count) / rate_hz
     for name, values in columns.items():

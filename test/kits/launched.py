@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The launch files without launch, which comes with an apt-installed ROS only: stand-ins that keep what they are given.
+"""Stand-ins for the package launch, which comes with an apt-installed ROS only: they keep their arguments.
 
-They take the arguments that launch and launch_ros of Jazzy take, as far as our files use them.
+They accept the arguments that launch and launch_ros of Jazzy accept, as far as our files use them.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from impact_rig.system.files import share_dir
 
 
 class Entity:
-    """An action or a substitution: its class's name and what it was made of."""
+    """Action or substitution: the name of its class, and its arguments."""
 
     def __init__(self, *args: Any, **words: Any) -> None:
         self.args, self.words = args, words
@@ -155,7 +155,7 @@ def description(path: Path) -> list[Entity]:
 
 
 def perform(value: Any, context: Context) -> Any:
-    """Return what a substitution stands for, or a plain value itself."""
+    """Return the value of a substitution, or a plain value itself."""
     if isinstance(value, dict):
         return {key: perform(inner, context) for key, inner in value.items()}
     if isinstance(value, (list, tuple)):
@@ -169,7 +169,7 @@ def declared(entities: list[Entity]) -> dict[str, DeclareLaunchArgument]:
 
 
 def context_of(entities: list[Entity], arguments: Mapping[str, str]) -> Context:
-    """Return the context after these arguments; one that is not declared, or not among the choices, is an error."""
+    """Return the context with these arguments; one that is not declared, or not among the choices, is an error."""
     known = declared(entities)
     assert set(arguments) <= set(known), f"not declared: {set(arguments) - set(known)}"
     context = Context({})
@@ -181,7 +181,7 @@ def context_of(entities: list[Entity], arguments: Mapping[str, str]) -> Context:
 
 
 def nodes(path: Path, pushed_namespace: str = "", **arguments: str) -> dict[str, dict[str, Any]]:
-    """Return what each node would be started with, by name, after these arguments, below a pushed namespace."""
+    """Return how each node would be started with these arguments, by name, below a pushed namespace."""
     entities = description(path)
     context = context_of(entities, arguments)
     context.launch_configurations = {"ros_namespace": pushed_namespace} if pushed_namespace else {}
@@ -196,7 +196,7 @@ def nodes(path: Path, pushed_namespace: str = "", **arguments: str) -> dict[str,
 
 
 def used(path: Path) -> set[str]:
-    """Return the arguments that a launch file asks for."""
+    """Return the arguments that a launch file uses."""
     LaunchConfiguration.asked.clear()
     nodes(path)
     return set(LaunchConfiguration.asked)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""An event loop for one piece of work, in a thread of its own: no loop is left for other tests to meet."""
+"""Event loop for one piece of work, in a separate thread, so that no loop is left for other tests."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ T = TypeVar("T")
 
 
 def run(work: Coroutine[Any, Any, T]) -> T:
-    """Result of a coroutine."""
+    """Return the result of a coroutine."""
     found: list[T] = []
     errors: list[BaseException] = []
 

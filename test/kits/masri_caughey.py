@@ -34,7 +34,7 @@ MASS_KG = sphere_kg()
 
 @attrs.frozen
 class Case:
-    """A row of the table: μ, ζ, e, g/X_s, r and what drives; then V/(ω X_s) to six digits, and the spectral radius."""
+    """Row of the table: μ, ζ, e, g/X_s, r and the drive; then V/(ω X_s) to six digits, and the spectral radius."""
 
     mu: float
     zeta: float
@@ -68,7 +68,7 @@ UNSTABLE = Case(0.003, 0.001, 0.35, 0.6, 1.0, "base", 0.395677, 1.557)
 
 @attrs.frozen
 class Orbit:
-    """The closed form: sphere speed V, structure and drive phase at the impact, and x(τ) for half a period."""
+    """Closed form of an orbit: sphere speed V, structure and drive phase at the impact, and x(τ) for half a period."""
 
     omega: float
     speed: float
@@ -85,7 +85,7 @@ class Orbit:
     """Beyond it there is no such motion."""
 
     def structure(self, tau: np.ndarray) -> np.ndarray:
-        """x(τ), 0 <= τ <= π/ω."""
+        """Return x(τ), 0 <= τ <= π/ω."""
         a, b, p, q = self.coefficients
         free = np.exp(-self.decay * tau) * (a * np.cos(self.omega_d * tau) + b * np.sin(self.omega_d * tau))
         return free + p * np.sin(self.omega * tau) + q * np.cos(self.omega * tau)

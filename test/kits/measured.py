@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Which programs that tests start are measured for coverage: those that ask to be.
+"""Choice of the programs started by tests that are measured for coverage: only those that ask for it.
 
-Most of them pass through what the tests' own process passes through line by line. Measured are those that alone reach
-something: kernels as plain Python, the nodes' and workers' beginnings. `tools/lines_passed` measures.
+Most programs pass the same lines as the tests' own process. Only those that alone reach some lines are measured:
+kernels as plain Python, and the start of nodes and workers. `tools/lines_passed` measures.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _HELD: dict[str, str] = {}
 
 
 def hold_back() -> None:
-    """Take out of this process's environment what makes a child of it measure its coverage."""
+    """Remove from this process's environment what would measure the coverage of its child processes."""
     if (data := os.environ.pop("IMPACT_RIG_LINES", None)) is not None:
         _HELD["IMPACT_RIG_LINES"] = data
         paths = [path for path in os.environ.pop("PYTHONPATH", "").split(os.pathsep) if path not in ("", FOLDER)]
@@ -37,7 +37,7 @@ def hold_back() -> None:
 
 
 def measured(environment: Mapping[str, str] = os.environ) -> dict[str, str]:
-    """Return an environment (this process's) whose children are measured, if this process is."""
+    """Return an environment (that of this process) whose child processes are measured, if this process is."""
     if not _HELD:
         return dict(environment)
     path = os.pathsep.join(filter(None, [FOLDER, environment.get("PYTHONPATH")]))

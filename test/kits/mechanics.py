@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Helpers for tests of the mechanics: rigs by a few words, drive segments, a lock-in, one contact of two bodies."""
+"""Helpers for tests of the mechanics: short definitions of rigs, drive segments, a lock-in, one contact."""
 
 from __future__ import annotations
 
@@ -32,33 +32,33 @@ OF_HYSTERETIC_FORM = tuple(name for name, law in LAWS.items() if issubclass(law,
 
 
 def rig(**sections: dict[str, object]) -> RigConfig:
-    """The nominal rig with other values: `rig(contact={"law": "hertz"})`."""
+    """Return the nominal rig with other values: `rig(contact={"law": "hertz"})`."""
     nominal = RigConfig()
     changed = {name: attrs.evolve(getattr(nominal, name), **new) for name, new in sections.items()}
     return attrs.evolve(nominal, **changed)
 
 
 def limit_case(**sections: dict[str, object]) -> RigConfig:
-    """The same beyond the ranges of a configuration: a wall that never moves, a contact that hardly yields."""
+    """Return the same beyond the ranges of a configuration: a wall that never moves, a contact that hardly yields."""
     with attrs.validators.disabled():
         return rig(**sections)
 
 
 def prescribed(**sections: dict[str, object]) -> RigConfig:
-    """The same on a prescribed base."""
+    """Return the same on a prescribed base."""
     sections["drive"] = {"kind": "prescribed"} | sections.get("drive", {})
     return rig(**sections)
 
 
 def benchmark_rig(**sections: dict[str, object]) -> RigConfig:
-    """The benchmark problem of the peers: prescribed base, ζ = 0.0045."""
+    """Return the benchmark problem of the peers: prescribed base, ζ = 0.0045."""
     return prescribed(structure={"damping_ratio": 0.0045}, **sections)
 
 
 def sine(
     frequency_hz: float, amplitude: float, duration_s: float, count: int = 1, phase: float = 0.0, first: int = 0
 ) -> NDArray[np.void]:
-    """`count` segments of a sine, without jumps of phase, from segment number `first` on."""
+    """Return `count` segments of a sine, without jumps of phase, from segment number `first` on."""
     rows = np.zeros(count, SEGMENT)
     rows["duration"] = duration_s
     rows["omega"] = TWO_PI * frequency_hz
@@ -69,12 +69,12 @@ def sine(
 
 
 def at_rest(duration_s: float, count: int = 1) -> NDArray[np.void]:
-    """Segments without drive."""
+    """Return segments without drive."""
     return sine(1.0, 0.0, duration_s, count)
 
 
 def of(motion: Motion, name: str, times: NDArray[np.float64], segment: int | None = None) -> NDArray[np.float64]:
-    """One quantity at offsets into one segment."""
+    """Return one quantity at offsets [s] into one segment."""
     number = motion.first_tick if segment is None else segment
     return motion.quantity(name, np.full(len(times), number), np.asarray(times, float))
 
@@ -82,16 +82,16 @@ def of(motion: Motion, name: str, times: NDArray[np.float64], segment: int | Non
 def lock_in(
     motion: Motion, name: str, frequency_hz: float, start_s: float, cycles: int, per_cycle: int = 64
 ) -> complex:
-    """Complex amplitude X of Im[X exp(jωt)] over whole cycles of one segment; t from the segment's start."""
+    """Return the complex amplitude X of Im[X exp(jωt)] over whole cycles of one segment; t counts from its start."""
     t = start_s + np.arange(cycles * per_cycle) / (per_cycle * frequency_hz)
     x = of(motion, name, t)
     return complex(2j * np.mean(x * np.exp(-1j * TWO_PI * frequency_hz * t)))
 
 
 def gauss(begin: NDArray[np.float64], end: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Instants and weights [s] that integrate over each piece, shapes (pieces, 48): Gauss's rule in a stretched time.
+    """Return Gauss's instants and weights [s] to integrate over each piece in a stretched time, shapes (pieces, 48).
 
-    A force begins and ends with the power 1.5 of the time: with t ~ 3u² − 2u³ it is smooth in u there too.
+    A force begins and ends with the power 1.5 of time; with t ~ 3u² − 2u³, it is smooth in u there as well.
     """
     nodes, weights = np.polynomial.legendre.leggauss(48)
     u = 0.5 * (1.0 + nodes)
@@ -100,14 +100,14 @@ def gauss(begin: NDArray[np.float64], end: NDArray[np.float64]) -> tuple[NDArray
 
 
 def transmissibility(config: RigConfig, frequency_hz: float) -> complex:
-    """X_1 / X_b of the linear rig, complex: the textbook's formula."""
+    """Return X_1 / X_b of the linear rig, complex, by the textbook's formula."""
     r, zeta = frequency_hz / config.structure.natural_frequency_hz, config.structure.damping_ratio
     return (1.0 + 2j * zeta * r) / (1.0 - r * r + 2j * zeta * r)
 
 
 @attrs.frozen
 class Hit:
-    """One simulated contact: what `truth/impacts` says of it, and the motion around it."""
+    """One simulated contact: its row of `truth/impacts`, and the motion around it."""
 
     approach_speed: float
     separation_speed: float
@@ -121,12 +121,12 @@ class Hit:
 
     @property
     def restitution(self) -> float:
-        """Separation speed over approach speed."""
+        """Separation speed divided by approach speed."""
         return self.separation_speed / self.approach_speed
 
 
 def hit(speed_m_s: float, *, structure_kg: float = 1e9, rtol: float | None = None, **contact: object) -> Hit:
-    """Let the sphere meet the right wall of a structure at rest that hardly feels its columns; no drive, no weight."""
+    """Let the sphere meet the right wall of a structure at rest on very soft columns, without drive and weight."""
     config = limit_case(
         drive={"kind": "prescribed"},
         structure={"mass_kg": structure_kg, "natural_frequency_hz": 1e-4},
@@ -145,11 +145,11 @@ def hit(speed_m_s: float, *, structure_kg: float = 1e9, rtol: float | None = Non
 
 
 def sphere_kg(config: RigConfig | None = None) -> float:
-    """Mass of the sphere."""
+    """Return the mass of the sphere [kg]."""
     return sphere_mass_kg((config or RigConfig()).sphere)
 
 
 def stiffness(config: RigConfig | None = None) -> float:
-    """Hertz stiffness of sphere on barrier [N/m^1.5]."""
+    """Return the Hertz stiffness of sphere and barrier [N/m^1.5]."""
     config = config or RigConfig()
     return hertz_stiffness_n_m32(config.sphere, config.barriers)

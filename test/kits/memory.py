@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Memory that a piece of work leaves behind."""
+"""Memory that a piece of work does not release."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from collections.abc import Callable
 
 
 def growth(work: Callable[[], object]) -> int:
-    """Return by how many bytes more is allocated after `work` than before; NumPy's arrays count."""
+    """Return how many more bytes are allocated after `work` than before; NumPy's arrays count."""
     tracemalloc.start()
     try:
         gc.collect()

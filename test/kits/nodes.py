@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Nodes in this process, in the executor of a client that plays the user: no threads, nothing sleeps."""
+"""Nodes in this process, run by the executor of a client that acts as the user: no threads, and no sleeping."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ DRIVEN = {"drive__amplitude": 0.52, "barriers__gap_m": 0.002}
 
 
 def dotted(values: dict[str, Any]) -> dict[str, Any]:
-    """Keys with `__` for the point, as configuration names."""
+    """Return the keys with a point for each `__`, as configuration names."""
     return {name.replace("__", "."): value for name, value in values.items()}
 
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Topics and services that every node opens, seen on the graph."""
+"""Topics and services that every node opens, as known to the graph."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Opened = dict[tuple[str, str], set[str]]
 
 
 def opened_by(namespace: str, clock: str, directory: str) -> dict[str, Opened]:
-    """Run every node in a namespace with a clock of its own, and return what each of them opens."""
+    """Run every node in a namespace with its own clock, and return what each of them opens."""
     arguments = ["--ros-args", "-r", f"/clock:={clock}"]
     makers: dict[str, tuple[Any, dict[str, Any]]] = {
         "rig": (RigNode, {"time.mode": "lockstep"}),

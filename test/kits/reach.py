@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Tests that a change can reach, from `git diff`, along the references of each Python file to others.
+"""Tests that a change can reach: from `git diff`, along the references of each Python file to others.
 
 A file reaches every file that names it: by import, by module name in a string (`python -m impact_rig.nodes`), by file
-name (`"hostile.py"`, `"nominal.yaml"`) or, if it is no module, by a folder of its path. That is more than is executed,
-never less; a file that is not named anywhere reaches everything.
+name (`"hostile.py"`, `"nominal.yaml"`) or, if it is not a module, by a folder of its path. This is at least what is
+executed. A file that is not named anywhere reaches everything.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ BY_NAME = re.compile(r"\b(?:import_module|lazily|iter_modules)\(")
 
 
 def changed(since: str) -> list[str]:
-    """Return the paths that differ from a commit, in the working tree or not yet known to git.
+    """Return the paths that differ from a commit, with changes of the working tree and files that git does not know.
 
     Raises:
         subprocess.CalledProcessError: this is no checkout, or there is no such commit.
@@ -84,7 +84,7 @@ class Reach:
         self._used = {path: self._uses(path) for path in self._texts}
 
     def files(self, paths: Iterable[str]) -> set[str] | None:
-        """Return the Python files that changes of `paths` can reach, tests among them; None for all there are."""
+        """Return the Python files, with tests, that changes of `paths` can reach; None means all files."""
         found: set[str] = set()
         for path in paths:
             first = {path} & self._texts.keys() or self._readers(path)
@@ -130,7 +130,7 @@ class Reach:
         return found - {path}
 
     def _readers(self, path: str) -> set[str]:
-        """Return the Python files that name a file which is no Python, or a folder (no package) that holds it."""
+        """Return the Python files that name a file which is not Python, or a folder (no package) that contains it."""
         folders = (above for above in Path(path).parents if above.name and f"{above}/__init__.py" not in self._strings)
         words = "|".join(re.escape(name) for name in {Path(path).name, *(above.name for above in folders)} - {"test"})
         named = re.compile(rf"(?:^|/)(?:{words})(?:$|/)", re.MULTILINE)

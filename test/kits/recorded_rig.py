@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A rig recorded without a ROS graph: what its node would publish, in the order it would."""
+"""Rig recorded without a ROS graph: the messages of its node, in the order of publication."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ PROVENANCE = Provenance(version="0", seed=5, wall_start_ns=0)
 
 
 def published(rig: Rig, blocks: int) -> Messages:
-    """Advance by so many blocks, and return what the node would publish."""
+    """Advance by this number of blocks, and return the messages that the node would publish."""
     found: Messages = []
     for _ in range(blocks):
         measured = rig.advance(rig.block_end_ns(1))
@@ -61,7 +61,7 @@ def published(rig: Rig, blocks: int) -> Messages:
 
 
 def edited(found: Messages, topic: str, change: Callable[[Any], Any]) -> Messages:
-    """Messages with a topic's entries or the rows of its tables passed through `change` (None: it is left out)."""
+    """Return messages in which a topic's entries, or rows of its tables, have passed `change` (None removes one)."""
     result: Messages = []
     for name, table in found:
         if name != topic:
@@ -106,13 +106,13 @@ def messages(seconds: int = 12, again: tuple[int, ...] = (), **values: object) -
 
 
 def spikes(start: int) -> Fault:
-    """A fault with a rate that has more digits than a journal row."""
+    """Fault with a rate that has more digits than a journal row."""
     return Fault(kind="spike_train", channel="laser", start_sample=start, value=1e-3, rate_hz=100.0 / 3.0)
 
 
 @attrs.frozen(eq=False)
 class Joints:
-    """A message of truth/joint_states, where a table would be."""
+    """Message of truth/joint_states, in place of a table."""
 
     stamp_ns: int
     values: np.ndarray
@@ -128,7 +128,7 @@ class Joints:
 
 
 def everything(rig: Rig, blocks: int, deeds: dict[int, Callable[[], object]] | None = None) -> list[tuple[str, Any]]:
-    """Advance by so many blocks and return what the node would publish about the rig, truth included."""
+    """Advance by this number of blocks, and return everything that the node would publish, with the truth."""
     found: list[tuple[str, Any]] = []
     described: list[bytes] = []
 
@@ -163,7 +163,7 @@ def everything(rig: Rig, blocks: int, deeds: dict[int, Callable[[], object]] | N
 
 @attrs.frozen(eq=False)
 class Remark:
-    """A text, where a table would be: what an operator notes, or the rig's configuration."""
+    """Text in place of a table: an operator's remark, or the rig's configuration."""
 
     text: str
     stamp_ns: int

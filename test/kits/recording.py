@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A small real run: every kind of message the rig publishes, as CDR bytes, without a ROS graph."""
+"""Small real run: every kind of message of the rig, as CDR bytes, without a ROS graph."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ CONFIG = b"rig:\n  ros__parameters:\n    daq:\n      rate_hz: 10000\n"
 
 
 class HandClock:
-    """Wall time that passes when told to."""
+    """Wall time that advances only on request."""
 
     def __init__(self) -> None:
         self.now_s = 100.0
@@ -71,7 +71,7 @@ def record(tmp_path: Path, clock: HandClock) -> Callable[..., RunWriter]:
 
 
 def type_hash(type_name: str) -> str:
-    """The RIHS01 hash that the installed interface states about itself."""
+    """Return the RIHS01 hash that the installed interface states about itself."""
     package, _, kind = type_name.split("/")
     description = json.loads((Path(sys.prefix) / "share" / package / "msg" / f"{kind}.json").read_text())
     return next(entry["hash_string"] for entry in description["type_hashes"] if entry["type_name"] == type_name)
@@ -95,7 +95,7 @@ ALL_TOPICS = (SCAN_TOPIC, APPLIED_TOPIC, NOTES_TOPIC, FREQUENCY_TOPIC, ACK_TOPIC
 
 
 def scan_block(number: int, *, scans: int = BLOCK_SCANS, start_ns: int = START_NS, seed: int = 0) -> bytes:
-    """CDR bytes of block `number`: quantised noise, as an ADC gives it."""
+    """Return the CDR bytes of block `number`: quantised noise, like that of a converter."""
     rng = np.random.default_rng((seed, number))
     rows = np.zeros(scans, SCAN)
     rows["time"] = np.arange(scans) / RATE_HZ
@@ -127,7 +127,7 @@ def header(stamp_ns: int, frame_id: str) -> bytes:
 
 @attrs.frozen
 class Sent:
-    """A message as it was handed to the writer, and the log time it must get."""
+    """Message as passed to the writer, and the log time that it must get."""
 
     topic: str
     data: bytes
@@ -139,7 +139,7 @@ class Sent:
 def fill(
     writer: RunWriter, blocks: int, *, first: int = 0, topics: tuple[TopicDescription, ...] = ALL_TOPICS
 ) -> list[Sent]:
-    """Record `blocks` blocks and what comes with them; return what was sent, in order."""
+    """Record `blocks` blocks and the messages between them; return what was sent, in order."""
     for known in topics:
         writer.add_topic(known)
     sent: list[Sent] = []
@@ -164,7 +164,7 @@ def fill(
 
 
 def foreign_file(path, *, chunked=True, crc=True):
-    """A file of another writer."""
+    """Write a file as another writer would."""
     writer = Writer(str(path), compression=CompressionType.NONE, use_chunking=chunked, enable_crcs=crc)
     writer.start("ros2")
     schema = writer.register_schema(POINT_CLOUD, "ros2msg", SCAN_TOPIC.schema.encode())

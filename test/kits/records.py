@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Records whose truth is known in closed form: no simulator, no instrument model of the package."""
+"""Records whose truth is known in closed form, without simulator and instrument models of the package."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ LAG_S = {"accelerometer": 22.5e-6, "laser": 0.7e-3, "base": 0.225e-3, "current":
 
 
 def linear_transmissibility(frequency_hz, f_n=F_N, zeta=ZETA):
-    """DT of a base-excited single degree of freedom, complex: (1 + 2iζr) / (1 − r² + 2iζr)."""
+    """Return DT of a base-excited single degree of freedom, complex: (1 + 2iζr) / (1 − r² + 2iζr)."""
     r = np.asarray(frequency_hz) / f_n
     return (1 + 2j * zeta * r) / (1 - r**2 + 2j * zeta * r)
 
 
 def info_rows(rate_hz=10_000, *, gain_u=1e-3, ideal=False, since_start=0.0):
-    """A daq/info like the rig's: skewed channels, a slow laser, or ideal instruments without any of it."""
+    """Return a daq/info like the rig's: skewed channels and a slow laser, or ideal instruments without both."""
     rows = np.zeros(4, DAQ_INFO)
     rows["name"], rows["unit"], rows["rate"] = CHANNELS, ("m/s^2", "m", "m", "A"), rate_hz
     rows["sensitivity"], rows["range_high"] = 1.0, (1750.0, 0.01, 0.0125, 25.0)
@@ -76,12 +76,12 @@ def steady_record(
     transient=None,
     phase=0.3,
 ):
-    """Scans of a settled rig as its channels report them.
+    """Return the scans of a settled rig as its channels report them.
 
     Args:
-        ratio: complex DT; that of the linear rig if None.
-        noise: times the channels' rms.
-        harmonics: amplitudes of 2nd, 3rd … harmonic of x_1, relative to its fundamental, after the sensor.
+        ratio: complex DT; None means that of the linear rig.
+        noise: factor of the channels' rms noise.
+        harmonics: amplitudes of the 2nd, 3rd … harmonic of x_1 after the sensor, relative to its fundamental.
         transient: complex DT as a function of time [s], instead of a constant.
     """
     info = info_rows(rate_hz) if info is None else info
@@ -104,7 +104,7 @@ def steady_record(
 
 
 def blocks(rows, rate_hz, sizes, *, start_ns=0, first=0) -> Iterator[Table]:
-    """Cut scans into daq/scan tables; `sizes` is one length for all or an iterable of lengths."""
+    """Divide scans into daq/scan tables; `sizes` is one length for all, or an iterable of lengths."""
     sizes = iter([sizes] * (len(rows) // sizes + 1) if isinstance(sizes, int) else sizes)
     at = 0
     while at < len(rows):
@@ -121,7 +121,7 @@ def applied(frequency_hz, current_a=0.5, at_ns=0, time_s=0.0) -> Table:
 
 
 def feed_all(tracker, tables: Iterable[Table]):
-    """Feed tables; return the measurement rows and the impact tables."""
+    """Feed tables; return the rows of measurements and the tables of impacts."""
     found = [tracker.feed(table) for table in tables]
     return (
         [table for one in found for table in one.measurements],
@@ -138,9 +138,10 @@ _PULSES: dict[float, np.ndarray] = {}
 
 
 def contact_pulse(speed_m_s, m_1=0.13, m=1.0524e-3, e=0.31):
-    """Acceleration of the superior base by one contact as the accelerometer gives it, at FINE_HZ from first touch.
+    """Return the acceleration by one contact as the accelerometer reports it, at FINE_HZ from first touch.
 
-    Hertz-like pulse of 42.1 µs · (0.5 / v)^(1/5) and the right impulse, 25 kHz resonance of Q 30, 10 kHz two-pole.
+    The pulse is that of Hertz, 42.1 µs · (0.5 / v)^(1/5) long with the right impulse; resonance at 25 kHz with Q 30,
+    two poles at 10 kHz.
     """
     speed = float(f"{speed_m_s:.2g}")
     if speed not in _PULSES:

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A rig that hits its walls soon, and what of its blocks can be compared bit for bit."""
+"""Rig that soon hits its walls, and the parts of its blocks that can be compared bit for bit."""
 
 from __future__ import annotations
 
@@ -31,35 +31,35 @@ START_NS = 1_700_000_000_123_456_789
 
 
 def paper_rig(**values: object) -> RigConfig:
-    """The default rig with some values changed; keys with `__` for the point."""
+    """Return the default rig with some values changed; keys have `__` for the point."""
     return from_flat(RigConfig(), {name.replace("__", "."): value for name, value in values.items()})
 
 
 def config(**values: object) -> RigConfig:
-    """A rig that hits its walls within half a second: resonance, 2 mm gap; keys with `__` for the point."""
+    """Return a rig that hits its walls within half a second: resonance, 2 mm gap; keys have `__` for the point."""
     return paper_rig(**{"barriers__gap_m": 0.002, "drive__amplitude": 0.52, **values})
 
 
 def samples(blocks: list[Block]) -> np.ndarray:
-    """All scans of the blocks without their times, as bytes-comparable rows."""
+    """Return all scans of the blocks without their times, as rows that can be compared by bytes."""
     rows = np.concatenate([block.scan.rows for block in blocks])
     return repack_fields(rows[[*CHANNELS, "status"]])
 
 
 def impacts(blocks: list[Block]) -> np.ndarray:
-    """All true contacts, columns that do not depend on the block they were reported in."""
+    """Return all true contacts, with the columns that do not depend on the block in which they were reported."""
     parts = [block.impacts.rows for block in blocks if block.impacts is not None]
     rows = np.concatenate(parts)
     return repack_fields(rows[[name for name in rows.dtype.names if name != "time"]])
 
 
 def same(one: np.ndarray, other: np.ndarray) -> bool:
-    """Bit for bit."""
+    """Return whether two results are equal bit for bit."""
     return one.tobytes() == other.tobytes()
 
 
 def resimulated(blocks: list[Block], journal: Iterable[JournalEntry]) -> list[Block]:
-    """Return what the journal gives for these blocks; it must be them, scan by scan and stamp by stamp."""
+    """Return the blocks that the journal gives; assert that they equal these, scan by scan and stamp by stamp."""
     copies = [copy for copy, _ in zip(resimulate(journal), blocks, strict=False)]
     for copy, block in zip(copies, blocks, strict=True):
         assert copy.scan.stamp_ns == block.scan.stamp_ns, f"block {block.number}"

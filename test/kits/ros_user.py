@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A user of the graph on a ROS domain of its own."""
+"""A user of the graph, on its own ROS domain."""
 
 from __future__ import annotations
 
@@ -24,6 +24,6 @@ from impact_rig.client import Client, isolated_domain
 
 @pytest.fixture
 def client() -> Iterator[Client]:
-    """A client alone on its domain."""
+    """Client that is alone on its domain."""
     with isolated_domain() as domain_id, Client(domain_id) as user:
         yield user

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A tracker ready to measure, records it settles on, and one scenario with everything that can interrupt it."""
+"""Tracker that is ready to measure, records on which it settles, and one scenario with every interruption."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def record(frequency_hz=9.1, seconds=14.0, *, rate_hz=RATE, seed=1, **options):
 
 @functools.cache
 def scenario(rate_hz=RATE):
-    """Everything at once: a change of frequency, an over-range spell, a NaN, impacts, a hole. (rows, events)."""
+    """Rows and events of the scenario: a change of frequency, an over-range, a NaN, impacts and a gap."""
     rng = np.random.default_rng(3)
     first = steady_record(9.1, 9.0, rate_hz=rate_hz, rng=rng)
     second = steady_record(9.5, 27.0, rate_hz=rate_hz, rng=rng)

@@ -23,7 +23,7 @@ import pytest
 
 @pytest.fixture(scope="session")
 def mkdocs() -> ModuleType:
-    """The website's builder, or the reason why its tests are left out."""
+    """Return the website's builder; without it, skip the tests and say why."""
     return pytest.importorskip("mkdocs", reason="make venv installs the website's builder")
 
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The website as built: strict, every link, block and picture in it there, nothing fetched from elsewhere."""
+"""The built website: strict, with every link, block and picture present, and nothing fetched from elsewhere."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PAGES = sorted(path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md"))
 
 
 class Found(HTMLParser):
-    """Content of a page: its links, its anchors and its blocks of code."""
+    """Parser of a page: its links, its anchors and its blocks of code."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -111,7 +111,7 @@ def test_every_block_of_code_is_a_block_and_no_fence_is_left_as_text(site, found
 
 
 def test_a_link_to_nowhere_ends_the_build(mkdocs, tmp_path):
-    """The very configuration, with one page of one bad link."""
+    """The configuration is the real one, with one page that has one bad link."""
     from mkdocs.commands.build import build as build_site
     from mkdocs.config import load_config
     from mkdocs.exceptions import Abort
