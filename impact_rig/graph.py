@@ -207,18 +207,18 @@ class Node:
     makes_time: bool = False  # publishes the clock; other nodes follow it if rig time is not the system time
 
     def published(self, table: Iterable[topics.Topic]) -> list[str]:
-        """Return the topics that it publishes, as relative names, without those of ROS itself."""
+        """Return the topics that the node publishes, as relative names, without those of ROS itself."""
         own = [topic.name for topic in table if topic.publisher in (self.name, topics.DIAGNOSTICS.publisher)]
         return [*own, *self.publishes]
 
     def subscribed(self, table: Iterable[topics.Topic]) -> list[str]:
-        """Return the topics that it subscribes to, as relative names, including the clock if it follows one."""
+        """Return the topics that the node subscribes to, as relative names, with the clock if it follows one."""
         recorded = [topic.name for topic in table if topic.recorded] if self.subscribes_recorded else []
         clock = [] if self.makes_time else [topics.CLOCK.name]
         return list(dict.fromkeys((*self.subscribes, *recorded, *clock)))
 
     def services(self) -> list[str]:
-        """Return its services, as private names, without those of ROS itself."""
+        """Return the services of the node, as private names, without those of ROS itself."""
         own = [service.name for service in SERVICES if service.node == self.name]
         return [*own, *(SIMULATION_SERVICES.values() if self.makes_time else ())]
 

@@ -191,7 +191,7 @@ def parse(raw: str | bytes) -> Request:
     """Parse a request.
 
     Raises:
-        RequestError: it is too long, not a JSON object, or unknown, or a value is invalid.
+        RequestError: the request is too long, not a JSON object, or unknown, or a value is invalid.
     """
     if len(raw) > LONGEST_REQUEST:
         raise RequestError(f"a request must have at most {LONGEST_REQUEST} bytes, got {len(raw)}")

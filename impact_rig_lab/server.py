@@ -97,7 +97,7 @@ def plotter_files() -> Path:
     """Return the folder with uPlot, from the package `uplot-python`, without importing that package.
 
     Raises:
-        ImpactRigError: it is not installed.
+        ImpactRigError: the package is not installed.
     """
     found = importlib.util.find_spec("uplot")
     if found is None or found.origin is None:

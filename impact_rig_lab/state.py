@@ -91,7 +91,7 @@ class Seen:
 
     @property
     def lives(self) -> bool:
-        """Return whether it reported recently, and its process has not ended."""
+        """Return whether the node has reported recently, and its process has not ended."""
         return not self.ended and self.age_s is not None and self.age_s <= DEAD_S
 
     def part(self) -> dict[str, Any]:

@@ -358,7 +358,7 @@ class Client:
         """Spin until `condition()` is true, and return its value.
 
         Raises:
-            WaitTimeoutError: it did not become true in time; the message names `what`.
+            WaitTimeoutError: the condition did not become true in time; the message names `what`.
             ProcessDiedError: a watched process ended.
         """
         deadline = self._spinner.waited_s() + timeout_s
@@ -489,7 +489,7 @@ class Client:
         return row
 
     def refusal(self, *reasons: str) -> Callable[[], str]:
-        """Return a function that gives the rig's message once it rejects something, and "" until then.
+        """Return a function that returns the rig's message as soon as the rig rejects something, and "" until then.
 
         A rig reports rejections in its diagnostics, within a second, without naming the sender. Rejected commands of
         other senders therefore count, too.

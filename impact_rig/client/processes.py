@@ -70,7 +70,7 @@ class NodeProcess:
         return self.process.poll()
 
     def last_words(self) -> str:
-        """Return the last lines of its log."""
+        """Return the last lines of the log of the process."""
         lines = self.log.read_text(errors="replace").splitlines()[-QUOTED_LINES:]
         return "\n".join(f"    {line}" for line in lines) or "    (no output)"
 
@@ -232,7 +232,7 @@ def domain_of_environment() -> int:
     """Return the ROS domain of this process.
 
     Raises:
-        ImpactRigError: it is not a number.
+        ImpactRigError: `ROS_DOMAIN_ID` is not a number.
     """
     value = os.environ.get("ROS_DOMAIN_ID") or "0"
     if not value.isdecimal():

@@ -130,7 +130,7 @@ def parameters_in(text: str) -> dict[str, object]:
     """Return the values in a configuration file, by dotted name, as they are written there.
 
     Raises:
-        ConfigError: it is no YAML, or no mapping of sections.
+        ConfigError: the text is not YAML, or not a mapping of sections.
     """
     try:
         document = budget.load_yaml(text, MAX_FILE_BYTES)

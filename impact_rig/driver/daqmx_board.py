@@ -122,8 +122,8 @@ class BoardChannel:
 
     @property
     def is_accelerometer(self) -> bool:
-        """Return whether its readings are accelerations."""
-        return self.unit != "Volts"
+        """Return whether the channel reads accelerations."""
+        return self.per_volt != 1.0
 
 
 @attrs.define(eq=False)
@@ -669,7 +669,7 @@ class Board:
         """Return the rig, running at the rates that the tasks need.
 
         Raises:
-            DaqmxError: it cannot run at these rates now.
+            DaqmxError: the rig cannot run at these rates now.
         """
         rates = {}
         for kind, key in RATE_KEYS.items():
@@ -693,7 +693,7 @@ class Board:
         """Return the configuration of a rig with other rates, in blocks of 10 ms.
 
         Raises:
-            DaqmxError: it cannot run at these rates.
+            DaqmxError: the rig cannot run at these rates.
         """
         if self._fixed is not None:
             known = {"daq.rate_hz": self._fixed.rate_hz, "drive.stream_rate_hz": self._fixed.stream_rate_hz}

@@ -389,7 +389,7 @@ def write_metadata(directory: Path, info: Information) -> None:
     """Write `metadata.yaml` completely or not at all.
 
     Raises:
-        RecordingError: it cannot be written.
+        RecordingError: the file cannot be written.
     """
     path = directory / METADATA_FILE
     with files.translate_errors(f"cannot write {path}"):

@@ -201,7 +201,7 @@ class Run:
         If several have the same name, the first one is returned, which was attached at the start.
 
         Raises:
-            RecordingError: one is damaged.
+            RecordingError: an attachment is damaged.
         """
         found: dict[str, bytes] = {}
         for source in self.sources:
@@ -248,7 +248,7 @@ class Run:
         """Return the full name of a recorded topic; see `name`.
 
         Raises:
-            RecordingError: it was not recorded; or there are several rigs, and none was chosen.
+            RecordingError: the topic was not recorded; or there are several rigs, and none was chosen.
         """
         name = self.name(wanted)
         if name not in self.topics:
@@ -471,7 +471,7 @@ def run_files(path: Path) -> list[Path]:
     """Return the MCAP files of a run in the order of writing.
 
     Raises:
-        RecordingError: there are none, or one that `metadata.yaml` lists is missing.
+        RecordingError: the run has no MCAP file, or one that `metadata.yaml` lists is missing.
     """
     if path.is_file():
         return [path]
@@ -559,7 +559,7 @@ class McapSource:
     """Finished MCAP file, opened for reading.
 
     Raises:
-        RecordingError: it cannot be opened, is not finished or is damaged.
+        RecordingError: the file cannot be opened, is not finished or is damaged.
     """
 
     def __init__(self, path: Path) -> None:
@@ -654,7 +654,7 @@ class McapSource:
         """Return the records of a segment, decompressed, and checked if they carry a checksum.
 
         Raises:
-            RecordingError: it is damaged.
+            RecordingError: the segment is damaged.
         """
         if segment.chunk is None:
             with files.translate_errors(f"cannot read {self.path} at byte {segment.offset}"):
@@ -672,7 +672,7 @@ class McapSource:
         """Return the attachments.
 
         Raises:
-            RecordingError: one is damaged.
+            RecordingError: an attachment is damaged.
         """
         found = (record for record, _ in self.attachment_records())
         return [Attachment(record.name, bytes(record.data), record.media_type) for record in found]
@@ -681,7 +681,7 @@ class McapSource:
         """Return the attachment records, and for each whether it carries a (matching) checksum.
 
         Raises:
-            RecordingError: one is damaged.
+            RecordingError: an attachment is damaged.
         """
         found = []
         for index in self.summary.attachment_indexes:
@@ -700,7 +700,7 @@ class McapSource:
         """Return name and content of the metadata records. MCAP does not protect the content by a checksum.
 
         Raises:
-            RecordingError: one is not a metadata record.
+            RecordingError: a metadata record is damaged.
         """
         found = []
         for index in self.summary.metadata_indexes:

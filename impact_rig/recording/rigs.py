@@ -71,7 +71,7 @@ def choose(known: Iterable[str], wanted: str | None, where: object) -> str:
         where: recording, for the error.
 
     Raises:
-        RecordingError: there is no such rig, or there are several and none was chosen.
+        RecordingError: the recording has no such rig, or has several and none was chosen.
     """
     found = list(known)
     names = ", ".join(map(namespace, found)) or "none"

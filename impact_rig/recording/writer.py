@@ -545,7 +545,8 @@ def make_room(directory: Path) -> None:
     """Create the directory of a run, with its parents, if needed.
 
     Raises:
-        RecordingError: it cannot be created, belongs to another user, or contains a recording: nothing is overwritten.
+        RecordingError: the directory cannot be created, belongs to another user, or contains a recording: nothing is
+            overwritten.
     """
     try:
         files.make_folder(directory)
@@ -718,7 +719,7 @@ class McapFile:
         """Pass all complete records to the operating system.
 
         Raises:
-            RecordingError: they cannot be written; the file ends with the last complete record.
+            RecordingError: the records cannot be written; the file ends with the last complete record.
         """
         if not self._buffer.pending():
             return
@@ -850,7 +851,7 @@ class Tail(McapFile):
         """Pass the messages since the last call to the operating system.
 
         Raises:
-            RecordingError: they cannot be written.
+            RecordingError: the messages cannot be written.
         """
         if self._log_times:
             self.add_record(_chunk(b"".join(self._records), min(self._log_times), max(self._log_times)))
@@ -861,7 +862,7 @@ class Tail(McapFile):
         """Remove the file, because the chunk has been written.
 
         Raises:
-            RecordingError: it cannot be removed.
+            RecordingError: the file cannot be removed.
         """
         self.close()
         with files.translate_errors(f"cannot remove {self.path}"):

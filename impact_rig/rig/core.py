@@ -107,7 +107,7 @@ def _check_together(config: RigConfig, model: Model) -> None:
     """Check that the mechanics can resolve the combination of masses and modes.
 
     Raises:
-        ConfigError: it cannot.
+        ConfigError: the mechanics cannot resolve the combination.
     """
     mass_kg, structure_kg = float(model.parameters["m"][0]), config.structure.mass_kg
     if mass_kg > structure_kg:
@@ -141,7 +141,7 @@ class Block:
     lost: bool  # a lost_block fault acts on one of its scans: the scans are withheld, truth and monitors are not
 
     def tables(self) -> list[tuple[topics.Topic, Table]]:
-        """Return its tables in the order of publication: scans first, then their truth."""
+        """Return the tables of the block in the order of publication: scans first, then their truth."""
         order = (topics.SCAN, topics.IMPACTS_TRUTH, topics.FAULTS, topics.TRUTH_SCAN)
         tables = (None if self.lost else self.scan, self.impacts, self.faults, self.truth)
         return [(topic, table) for topic, table in zip(order, tables, strict=True) if table is not None]

@@ -59,7 +59,7 @@ def allow(what: str, amount: float, limit: float) -> None:
     """Raise an error if `amount` is above `limit` times the factor in the environment.
 
     Raises:
-        BudgetError: it is above; the message names both, and how to raise the limit.
+        BudgetError: `amount` is above the limit; the message names both, and how to raise the limit.
     """
     if amount > limit and amount > limit * factor():
         now = f"{limit * factor():.0f}"
@@ -94,7 +94,7 @@ class ReadBudget:
         """Count a chunk of `size` bytes, before it is decompressed.
 
         Raises:
-            BudgetError: it is too large, or all are too large together.
+            BudgetError: the chunk is too large, or all chunks together are.
         """
         allow("bytes in a chunk", size, CHUNK_BYTES)
         self._decompressed += size
@@ -125,7 +125,7 @@ def load_yaml(text: str, limit: int) -> object:
     """Parse a plain YAML text of at most `limit` characters.
 
     Raises:
-        PlainYamlError: it is longer, invalid, has an alias or a duplicate key, or is nested deeper than `MAX_DEPTH`.
+        PlainYamlError: the text is longer, invalid, has an alias or a duplicate key, or is nested too deep.
     """
     if len(text) > limit:
         raise PlainYamlError(f"it has more than {limit} characters")

@@ -30,7 +30,7 @@ def load(module: str, purpose: str, extra: str) -> Any:  # a module, whose names
         extra: name of the extra in `setup.py`.
 
     Raises:
-        ImpactRigError: it is not installed; the message has the command that installs it.
+        ImpactRigError: the module is not installed; the message has the command that installs it.
     """
     try:
         return importlib.import_module(module)

@@ -56,7 +56,7 @@ def open_regular(path: Path) -> int:
     """Return a descriptor of a regular file, open for reading.
 
     Raises:
-        OSError: it cannot be opened, or is a directory, FIFO, socket or device.
+        OSError: the file cannot be opened, or is a directory, FIFO, socket or device.
     """
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)  # do not wait for the writer of a FIFO
     mode = os.fstat(descriptor).st_mode
@@ -72,7 +72,7 @@ def read_bytes(path: Path, limit: int) -> bytes:
     """Return the content of a regular file of at most `limit` bytes.
 
     Raises:
-        OSError: it cannot be read, is not a regular file, or is larger; a larger file is not read at all.
+        OSError: the file cannot be read, is not a regular file, or is larger; a larger file is not read at all.
     """
     with os.fdopen(open_regular(path), "rb") as file:
         if os.fstat(file.fileno()).st_size <= limit:
@@ -115,7 +115,7 @@ def _create_partial(path: Path) -> tuple[int, Path]:
     """Create the file that becomes `path`, locked while this process writes it; replace one left by a killed process.
 
     Raises:
-        OSError: it cannot be created.
+        OSError: the file cannot be created.
     """
     usual = path.with_name(f".{path.name[:100]}.partial")
     with contextlib.suppress(OSError):
@@ -143,7 +143,7 @@ def write_text(path: Path, text: str) -> None:
     """Write a text file completely or not at all; an existing file is replaced.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: the file cannot be written.
     """
     with atomic_write(path) as file:
         file.write(text.encode())
@@ -153,7 +153,7 @@ def write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[object]]
     """Write a table as CSV: numbers read back as the same doubles, NaN becomes an empty cell, texts are never formulas.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: the file cannot be written.
     """
     text = io.StringIO(newline="")
     writer = csv.writer(text)
@@ -260,7 +260,7 @@ def make_folder(path: Path) -> None:
     this user may write to.
 
     Raises:
-        OSError: it cannot be created, or is a link.
+        OSError: the folder cannot be created, or is a link.
     """
     if not path.is_symlink():
         path.mkdir(parents=True, exist_ok=True)
@@ -287,7 +287,7 @@ def refuse_foreign(directory: Path) -> None:
     """Reject a directory, or a link to one, that belongs to another user: the owner can change its content.
 
     Raises:
-        PermissionError: it does; the message names the owner.
+        PermissionError: another user owns it; the message names that user.
     """
     owners = {directory.stat().st_uid, directory.lstat().st_uid} - {os.geteuid()}
     if owners:

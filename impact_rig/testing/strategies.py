@@ -239,10 +239,10 @@ Action = RigAction | Reset | LateJoin | Delay | First | Burst | Duplicate | Drop
 
 
 def scheduled(rig: RigDriver) -> ScheduledRig:
-    """Return a rig as the scheduled rig that it must be.
+    """Return a rig as a scheduled rig.
 
     Raises:
-        TypeError: it is another one.
+        TypeError: the rig is not a scheduled rig.
     """
     from impact_rig.testing.schedule import ScheduledRig  # noqa: PLC0415  # needs ROS
 

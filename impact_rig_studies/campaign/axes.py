@@ -57,7 +57,7 @@ def number(key: str, value: object, low: float, high: float = math.inf) -> float
     """Check a number in (low, high] and return it.
 
     Raises:
-        ConfigError: it is not a number, or out of range.
+        ConfigError: the value is not a number, or is out of range.
     """
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise wrong(key, "a number", value)
@@ -70,7 +70,7 @@ def whole(key: str, value: object, low: int, high: int) -> int:
     """Check an integer in [low, high] and return it.
 
     Raises:
-        ConfigError: it is not an integer, or out of range.
+        ConfigError: the value is not an integer, or is out of range.
     """
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise wrong(key, f"an integer >= {low} and <= {high}", value)
@@ -81,7 +81,7 @@ def word(key: str, value: object, choices: Iterable[str]) -> str:
     """Check that a value is one of `choices` and return it.
 
     Raises:
-        ConfigError: it is not.
+        ConfigError: the value is not one of `choices`.
     """
     allowed = list(choices)
     if value not in allowed:
@@ -98,7 +98,7 @@ def mapping(key: str, value: object) -> dict[str, object]:
     """Return a mapping with texts as keys; a missing value counts as empty.
 
     Raises:
-        ConfigError: it is not a mapping.
+        ConfigError: the value is not a mapping.
     """
     if value is None:
         return {}
@@ -111,7 +111,7 @@ def values(key: str, value: object) -> list[object]:
     """Return the items of a list, of one value, or of `{from: a, to: b, step: s}`, without duplicates.
 
     Raises:
-        ConfigError: it is empty, has duplicates, or is not a valid range.
+        ConfigError: the list is empty or has duplicates, or the range is invalid.
     """
     items: list[object]
     if isinstance(value, dict):

@@ -176,7 +176,7 @@ def load_campaign(
 
     Raises:
         ConfigError: the file cannot be read or is wrong; the message names key, value, range and file.
-        BudgetError: it has too many points.
+        BudgetError: the campaign has too many points.
     """
 
     def read(document: object, text: str) -> Campaign:

@@ -62,7 +62,7 @@ class Point:
 
     @property
     def settled(self) -> bool:
-        """Return whether all its rows are settled measurements."""
+        """Return whether all rows of the point are settled measurements."""
         return len(self.rows) > 0 and not self.failure
 
     @property

@@ -134,7 +134,7 @@ def prepare(campaign: Campaign, directory: Path, through: str) -> Store:
     """Create the campaign's directory and return its store.
 
     Raises:
-        RecordingError: it cannot be written, or contains something else.
+        RecordingError: the directory cannot be written, or contains something else.
     """
     if directory.exists() and any(directory.iterdir()) and not (directory / CAMPAIGN_FILE).exists():
         raise RecordingError(f"{directory} is not empty and holds no campaign: choose another --output")
@@ -164,7 +164,7 @@ def open_finished(directory: Path) -> Finished:
     """Return the campaign in a directory.
 
     Raises:
-        ConfigError: it is not the directory of a campaign.
+        ConfigError: `directory` is not the directory of a campaign.
     """
     if not (directory / CAMPAIGN_FILE).exists() or not (directory / FOLDER).is_dir():
         raise ConfigError(

@@ -65,7 +65,7 @@ class Store:
         damaged: problems of results that are therefore measured again.
 
     Raises:
-        RecordingError: it cannot be written.
+        RecordingError: the directory cannot be written.
     """
 
     def __init__(self, directory: Path) -> None:
@@ -100,7 +100,7 @@ class Store:
         """Store the outcome of a job.
 
         Raises:
-            RecordingError: it cannot be written.
+            RecordingError: the result cannot be written.
         """
         packed = io.BytesIO()
         if outcome.trace:

@@ -102,7 +102,7 @@ class TaskStore(Generic[T]):
         """Create the directory.
 
         Raises:
-            RecordingError: it cannot be written, or contains something else.
+            RecordingError: the directory cannot be written, or contains something else.
         """
         if self.directory.exists() and any(self.directory.iterdir()) and not self.file.exists():
             raise RecordingError(f"{self.directory} is not empty and holds no {self.what}: choose another --output")
@@ -115,7 +115,7 @@ class TaskStore(Generic[T]):
         """Return the rig of an existing directory.
 
         Raises:
-            ConfigError: it is not the directory of such a study.
+            ConfigError: the directory is not that of such a study.
         """
         if not self.file.exists() or not (self.directory / self.folder).is_dir():
             raise ConfigError(
@@ -145,7 +145,7 @@ class TaskStore(Generic[T]):
         """Store the rows of a task.
 
         Raises:
-            RecordingError: it cannot be written.
+            RecordingError: the result cannot be written.
         """
         plain = [[value if isinstance(value, str) or math.isfinite(value) else None for value in row] for row in rows]
         content = {"task": task.describe(), "key": task.key, "code": self.code(), "rows": plain}
@@ -205,7 +205,7 @@ def load_plan(path: Path, what: str, read: Callable[[object, str], P]) -> P:
 
     Raises:
         ConfigError: the file cannot be read or is wrong; the message ends with the file.
-        BudgetError: it would take too long.
+        BudgetError: the study would take too long.
     """
     try:
         text = str(files.read_bytes(path, MAX_FILE_BYTES), "utf-8")

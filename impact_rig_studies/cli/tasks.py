@@ -87,7 +87,7 @@ def figures_folder(arguments: argparse.Namespace, directory: Path) -> Path:
     """Create and return the folder of a study's figures: the requested one, or one in its directory.
 
     Raises:
-        RecordingError: it cannot be created.
+        RecordingError: the folder cannot be created.
     """
     folder: Path = arguments.figures or directory / "figures"
     with files.translate_errors(f"cannot write {folder}"):

@@ -110,7 +110,7 @@ class StudyTask(HashedTask):
         """Return stored rows.
 
         Raises:
-            ValueError: they do not belong to this kind.
+            ValueError: the rows do not belong to this kind.
         """
         if any(len(row) != len(COLUMNS[self.kind]) for row in rows):
             raise ValueError("not rows of this kind")
@@ -208,7 +208,7 @@ def open_study(directory: Path, kind: str) -> FinishedStudy:
     """Return the study of one kind in a directory.
 
     Raises:
-        ConfigError: it is not the directory of a dynamics study, or not of that kind, or nothing is stored in it.
+        ConfigError: the directory is not that of a dynamics study of this kind, or nothing is stored in it.
     """
     kept = store(directory)
     plan = load(kept.file, kind, kept.configuration())
@@ -228,7 +228,7 @@ def kinds(directory: Path) -> list[str]:
     """Return the kinds of study with stored results in a directory.
 
     Raises:
-        ConfigError: it is not the directory of dynamics studies.
+        ConfigError: the directory is not that of dynamics studies.
     """
     kept = store(directory)
     rig = kept.configuration()

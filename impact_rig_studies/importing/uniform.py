@@ -174,7 +174,7 @@ def _measured(path: Path, times: Real, *, resampled: bool) -> tuple[Rate, NDArra
     """Return the rate of listed times and the number of each scan.
 
     Raises:
-        ConfigError: they do not increase, or are not uniform where they need be.
+        ConfigError: the times do not increase, or are not uniform although they must be.
     """
     count = len(times)
     if count < 2 or not np.all(np.isfinite(times)):

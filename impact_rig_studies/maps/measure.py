@@ -119,7 +119,7 @@ class _Record(NamedTuple):
         return _Record(self.cycles[before:], self.cycle[later] - before, self.turn[later], self.speed[later])
 
     def then(self, other: _Record) -> _Record:
-        """Return this record followed by another."""
+        """Return this record with another one appended."""
         later = other._replace(cycle=other.cycle + len(self.cycles))
         return _Record(
             joined([self.cycles, later.cycles]),
@@ -245,7 +245,7 @@ class MapRig:
         return 1 if found.value > 0.0 else -1
 
     def _drifts(self, record: _Record) -> bool:
-        """Return whether a record without impacts ends with the sphere on its way to one.
+        """Return whether the sphere drifts towards an impact at the end of a record without impacts.
 
         Between impacts the sphere keeps its velocity, and the wall moves by |X_1| in either direction.
         """
@@ -282,7 +282,7 @@ class MapRig:
 
 
 def _settled(record: _Record, frequency_hz: float, settings: Settings) -> Behaviour | None:
-    """Return the behaviour of the motion if it repeats, and is close enough to its limit.
+    """Return the behaviour of the motion if the motion repeats, and is close enough to its limit.
 
     Every number of a cycle changes from one period to the next by at most `settle_tolerance`, and by a decreasing
     factor, so that all future changes, a geometric series, are together at most that large.

@@ -78,7 +78,7 @@ class MapLine(HashedTask):
         """Convert stored rows to readings.
 
         Raises:
-            ValueError: they are invalid.
+            ValueError: the rows are invalid.
         """
         if len(rows) != len(self.values):
             raise ValueError("not valid readings of this line")
@@ -222,7 +222,7 @@ def load_map(path: Path, workers: int | None = None, resolved: RigConfig | None 
 
     Raises:
         ConfigError: the file cannot be read or is wrong; the message names key, value, range and file.
-        BudgetError: it would take too long.
+        BudgetError: the map would take too long.
     """
 
     def read(document: object, text: str) -> MapPlan:

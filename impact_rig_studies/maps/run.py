@@ -103,7 +103,7 @@ def open_map(directory: Path) -> FinishedMap:
     """Return the map in a directory.
 
     Raises:
-        ConfigError: it is not a map's directory.
+        ConfigError: the directory is not that of a map.
     """
     kept = store(directory)
     return finished(load_map(kept.file, resolved=kept.configuration()), directory)

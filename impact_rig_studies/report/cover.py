@@ -59,7 +59,7 @@ def versions(done: Finished) -> dict[str, object]:
     """Return the software versions and the machine of the campaign.
 
     Raises:
-        RecordingError: they cannot be read.
+        RecordingError: the versions cannot be read.
     """
     try:
         found = json.loads((done.directory / run.PROVENANCE_FILE).read_text(encoding="utf-8"))
