@@ -189,8 +189,8 @@ def run_frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     apart = found.frequency_hz[1]
     if found.sine:
         console.print(
-            f"the drive is a sine of about {top:g} Hz: there is only this line; without --frf its DT is measured "
-            "with its uncertainty"
+            f"the drive is a sine of about {top:g} Hz, so only this line is excited; without --frf, DT is measured "
+            "there with its uncertainty"
         )
     else:
         console.print(f"{len(excited)} lines of {low:g} to {high:g} Hz are excited, largest at {top:g} Hz")

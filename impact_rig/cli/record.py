@@ -88,7 +88,9 @@ def _config(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
         for name in OF_THE_RIG:
             if getattr(arguments, name) is not None:
                 option = f"--{name.replace('_', '-')}"
-                raise ConfigError(f"{option} belongs to a rig that is started; a running rig keeps its configuration")
+                raise ConfigError(
+                    f"{option} applies only to a rig that this command starts; a running rig keeps its configuration"
+                )
         return RigConfig(), NO_SPHERE
     config, gap_m = rig_of(arguments)
     rate_hz = arguments.scan_rate

@@ -123,7 +123,7 @@ class BoardChannel:
     @property
     def is_accelerometer(self) -> bool:
         """Return whether the channel reads accelerations."""
-        return self.per_volt != 1.0
+        return self.unit != "Volts"
 
 
 @attrs.define(eq=False)

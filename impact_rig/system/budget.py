@@ -63,7 +63,9 @@ def allow(what: str, amount: float, limit: float) -> None:
     """
     if amount > limit and amount > limit * factor():
         now = f"{limit * factor():.0f}"
-        raise BudgetError(f"{amount:.0f} {what}, more than {now}; if you trust it: {VARIABLE}=N allows N times as much")
+        raise BudgetError(
+            f"{amount:.0f} {what}, more than {now}; if you trust the source, {VARIABLE}=N allows N times as much"
+        )
 
 
 def factor() -> float:

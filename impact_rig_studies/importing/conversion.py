@@ -336,7 +336,7 @@ def _commands(
             raise ConfigError(f"{drive.path} must have the columns `time` or `stamp_ns`, and `frequency`")
         amplitude = current.values if current is not None else np.full(len(frequency.values), mapping.amplitude)
         if not np.all(np.isfinite(times)):
-            raise ConfigError(f"{drive.path}: a time is no number")
+            raise ConfigError(f"{drive.path}: a time is not a number")
         first = instants.start_ns + round((drive.begins_s - source.begins_s) * NS_PER_S)  # both count from one instant
         if drive.start_ns is not None and source.start_ns is not None:
             first = drive.start_ns

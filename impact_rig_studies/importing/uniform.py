@@ -118,7 +118,7 @@ def uniform(
     """
     count = len(next(iter(found.values())))
     if count < 2:
-        raise RecordingError(f"{path}: {count} scans are no measurement, at least 2 are needed")
+        raise RecordingError(f"{path}: a measurement needs at least 2 scans, got {count}")
     times, stated = _basis(path, abscissa, mapping, count)
     if times is None:
         assert stated is not None
@@ -127,7 +127,9 @@ def uniform(
     else:
         rate, index = _measured(path, times, resampled=mapping.resample_hz is not None)
     if not float(times[-1]) <= LONGEST_S:
-        raise ConfigError(f"{path}: its times span {float(times[-1]):.3g} s, more than {LONGEST_S:g}")
+        raise ConfigError(
+            f"{path}: its times span {float(times[-1]):.3g} s, more than {LONGEST_S:g} s; is their unit right?"
+        )
     if mapping.resample_hz is not None:
         return _resampled(path, times, found, followed, float(rate), mapping.resample_hz)
     if not LEAST_HZ <= rate <= MOST_HZ:

@@ -242,7 +242,7 @@ def test_notations_of_numbers(cell: str, value: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("cell", "why"), [("abc", "'abc' is no number"), ("1_000", "'1_000' is no number"), ("0x10", "'0x10' is no number")]
+    ("cell", "why"), [("abc", "'abc' is not"), ("1_000", "'1_000' is not a number"), ("0x10", "'0x10' is not a number")]
 )
 def test_a_word_among_numbers_is_named_with_its_line(cell: str, why: str) -> None:
     lines = rows_of("time [s],base [mm],laser [mm]").splitlines()
@@ -680,7 +680,7 @@ def test_what_is_no_file_or_empty_is_refused_at_once(tmp_path: Path, suffix: str
     os.mkfifo(tmp_path / f"pipe{suffix}")
     (tmp_path / f"empty{suffix}").touch()
     (tmp_path / f"folder{suffix}").mkdir()
-    for name, why in (("pipe", "no regular file"), ("empty", "is empty"), ("folder", "is a directory")):
+    for name, why in (("pipe", "not a regular file"), ("empty", "is empty"), ("folder", "is a directory")):
         with pytest.raises(ImpactRigError, match=why):
             readers.read(tmp_path / f"{name}{suffix}")
 

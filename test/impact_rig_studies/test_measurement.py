@@ -360,7 +360,7 @@ def test_a_table_of_commands_counts_its_times_from_the_same_instant_as_the_scans
         source = table(tmp_path, lines(lambda k, begins_s=begins_s: f"{begins_s + k / 10},{k},{k}", head, 100))
         found = convert(source, guess(source), table(tmp_path, commands, "drive.csv"))
         assert [one[0] / 1e9 for one in found.drive] == instants_s
-    with pytest.raises(ImpactRigError, match=r"drive.csv: a time is no number"):
+    with pytest.raises(ImpactRigError, match=r"drive.csv: a time is not a number"):
         convert(source, guess(source), table(tmp_path, commands.replace("6,", "nan,"), "drive.csv"))
 
 
@@ -476,7 +476,7 @@ def test_two_files_of_one_name_are_refused_before_one_is_written(
         np.savez(file, base=1e-3 * np.sin(turn), laser=1e-2 * np.sin(turn))
     words = ["import", *map(str, files), "--output", str(tmp_path / "out"), "--scan-rate", str(RATE_HZ), *more]
     assert main(words) == 1
-    assert "two files have one name" in capsys.readouterr().err
+    assert "two files have the same name" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

@@ -121,7 +121,7 @@ def read(path: Path) -> ImportedSignals:
         if bag_bytes is None and path.suffix.lower() not in FORMATS:
             format_of(path, b"")
         if bag_bytes is None and not stat.S_ISREG(path.stat().st_mode):
-            what = "a directory" if path.is_dir() else "no regular file"
+            what = "a directory" if path.is_dir() else "not a regular file"
             raise RecordingError(f"{path} is {what}: a file of measurements is needed")
         content = b"" if bag_bytes else files.read_bytes(path, math.ceil(FILE_BYTES * budget.factor()))
     except OSError as error:
@@ -148,7 +148,7 @@ def _bag_bytes(path: Path) -> int:
     members = sorted(path.iterdir()) if path.is_dir() else [path]
     wrong = next((one for one in members if not one.is_file()), None)
     if wrong is not None:
-        raise RecordingError(f"{wrong} is no regular file: a bag is one file, or a directory of files")
+        raise RecordingError(f"{wrong} is not a regular file: a bag must be a file, or a directory of files")
     size = sum(one.stat().st_size for one in members)
     if not size:
         raise RecordingError(f"{path} is empty")

@@ -84,7 +84,7 @@ def read(path: Path, content: bytes) -> ImportedSignals:
     """
     lines = split_lines(decode(content)[0])
     if not is_labview(lines):
-        raise RecordingError(f"{path} is no LabVIEW measurement file: its first line is not {BEGIN!r}")
+        raise RecordingError(f"{path} is not a LabVIEW measurement file: its first line is not {BEGIN!r}")
     return read_lines(path, lines)
 
 

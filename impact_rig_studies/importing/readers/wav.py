@@ -36,7 +36,7 @@ def read(path: Path, content: bytes) -> ImportedSignals:
         RecordingError: the file is not a WAV file, or its encoding is not one of plain samples.
     """
     if content[:4] not in (b"RIFF", b"RIFX", b"RF64") or content[8:12] != b"WAVE":
-        raise RecordingError(f"{path} is no WAV file: it does not begin with RIFF … WAVE")
+        raise RecordingError(f"{path} is not a WAV file: it does not begin with RIFF … WAVE")
     order = ">" if content[:4] == b"RIFX" else "<"
     form, data, claimed = _chunks(path, content, order)
     code, channels, rate, _, block, bits = struct.unpack(f"{order}HHIIHH", form[:16])

@@ -78,8 +78,8 @@ def test_a_trip_ends_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     [
         (("--current", "30"), "current must be >= 0 and <= 21.21 A peak"),
         (("--config", "stream.yaml"), "drive.waveform sine"),
-        (("--through", "running", "--gap", "6mm"), "--gap belongs to a rig that is started"),
-        (("--through", "running", "--seed", "2"), "--seed belongs to a rig that is started"),
+        (("--through", "running", "--gap", "6mm"), "--gap applies only to a rig"),
+        (("--through", "running", "--seed", "2"), "--seed applies only to a rig"),
     ],
 )
 def test_what_cannot_be_recorded_is_refused_before_anything_is_made(
