@@ -46,7 +46,7 @@ def run_import(arguments: argparse.Namespace) -> int:
     sheet = read(arguments.calibration) if arguments.calibration else None
     several = len(arguments.files) > 1
     if several and len({file.stem for file in arguments.files}) < len(arguments.files):
-        raise ConfigError("two files have one name: each becomes the run of its name")
+        raise ConfigError("two files have the same name, and a run is named after its file: import them separately")
     output: Path = arguments.output
     below = "runs" if arguments.campaign else ""
     parts = [Path(below, file.stem) if several or arguments.campaign else Path() for file in arguments.files]
