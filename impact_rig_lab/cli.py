@@ -48,7 +48,7 @@ def add_command(commands: Commands) -> None:
             ("lab runs/demo/gap_2mm runs/demo/gap_10mm", "two recorded runs side by side"),
         ],
     )  # fmt: skip
-    parser.set_defaults(until_told=True)
+    parser.set_defaults(until_told=True, needs_ros=lambda arguments: not (arguments.runs or arguments.sample))
     parser.add_argument("runs", nargs="*", type=Path, metavar="RUN", help="play back this run; two: side by side")
     parser.add_argument(
         "--attach", nargs="?", const=FOUND, metavar="NAMESPACE", help="show a rig that runs already, e.g. /rig"

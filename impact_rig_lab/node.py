@@ -39,11 +39,13 @@ def main() -> None:
 
 def _serve(ending: Ending) -> int:
     from impact_rig.errors import ImpactRigError  # noqa: PLC0415
+    from impact_rig.system.extras import load_ros  # noqa: PLC0415
     from impact_rig_lab.live import LiveSource  # noqa: PLC0415
     from impact_rig_lab.server import Server, kept_token  # noqa: PLC0415
 
-    domain_id, namespace, host, port = _settings()
     try:
+        load_ros("impact_rig.client.client", "lab_node")
+        domain_id, namespace, host, port = _settings()
         source = LiveSource(domain_id, namespace)
         with Server(source, host, port, kept_token()) as server, source:
             print(f"lab: {server.address}", flush=True)  # noqa: T201  # the address is the purpose of this program

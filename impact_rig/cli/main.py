@@ -18,10 +18,12 @@ Only the module of the chosen subcommand is loaded, after the signal handlers ar
 
 from __future__ import annotations
 
+import codecs
 import functools
 import io
 import itertools
 import os
+import re
 import signal
 import sys
 from collections.abc import Sequence
@@ -105,7 +107,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _run(_parse(arguments), None)
     words = sys.argv[1:]
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="surrogateescape")  # a file name may not be valid text: it is printed unchanged
+        codecs.register_error(PROGRAM, _encodable)
+        sys.stdout.reconfigure(errors=PROGRAM)
     if "_ARGCOMPLETE" in os.environ:
         _complete()
     ending = Ending(PROGRAM)
@@ -115,6 +118,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if getattr(chosen, "until_told", False):  # a signal is its normal end
         ending.code = lambda _number: 0
     return ending.run(lambda: _run(chosen, ending))
+
+
+def _encodable(error: UnicodeError) -> tuple[bytes, int]:
+    """Return the bytes of a file name unchanged, and other characters that the output cannot encode as in JSON."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    units = (error.object[k].encode("utf-16-be", "surrogatepass").hex() for k in range(error.start, error.end))
+    text = "".join("".join(f"\\u{unit[k : k + 4]}" for k in range(0, len(unit), 4)) for unit in units)
+    return re.sub(r"\\udc([89a-f].)", lambda found: chr(int(found[1], 16)), text).encode("latin-1"), error.end
 
 
 def _parse(arguments: Sequence[str]) -> argparse.Namespace:
@@ -146,6 +158,10 @@ def _run(chosen: argparse.Namespace, ending: Ending | None) -> int:
     from impact_rig.names import one_line, visible  # noqa: PLC0415
 
     try:
+        if getattr(chosen, "needs_ros", lambda _arguments: False)(chosen):
+            from impact_rig.system.extras import load_ros  # noqa: PLC0415
+
+            load_ros("impact_rig.driver.ros_rig", chosen.command)  # before the command creates anything
         result: int = chosen.run(chosen)
         sys.stdout.flush()
     except ImpactRigError as error:

@@ -120,6 +120,7 @@ def add_way(parser: argparse.ArgumentParser, needs: str = "") -> None:
         help=f"rig in this process (default), behind topics, or already running{needs}",
     )  # fmt: skip
     parser.add_argument("--namespace", help=f"namespace of the running rig (default: {NAMESPACE})")
+    parser.set_defaults(needs_ros=lambda arguments: arguments.through != PROCESS)
 
 
 def running_namespace(arguments: argparse.Namespace) -> str:

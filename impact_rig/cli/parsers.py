@@ -107,7 +107,8 @@ def add_analyze(commands: Commands) -> None:
             ("analyze runs/demo/gap_6mm --figures pictures", "also draws time traces, phase plane, spectrum, curves"),
             ("analyze runs/chirp --frf", "frequency response of a chirp, with lines as fine as its resonance needs"),
         ],
-        "Exit code 0: equal to the live analysis, or no live analysis to compare with; 1: different.",
+        "Exit code 0: equal to the live analysis, or no live analysis to compare with, also if nothing was measured; "
+        "1: different, or not readable.",
     )  # fmt: skip
     add_json(parser)
     parser.add_argument("--all", action="store_true", help="also rows without a measurement, with the reason")
@@ -173,6 +174,7 @@ def add_replay(commands: Commands) -> None:
             ("replay runs/demo/gap_6mm --rate max --peers analysis", "as fast as the analysis follows"),
         ],
     )  # fmt: skip
+    parser.set_defaults(needs_ros=lambda _: True)
     add_run(parser)
     parser.add_argument(
         "--rate", type=_rate, default=1.0, metavar="X", help="multiple of real time, or max (default: 1)"
@@ -279,7 +281,7 @@ def add_daqmx(commands: Commands) -> None:
             ("daqmx --namespace /rig", "a running rig, in real time with drive.waveform: stream"),
         ],
     )  # fmt: skip
-    parser.set_defaults(until_told=True)
+    parser.set_defaults(until_told=True, needs_ros=lambda arguments: bool(arguments.namespace))
     parser.add_argument("--config", type=Path, metavar="FILE", help="rig configuration (default: the paper's rig)")
     parser.add_argument("--namespace", help="namespace of a running rig (default: a rig is simulated here)")
     parser.add_argument(

@@ -24,7 +24,6 @@ from rich.progress import BarColumn, Progress, TimeRemainingColumn
 
 from impact_rig.cli.parsers import INCOMPLETE
 from impact_rig.cli.terminal import Console, Steps, TextTable, Words, tell_json
-from impact_rig.errors import ImpactRigError
 from impact_rig.recording import Run, open_run
 from impact_rig.runs import RecoverReport, RunInfo, info, recover
 from impact_rig.simtime import NS_PER_S
@@ -180,10 +179,8 @@ def run_replay(arguments: argparse.Namespace) -> int:
 
 
 def _play(opened: Run, arguments: argparse.Namespace) -> int:
-    try:
-        from impact_rig.nodes.player import Player, on_graph  # noqa: PLC0415  # the other subcommands do without ROS
-    except ImportError as error:
-        raise ImpactRigError(f"replay needs ROS 2: {error}") from error
+    from impact_rig.nodes.player import Player, on_graph  # noqa: PLC0415  # the other subcommands do without ROS
+
     console = Console(stderr=True)
     word, times = Words("{task.fields[state]:<8}"), Words("{task.completed:.1f} of {task.total:.1f} s")
     bar = Progress(word, BarColumn(24), times, TimeRemainingColumn(), console=console, disable=not console.is_terminal)

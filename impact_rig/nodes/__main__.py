@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import argparse
 import functools
-import importlib
 import itertools
 import os
 import signal
@@ -89,9 +88,14 @@ def run(node: str, use: Use, module: str) -> None:
     """Run the node that a module offers as its `PROGRAM`."""
 
     def main(ending: Ending) -> None:
-        from impact_rig.nodes import process  # noqa: PLC0415
+        from impact_rig.errors import ImpactRigError  # noqa: PLC0415
+        from impact_rig.system.extras import load_ros  # noqa: PLC0415
 
-        process.main(importlib.import_module(module).PROGRAM, ending)
+        try:
+            process, own = (load_ros(one, f"{node}_node") for one in ("impact_rig.nodes.process", module))
+        except ImpactRigError as error:
+            sys.exit(str(error))
+        process.main(own.PROGRAM, ending)
 
     begin(node, use, main)
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Optional libraries, installed by an extra of the package."""
+"""Optional libraries: those of an extra of the package, and ROS 2."""
 
 from __future__ import annotations
 
@@ -38,4 +38,25 @@ def load(module: str, purpose: str, extra: str) -> Any:  # a module, whose names
         library = module.partition(".")[0]
         raise ImpactRigError(
             f"{purpose} needs {library}, which is not installed: pip install 'impact_rig[{extra}]'"
+        ) from error
+
+
+def load_ros(module: str, purpose: str) -> Any:
+    """Import a module of this package that needs ROS 2.
+
+    Args:
+        module: name of the module.
+        purpose: feature that needs it, for the message.
+
+    Raises:
+        ImpactRigError: ROS 2 is not installed; the message has the commands that provide it.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        if (error.name or "").startswith("impact_rig"):
+            raise
+        raise ImpactRigError(
+            f"{purpose} needs ROS 2 Jazzy ({error}): pip install 'impact_rig[wheels]', or, where apt installed it, "
+            "source /opt/ros/jazzy/setup.bash"
         ) from error

@@ -51,6 +51,7 @@ def add_demo(commands: Commands) -> None:
         ],
         "The last line is the directory of the results. Exit code 0: every reduction within 3 points of the paper.",
     )  # fmt: skip
+    parser.set_defaults(needs_ros=lambda _: True)
     add_json(parser)
     parser.add_argument(
         "--output", type=Path, metavar="DIR", help="directory for runs, figure and summary (default: runs/demo_<date>)"
@@ -360,6 +361,7 @@ def _add_current(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_sine_options(parser: argparse.ArgumentParser, test: str) -> None:
+    parser.set_defaults(needs_ros=lambda arguments: arguments.through == "ros")
     parser.add_argument(
         "--through", choices=("process", "ros"), default="process",
         help="rig in this process (default), or behind topics",
@@ -385,6 +387,7 @@ def add_campaign(commands: Commands) -> None:
     )  # fmt: skip
     add_json(parser)
     parser.add_argument("file", nargs="?", type=Path, metavar="FILE", help="campaign file, e.g. config/paper.yaml")
+    parser.set_defaults(needs_ros=lambda arguments: arguments.through[0] == "ros")
     parser.add_argument(
         "--through", nargs="+", default=["process"], metavar="WAY",
         help="way of measuring: process (all cores; default), ros (the real graph) or dask ADDRESS (a Dask cluster)",

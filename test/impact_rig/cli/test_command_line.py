@@ -26,6 +26,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
@@ -237,3 +238,71 @@ def test_tab_completes_commands_and_options(line: str, expected: set[str], tmp_p
     }  # fmt: skip
     subprocess.run(PROGRAM, env=environment, check=True, capture_output=True)
     assert {word.strip() for word in answer.read_text().split("\n")} == expected
+
+
+WITHOUT_ROS = """\
+import importlib.metadata, sys
+
+class Removed:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in ("rclpy", "rosidl_runtime_py") or "_msgs" in name or "_srvs" in name:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Removed())
+[entry] = importlib.metadata.entry_points(group="console_scripts", name=sys.argv[1])
+del sys.argv[0]
+raise SystemExit(entry.load()())
+"""
+
+
+def without_ros(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run an installed program where ROS 2 is not installed."""
+    command = [sys.executable, "-c", WITHOUT_ROS, *words]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=False)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "demo", "record --through ros", "record --through running", "drive sweep --through ros",
+        "drive backbone --currents 0.1 0.2 --through ros", "drive random plan.yaml --through running",
+        "drive shock --through ros", "campaign file.yaml --through ros", "daqmx --namespace /rig", "replay run",
+        "lab --no-browser --port 0", "lab --attach", "rig_node", "analysis_node", "recorder_node", "plot_node",
+        "lab_node", "stepped_sine_node",
+    ],
+)  # fmt: skip
+def test_without_ros_one_line_names_the_remedy_and_nothing_is_made(line: str, tmp_path: Path) -> None:
+    program, *words = line.split()
+    if program not in (*commands(), *(one.name for one in entry_points(group="console_scripts"))):
+        pytest.skip("the package of this program is not installed")
+    done = without_ros([*(["impact-rig"] if program in commands() else []), program, *words], tmp_path)
+    assert done.returncode == 1
+    assert re.fullmatch(rf"[^\n]*{program} needs ROS 2 Jazzy \(No module [^\n]*\[wheels\][^\n]*\n", done.stderr)
+    assert done.stdout == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_every_command_that_can_run_through_ros_declares_it() -> None:
+    declared = []
+    for words, parser in pages(command_line()):
+        (way,) = [one for one in parser._actions if "--through" in one.option_strings] or [None]
+        if way is not None and "ros" in (way.choices or (way.help or "").replace("(", " ").split()):
+            assert parser.get_default("needs_ros") is not None, words
+            declared.append(words)
+    assert declared
+
+
+def test_what_an_output_cannot_encode_is_written_as_in_json(run: Path, tmp_path: Path) -> None:
+    """A traceback had the exit code of `different`."""
+    file = tmp_path / "gäp ± 😀"
+    file.symlink_to(run)
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    for words in (["analyze", str(file)], ["info", str(file)], ["analyze", "--help"]):
+        done = subprocess.run([*PROGRAM, *words], env=environment, capture_output=True, check=False)
+        assert (done.returncode, done.stderr) == (0, b"")
+        assert done.stdout.isascii()
+    done = subprocess.run([*PROGRAM, "info", str(file), "--json"], env=environment, capture_output=True, check=False)
+    assert json.loads(done.stdout)["path"].endswith(file.name)
+    found = subprocess.run([*PROGRAM, "analyze", str(file)], env=environment, capture_output=True, check=False)
+    assert rb"DT 110" in found.stdout
+    assert rb" \u00b1 " in found.stdout
