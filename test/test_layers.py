@@ -136,12 +136,24 @@ KEYS = {"Jinja2": "python3-jinja2", "mcap": "mcap-ros2-support", "PyYAML": "pyth
 WITHOUT_KEY = {"uplot-python"}
 
 
-def test_package_xml_names_every_dependency_that_has_a_key(monkeypatch):
-    """After `rosdep install`, the package must be able to import mcap, for example."""
-    given = {}
+@pytest.fixture
+def given(monkeypatch):
+    """The arguments of `setup`."""
+    found = {}
     monkeypatch.chdir(ROOT)
-    monkeypatch.setattr("setuptools.setup", lambda **arguments: given.update(arguments))
+    monkeypatch.setattr("setuptools.setup", lambda **arguments: found.update(arguments))
     runpy.run_path("setup.py")
+    return found
+
+
+def test_the_page_of_the_installation_lists_every_extra(given):
+    page = (ROOT / "docs" / "how-to" / "install.md").read_text(encoding="utf-8")
+    table = page.partition("| extra | adds |\n|---|---|\n")[2].partition("\n\n")[0]
+    assert sorted(re.findall(r"^\| `(\w+)` \| \S", table, re.MULTILINE)) == sorted(given["extras_require"])
+
+
+def test_package_xml_names_every_dependency_that_has_a_key(given):
+    """After `rosdep install`, the package must be able to import mcap, for example."""
     extras = [one for extra in ("jit", "lab", "completion") for one in given["extras_require"][extra]]
     needed = [*given["install_requires"], *extras]
     names = {re.match(r"[\w-]+", requirement)[0] for requirement in needed} - WITHOUT_KEY

@@ -293,7 +293,7 @@ def test_every_command_that_can_run_through_ros_declares_it() -> None:
 
 
 def test_what_an_output_cannot_encode_is_written_as_in_json(run: Path, tmp_path: Path) -> None:
-    """A traceback had the exit code of `different`."""
+    """A traceback would have the exit code of `different`."""
     file = tmp_path / "gäp ± 😀"
     file.symlink_to(run)
     environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
