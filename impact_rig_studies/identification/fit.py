@@ -306,12 +306,12 @@ def _step(residual: Real, jacobian: Real, bent: Real) -> tuple[Real, Real]:
 FACTORS = np.arange(-1.2, 1.21, 0.08)  # logarithms of the common factor of forces and masses that are tried first
 U_FACTOR = 0.03  # relative uncertainty with which a ratio must agree there
 TRIED, WORSE = 3, 24.0  # number of factors that start a fit, and largest excess of χ² over the best one
-COARSE_E = np.arange(-3.0, 3.1, 0.75)  # values of e of the first profile, in its prior standard uncertainties
-MINIMA = 3  # number of values of e from which a minimum is searched
+COARSE_E = np.arange(-3.0, 3.1, 0.25)  # values of e of the first profile, in its prior standard uncertainties
+MINIMA = 6  # number of values of e from which a minimum is searched
 PROPOSED = 4  # number of steps towards each minimum
 NEAR_E = 0.3  # distance to an existing value of e, in standard uncertainties, below which no value is added
 KNOWN = 0.05  # change of the density over an interval of e, as a share of the area, that is small enough
-MOST_E = 30  # maximum number of values of e
+MOST_E = 60  # maximum number of values of e
 # largest change of e, and of the relative mass, over which slopes of one kind of motion are valid
 SAME_E, SAME_M = 0.01, 0.01
 GRID = 4001  # number of points at which the profile is interpolated
@@ -391,7 +391,7 @@ class _Profile:
         self._measured, self._reduced, self._known = measured, measured.reduced, known
         self._uncertain = _prior(measured) > 0.0
         self._nominal, self._u = known.contact.restitution, measured.u_restitution
-        self._slopes: dict[float, list[tuple[float, float, tuple[float, ...], Real]]] = {}
+        self._slopes: dict[float, list[tuple[float, float, tuple[float, ...], Real, float]]] = {}
 
     def factors(self, theta: Real) -> list[Real]:
         """Return the constants scaled by the common factors with which the ratios agree best."""
@@ -504,9 +504,9 @@ class _Profile:
         rows, by_constants, by_nuisances, by_e = [], [], [], []
         motions, widths = {}, 0.0
         for place, (gap, ratio) in enumerate(self._reduced.ratio.items()):
-            motion, slope = self._motion(gap, theta, float(nuisance[GAIN_CURRENT]), e)
+            motion, slope, roughness = self._motion(gap, theta, float(nuisance[GAIN_CURRENT]), e)
             known = math.hypot(self._reduced.u[place], U_SIMULATED)
-            u = math.hypot(known, motion.u)
+            u = math.hypot(known, motion.u, roughness)
             effect = self._reduced.effects[place] * self._uncertain
             rows.append((motion.log_ratio - math.log(ratio) + effect @ nuisance) / u)
             effect[GAIN_CURRENT] -= slope[NAMES.index("K_f")] * self._uncertain[GAIN_CURRENT]
@@ -526,8 +526,8 @@ class _Profile:
             whole, motions, converged=False,
         )  # fmt: skip
 
-    def _motion(self, gap_m: float, theta: Real, gain: float, e: float) -> tuple[SettledMotion, Real]:
-        """Return a motion, and its derivatives by the constants and by e.
+    def _motion(self, gap_m: float, theta: Real, gain: float, e: float) -> tuple[SettledMotion, Real, float]:
+        """Return a motion, its derivatives by the constants and e, and its roughness, see `SettledRig.slopes`.
 
         Derivatives of a nearby motion of the same kind are reused.
         """
@@ -536,9 +536,9 @@ class _Profile:
         motion = here.motion
         kind = (motion.period, motion.impacts) if motion.repeats else ()
         factor = float(theta[NAMES.index("m_1")])
-        for e_0, factor_0, kind_0, slopes in self._slopes.setdefault(gap_m, []):
+        for e_0, factor_0, kind_0, slopes, rough in self._slopes.setdefault(gap_m, []):
             if kind == kind_0 and abs(e - e_0) <= (SAME_E if kind else 3 * SAME_E) and abs(factor - factor_0) <= SAME_M:
-                return motion, slopes
+                return motion, slopes, rough
 
         def neighbour(i: int, step: float) -> Place:
             if i == force:
@@ -546,9 +546,9 @@ class _Profile:
             change = step * np.eye(len(NAMES) + 1)[i]
             return self._place(gap_m, theta + change[:-1], gain, e + float(change[-1]))
 
-        slopes = here.slopes(neighbour, len(NAMES) + 1, force, NAMES.index("m_1"))
-        self._slopes[gap_m].append((e, factor, kind, slopes))
-        return motion, slopes
+        slopes, rough = here.slopes(neighbour, len(NAMES) + 1, force, NAMES.index("m_1"))
+        self._slopes[gap_m].append((e, factor, kind, slopes, rough))
+        return motion, slopes, rough
 
 
 def _summary(held: Sequence[_Held]) -> tuple[Real, Real, tuple[Alternative, ...]]:

@@ -39,7 +39,7 @@ from impact_rig_studies.maps.plan import CURRENT
 SETTLED = Settings(settle_tolerance=1e-6, settle_cycles=288, cycles=48)
 REPEATS = 1e-5  # relative change of DT between the halves of a record up to which a periodic motion repeats
 BATCHES, BATCH_CYCLES = 10, 48  # number and length of the batches over which an irregular motion is averaged
-COARSE = 0.02  # relative step of the differences for an irregular motion
+COARSE = 0.01  # relative step of the differences for such a motion
 
 
 class SettledMotion(NamedTuple):
@@ -103,8 +103,14 @@ class SettledRig:
         impacts = found.impacts_per_cycle * found.period
         self.motion = SettledMotion(math.log(dt) - _log_dt(place), u, found.regime, seen, found.period, impacts)
 
-    def slopes(self, neighbour: Callable[[int, float], Place], count: int, amplitude: int, mass: int) -> Real:
-        """Return the derivatives of `motion.log_ratio` by parameters, shape (count,). The call advances the rig.
+    def slopes(
+        self, neighbour: Callable[[int, float], Place], count: int, amplitude: int, mass: int
+    ) -> tuple[Real, float]:
+        """Return the derivatives of `motion.log_ratio` by parameters, shape (count,), and its roughness.
+
+        The mean of an irregular motion changes by jumps with any parameter, from window to window of its regimes. The
+        roughness is the standard deviation about the slope of such changes; it is 0 for a stable orbit. This advances
+        the rig.
 
         Args:
             neighbour: returns the rig with the i-th parameter changed by a small step.
@@ -122,16 +128,16 @@ class SettledRig:
             except SimulationError:  # the sphere is never free of the walls
                 found = None
             if found is not None and found.stable:
-                return found.by - _closed_form(neighbour, self.place, count, _log_dt)
-        # for the mean of an irregular motion: derivatives by amplitude and mass, through which the other constants act
-        by_amplitude, by_mass = (
-            (SettledRig(neighbour(i, COARSE)).motion.log_ratio - SettledRig(neighbour(i, -COARSE)).motion.log_ratio)
-            / (2.0 * COARSE)
-            for i in (amplitude, mass)
+                return found.by - _closed_form(neighbour, self.place, count, _log_dt), 0.0
+        # Mean of an irregular motion: by amplitude and mass, through which the other constants act.
+        around = np.array(
+            [[SettledRig(neighbour(i, step)).motion.log_ratio for step in (COARSE, -COARSE)] for i in (amplitude, mass)]
         )
+        by_amplitude, by_mass = (around[:, 0] - around[:, 1]) / (2.0 * COARSE)
         by = by_amplitude * _closed_form(neighbour, self.place, count, _log_base)
         by[mass] = by_mass
-        return np.asarray(by)
+        off = around.mean(axis=1) - self.motion.log_ratio  # of variance 3/2 if all three values scatter alike
+        return np.asarray(by), math.sqrt(float(np.mean(off**2)) / 1.5)
 
 
 _STEP = 1e-6

@@ -51,7 +51,7 @@ from impact_rig_studies.identification.measurements import (
     reduced_of,
     sine_of,
 )
-from impact_rig_studies.identification.motions import SettledRig, place_of, simulated
+from impact_rig_studies.identification.motions import COARSE, SettledRig, place_of, simulated
 
 pytestmark = pytest.mark.heavy
 
@@ -214,7 +214,8 @@ def test_single_returns_tell_the_slope_of_an_orbit(gap, slope):
 
     here = SettledRig(place_of(RigConfig(), gap, 9.1, 0.52))
     assert here.motion.repeats
-    found = here.slopes(place, len(NAMES), NAMES.index("K_f"), heavier)
+    found, roughness = here.slopes(place, len(NAMES), NAMES.index("K_f"), heavier)
+    assert roughness == 0.0
     assert found[heavier] == pytest.approx(slope, abs=1e-5)
     sides = [SettledRig(place(heavier, step)).motion.log_ratio for step in (1e-4, -1e-4)]
     assert found[heavier] == pytest.approx((sides[0] - sides[1]) / 2e-4, abs=1e-4)
@@ -229,6 +230,22 @@ def test_a_motion_that_does_not_repeat_has_a_mean_with_an_uncertainty():
         assert 0.0 < one.u < 1e-3
     apart = abs(motions[0].log_ratio - motions[1].log_ratio)
     assert 0.0 < apart < 4.0 * np.hypot(*(one.u for one in motions))
+
+
+def test_the_roughness_of_an_irregular_mean_is_the_size_of_its_jumps():
+    """From window to window of regimes the mean changes by jumps, which no slope describes: here about a line."""
+
+    def place(i, step):
+        return place_of(rig(RigConfig(), logarithms(RigConfig()) + step * np.eye(len(NAMES))[i]), 0.0065, 9.1, 0.52)
+
+    here = SettledRig(place_of(RigConfig(), 0.0065, 9.1, 0.52))
+    assert not here.motion.repeats
+    _, roughness = here.slopes(place, len(NAMES), NAMES.index("K_f"), NAMES.index("m_1"))
+    steps = np.linspace(-COARSE, COARSE, 21)
+    near = [SettledRig(place(NAMES.index("m_1"), step)).motion.log_ratio for step in steps]
+    left = near - np.polyval(np.polyfit(steps, near, 1), steps)
+    assert left.std() > 2.0 * here.motion.u, "jumps beyond the scatter at one place"
+    assert left.std() < roughness < 0.01
 
 
 def test_stated_uncertainties_cover_the_truth():
