@@ -23,6 +23,7 @@ import pathlib
 import subprocess
 import sys
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -62,6 +63,7 @@ UNITS = {"laser": "m", "base": "m", "current": "A"}
 CHANNELS = tuple(UNITS)
 BASE, CURRENT = CHANNELS.index("base"), CHANNELS.index("current")
 STATE_SPACE = 5
+END_S = 30.0
 FRAMES, LEAST_WITHIN, TOLERANCE_DB = 40, 0.99, 3.0
 LAWS = {
     "of the example": (rattlesnake_law.__file__, "control_law"),
@@ -126,10 +128,10 @@ def rattlesnake(rate_hz, folder, monkeypatch, *environment):
         nodes.start("rig", settings)
         monkeypatch.setenv("ROS_DOMAIN_ID", str(domain_id))
         started = [
-            make.Process(target=read_log, args=(log,)),
-            make.Process(target=acquisition_process, args=(queues, [(None, NAME)], active[0])),
-            make.Process(target=output_process, args=(queues, [(None, NAME)], active[1])),
-            make.Process(target=streaming_process, args=(queues,)),
+            make.Process(name="log", target=read_log, args=(log,)),
+            make.Process(name="streaming", target=streaming_process, args=(queues,)),
+            make.Process(name="acquisition", target=acquisition_process, args=(queues, [(None, NAME)], active[0])),
+            make.Process(name="output", target=output_process, args=(queues, [(None, NAME)], active[1])),
             *(
                 make.Process(
                     target=one, args=(NAME, command, gui, commands["controller"], log, data_in, data_out, *active)
@@ -144,18 +146,26 @@ def rattlesnake(rate_hz, folder, monkeypatch, *environment):
             for name in ("acquisition", "output"):
                 commands[name].put("test", (GlobalCommands.INITIALIZE_DATA_ACQUISITION, (parameters, indices)))
             while not commands["acquisition"].empty():
-                assert started[1].is_alive(), "initialised before the output starts"
+                assert started[2].is_alive(), "initialised before the output starts"
             yield queues, parameters
+            deadline = time.monotonic() + END_S
+            while any(flag.value for flag in active):
+                assert time.monotonic() < deadline, "the hardware does not stop"
+                time.sleep(0.1)
             for process in started[1:]:
-                assert process.is_alive()
+                assert process.is_alive(), process.name
         finally:
-            for queue in (*commands.values(), command):
-                queue.put("test", (GlobalCommands.QUIT, None))
-            for process in started[1:]:
-                process.join(30.0)
+            for queue in (command, *commands.values()):
+                if queue is not commands["streaming"]:
+                    queue.put("test", (GlobalCommands.QUIT, None))
+            for process in started[:0:-1]:  # the streaming process last: the others end when it has read what they sent
+                if process.name == "streaming":
+                    commands["streaming"].put("test", (GlobalCommands.QUIT, None))
+                process.join(END_S)
                 process.kill()
             log.put(None)
-    assert {process.exitcode for process in started[1:]} == {0}
+    codes = {process.name: process.exitcode for process in started[1:]}
+    assert set(codes.values()) == {0}, codes
 
 
 def received(data_in):
