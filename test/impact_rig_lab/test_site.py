@@ -98,3 +98,22 @@ def test_the_page_follows_its_window_and_the_preferred_colours_while_it_runs(pag
     assert page.js("document.documentElement.dataset.theme") != "dark"
     page.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": "dark"}])
     page.wait("document.documentElement.dataset.theme === 'dark'", "the dark colours")
+
+
+def test_no_view_reaches_out_of_its_panel(page_file: Path, browser: Browser) -> None:
+    """At 800 pixels the scope lay over the spectrum, and at 1440 the frequencies below it were cut off."""
+    page = browser.page(1440, 900)
+    page.goto(page_file.as_uri())
+    page.wait("lab.now.scans > 0", "the rig to run")
+    for width in (1440, 1650, 1100, 800, 600, 400):
+        page.size(width, 900)
+        page.wait(f"innerWidth === {width}", "the width")
+        for view in ("knobs", "rig", "scope", "spectrum"):
+            inside = f"""(() => {{ const view = document.getElementById('{view}'), panel = view.closest('section');
+                const outer = panel.getBoundingClientRect(), inner = view.getBoundingClientRect();
+                const others = [...document.querySelectorAll('main section')].filter((one) => one !== panel);
+                return inner.width > 150 && inner.bottom <= outer.bottom && inner.right <= outer.right &&
+                    others.every((one) => {{ const other = one.getBoundingClientRect();
+                        return other.top >= outer.bottom || other.bottom <= outer.top || other.left >= outer.right ||
+                            other.right <= outer.left; }}); }})()"""
+            page.wait(inside, f"{view} to be inside its panel at {width} pixels")
