@@ -143,18 +143,17 @@ def legend_below(axis: Axes, columns: int, *others: Axes) -> None:
     """Place a legend below the lowest axes of a figure, where it hides nothing; entries of `others` come first."""
     from matplotlib.transforms import ScaledTranslation  # noqa: PLC0415  # as above
 
-    handles, labels = [], []
+    entries: dict[str, Any] = {}  # a case that several axes show is one entry
     for one in (*others, axis):
-        found = one.get_legend_handles_labels()
-        handles += found[0]
-        labels += found[1]
+        for handle, label in zip(*one.get_legend_handles_labels(), strict=True):
+            entries.setdefault(label, handle)
     # of the axes, not of the figure: only this reserves room for it in matplotlib 3.6, which Ubuntu 24.04 has
     figure = axis.get_figure()
     assert figure is not None
     below = axis.transAxes + ScaledTranslation(0.0, -LABELS_INCH, figure.dpi_scale_trans)
     axis.legend(
-        handles, labels, loc="upper center", bbox_to_anchor=(0.5, 0.0), bbox_transform=below, ncols=columns,
-        borderaxespad=0.0, columnspacing=1.2, handlelength=1.6,
+        list(entries.values()), list(entries), loc="upper center", bbox_to_anchor=(0.5, 0.0), bbox_transform=below,
+        ncols=columns, borderaxespad=0.0, columnspacing=1.2, handlelength=1.6,
     )  # fmt: skip
 
 

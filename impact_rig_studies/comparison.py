@@ -117,7 +117,8 @@ class Comparison:
     excerpt: Excerpt  # the last settled measurement; laser, base and current of its scans are corrected for lag
     model: NDArray[np.void]  # its scans in the model, shape of the excerpt's
     constants: Identified | None
-    """Constants that fit these measurements best; None if there is nothing to fit: no DT without sphere."""
+    """Constants that fit these measurements best; None if no fit was requested, or for the reasons in `missing`."""
+    missing: tuple[str, ...] = ()  # measurements that a requested fit needs and the run does not have
 
     @property
     def residual(self) -> Real:
@@ -183,11 +184,13 @@ def compare(
     )  # fmt: skip
     excerpt = last_excerpt(run, found)
     own = scans.at(excerpt)
-    constants = None
-    if fits:
+    constants, missing = None, _missing(measured, known) if fits else ()
+    if fits and not missing:
         on_step("fitting the constants")
         constants = _constants(measured, Gains.of(info), known, on_step)
-    return Comparison(chosen, known, places, attrs.evolve(excerpt, rows=scans.true[own]), scans.model[own], constants)
+    return Comparison(
+        chosen, known, places, attrs.evolve(excerpt, rows=scans.true[own]), scans.model[own], constants, missing
+    )
 
 
 def _same(row: np.void, rows: NDArray[np.void]) -> np.void | None:
@@ -376,24 +379,32 @@ def _lead(measured: Real, structure: Real, rate_hz: float, drive_hz: float, time
     return np.asarray(rise * (phasor * np.exp(2j * np.pi * drive_hz * time_s)).real)
 
 
-def _constants(
-    rows: NDArray[np.void], gains: Gains, known: RigConfig, on_step: Callable[[str], None]
-) -> Identified | None:
+def _gaps(rows: NDArray[np.void], known: RigConfig) -> Real:
+    """Return the gap of each measurement; one without a label has that of the model."""
+    return np.asarray(np.nan_to_num(rows["gap"], nan=known.barriers.gap_m if known.sphere.present else NO_SPHERE))
+
+
+def _missing(rows: NDArray[np.void], known: RigConfig) -> tuple[str, ...]:
+    """Return the measurements that the fit needs and the run does not have."""
+    free = _gaps(rows, known) == NO_SPHERE
+    has_current = np.any(rows["current_amplitude"][free if free.any() else slice(None)] > 0.0)
+    needs = {"DT without the sphere": free.any(), "a measured current": has_current}
+    return tuple(what for what, there in needs.items() if not there)
+
+
+def _constants(rows: NDArray[np.void], gains: Gains, known: RigConfig, on_step: Callable[[str], None]) -> Identified:
     """Fit the constants to measurements: DT without sphere, and the reductions at the frequency with most of them."""
-    unlabelled = known.barriers.gap_m if known.sphere.present else NO_SPHERE
     points = [
         Point(
             study="compare", axes={}, reference=True, frequency_hz=float(row["frequency"]),
-            gap_m=float(np.nan_to_num(row["gap"], nan=unlabelled)),
+            gap_m=float(gap),
             current_a=float(row["current_amplitude"]), direction=RESET, rows=row.reshape(1), failure="", key="",
         )
-        for row in rows
+        for row, gap in zip(rows, _gaps(rows, known), strict=True)
         if row["current_amplitude"] > 0.0
     ]  # fmt: skip
     curves = Curves.of(points)
     frequencies = curves.frequencies(NO_SPHERE)
-    if not frequencies:
-        return None
     sine = sine_of([point for f in frequencies if (point := curves.at(NO_SPHERE, f)) is not None], gains)
     gaps = tuple(curves.gaps())
     at_hz = max(frequencies, key=lambda f: sum(curves.at(gap, f) is not None for gap in gaps))

@@ -26,6 +26,7 @@ import subprocess
 import sys
 import zipfile
 from importlib import metadata
+from importlib.util import cache_from_source
 from pathlib import Path
 from types import ModuleType
 
@@ -140,12 +141,17 @@ def test_the_smallest_part_has_what_the_package_imports_and_no_more() -> None:
     assert unused <= versions("kernels", "test", "docs").keys()
 
 
-@pytest.mark.parametrize("part", ["run", "kernels", "test"])
-def test_the_cost_that_is_said_is_what_is_paid(part: str) -> None:
+@pytest.mark.parametrize("part", ["run", "wheels", "kernels", "test"])
+def test_the_cost_that_is_said_is_what_is_paid_at_most(part: str) -> None:
+    """`up to 420 MB` were 448 by the progress of the same command, before equal files are stored once."""
     names = versions(part).keys() & installed().keys()
-    files = {file.locate() for name in names for file in installed()[name].files or ()}
-    there = sum(os.lstat(str(file)).st_blocks * 512 for file in files if os.path.lexists(str(file))) / 2**20
-    assert install.ON_DISK_MB[part] * 0.85 < there < install.ON_DISK_MB[part] * 1.05
+    if part == "wheels" and not names:
+        pytest.skip("ROS 2 is not installed from wheels here")
+    files = {str(file.locate()) for name in names for file in installed()[name].files or ()}
+    files |= {cache_from_source(file) for file in files if file.endswith(".py")}
+    sizes = {(one.st_dev, one.st_ino): one.st_blocks * 512 for one in map(os.lstat, filter(os.path.lexists, files))}
+    told = sum(install.size_mb(installed()[name]) for name in names)
+    assert max(told, sum(sizes.values()) / 1e6) <= install.ON_DISK_MB[part] <= 1.25 * told
 
 
 def test_what_the_commands_of_the_readme_took_is_among_the_figures(

@@ -80,6 +80,7 @@ def _content(found: Comparison) -> dict[str, object]:
             "from_s": found.excerpt.rows["time"][0], "to_s": found.excerpt.rows["time"][-1],
             "structure_rms_m": np.std(motion), "residual_rms_m": np.std(residual),
         },
+        "missing_for_constants": list(found.missing),
         **(identified_content(found.constants) if found.constants is not None else {}),
     }  # fmt: skip
 
@@ -112,8 +113,8 @@ def _print(console: Console, found: Comparison) -> None:
         console.print(f"{found.excerpt}: the structure did not move, rms of measured less model {residual:.3g} m")
     if found.constants is not None:
         print_identified(console, found.constants)
-    else:
-        console.print("constants: none can be determined; this needs DT without the sphere, and a measured current")
+    elif found.missing:
+        console.print(f"constants: none can be determined; this run lacks {' and '.join(found.missing)}")
 
 
 from impact_rig_studies.cli.parsers import add_compare as add_command  # noqa: E402, F401  # for environments registered before

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import math
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,6 +27,7 @@ import numpy as np
 
 from impact_rig.cli.terminal import Console, TextTable, tell_json, tell_program
 from impact_rig.errors import ConfigError, RecordingError
+from impact_rig.rig.gaps import case_of
 from impact_rig.system import files
 
 if TYPE_CHECKING:
@@ -134,6 +136,10 @@ def _print_left_out(console: Console, source: ImportedSignals) -> None:
 
 def _print(console: Console, found: ImportedRun) -> None:
     """Print the channels of a file, the assumptions, and what was left out."""
+    from impact_rig.analysis.settings import parse_label  # noqa: PLC0415  # heavy: after the signals are taken
+    from impact_rig_studies.importing.assignment import reason_unused  # noqa: PLC0415  # as above
+
+    unused: dict[str, str] = {}
     used: dict[str, list[str]] = {}
     for name, one in found.mapping.channels.items():
         used.setdefault(one.column, []).append(name)
@@ -141,7 +147,12 @@ def _print(console: Console, found: ImportedRun) -> None:
     table = TextTable(title, left=("signal", "unit", "channel"), right=("least", "largest"), last=("",))
     for name, signal in found.source.signals.items():
         if name not in used:
-            table.add_row(name, signal.unit, "", "", "", "not used", style="bright_black")
+            why = reason_unused(name, found.source.signals, found.mapping)
+            role = "" if why else "frequency" if name == found.mapping.frequency else "gap"
+            unused |= {name: why} if why else {}
+            table.add_row(
+                name, signal.unit, role, "", "", "not used" if why else "", style="bright_black" if why else None
+            )
         for channel in used.get(name, []):
             one = found.mapping.channels[channel]
             si = found.info[found.info["name"] == channel.encode()][0]["unit"].decode()
@@ -149,6 +160,8 @@ def _print(console: Console, found: ImportedRun) -> None:
             least, largest = (f"{of(values):.4g}" if len(values) else "" for of in (np.min, np.max))
             table.add_row(name, one.sensitivity or one.unit or si, channel, least, largest, si)
     console.print(table)
+    for name, why in unused.items():
+        console.print(f"not used: {name}, {why}")
     _print_left_out(console, found.source)
     for doubt in found.doubts:
         console.print(f"assumed: {doubt}", style="yellow")
@@ -161,8 +174,15 @@ def _print(console: Console, found: ImportedRun) -> None:
         console.print(f"from {since:.6g} s: {frequency:.6g} Hz, amplitude {amplitude:.4g} {unit}")
     if len(found.drive) > 10:
         console.print(f"... and {len(found.drive) - 10} further settings of the drive")
-    for label in found.labels:
-        console.print(f"remark: {label}")
+    labels = [label for label in map(parse_label, found.labels) if label]
+    for label in labels:
+        case = "gap unknown" if math.isnan(label.gap_m) else case_of(label.gap_m)
+        console.print(f"from {(label.stamp_ns - found.start_ns) / 1e9:.6g} s: {case}")
+    if not labels:
+        console.print("gap: unknown (--gap 6mm, or --gap none without the sphere)", style="yellow")
+    for text in found.labels:
+        if not parse_label(text):
+            console.print(f"remark: {text}")
 
 
 from impact_rig_studies.cli.parsers import add_import  # noqa: E402, F401  # for environments registered before

@@ -121,6 +121,29 @@ def _fits(signal: Signal, channel: str) -> bool:
     return found is None or found == "V" or found in UNITS[channel]
 
 
+def reason_unused(name: str, signals: AnyMapping[str, Signal], mapping: Mapping) -> str:
+    """Return why a signal is the source of no channel; empty if it gives the frequency or the gap."""
+    if name in (mapping.frequency, mapping.gap):
+        return ""
+    one = signals[name]
+    used = [signals[channel.column] for channel in mapping.channels.values() if channel.column in signals]
+    if one.kind is not SignalKind.TIME_RESPONSE:
+        return f"it is a {one.kind.value}"
+    meant = [channel for channel in CHANNELS if {channel, *HINTS[channel]} & _words(name)]
+    if not meant:
+        return "its name matches no channel"
+    fitting = [channel for channel in meant if _fits(one, channel)]
+    if not fitting:
+        return f"its unit {one.unit} is none of {meant[0]}"
+    taken = [channel for channel in fitting if channel in mapping.channels]
+    if taken:
+        return f"{taken[0]} is {mapping.channels[taken[0]].column}"
+    if all(len(one.values) != len(other.values) for other in used):
+        return "it has other times"
+    rivals = [other for other in signals if other != name and {fitting[0], *HINTS[fitting[0]]} & _words(other)]
+    return f"{fitting[0]} may be {rivals[0]} as well" if rivals else "no channel is assigned to it"
+
+
 def with_channel(channels: AnyMapping[str, Channel], text: str, signals: AnyMapping[str, Signal]) -> dict[str, Channel]:
     """Return channels with one changed by a text: `laser=ai0`, `laser=ai0 mm`, `laser=ai0 V, 500 mV/mm`, `laser=`.
 

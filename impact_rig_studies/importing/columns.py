@@ -106,6 +106,7 @@ def signals_of(
                     omitted[name] = f"a time that cannot be read: {error}"
                     continue
             texts[name] = words
+            omitted[name] = "texts"
         elif values.dtype.kind in "Mm" and values.ndim == 1:
             ns = values.astype("datetime64[ns]" if values.dtype.kind == "M" else "timedelta64[ns]").astype(np.int64)
             if values.dtype.kind == "M" and dates is None:
@@ -126,7 +127,7 @@ def signals_of(
             stamps = values.astype(np.int64)
         else:
             numeric[name] = values
-    axis = _axis(numeric, column_units, clocks, stamps, dates)
+    axis = _axis(numeric, column_units, clocks, stamps, dates, omitted)
     if axis.kind is AbscissaKind.NONE:
         strange = next((name for name in texts if headings.is_time_name(headings.split_unit(name)[0])), None)
         if strange is not None:
@@ -167,8 +168,12 @@ def _axis(
     clocks: list[tuple[str, cells.Times]],
     stamps: NDArray[np.int64] | None,
     dates: tuple[str, NDArray[np.int64]] | None,
+    omitted: dict[str, str],
 ) -> _Axis:
-    """Remove the columns of times, or of frequencies, from the others, and return the abscissa that they define."""
+    """Remove the columns of times, or of frequencies, from the others, and return the abscissa that they define.
+
+    Columns that repeat it are added to `omitted`, with the reason.
+    """
     timed = next((name for name in numeric if headings.is_time_name(_name(name)) and _is_column(numeric[name])), None)
     if clocks:
         fraction = next((name for name in numeric if headings.bare(_name(name)) in headings.MILLISECONDS), None)
@@ -176,10 +181,17 @@ def _axis(
             clock = next(times for _, times in clocks if times.has_clock)
             clock.ns = clock.ns + np.round(_float(numeric.pop(fraction)) * 1e6).astype(np.int64)
             timed = None if timed == fraction else timed
-    if timed is not None and (clocks or dates):
-        del numeric[timed]  # it repeats the dates in seconds
+    used = _clock_names(clocks) if clocks else [dates[0]] if dates else []
+    if used:
+        spare = [name for name, _ in clocks if name not in used]
+        if timed is not None:
+            del numeric[timed]  # it repeats the dates in seconds
+            spare.append(timed)
+        spare += [dates[0]] if clocks and dates else []
+        spare += [headings.STAMP] if stamps is not None else []
+        omitted |= dict.fromkeys(spare, f"the times are those of {' and '.join(used)}")
     if clocks:
-        return _clock_axis(clocks)
+        return _clock_axis([one for one in clocks if one[0] in used])
     if dates:
         return _date_axis(*dates)
     if timed is None:
@@ -206,16 +218,27 @@ def _axis(
     return _Axis()
 
 
+def _clock_names(clocks: list[tuple[str, cells.Times]]) -> list[str]:
+    """Return the names of the columns that give the times: the first, and one that completes its dates or clocks."""
+    name, times = clocks[0]
+    completing = (
+        other_name
+        for other_name, other in clocks[1:]
+        if len(other.ns) == len(times.ns)
+        and other.has_date != times.has_date
+        and not (times.has_date and times.has_clock)
+    )
+    return [name, *list(completing)[:1]]
+
+
 def _clock_axis(clocks: list[tuple[str, cells.Times]]) -> _Axis:
     """Return times from dates, clocks, or a column of each."""
     name, times = clocks[0]
     ns = times.ns
     has_date = times.has_date
     for _, other in clocks[1:]:
-        if len(other.ns) == len(ns) and other.has_date != has_date and not (times.has_date and times.has_clock):
-            date, clock = (times, other) if times.has_date else (other, times)
-            ns, has_date = date.ns + clock.ns % (86_400 * NS_PER_S), True
-            break
+        date, clock = (times, other) if times.has_date else (other, times)
+        ns, has_date = date.ns + clock.ns % (86_400 * NS_PER_S), True
     seconds = (ns - ns[0]) / NS_PER_S if len(ns) else np.zeros(0)
     start_ns = int(ns[0]) if has_date and len(ns) else None
     note = next((one.note for _, one in clocks if one.note), "")

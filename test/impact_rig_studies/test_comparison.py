@@ -170,3 +170,38 @@ def test_the_command_tells_and_draws(
     text = capsys.readouterr().out
     assert "driven by the measured current" in text
     assert "differs" not in text
+    assert "constants" not in text
+
+
+SPHERE, CURRENT_LACKS = "DT without the sphere", "a measured current"
+
+
+@pytest.mark.parametrize(
+    ("gap", "channels", "missing"),
+    [
+        ("6mm", ("laser", "base", "current"), [SPHERE]),
+        ("none", ("laser", "base"), [CURRENT_LACKS]),
+        ("6mm", ("laser", "base"), [SPHERE, CURRENT_LACKS]),
+        ("none", ("laser", "base", "current"), []),
+    ],
+)
+def test_the_command_names_what_the_constants_lack_and_nothing_else(
+    recorded: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    gap: str, channels: tuple[str, ...], missing: list[str],
+) -> None:  # fmt: skip
+    """A run driven by its measured current was once said to need a measured current."""
+    with open_run(recorded["linear"]) as run:
+        rows = np.concatenate([table.rows for table in run.tables("daq/scan")])
+    np.savez(tmp_path / "own.npz", **{name: rows[name] for name in channels})
+    options = ["--gap", gap, "--frequency", "9.1", "--scan-rate", str(RATE_HZ), "--output", str(tmp_path / "run")]
+    assert main(["import", str(tmp_path / "own.npz"), *options]) == 0
+    capsys.readouterr()
+    assert main(["compare", str(tmp_path / "run"), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["missing_for_constants"] == missing
+    assert ("constants" in told) == (not missing)
+    assert main(["compare", str(tmp_path / "run"), *(["--no-fit"] if not missing else [])]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert ("constants:" in said) == bool(missing)
+    if missing:
+        assert said.endswith(f"constants: none can be determined; this run lacks {' and '.join(missing)}")

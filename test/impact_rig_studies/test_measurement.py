@@ -480,6 +480,33 @@ def test_two_files_of_one_name_are_refused_before_one_is_written(
     assert not (tmp_path / "out").exists()
 
 
+def test_a_dry_run_says_why_a_column_is_not_used_and_that_the_gap_is_unknown(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Columns were `not used` without a reason; second times and a missing gap had no line."""
+    head = "timestamp,time,earlier,base [g],laser 1 [mm],top [mm],coil [mm],note,frequency [Hz]"
+    rows = (f"2026-01-01T00:00:{0.01 * k:06.3f},{0.01 * k:.2f},0,{k},{k},{2 * k},{k},up,9" for k in range(400))
+    (tmp_path / "own.csv").write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
+    words = ["import", str(tmp_path / "own.csv"), "--output", str(tmp_path / "run"), "--dry-run"]
+    assert main([*words, "--channel", "laser=laser 1"]) == 0
+    told = capsys.readouterr().out
+    for line in (
+        "not used: earlier, its name matches no channel",
+        "not used: top, laser is laser 1",
+        "not used: coil, its unit mm is none of current",
+        "left out: note, texts",
+        "left out: time, the times are those of timestamp",
+        "gap: unknown (--gap 6mm, or --gap none without the sphere)",
+    ):
+        assert line in told
+    assert re.search(r"^ frequency +Hz +frequency", told, re.MULTILINE), "it is used"
+    assert "not used: frequency" not in told
+    assert main([*words, "--channel", "laser=laser 1", "--gap", "6mm"]) == 0
+    told = capsys.readouterr().out
+    assert "from 0 s: gap 6 mm" in told
+    assert "unknown" not in told
+
+
 def readings(amplitude: float, step: float, rate_hz: float = RATE_HZ, gap: str = "", frequency_hz: float = 9.1) -> str:
     """Return a table of 12 s of readings in mm, in steps, under a sine; the times have six digits."""
     times = np.arange(round(SECONDS * rate_hz)) / rate_hz

@@ -18,10 +18,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from impact_rig.drawing import style
 from impact_rig_studies.campaign import run
 from impact_rig_studies.campaign.job import execute
 from impact_rig_studies.campaign.plan import load_campaign
-from impact_rig_studies.report import studies
+from impact_rig_studies.report import dt, studies
 
 pytestmark = pytest.mark.heavy
 
@@ -72,6 +73,21 @@ def test_reductions_are_drawn_over_the_restitution(done, drawn):
         np.testing.assert_allclose(line.get_xdata(orig=False), RESTITUTIONS)
         np.testing.assert_allclose(line.get_ydata(orig=False), [100 * (1 - own[e] / without) for e in RESTITUTIONS])
     assert caption == "Study “restitution”: 6 settled points, ± 2u."
+
+
+def test_a_case_that_several_axes_show_is_one_entry_of_the_legend_and_labels_are_within_the_figure(done, monkeypatch):
+    """Each gap was listed twice, and the long legend pushed a label over the edge of the figure."""
+    figures = []
+    monkeypatch.setattr(dt, "Drawn", lambda _name, figure, _caption, _lines: figures.append(figure))
+    with style():
+        for draw in (dt.damper_by_frequency(done.curves, done.calibration), dt.amplitudes(done.curves)):
+            list(draw)
+        for figure, cases in zip(figures, (["6 mm"], ["no sphere", "6 mm"]), strict=True):
+            figure.canvas.draw()
+            assert [text.get_text() for text in figure.axes[-1].get_legend().get_texts()] == cases
+            for axis in figure.axes:
+                box = axis.yaxis.label.get_window_extent()
+                assert 0.0 <= box.x0 < box.x1 <= figure.bbox.width, axis.get_ylabel()
 
 
 def test_transmissibility_is_drawn_over_the_frequency(drawn):
