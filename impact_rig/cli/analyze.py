@@ -300,6 +300,3 @@ def draw_figure(
 
     for file in save(titled(draw(), run), arguments.figures / stem, arguments.formats):
         console.print(f"wrote {file}", soft_wrap=True)
-
-
-from impact_rig.cli.parsers import add_analyze as add_command, FRF, SINE  # noqa: E402, F401, I001  # for environments registered before

@@ -72,6 +72,3 @@ def _print_instruments(checks: Sequence[ChannelCheck], console: Console) -> None
             _POLARITY[check.polarity], Text("ok", "green") if check.ok else Text("not ok", "red"),
         )  # fmt: skip
     console.print(table)
-
-
-from impact_rig.cli.parsers import add_check as add_command  # noqa: E402, F401  # for environments registered before

@@ -42,6 +42,3 @@ def run_daqmx(arguments: argparse.Namespace) -> int:
         Console().print(f"nidaqmx server: {arguments.host}:{port}; Ctrl-C ends it", soft_wrap=True)
         server.wait_for_termination()
     return 0
-
-
-from impact_rig.cli.parsers import add_daqmx as add_command  # noqa: E402, F401  # for environments registered before

@@ -57,6 +57,3 @@ def run_export(arguments: argparse.Namespace) -> int:
             written = export(run, arguments.topic, target)
     Console().print(str(written))
     return 0
-
-
-from impact_rig.cli.parsers import add_export as add_command  # noqa: E402, F401  # for environments registered before

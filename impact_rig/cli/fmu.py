@@ -29,6 +29,3 @@ def run_fmu(arguments: argparse.Namespace) -> int:
     write_fmu(config, arguments.path, arguments.fmi, arguments.kernels or FOLDER)
     Console().print(f"FMI {arguments.fmi} co-simulation unit: {arguments.path}")
     return 0
-
-
-from impact_rig.cli.parsers import add_fmu as add_command  # noqa: E402, F401  # for environments registered before

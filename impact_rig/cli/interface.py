@@ -159,5 +159,3 @@ _BREAKS: dict[str, Callable[[Any, Any, Row], bool]] = {
     "choices": lambda was, now, _: now is not None and not set(was or ()) <= set(now),
 }
 """Key of a row -> function that returns whether a change breaks a client (before, after, row); other keys always do."""
-
-from impact_rig.cli.parsers import add_interface as add_command  # noqa: E402, F401  # for environments registered before

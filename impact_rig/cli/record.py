@@ -208,6 +208,3 @@ def _content(found: RunMeasurements) -> dict[str, object]:
         "phase_rad": last["phase"], "settled_measurements": len(found.rows),
         "current_amplitude_a": last["current_amplitude"], "budget": [attrs.asdict(part) for part in whole.parts],
     }  # fmt: skip
-
-
-from impact_rig.cli.parsers import add_record as add_command  # noqa: E402, F401  # for environments registered before

@@ -203,6 +203,3 @@ def _play(opened: Run, arguments: argparse.Namespace) -> int:
             if not arguments.loop:
                 player.finish()
                 return 0
-
-
-from impact_rig.cli.parsers import add_info, add_recover, add_replay, add_verify  # noqa: E402, F401  # for environments registered before

@@ -209,6 +209,3 @@ def run_report(arguments: argparse.Namespace) -> int:
     )  # fmt: skip
     tell_program(path)
     return 0
-
-
-from impact_rig_studies.cli.parsers import add_campaign as add_command, add_report  # noqa: E402, F401, I001  # for environments registered before

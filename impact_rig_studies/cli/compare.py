@@ -115,6 +115,3 @@ def _print(console: Console, found: Comparison) -> None:
         print_identified(console, found.constants)
     elif found.missing:
         console.print(f"constants: none can be determined; this run lacks {' and '.join(found.missing)}")
-
-
-from impact_rig_studies.cli.parsers import add_compare as add_command  # noqa: E402, F401  # for environments registered before

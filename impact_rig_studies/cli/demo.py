@@ -222,6 +222,3 @@ def _print_table(console: Console, reductions: Reductions, closed_form: float) -
         )  # fmt: skip
     console.print(table)
     console.print(f"largest difference {reductions.max_abs_error():.1f} points, rms {reductions.rms_error():.1f}")
-
-
-from impact_rig_studies.cli.parsers import add_demo as add_command  # noqa: E402, F401  # for environments registered before

@@ -50,6 +50,3 @@ def run_drop(console: Console, run: Run, arguments: argparse.Namespace) -> int:
         return 1
     console.print(f"e = {found.restitution:.4f} ± {2 * found.u_restitution:.4f} (2u) from {found.drops} drops")
     return 0
-
-
-from impact_rig_studies.cli.parsers import DROP  # noqa: E402, F401  # for environments registered before

@@ -257,6 +257,3 @@ def identified_content(found: Identified) -> dict[str, object]:
         "converged": found.converged,
         "consistent": found.consistent,
     }
-
-
-from impact_rig_studies.cli.parsers import add_identify as add_command  # noqa: E402, F401  # for environments registered before

@@ -183,6 +183,3 @@ def _print(console: Console, found: ImportedRun) -> None:
     for text in found.labels:
         if not parse_label(text):
             console.print(f"remark: {text}")
-
-
-from impact_rig_studies.cli.parsers import add_import  # noqa: E402, F401  # for environments registered before

@@ -211,6 +211,3 @@ def _show(console: Console, plan: Plan, rows: list[Row]) -> None:
     for row in _named(plan, _printed(plan, rows)[:MOST_ROWS], shown):
         table.add_row(*(f"{cell:.5g}" if isinstance(cell, float) else str(cell or "-") for cell in row.values()))
     console.print(table)
-
-
-from impact_rig_studies.cli.parsers import add_dynamics, add_map  # noqa: E402, F401  # for environments registered before
