@@ -161,7 +161,7 @@ def test_hostile_requests_are_refused_counted_and_end_the_connection(server: Ser
             return answers, page.close_code
 
     answers, code = loops.run(talk())
-    assert [answer.split()[0] for answer in answers] == ["a", "a", "there", "value", "stop"]
+    assert [answer.split()[0] for answer in answers] == ["a", "a", "there", "frequency", "stop"]
     assert code == 1009
     assert source.asked == []
     assert server.refused["malformed"] == 5
