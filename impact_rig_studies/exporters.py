@@ -31,7 +31,7 @@ from impact_rig_studies.maps import run as maps
 POINTS = "points"
 Columns = dict[str, NDArray[np.generic]]
 Tables = Mapping[str, Callable[[str], Columns]]
-"""By name, a function that returns the columns for a file with a suffix."""
+"""Functions that return the columns for a file with a suffix, by name of the table."""
 
 
 def map_points(directory: Path) -> Tables | None:

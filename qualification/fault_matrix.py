@@ -317,8 +317,8 @@ def _sensor_fault(kind: str, channel: str, size: float, gap_m: float, seed: int)
     tracker.label(gap_m, 0)
     chain.acquire(motion, 0, len(motion.segments))
     page = RigView()
-    page.faults.add(told(kind, channel, value, round(FAULT_S * NS_PER_S), 1))
-    page.faults.add(told(kind, channel, value, round(FAULT_S * NS_PER_S + samples * NS_PER_S / RATE_HZ), 0))
+    page.faults.add(fault_table(kind, channel, value, round(FAULT_S * NS_PER_S), 1))
+    page.faults.add(fault_table(kind, channel, value, round(FAULT_S * NS_PER_S + samples * NS_PER_S / RATE_HZ), 0))
     worst, off, words, claims = math.nan, 0.0, Counter[str](), 0
     rows = chain.read(chain.ready)
     for first in range(0, len(rows), RATE_HZ):
@@ -348,7 +348,7 @@ def _sensor_fault(kind: str, channel: str, size: float, gap_m: float, seed: int)
 DRIVING = Seen("driving", age_s=0.0)
 
 
-def told(kind: str, channel: str, value: float, stamp_ns: int, active: int) -> Table:
+def fault_table(kind: str, channel: str, value: float, stamp_ns: int, active: int) -> Table:
     """Return the row of `truth/faults` for the start or the end of a fault."""
     row = np.zeros(1, FAULTS)
     row["id"], row["active"], row["value"] = 1, active, value

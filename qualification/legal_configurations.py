@@ -250,17 +250,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seconds", type=float, default=5.0, help="seconds of rig time (default: 5)")
     parser.add_argument("--limit", type=float, default=60.0, help="largest CPU time of a run [s] (default: 60)")
     parser.add_argument("--seed", type=int, default=1, help="seed of the configurations (default: 1)")
-    told = parser.parse_args(arguments)
-    indices = told.only or range(told.first, told.first + told.count)
+    options = parser.parse_args(arguments)
+    indices = options.only or range(options.first, options.first + options.count)
     say = Console(soft_wrap=True, markup=False, highlight=False).print
     counts: Counter[str] = Counter()
     worst = 0.0
-    for done, (index, result) in enumerate(results(indices, told.seed, told.seconds, told.limit), start=1):
+    for done, (index, result) in enumerate(results(indices, options.seed, options.seconds, options.limit), start=1):
         counts[result.ended] += 1
         if result.ended == OK:
             worst = max(worst, result.unaccounted)
         if result.ended in FAILURES:
-            say(report(index, told.seed, result))
+            say(report(index, options.seed, result))
         if sys.stderr.isatty() or done % 100 == 0:
             Console(stderr=True).print(f"{done} of {len(indices)}: {dict(counts)}")
     ended = ", ".join(f"{counts[word]} {word}" for word in (OK, REFUSED, *FAILURES))

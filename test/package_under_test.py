@@ -42,7 +42,7 @@ def find_installed() -> Path | None:
 
 
 def prefer_installed() -> None:
-    """From now on, import the installed package, here and in child processes, if the source tree was not built.
+    """Import the installed package, here and in child processes, if the source tree was not built.
 
     Under `colcon test`, it is always preferred, because the source tree may contain an older library of `make`.
     """

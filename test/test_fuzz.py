@@ -59,7 +59,7 @@ def test_a_slice_of_hostile_inputs(one: target.Target) -> None:
 
 @pytest.mark.slow
 def test_the_first_run_in_a_folder_measures_the_inputs_alone(tmp_path: Path) -> None:
-    """In a fresh clone the table of hypothesis, made at the first text, was taken for the memory of a mapping."""
+    """The table that hypothesis makes at the first text in a fresh clone must not count as memory of a mapping."""
     command = [sys.executable, "-m", "fuzz", "--inputs", "20", "--seed", "20261128", "import_mapping"]
     environment = os.environ | {"HYPOTHESIS_STORAGE_DIRECTORY": str(tmp_path)}
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)

@@ -64,7 +64,11 @@ def test_a_property_begins_with_a_noun_phrase_or_with_return(line, count):
     ],
 )
 @pytest.mark.parametrize(
-    ("line", "count"), [("Scans of a block.", 0), ("Whether a scan is lost.", 1), ("Of a scan.", 1)]
+    ("line", "count"),
+    [
+        ("Scans of a block.", 0),
+        *((f"{word} a scan is lost.", 1) for word in ("Whether", "Of", "From", "When", "Which")),
+    ],
 )
 def test_no_docstring_of_a_test_or_an_attribute_begins_with_a_question(template, line, count):
     found = prose_lint.of_python("test/x.py", template.format(line))

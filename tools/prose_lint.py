@@ -16,7 +16,7 @@
 It checks what can be counted:
 
 - `head`: the first words of docstrings. Modules and classes begin with a noun phrase, functions with an imperative;
-  no docstring, of a test or an attribute either, begins with a word of `QUESTIONS`.
+  no docstring, of a test or an attribute either, begins with a word of `NEVER_FIRST`.
 - `help`: options without help text, and help texts that begin with a preposition, a relative or a finite verb.
 - `phrase`: expressions of `PHRASES` in docstrings, comments, messages, help texts and documentation.
 - `history`: comments about earlier versions of the code.
@@ -60,7 +60,7 @@ def words(text: str) -> set[str]:
     return set(text.split())
 
 
-QUESTIONS = words("how of what where whether who")  # first words of no docstring, those of tests included
+NEVER_FIRST = words("by from how of what when where whether which who whatever")  # of any docstring, also in tests
 RELATIVES = words("what which who whom whose how where when why that")
 CONJUNCTIONS = words("and as because but if or so than then though unless while whatever")
 PREPOSITIONS = words("""
@@ -174,7 +174,7 @@ def of_docstrings(file: str, tree: ast.Module, *, heads: bool) -> Iterator[Findi
         text = inspect.cleandoc(str(ast.literal_eval(node.value)))
         first = text.split("\n", maxsplit=1)[0]
         decorators = " ".join(ast.unparse(one) for one in getattr(subject, "decorator_list", ()))
-        good = first.partition(" ")[0].lower() not in QUESTIONS
+        good = first.partition(" ")[0].lower() not in NEVER_FIRST
         if heads and (isinstance(subject, ast.Module | ast.ClassDef) or "property" in decorators):
             good = is_noun_phrase(first) or first.startswith("`python")
         elif heads and isinstance(subject, ast.FunctionDef | ast.AsyncFunctionDef):

@@ -81,7 +81,7 @@ class DaqmxError(ImpactRigError):
     """Error that NI-DAQmx reports by its number.
 
     Attributes:
-                code: NI's number of the error.
+        code: NI's number of the error.
     """
 
     def __init__(self, code: Code, message: str) -> None:

@@ -149,7 +149,7 @@ an executor that delivers all messages of one subscription first would otherwise
 """
 AWAY_S = 1.0  # a gap this long between two calls of the work timer means that this process was suspended, not the peers
 EXPIRES_S = 2.0
-"""After a suspension of this duration, commands that were queued meanwhile are dropped: their senders have already
+"""Duration of a suspension after which commands that were queued meanwhile are dropped: their senders have already
 received an error.
 """
 # share of a processor: a process that used more between two calls of the work timer was not suspended

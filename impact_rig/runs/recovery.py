@@ -545,7 +545,7 @@ class _Salvage:
         self.attachments: list[Attachment] = []
         self.metadata: dict[str, dict[str, str]] = {}  # records of other programs, by name
         self.follows: int | None = None
-        """For a tail: size of the recording at the start of the chunk whose messages the tail contains [bytes]."""
+        """Size of the recording at the start of the chunk whose messages a tail contains [bytes]; None otherwise."""
         self.provenance: Provenance | None = None
         self.losses: dict[str, str] = {}
         self.recovered: Recovered | None = None

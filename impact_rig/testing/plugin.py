@@ -125,12 +125,12 @@ def _keep(rig: testing.RigDriver, directory: Path, item: pytest.Item) -> str:
     except Exception as error:
         run, saved = "", f"    no run was saved: {error}"
     try:
-        told = rig.report()
+        report = rig.report()
     except Exception as error:
-        told = f"{rig.name}: {error}"
-    properties = {"run": run, "report": told, "seed": str(rig.config.daq.seed)}
+        report = f"{rig.name}: {error}"
+    properties = {"run": run, "report": report, "seed": str(rig.config.daq.seed)}
     item.user_properties += [(f"{rig.name}.{name}", value) for name, value in properties.items()]
-    return f"{told}\n{saved}"
+    return f"{report}\n{saved}"
 
 
 def _directory(item: pytest.Item) -> Path:

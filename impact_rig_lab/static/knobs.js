@@ -158,10 +158,10 @@ export class KnobPanel {
       if (slider) slider.disabled = this.readOnly;
       for (const button of box.querySelectorAll("button")) button.disabled = this.readOnly;
       const value = this.values[knob.name];
-      const told = value !== null && value !== undefined;
-      slider?.classList.toggle("untold", !told);
+      const isKnown = value !== null && value !== undefined;
+      slider?.classList.toggle("unknown", !isKnown);
       if (!this.knobs.follows(knob.name) || field.dataset.written) continue;
-      if (!told) { // the value belongs to another rig
+      if (!isKnown) { // the value belongs to another rig
         if (field.dataset.shown !== undefined) field.value = "";
         delete field.dataset.shown;
         continue;

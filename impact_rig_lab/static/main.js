@@ -216,8 +216,8 @@ function showNotice(said) {
   if (said.word === "dead" && rig.own) buttons.push(["Start again", () => act("restart")]);
   const gone = ["analysis", "recorder"].filter((name) => now.sources?.[name]?.gone && link.connected);
   if (gone.length && said.word !== "dead") {
-    const told = gone.filter((name) => !said.text.includes(now.sources[name].gone)).map((name) => `The ${name} is gone: ${now.sources[name].gone}.`);
-    said = { ...said, text: [said.text, ...told].join(" ") };
+    const texts = gone.filter((name) => !said.text.includes(now.sources[name].gone)).map((name) => `The ${name} is gone: ${now.sources[name].gone}.`);
+    said = { ...said, text: [said.text, ...texts].join(" ") };
     if (rig.own) buttons.push(["Start again", () => act("restart")]);
     if (gone.includes("recorder")) buttons.push(["Recover the recording", () => act("recover")]);
   }

@@ -88,9 +88,9 @@ export class ScopeView {
       }
       this.ranges[number] = limits(this.ranges[number], low, high);
       const [x, y] = line(trace.low[number], trace.high[number], trace.column);
-      const none = new Array(x.length).fill(null), told = trace.low[COMMANDED];
+      const none = new Array(x.length).fill(null), commanded = trace.low[COMMANDED];
       const rows = [x, y, other ? fitted(line(other.low[number], other.high[number], other.column), x) : none];
-      if (number === CURRENT) rows.push(told ? line(told, trace.high[COMMANDED], trace.column)[1] : none);
+      if (number === CURRENT) rows.push(commanded ? line(commanded, trace.high[COMMANDED], trace.column)[1] : none);
       this.plots[number].setData(rows);
     }
   }

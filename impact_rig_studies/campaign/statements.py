@@ -36,7 +36,7 @@ ABOVE_HZ = (9.2, 9.5)
 FAR_HZ = (7.5, 8.0, 10.0, 10.5)
 FAR_LIMIT_PERCENT = 6.0  # our interpretation of `tend to coincide`
 SHIFT_LIMIT_PERCENT = 1.0
-"""Our interpretation of `virtually` unchanged. (The paper's 0.44 % are between its simulation and its experiment.)"""
+"""Interpretation of `virtually` unchanged. (The paper's 0.44 % are between its simulation and its experiment.)"""
 # grid on which a peak is located; slightly more than 0.01 Hz because of the rounding of frequencies
 PEAK_STEP_HZ = 0.0101
 GAPS_M = tuple(REDUCTION_PERCENT)

@@ -62,9 +62,7 @@ class MapLine(HashedTask):
     along: str  # name of the axis that changes
     values: tuple[float, ...]  # its values, in the order of measurement
     direction: str
-    """Up or down: each point starts from the state of the previous one; otherwise from rest.
-
-        `reset` or the start of the sphere.
+    """Start of each point: the state of the previous one (`up`, `down`), or rest (`reset`, or the start of the sphere).
     """
     frequency_hz: float  # frequency of the drive, unless it is an axis
     current_a: float  # amplitude of the drive (A, m or V by `drive.kind`), unless it is an axis

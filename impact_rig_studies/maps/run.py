@@ -49,9 +49,9 @@ class FinishedMap:
     plan: MapPlan  # definition of the map
     directory: Path
     values: dict[str, dict[str, NDArray[np.generic]]]
-    """By direction and name of a reading, or of an added quantity.
+    """Readings and added quantities, by direction and name.
 
-    Arrays in the order of the axes, NaN (or "") if not measured.
+    The arrays are in the order of the axes, NaN (or "") if not measured.
     """
 
     def to_dataframe(self) -> Any:

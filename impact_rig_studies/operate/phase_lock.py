@@ -486,7 +486,7 @@ class Mean(NamedTuple):
 
     frequency_hz: float  # of the resonance
     u_frequency_hz: float
-    """From the scatter of the samples, including correlation, and the distance of the mean phase from −90°."""
+    """Uncertainty from the scatter of the samples, their correlation, and the distance of the mean phase from −90°."""
     dt: float  # |X_1| / |X_b|
     u_dt: float  # from the scatter of the samples and the sensitivities, which are common to all measurements of a rig
 

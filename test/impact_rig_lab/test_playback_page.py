@@ -204,7 +204,7 @@ def test_of_a_recording_of_two_rigs_one_is_shown(tmp_path: Path) -> None:
 def test_of_two_runs_of_a_session_nothing_is_played_of_what_lies_between_them(
     recorded: Messages, tmp_path: Path
 ) -> None:
-    """By rig time, the second run began 21 minutes after the end of the first: the player must skip this time."""
+    """The second run begins 21 minutes of rig time after the end of the first: the player must skip this time."""
     first = [(name, table) for name, table in recorded if table.stamp_ns < 3e9]
     runs = [record(tmp_path / "first", first), record(tmp_path / "late", from_second(recorded, 8.0))]
     with PlaybackSource(runs) as source:
@@ -321,7 +321,7 @@ def without(column: str) -> Callable[[np.ndarray], np.ndarray]:
 def test_tables_without_a_column_cost_themselves_alone(
     recorded: Messages, tmp_path: Path, topic: str, column: str
 ) -> None:
-    """From the third second on, every table of one topic is broken; the other topics are played to the end."""
+    """Every table of one topic is broken after the third second; the other topics are played to the end."""
     broken = [
         (name, attrs.evolve(table, rows=without(column)(table.rows)))
         if name == topic and (table.stamp_ns >= 3e9 or name != "daq/scan") else (name, table)

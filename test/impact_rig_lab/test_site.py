@@ -101,7 +101,7 @@ def test_the_page_follows_its_window_and_the_preferred_colours_while_it_runs(pag
 
 
 def test_no_view_reaches_out_of_its_panel(page_file: Path, browser: Browser) -> None:
-    """At 800 pixels the scope lay over the spectrum, and at 1440 the frequencies below it were cut off."""
+    """The scope must not cover the spectrum, nor may the frequencies below it be cut off, at any width of the page."""
     page = browser.page(1440, 900)
     page.goto(page_file.as_uri())
     page.wait("lab.now.scans > 0", "the rig to run")

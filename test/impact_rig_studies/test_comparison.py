@@ -160,11 +160,11 @@ def test_the_command_tells_and_draws(
     model.write_text(dump(from_flat(RigConfig(), {"sphere.present": False})))
     words = ["compare", str(recorded["linear"]), "--config", str(model), "--figures", str(tmp_path / "drawn")]
     assert main([*words, "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    (place,) = told["places"]
+    printed = json.loads(capsys.readouterr().out)
+    (place,) = printed["places"]
     assert abs(place["transmissibility_off_u"]) < LARGEST_OFF
-    assert told["traces"]["residual_rms_m"] < 0.01 * told["traces"]["structure_rms_m"]
-    assert told["constants"]["f_n"]["determined"]
+    assert printed["traces"]["residual_rms_m"] < 0.01 * printed["traces"]["structure_rms_m"]
+    assert printed["constants"]["f_n"]["determined"]
     assert {one.suffix for one in (tmp_path / "drawn").iterdir()} == {".png", ".svg", ".pdf", ".csv"}
     assert main([*words, "--no-fit"]) == 0
     text = capsys.readouterr().out
@@ -197,9 +197,9 @@ def test_the_command_names_what_the_constants_lack_and_nothing_else(
     assert main(["import", str(tmp_path / "own.npz"), *options]) == 0
     capsys.readouterr()
     assert main(["compare", str(tmp_path / "run"), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["missing_for_constants"] == missing
-    assert ("constants" in told) == (not missing)
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["missing_for_constants"] == missing
+    assert ("constants" in printed) == (not missing)
     assert main(["compare", str(tmp_path / "run"), *(["--no-fit"] if not missing else [])]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert ("constants:" in said) == bool(missing)

@@ -52,8 +52,8 @@ def test_drops_noted_with_a_run_give_the_restitution_of_the_law(
     remarks = ["the sphere is new", *(drop.text() for drop in noted)]
     path = record(tmp_path / "drops", [*recorded(rig), *(note(text, 10 * k) for k, text in enumerate(remarks))])
     assert main(["analyze", str(path), "--drop", "0.2mm", "--figures", str(tmp_path)]) == 0
-    told = capsys.readouterr().out
-    value, u2 = map(float, re.search(r"e = ([0-9.]+) ± ([0-9.]+) \(2u\) from 8 drops", told).groups())  # type: ignore[union-attr]  # it is there
+    printed = capsys.readouterr().out
+    value, u2 = map(float, re.search(r"e = ([0-9.]+) ± ([0-9.]+) \(2u\) from 8 drops", printed).groups())  # type: ignore[union-attr]  # it is there
     assert 0.0 < u2 < 0.01
     assert value == pytest.approx(e, abs=1.5 * u2)
     assert (tmp_path / "drop.png").read_bytes().startswith(b"\x89PNG")

@@ -456,12 +456,12 @@ def test_a_start_that_shows_no_attractor_leaves_the_others(stuck, tmp_path):
     assert [(row["attractor"], row["regime"]) for row in rows] == [(0.0, "periodic")] * 2
 
 
-@pytest.mark.parametrize(("kind", "told"), [("section", []), ("orbit", []), ("exponent", ["failed"])])
-def test_a_motion_that_cannot_be_resolved_after_it_has_settled_leaves_the_other_tasks(kind, told, stuck, tmp_path):
+@pytest.mark.parametrize(("kind", "regimes"), [("section", []), ("orbit", []), ("exponent", ["failed"])])
+def test_a_motion_that_cannot_be_resolved_after_it_has_settled_leaves_the_other_tasks(kind, regimes, stuck, tmp_path):
     """The error of one motion must not end the study."""
     stuck(TAKEN_ALONG)
     text = {"section": "{cycles: 1}", "orbit": "{starts: left}", "exponent": "{starts: left, cycles: 10, windows: 4}"}
-    assert [row["regime"] for row in study(tmp_path, kind, f"{kind}: {text[kind]}")] == told
+    assert [row["regime"] for row in study(tmp_path, kind, f"{kind}: {text[kind]}")] == regimes
 
 
 def test_marching_keeps_the_branch_until_it_changes_and_gives_its_dt(over_gap):
@@ -617,11 +617,11 @@ def test_what_was_interrupted_is_resumed_to_the_same_bytes(kind, tmp_path, capsy
         return {str(path.relative_to(tmp_path)): path.read_bytes() for path in files}
 
     assert main(words) == 0
-    told, whole = json.loads(capsys.readouterr().out), contents()
-    assert told["rows"] > 0
+    printed, whole = json.loads(capsys.readouterr().out), contents()
+    assert printed["rows"] > 0
     assert f"out/figures/dynamics_{kind}.svg" in whole
     tasks = sorted((tmp_path / "out" / "tasks").iterdir())
-    assert len(tasks) == told["tasks"] == told["measured_tasks"]
+    assert len(tasks) == printed["tasks"] == printed["measured_tasks"]
     for path in tasks[::2]:
         path.unlink()
     (tmp_path / "out" / f"{kind}.csv").unlink()
@@ -629,7 +629,7 @@ def test_what_was_interrupted_is_resumed_to_the_same_bytes(kind, tmp_path, capsy
     assert json.loads(capsys.readouterr().out)["measured_tasks"] == len(tasks[::2])
     assert contents() == whole
     with (tmp_path / "out" / f"{kind}.csv").open() as file:
-        assert len(list(csv.DictReader(file))) == told["rows"]
+        assert len(list(csv.DictReader(file))) == printed["rows"]
 
 
 LEADING = {

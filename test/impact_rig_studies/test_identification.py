@@ -233,7 +233,7 @@ def test_a_motion_that_does_not_repeat_has_a_mean_with_an_uncertainty():
 
 
 def test_the_roughness_of_an_irregular_mean_is_the_size_of_its_jumps():
-    """From window to window of regimes the mean changes by jumps, which no slope describes: here about a line."""
+    """The mean changes by jumps from window to window of regimes, which no slope describes: here about a line."""
 
     def place(i, step):
         return place_of(rig(RigConfig(), logarithms(RigConfig()) + step * np.eye(len(NAMES))[i]), 0.0065, 9.1, 0.52)
@@ -403,8 +403,8 @@ def test_a_recorded_pluck_gives_what_a_pluck_of_our_own_gives(directory, tmp_pat
     assert main([*arguments, str(tmp_path / "plucked")]) == 0
     assert f"free decay: f_n {decay.natural_frequency_hz:.6f}" in capsys.readouterr().out
     assert main([*arguments, str(tmp_path / "plucked"), "--decrement"]) == 0
-    told = re.search(r"free decay: f_n ([0-9.]+) ± ([0-9.]+) Hz", capsys.readouterr().out)
-    found, u2 = map(float, told.groups())
+    line = re.search(r"free decay: f_n ([0-9.]+) ± ([0-9.]+) Hz", capsys.readouterr().out)
+    found, u2 = map(float, line.groups())
     assert found != round(decay.natural_frequency_hz, 6), "it is another estimate"
     assert found == pytest.approx(decay.natural_frequency_hz, abs=2 * u2 + 1e-6)
     assert main([*arguments, str(tmp_path / "plucked"), "--rig", "/left"]) == 1

@@ -182,7 +182,7 @@ FILES: dict[str, tuple[Callable[[Path], Path], list[str]]] = {
 
 @pytest.mark.parametrize("name", FILES)
 def test_files_of_the_field_give_their_transmissibility(tmp_path: Path, name: str) -> None:
-    """Within 3u, which chance exceeds once in 370 cases; u is not so large that every result would pass."""
+    """The results are within 3u, which chance exceeds once in 370 cases; u is small enough to reject wrong ones."""
     write, options = FILES[name]
     assert main(["import", str(write(tmp_path)), "--output", str(tmp_path / "run"), *options]) == 0
     with open_run(tmp_path / "run") as run:

@@ -194,10 +194,10 @@ def test_every_face_takes_any_channels_and_any_rate(
         assert main(["info", str(run)]) == 0
         capsys.readouterr()
         assert main(["analyze", str(run), "--sine", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["frequency_hz"] == pytest.approx(hz, rel=1e-4)
-    assert (told["transmissibility"] is None) == (len(units) < 2)
-    assert {one["channel"] for one in told["channels"]} == set(units)
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["frequency_hz"] == pytest.approx(hz, rel=1e-4)
+    assert (printed["transmissibility"] is None) == (len(units) < 2)
+    assert {one["channel"] for one in printed["channels"]} == set(units)
     with open_run(run) as found:
         assert export(found, "daq/scan", tmp_path / "scan.csv").stat().st_size > 1000
 
@@ -296,6 +296,6 @@ def test_a_run_keeps_what_was_assumed_and_left_out(tmp_path: Path) -> None:
     )
     run = write(imported(readers.read(tmp_path / "own.csv")), tmp_path / "run")
     with open_run(run) as found:
-        told = json.loads(found.attachments()["source.json"])
-    assert list(told["left_out"]) == ["line 202 and after"]
-    assert any("m was taken" in one for one in told["assumptions"])
+        source = json.loads(found.attachments()["source.json"])
+    assert list(source["left_out"]) == ["line 202 and after"]
+    assert any("m was taken" in one for one in source["assumptions"])

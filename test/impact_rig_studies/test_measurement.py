@@ -489,7 +489,7 @@ def test_a_dry_run_says_why_a_column_is_not_used_and_that_the_gap_is_unknown(
     (tmp_path / "own.csv").write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
     words = ["import", str(tmp_path / "own.csv"), "--output", str(tmp_path / "run"), "--dry-run"]
     assert main([*words, "--channel", "laser=laser 1"]) == 0
-    told = capsys.readouterr().out
+    printed = capsys.readouterr().out
     for line in (
         "not used: earlier, its name matches no channel",
         "not used: top, laser is laser 1",
@@ -498,13 +498,13 @@ def test_a_dry_run_says_why_a_column_is_not_used_and_that_the_gap_is_unknown(
         "left out: time, the times are those of timestamp",
         "gap: unknown (--gap 6mm, or --gap none without the sphere)",
     ):
-        assert line in told
-    assert re.search(r"^ frequency +Hz +frequency", told, re.MULTILINE), "it is used"
-    assert "not used: frequency" not in told
+        assert line in printed
+    assert re.search(r"^ frequency +Hz +frequency", printed, re.MULTILINE), "it is used"
+    assert "not used: frequency" not in printed
     assert main([*words, "--channel", "laser=laser 1", "--gap", "6mm"]) == 0
-    told = capsys.readouterr().out
-    assert "from 0 s: gap 6 mm" in told
-    assert "unknown" not in told
+    printed = capsys.readouterr().out
+    assert "from 0 s: gap 6 mm" in printed
+    assert "unknown" not in printed
 
 
 def readings(amplitude: float, step: float, rate_hz: float = RATE_HZ, gap: str = "", frequency_hz: float = 9.1) -> str:
@@ -643,13 +643,13 @@ def test_what_an_import_leaves_out_is_told(tmp_path: Path, capsys: pytest.Captur
     np.savez(tmp_path / "own.npz", base=base, laser=laser, fft=np.exp(1j * turn), cube=np.zeros((2, 3, 4)), dt=-1.0)
     words = ["import", str(tmp_path / "own.npz"), "--output", str(tmp_path / "run"), "--scan-rate", str(RATE_HZ)]
     assert main([*words, "--dry-run"]) == 0
-    told = capsys.readouterr().out
+    printed = capsys.readouterr().out
     for line in (
         "left out: fft, complex numbers",
         "left out: cube, a table of tables",
         "left out: dt, no rate or period: -1",
     ):
-        assert line in told
+        assert line in printed
 
 
 @pytest.mark.parametrize(("seconds", "laser", "reason"), [(0.3, 1e-3, "too_few_cycles"), (30.0, 0.0, "constant")])
@@ -662,6 +662,6 @@ def test_sines_without_a_dt_say_so_and_are_no_success(
     assert main(["import", str(tmp_path / "own.npz"), *words]) == 0
     capsys.readouterr()
     assert main(["analyze", str(tmp_path / "run"), "--sine"]) == 1
-    told = capsys.readouterr().out
-    assert f"no DT from these scans: {reason}" in told
-    assert not re.search(r"\bnan\b", told)
+    printed = capsys.readouterr().out
+    assert f"no DT from these scans: {reason}" in printed
+    assert not re.search(r"\bnan\b", printed)

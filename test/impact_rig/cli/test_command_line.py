@@ -68,7 +68,7 @@ PAGES = dict(pages(command_line()))
 
 
 def test_a_reader_that_ends_early_ends_the_program_quietly() -> None:
-    """As in `impact-rig interface --json | head`."""
+    """The reader ends early in `impact-rig interface --json | head`."""
     with subprocess.Popen([*PROGRAM, "interface", "--json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdout is not None
         assert process.stderr is not None

@@ -43,11 +43,11 @@ def check(directory: Path) -> None:
 def test_a_run_with_its_dt_and_its_budget(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--frequency", "9.1Hz", "--current", "520mA", "--gap", "6mm", "--seconds", "25", "--seed", "3", *RATE]
     assert main(["record", *words, "--output", str(tmp_path / "run")]) == 0
-    told = capsys.readouterr()
-    assert told.out.splitlines()[-1] == str(tmp_path / "run")
-    assert "(2u) at 9.1 Hz, gap 6 mm, periodic" in told.out
-    assert "combined" in told.out
-    assert "seconds 25 of 25: gap 6 mm, DT 6" in told.err
+    printed = capsys.readouterr()
+    assert printed.out.splitlines()[-1] == str(tmp_path / "run")
+    assert "(2u) at 9.1 Hz, gap 6 mm, periodic" in printed.out
+    assert "combined" in printed.out
+    assert "seconds 25 of 25: gap 6 mm, DT 6" in printed.err
     check(tmp_path / "run")
     assert main(["record", *words, "--output", str(tmp_path / "again"), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
@@ -56,7 +56,7 @@ def test_a_run_with_its_dt_and_its_budget(tmp_path: Path, capsys: pytest.Capture
     assert 0.0 < found["u_transmissibility"] < 0.02 * found["transmissibility"]
     squares = sum(part["u_relative"] ** 2 for part in found["budget"])
     assert squares == pytest.approx((found["u_transmissibility"] / found["transmissibility"]) ** 2, rel=1e-6)
-    assert f"DT {found['transmissibility']:.3f} ± " in told.out, "the same seed gives the same run"
+    assert f"DT {found['transmissibility']:.3f} ± " in printed.out, "the same seed gives the same run"
 
 
 def test_a_run_too_short_for_a_measurement_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -105,10 +105,10 @@ def test_ctrl_c_leaves_a_readable_run(tmp_path: Path) -> None:
         assert process.stderr is not None
         assert "seconds 0 of" in process.stderr.readline()
         process.send_signal(signal.SIGINT)
-        told, _ = process.communicate(timeout=120)
+        printed, _ = process.communicate(timeout=120)
     assert process.returncode == 128 + signal.SIGINT
-    assert told.splitlines()[-1] == str(tmp_path / "run")
-    assert "ended early: interrupted" in told
+    assert printed.splitlines()[-1] == str(tmp_path / "run")
+    assert "ended early: interrupted" in printed
     assert info(tmp_path / "run").intact
     check(tmp_path / "run")
 

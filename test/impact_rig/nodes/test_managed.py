@@ -130,7 +130,7 @@ def test_a_node_survives_bugs_in_callbacks_and_says_so(user: Client) -> None:
 
 
 def test_a_node_that_is_told_to_end_has_no_more_news(user: Client) -> None:
-    """When a rig and its analysis end together, the rig must not warn that the analysis is gone."""
+    """A rig that ends together with its analysis must not warn that the analysis is gone."""
     node = user.host(Small)
     user.wait_active("small")
     reports = user.listen("/diagnostics")

@@ -179,7 +179,7 @@ def test_new_peers_owe_nothing_of_the_past() -> None:
 
 @given(st.lists(st.tuples(st.sampled_from(["publish", "a", "b"]), st.integers(-5, 400)), max_size=200))
 def test_window_is_never_overrun_by_any_acknowledgements(steps: list[tuple[str, int]]) -> None:
-    """Whatever peers send, the rig is at most `window` blocks ahead of the block that each of them has acknowledged."""
+    """The rig is at most `window` blocks ahead of what each peer has acknowledged, whatever peers send."""
     window = AckWindow(("a", "b"), 3, NS_PER_S, FakeClock())
     published, last = 0, {"a": -1, "b": -1}
     for who, stamp in steps:

@@ -116,7 +116,7 @@ def contact_by_equal_steps(model: Model, speed: float, length: float, steps: int
 
 
 def test_a_contact_is_integrated_at_the_order_of_its_method():
-    """From the touch on, where δ^1.5 has its kink: nothing of it is left in sqrt(δ). Radau IIA: 2 · 5 − 1."""
+    """The kink of δ^1.5 at the touch does not lower the order, 2 · 5 − 1 of Radau IIA: steps are in sqrt(δ)."""
     model, speed = build(benchmark_rig()), 0.3
     scale = (model.parameters[0].m_eff * speed**2 / model.parameters[0].stiffness) ** 0.4
     length = 3.0 * math.sqrt(scale) / speed  # the sphere is on its way out again
@@ -151,7 +151,7 @@ def test_a_classical_method_has_order_two_and_a_half_on_the_same_contact():
 
 @pytest.mark.parametrize("law", ["flores", "kelvin_voigt"])
 def test_the_error_of_a_contact_follows_the_tolerance(law):
-    """From the default tolerance on Flores' contacts are looked up, which is as good as the tightest one."""
+    """Contacts of Flores' law are looked up at the default tolerance and below, as exactly as at the tightest one."""
     exact = hunt_crossley.realised(8.0 * 0.65 / (5.0 * 0.35)) if law == "flores" else 0.35
     tolerances = 10.0 ** -np.arange(3, 13)
     errors = [

@@ -31,7 +31,7 @@ FREQUENCY_HZ = 9.1
 
 
 def on_ticks(amplitude: float, cycles: int) -> np.ndarray:
-    """About so many cycles in segments of the command grid, as the rig drives: contacts are cut anywhere."""
+    """Return about this many cycles in segments of the command grid, as in the rig: they cut contacts anywhere."""
     return sine(FREQUENCY_HZ, amplitude, COMMAND_GRID_S, round(cycles / (FREQUENCY_HZ * COMMAND_GRID_S)))
 
 

@@ -52,7 +52,7 @@ def ends(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     st.sampled_from([0.0, 0.1, 0.3]),
 )
 def test_a_sine_is_computed_from_its_last_change_and_its_ramp_to_the_last_bit(changes, ramp_s):
-    """By the formulas, with libm's exact fmod; every phase is within a turn."""
+    """The rows agree with the formulas and libm's exact fmod; every phase is within a turn."""
     made, ramp = generator(ramp_s=ramp_s), math.ceil(ramp_s / TICK_S - 1e-9)
     made.segments(40)
     anchor, level = made.phase_rad, made.amplitude
@@ -146,7 +146,7 @@ def test_a_chirp_sweeps_from_one_frequency_to_the_other_and_begins_again():
 
 
 def test_a_chirp_goes_on_where_the_scan_clock_begins_to_err():
-    """After hours of sweeps the place in the present one once jumped by minutes of the clock's error."""
+    """A phase counted from the start would jump, after hours of sweeps, by minutes of the clock's error."""
     made = generator(waveform="chirp", frequency_hz=5.0, chirp_end_hz=15.0, chirp_s=60.0)
     made.tick = 600_000
     before = made.segments(1)["omega"][0]

@@ -35,7 +35,7 @@ def matrix(kind: str, **values: float) -> np.ndarray:
 
 
 def scaled(m: np.ndarray) -> np.ndarray:
-    """In units in which lengths and speeds are of one size."""
+    """Return the matrix in units in which lengths and speeds are of one size."""
     units = np.ones(len(m))
     units[0 : len(m) - 1 : 2] = 1.0 / math.sqrt(-m[1, 0])
     return units[np.newaxis, :] / units[:, np.newaxis]

@@ -271,7 +271,7 @@ def test_a_step_of_a_contact_is_one_polynomial_to_a_millionth(law):
 
 
 def test_a_step_of_a_contact_that_ends_with_the_segment_ends_there():
-    """At the resolution of events, this was once not a pause: the contact lost time, or could not continue."""
+    """An end within the resolution of events must count as a pause: the contact must lose no time, and continue."""
     config = rig(drive={"kind": "prescribed"}, contact={"law": "kelvin_voigt"})
 
     def moved(*durations_s):

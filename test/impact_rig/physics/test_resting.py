@@ -30,7 +30,7 @@ AMPLITUDES = {"prescribed": 60e-6, "current": 0.5, "voltage": 2.0}
 
 
 def run(config: RigConfig, rtol: float = CONTACT_RTOL, cycles: int = CYCLES) -> Motion:
-    """From rest, the sphere on the left wall, which soon presses it."""
+    """Return a motion from rest with the sphere on the left wall, which soon presses it."""
     drive = sine(FREQUENCY_HZ, AMPLITUDES[config.drive.kind], CYCLE_S, cycles)
     return Simulation(config, rtol=rtol).advance(drive)
 

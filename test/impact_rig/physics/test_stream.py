@@ -67,7 +67,7 @@ def system(config: RigConfig) -> tuple[NDArray[np.float64], NDArray[np.float64]]
 @pytest.mark.parametrize(("rate_hz", "hold"), [(10_000, "first_order"), (10_000, "zero_order"), (1_250, "first_order")])
 @pytest.mark.repeats
 def test_the_linear_rig_follows_the_exact_solution_for_a_minute(rate_hz, hold):
-    """Between samples the current is a straight line (or stays), of which a matrix exponential is the whole answer.
+    """The current is a straight line or constant between samples, for which a matrix exponential is exact.
 
     At 1,250 Hz every second tick begins between two samples.
     """
@@ -120,10 +120,10 @@ def test_impacts_under_noise_agree_with_an_independent_integration():
 
 @pytest.mark.parametrize(("ticks", "ramp_s"), [(30, 1.0), (12, 1.0), (15, 0.02)], ids=["at rest", "longer", "shorter"])
 def test_a_drive_that_ramps_for_want_of_samples_goes_on_from_where_it_is(ticks, ramp_s):
-    """Within another ramp time it comes down from there.
+    """The drive ramps down from its present level within the new ramp time.
 
-    Once the place on the ramp was kept, in samples: a drive long at rest jumped to nine tenths of its last sample when
-    `shaker.ramp_s` was made ten times as long.
+    A position on the ramp that is kept in samples would let a drive long at rest jump to nine tenths of its last sample
+    when `shaker.ramp_s` becomes ten times as long.
     """
     config = rig(drive={"waveform": "stream", "stream_rate_hz": 1000}, shaker={"ramp_s": 0.1})
     generator = FunctionGenerator(config.drive, config.shaker, Random(1))
@@ -140,13 +140,13 @@ def test_a_drive_that_ramps_for_want_of_samples_goes_on_from_where_it_is(ticks, 
 
 
 def impact_times(config: RigConfig, samples: NDArray[np.float64], seconds: int) -> NDArray[np.float64]:
-    """When contacts begin, by the rig [s]."""
+    """Return when contacts begin according to the rig [s]."""
     _, impacts = driven(config, samples, seconds * TICKS_PER_S)
     return impacts["tick"] * COMMAND_GRID_S + impacts["offset"]
 
 
 def integrated(config: RigConfig, samples: NDArray[np.float64], rate_hz: int, seconds: int) -> Iterator[float]:
-    """When contacts begin, by `solve_ivp`: y, x_2 and v_2 as they are, wall after wall."""
+    """Yield when contacts begin according to `solve_ivp` [s], with y, x_2 and v_2 as states, wall after wall."""
     matrix, b = system(config)
     c, m, k = constants(config), sphere_kg(config), stiffness(config)
     factor = contact.from_config(config.contact).hysteresis_factor()

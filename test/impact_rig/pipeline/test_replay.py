@@ -100,7 +100,7 @@ def content(tables: list[Table]) -> list[tuple[int, bytes]]:
 
 
 def test_a_live_analysis_finds_in_a_replay_what_it_found_before(client: Client, run: Path) -> None:
-    """As fast as the analysis follows, far faster than real time, and without losing a block."""
+    """The replay is as fast as the analysis follows, far faster than real time, and loses no block."""
     client.host(AnalysisNode)
     client.wait_active("analysis")
     topics = ("daq/scan", "daq/info", "shaker/applied")

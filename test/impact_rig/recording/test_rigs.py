@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Which rig a topic belongs to: full names relative to a namespace decide, never the end of a name."""
+"""The rig that a topic belongs to: full names relative to a namespace decide, never the end of a name."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""From a file with any damage, only recorded data are recovered: never wrong data, and never a hang."""
+"""Recovery from a file with any damage: only recorded data, never wrong data, and never a hang."""
 
 from __future__ import annotations
 

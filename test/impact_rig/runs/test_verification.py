@@ -302,7 +302,7 @@ def test_tables_of_another_kind_are_no_settings(whole: Messages, tmp_path: Path)
 
 
 @pytest.fixture(scope="module")
-def told() -> list[tuple[str, object]]:
+def recorded() -> list[tuple[str, object]]:
     """Everything that a rig publishes about itself: it has impacts, a fault, a trip and a reset, and continues."""
     rig = Rig(from_flat(RigConfig(), {"daq.seed": 5, "barriers.gap_m": 0.002, "output.truth_scan": True}))
     return everything(
@@ -326,11 +326,11 @@ def told() -> list[tuple[str, object]]:
     )
 
 
-def test_everything_that_the_rig_published_is_compared_and_told_topic_by_topic(told, tmp_path: Path) -> None:
-    found = verdict(tmp_path, told)
+def test_everything_that_the_rig_published_is_compared_and_told_topic_by_topic(recorded, tmp_path: Path) -> None:
+    found = verdict(tmp_path, recorded)
     assert found.identical, [str(one) for one in found.topics if one.difference]
     counts = {one.topic: one.count for one in found.topics}
-    published = {name: sum(one == name for one, _ in told) for name, _ in told}
+    published = {name: sum(one == name for one, _ in recorded) for name, _ in recorded}
     for name in ("truth/scan", "truth/impacts", "truth/faults", "truth/joint_states", "daq/info", "rig/configuration"):
         assert counts[name] == published[name] > 0, name
     assert counts["shaker/applied"] == published["shaker/applied"]
@@ -338,13 +338,13 @@ def test_everything_that_the_rig_published_is_compared_and_told_topic_by_topic(t
 
 
 @pytest.mark.parametrize("begun", [3, 80, 200], ids=lambda block: f"block {block}")
-def test_a_recorder_that_came_late_heard_less_and_is_not_accused(told, tmp_path: Path, begun: int) -> None:
+def test_a_recorder_that_came_late_heard_less_and_is_not_accused(recorded, tmp_path: Path, begun: int) -> None:
     """Truth and scans begin one after the other; latched messages are there from before."""
     latched = ("rig/journal", "shaker/applied", "daq/info", "truth/faults", "rig/configuration")
-    scans = [place for place, (name, _) in enumerate(told) if name == "daq/scan"]
+    scans = [place for place, (name, _) in enumerate(recorded) if name == "daq/scan"]
     late = [
         one
-        for place, one in enumerate(told)
+        for place, one in enumerate(recorded)
         if one[0] in latched or place >= scans[begun] + (400 if one[0] == "truth/joint_states" else 0)
     ]
     found = verdict(tmp_path, late)
@@ -367,11 +367,12 @@ TAMPERED = {
 
 @pytest.mark.parametrize("where", [0.3, 0.9])
 @pytest.mark.parametrize("topic", TAMPERED)
-def test_one_altered_value_beside_the_scans_is_named(told, tmp_path: Path, topic: str, where: float) -> None:
-    places = [place for place, (name, _) in enumerate(told) if name == topic]
+def test_one_altered_value_beside_the_scans_is_named(recorded, tmp_path: Path, topic: str, where: float) -> None:
+    places = [place for place, (name, _) in enumerate(recorded) if name == topic]
     place = places[int(where * len(places))]
     found = verdict(
-        tmp_path, [*told[:place], *edited(told[place : place + 1], topic, TAMPERED[topic]), *told[place + 1 :]]
+        tmp_path,
+        [*recorded[:place], *edited(recorded[place : place + 1], topic, TAMPERED[topic]), *recorded[place + 1 :]],
     )
     assert found.identical is False
     assert found.reason.startswith(f"{topic}: ")
@@ -379,61 +380,62 @@ def test_one_altered_value_beside_the_scans_is_named(told, tmp_path: Path, topic
 
 
 @pytest.mark.parametrize("topic", [*TAMPERED, "truth/joint_states"])
-def test_a_message_that_is_missing_or_made_up_is_named(told, tmp_path: Path, topic: str) -> None:
-    places = [place for place, (name, _) in enumerate(told) if name == topic]
+def test_a_message_that_is_missing_or_made_up_is_named(recorded, tmp_path: Path, topic: str) -> None:
+    places = [place for place, (name, _) in enumerate(recorded) if name == topic]
     place = places[len(places) // 2]
-    name, one = told[place]
+    name, one = recorded[place]
     made_up = (name, attrs.evolve(one, stamp_ns=one.stamp_ns - 1_000_001))
-    found = verdict(tmp_path / "more", [*told[:place], made_up, *told[place:]])
+    found = verdict(tmp_path / "more", [*recorded[:place], made_up, *recorded[place:]])
     assert found.identical is False
     assert found.reason.startswith(f"{topic}: at ")
     assert "this journal does not lead to it" in found.reason
     if topic not in ("truth/scan", "truth/joint_states"):  # how often those come is no part of a journal
-        found = verdict(tmp_path / "less", [*told[:place], *told[place + 1 :]])
+        found = verdict(tmp_path / "less", [*recorded[:place], *recorded[place + 1 :]])
         assert found.identical is False
         assert "is missing" in found.reason
 
 
-def test_an_altered_joint_state_and_configuration_are_named(told, tmp_path: Path) -> None:
-    places = [place for place, (name, _) in enumerate(told) if name == "truth/joint_states"]
-    name, one = told[places[40]]
+def test_an_altered_joint_state_and_configuration_are_named(recorded, tmp_path: Path) -> None:
+    places = [place for place, (name, _) in enumerate(recorded) if name == "truth/joint_states"]
+    name, one = recorded[places[40]]
     values = one.values.copy()
     values[4] = np.nextafter(values[4], 1.0)
     found = verdict(
-        tmp_path / "joints", [*told[: places[40]], (name, attrs.evolve(one, values=values)), *told[places[40] + 1 :]]
+        tmp_path / "joints",
+        [*recorded[: places[40]], (name, attrs.evolve(one, values=values)), *recorded[places[40] + 1 :]],
     )
     assert found.identical is False
     assert found.reason.startswith("truth/joint_states: at ")
     assert "velocity: logged" in found.reason
     other = [
         (name, attrs.evolve(one, text=one.text.replace("gap_m: 0.002", "gap_m: 0.0021")) if "config" in name else one)
-        for name, one in told
+        for name, one in recorded
     ]
     found = verdict(tmp_path / "configuration", other)
     assert found.identical is False
     assert "barriers.gap_m is 0.0021, which it never was according to the journal" in found.reason
 
 
-def test_a_session_that_came_back_to_its_first_configuration_is_not_accused(told, tmp_path: Path) -> None:
+def test_a_session_that_came_back_to_its_first_configuration_is_not_accused(recorded, tmp_path: Path) -> None:
     """The first earlier latched text equals the run's own, the next one does not; this is no difference."""
-    place = next(place for place, (name, _) in enumerate(told) if name == "rig/configuration")
-    name, own = told[place]
+    place = next(place for place, (name, _) in enumerate(recorded) if name == "rig/configuration")
+    name, own = recorded[place]
     other = (name, attrs.evolve(own, text=own.text.replace("gap_m: 0.002", "gap_m: 0.0021")))
-    found = verdict(tmp_path / "before", [*told[:place], (name, own), other, *told[place:]])
+    found = verdict(tmp_path / "before", [*recorded[:place], (name, own), other, *recorded[place:]])
     assert found.identical, found.reason
-    later = next(place for place, (what, one) in enumerate(told) if what == name and one.text != own.text)
-    found = verdict(tmp_path / "after", [*told[: later + 1], other, *told[later + 1 :]])
+    later = next(place for place, (what, one) in enumerate(recorded) if what == name and one.text != own.text)
+    found = verdict(tmp_path / "after", [*recorded[: later + 1], other, *recorded[later + 1 :]])
     assert found.identical is False
     assert "barriers.gap_m is 0.0021, which it never was according to the journal" in found.reason
 
 
-def test_a_row_that_the_rig_itself_would_have_written_cannot_be_invented_or_removed(told, tmp_path: Path) -> None:
+def test_a_row_that_the_rig_itself_would_have_written_cannot_be_invented_or_removed(recorded, tmp_path: Path) -> None:
     """A trip is a result: a journal without it, or with another one, leads to other rows."""
-    assert any(name == "rig/journal" and one.kind is InputKind.TRIP for name, one in told)
+    assert any(name == "rig/journal" and one.kind is InputKind.TRIP for name, one in recorded)
 
     def renumbered(change: Callable[[JournalEntry], list[JournalEntry]]) -> list[tuple[str, object]]:
         result, sequence = [], -1
-        for name, one in told:
+        for name, one in recorded:
             for entry in change(one) if name == "rig/journal" else ():
                 sequence = 0 if entry.kind in BEGINNINGS else sequence + 1
                 result.append((name, attrs.evolve(entry, sequence=sequence)))
@@ -453,21 +455,21 @@ def test_a_row_that_the_rig_itself_would_have_written_cannot_be_invented_or_remo
     assert '"name": "over_travel"' in found.reason
 
 
-def test_a_command_altered_by_less_than_a_step_of_the_converter_is_found(told, tmp_path: Path) -> None:
+def test_a_command_altered_by_less_than_a_step_of_the_converter_is_found(recorded, tmp_path: Path) -> None:
     """The scans are the same to the last bit, but the applied command and the truth differ."""
 
     def command(entry: JournalEntry) -> JournalEntry:
         altered = entry.name == "current" and entry.value == 0.52
         return attrs.evolve(entry, value=0.520000000001) if altered else entry
 
-    found = verdict(tmp_path, edited([one for one in told if one[0] != "truth/scan"], "rig/journal", command))
+    found = verdict(tmp_path, edited([one for one in recorded if one[0] != "truth/scan"], "rig/journal", command))
     assert found.identical is False
     assert any("0.520000000001" in one.difference for one in found.topics if one.topic == "shaker/applied")
 
 
-def test_what_somebody_else_published_on_the_journal_is_left_out_and_told(told, tmp_path: Path) -> None:
+def test_what_somebody_else_published_on_the_journal_is_left_out_and_told(recorded, tmp_path: Path) -> None:
     foreign = ("rig/journal", Remark('{"value": 1}', 0))
-    found = verdict(tmp_path, [*told[:400], foreign, *told[400:]])
+    found = verdict(tmp_path, [*recorded[:400], foreign, *recorded[400:]])
     assert found.identical, found.reason
     assert "rig/journal: " in str(found.topics[1])
     assert "1 messages are not journal entries" in str(found.topics[1])
@@ -481,9 +483,11 @@ def test_what_somebody_else_published_on_the_journal_is_left_out_and_told(told, 
         ("shaker/applied", lambda rows: without(rows, "phase"), "column 'phase' is missing"),
     ],
 )
-def test_a_column_that_is_missing_is_told_in_one_line(told, tmp_path: Path, topic, change, said, capsys, monkeypatch):
+def test_a_column_that_is_missing_is_told_in_one_line(
+    recorded, tmp_path: Path, topic, change, said, capsys, monkeypatch
+):
     monkeypatch.setenv("COLUMNS", "300")
-    assert main(["verify", str(record(tmp_path / "run", edited(told[:300], topic, change)))]) == 1
+    assert main(["verify", str(record(tmp_path / "run", edited(recorded[:300], topic, change)))]) == 1
     shown = capsys.readouterr()
     assert said in shown.out + shown.err
     assert "Traceback" not in shown.err

@@ -81,13 +81,13 @@ def test_the_command_prints_and_draws_a_frequency_response(
     swept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["analyze", str(swept), "--frf", "--segment", "20", "--figures", str(tmp_path / "new")]) == 0
-    told = capsys.readouterr().out
-    assert "coherence" in told
-    peak = float(re.search(r"largest at ([0-9.]+) Hz", told)[1])  # type: ignore[index]  # it is there
+    printed = capsys.readouterr().out
+    assert "coherence" in printed
+    peak = float(re.search(r"largest at ([0-9.]+) Hz", printed)[1])  # type: ignore[index]  # it is there
     assert peak == pytest.approx(9.1, abs=0.06)
-    assert f"wrote {tmp_path}/new/frf.png\n" in told
+    assert f"wrote {tmp_path}/new/frf.png\n" in printed
     assert (tmp_path / "new" / "frf.png").read_bytes().startswith(b"\x89PNG")
-    assert "the truth may lie" in told.replace("\n", " "), "20 s cannot resolve a width of 0.08 Hz"
+    assert "the truth may lie" in printed.replace("\n", " "), "20 s cannot resolve a width of 0.08 Hz"
     assert main(["analyze", str(swept), "--frf", "--figures", str(tmp_path / "new")]) == 1
     assert "frf.png exists already and is not overwritten" in capsys.readouterr().err
 
@@ -97,17 +97,17 @@ def test_the_window_of_a_frequency_response_can_be_chosen(swept: Path, capsys: p
     bias = []
     for window in ("hann", "flattop"):
         assert main(["analyze", str(swept), "--frf", "--segment", "40", "--window", window, "--json"]) == 0
-        told = json.loads(capsys.readouterr().out)
-        assert (told["window"], told["segment_s"]) == (window, pytest.approx(40.0))
-        bias.append(told["peak_bias"])
+        printed = json.loads(capsys.readouterr().out)
+        assert (printed["window"], printed["segment_s"]) == (window, pytest.approx(40.0))
+        bias.append(printed["peak_bias"])
     assert bias[1] is None or bias[1] > 2.0 * bias[0]
 
 
 def test_a_sine_is_one_line_and_said_to_be_one(steady: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["analyze", str(steady), "--frf", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["sine"]
-    (line,) = told["lines"]
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["sine"]
+    (line,) = printed["lines"]
     assert line["frequency_hz"] == pytest.approx(9.3, abs=0.1)
     assert main(["analyze", str(steady), "--frf"]) == 0
     assert "the drive is a sine of about 9.2" in capsys.readouterr().out.replace("\n", " ")
@@ -159,10 +159,10 @@ def test_the_command_prints_and_draws_sines(
 ) -> None:
     monkeypatch.setenv("COLUMNS", "120")
     assert main(["analyze", str(steady), "--sine", "--figures", str(tmp_path), "--format", "svg"]) == 0
-    told = capsys.readouterr().out
-    assert "of the last settled measurement" in told
+    printed = capsys.readouterr().out
+    assert "of the last settled measurement" in printed
     for channel in ("accelerometer", "laser", "base", "current"):
-        assert channel in told
+        assert channel in printed
     assert "<svg" in (tmp_path / "sine.svg").read_text(encoding="utf-8")
 
 

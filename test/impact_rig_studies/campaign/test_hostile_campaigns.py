@@ -113,9 +113,9 @@ def test_a_stored_result_that_is_none_is_one_line(
     assert store.get(job) is None, "a campaign measures it again"
     assert words in store.damaged[0]
     assert main(["report", str(file.parents[1])]) == 1
-    told = capsys.readouterr().err.replace("\n", " ")
-    assert "Traceback" not in told
-    assert file.name in told.replace(" ", "")
+    printed = capsys.readouterr().err.replace("\n", " ")
+    assert "Traceback" not in printed
+    assert file.name in printed.replace(" ", "")
 
 
 def test_half_a_character_is_one_line(stored: tuple[Store, Job, Path]) -> None:
@@ -191,9 +191,9 @@ def test_numbers_beyond_all_measure_are_one_short_line(
         if value.startswith("{"):
             file.write_text(f"axes: {{frequency_hz: [9.0, 9.1], gap_m: {value}}}\n")
     assert main([command, str(file), "--output", str(tmp_path / "out")]) == 1
-    told = capsys.readouterr().err
-    assert "gap" in told
-    assert len(told) < 600
+    printed = capsys.readouterr().err
+    assert "gap" in printed
+    assert len(printed) < 600
     assert not (tmp_path / "out").exists()
 
 

@@ -47,9 +47,9 @@ def test_hold(rig, tmp_path, capsys):
     (row,) = rows_of(out, "hold")
     assert abs(float(row["error"])) <= 2e-3
     assert float(row["base_amplitude"]) == pytest.approx(60e-6, rel=2e-3)
-    told = capsys.readouterr().out
-    assert "base held at 6e-05" in told
-    assert told.splitlines()[-1] == str(out)
+    printed = capsys.readouterr().out
+    assert "base held at 6e-05" in printed
+    assert printed.splitlines()[-1] == str(out)
     assert main(["drive", "hold", *words, *rig]) == 1
     assert "nothing is overwritten" in capsys.readouterr().err
 
@@ -61,9 +61,9 @@ def test_sweep(rig, tmp_path, capsys):
     rows = rows_of(out, "sweep")
     assert [float(row["frequency"]) for row in rows] == [9.2, 9.0]
     assert all(float(row["current_amplitude"]) == pytest.approx(0.1, rel=0.01) for row in rows)
-    told = json.loads(capsys.readouterr().out)
-    assert told["directory"] == str(out)
-    assert {"directory": str(out), **json.loads((out / "sweep.json").read_text())} == told
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["directory"] == str(out)
+    assert {"directory": str(out), **json.loads((out / "sweep.json").read_text())} == printed
 
 
 def test_an_output_that_cannot_be_written_is_refused_before_anything_is_measured(rig, tmp_path, monkeypatch, capsys):
@@ -98,10 +98,10 @@ def test_lock(rig, tmp_path, capsys):
 
 def test_a_dwell_too_short_for_an_uncertainty_has_no_result(rig, tmp_path, capsys):
     assert main(["drive", "lock", "--gap", "none", "--dwell", "0.3", *rig, "--output", str(tmp_path / "lock")]) == 1
-    told = capsys.readouterr().out
-    assert "too few for a mean with its uncertainty" in " ".join(told.split())
-    assert "--dwell 3 or more" in " ".join(told.split())
-    assert not NO_NUMBER.search(told.replace(str(tmp_path), ""))
+    printed = capsys.readouterr().out
+    assert "too few for a mean with its uncertainty" in " ".join(printed.split())
+    assert "--dwell 3 or more" in " ".join(printed.split())
+    assert not NO_NUMBER.search(printed.replace(str(tmp_path), ""))
 
 
 def test_backbone(rig, tmp_path, capsys):

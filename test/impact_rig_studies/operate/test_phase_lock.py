@@ -88,7 +88,7 @@ def test_a_resonance_is_found_and_held(reference, start_hz, zeta):
 
 @pytest.mark.parametrize(("start_hz", "side", "low_hz", "high_hz"), [(9.9, 1.0, 5.0, 10.0), (8.1, -1.0, 8.0, 20.0)])
 def test_a_transient_that_dies_at_an_end_of_the_range_is_no_resonance(start_hz, side, low_hz, high_hz):
-    """Between two samples the frequency stood still: a slope of 0 must not keep the lock at the end forever."""
+    """The frequency does not change between two samples: a slope of 0 must not keep the lock at the end forever."""
 
     class Ringing(Resonance):
         def sample(self, seconds):

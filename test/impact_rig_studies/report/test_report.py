@@ -333,9 +333,9 @@ def test_figures_lie_beside_the_page(reported):
 
 def test_a_directory_without_campaign_is_refused(tmp_path, capsys):
     assert main(["report", str(tmp_path)]) == 1
-    told = capsys.readouterr().err
-    assert "is not a campaign's directory" in told
-    assert "--output NEW`" in told, "into the directory of something else no campaign goes"
+    printed = capsys.readouterr().err
+    assert "is not a campaign's directory" in printed
+    assert "--output NEW`" in printed, "into the directory of something else no campaign goes"
 
 
 SHOWN = (VIEWS[0], VIEWS[3], *(pytest.param(*view, marks=pytest.mark.slow) for view in VIEWS[1:3]))
