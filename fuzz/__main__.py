@@ -26,13 +26,14 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any, NoReturn
 
+from coverage import CoverageData
 from hypothesis import find, settings
 from hypothesis import strategies as st
 from rich.console import Console
 from rich.table import Table as TextTable
 
-from fuzz.process import PACKAGES, add_branches, branch_coverage, run_one, targets
-from fuzz.target import MEMORY_MIB, Tally, prepared
+from fuzz.process import PACKAGES, branch_coverage, run_one, targets
+from fuzz.target import MEMORY_MIB, Tally, Target, prepared
 
 INPUTS = 10_000
 
@@ -48,13 +49,10 @@ def main() -> int:
     )
     arguments, rest = parser.parse_known_args()
     if arguments.guided:
-        _run_guided(arguments, rest)
-    known = targets()
-    if unknown := set(arguments.targets) - set(known):
-        parser.error(f"targets are {', '.join(known)}; got {', '.join(sorted(unknown))}")
+        _run_guided(parser, arguments, rest)
     if rest:
         parser.error(f"unrecognized arguments: {' '.join(rest)}")
-    chosen = [known[name] for name in arguments.targets] or list(known.values())
+    chosen = _chosen(parser, arguments.targets)
     # hypothesis makes its table of characters once in each folder, with 200 MiB: not in a process that is measured
     find(st.text(), lambda _: True, settings=settings(database=None))
     console, table, total, reached = Console(), TextTable(), 0, branch_coverage()
@@ -72,23 +70,31 @@ def main() -> int:
                 console.print(f"since {tally.largest}", markup=False)
                 return 1
             console.print(f"{one.name}: {tally.inputs} inputs, nothing found", style="dim")
-            if branches:
-                add_branches(reached, branches)
+            found = CoverageData(no_disk=True)
+            found.loads(branches)
+            reached.get_data().update(found)
     console.print(table)
     console.print(f"{total} inputs, no crash, hang, NaN or silent acceptance")
-    if reached is not None:
-        root = Path(__file__).parents[1]
-        reached.report(include=sorted({str(root / module) for one in chosen for module in one.modules}))
+    root = Path(__file__).parents[1]
+    reached.report(include=sorted({str(root / module) for one in chosen for module in one.modules}))
     return 0
 
 
-def _run_guided(arguments: argparse.Namespace, rest: list[str]) -> NoReturn:
+def _chosen(parser: argparse.ArgumentParser, names: list[str]) -> list[Target]:
+    """Return the targets of these names, all without names."""
+    known = targets()
+    if unknown := set(names) - set(known):
+        parser.error(f"targets are {', '.join(known)}; got {', '.join(sorted(unknown))}")
+    return [known[name] for name in names or known]
+
+
+def _run_guided(parser: argparse.ArgumentParser, arguments: argparse.Namespace, rest: list[str]) -> NoReturn:
     """Fuzz one target with libFuzzer, which ends the process."""
-    warnings.simplefilter("ignore")  # as above
+    warnings.simplefilter("ignore")  # as in `run_one`
     with _guide() as watching:
-        tally = Tally()
+        (target,), tally = _chosen(parser, [arguments.guided]), Tally()
         atexit.register(lambda: print(f"{tally.inputs} inputs, {tally.refused} refused"))
-        test = prepared(targets()[arguments.guided], INPUTS, 0, tally)
+        test = prepared(target, INPUTS, 0, tally)
         watching.Setup([sys.argv[0], *arguments.targets, *rest], test.hypothesis.fuzz_one_input)
         watching.Fuzz()
 

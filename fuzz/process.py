@@ -16,7 +16,8 @@
 from __future__ import annotations
 
 import warnings
-from typing import Any
+
+from coverage import Coverage
 
 from fuzz.target import Tally, Target, run
 
@@ -25,7 +26,7 @@ PACKAGES = ["impact_rig", "impact_rig_studies", "impact_rig_lab"]
 
 def targets() -> dict[str, Target]:
     """Return all targets by name."""
-    from fuzz import calls, decoders, importers, sockets, validators  # noqa: PLC0415  # their branches are measured
+    from fuzz import calls, decoders, importers, sockets, validators  # noqa: PLC0415  # measured, too
 
     all_of_them = (
         *decoders.TARGETS, *validators.TARGETS, *importers.TARGETS, *sockets.TARGETS, *calls.TARGETS,
@@ -34,30 +35,15 @@ def targets() -> dict[str, Target]:
 
 
 def run_one(name: str, inputs: int, number: int) -> tuple[Tally, bytes]:
-    """Run a target in this process; return its tally, and its branch coverage, empty without coverage.py."""
+    """Run a target in this process; return its tally and its branch coverage."""
     warnings.simplefilter("ignore")  # numpy warns about the values that it is asked to compare
     measured = branch_coverage()
-    if measured is None:
-        return run(targets()[name], inputs, number), b""
     measured.start()
     tally = run(targets()[name], inputs, number)
     measured.stop()
     return tally, measured.get_data().dumps()
 
 
-def branch_coverage() -> Any:
-    """Return a measurement of branch coverage, or None if coverage.py is not installed."""
-    try:
-        import coverage  # noqa: PLC0415  # optional
-    except ImportError:
-        return None
-    return coverage.Coverage(branch=True, data_file=None, source=PACKAGES, config_file=False)
-
-
-def add_branches(measured: Any, branches: bytes) -> None:
-    """Add the branch coverage of `run_one` to a measurement."""
-    import coverage  # noqa: PLC0415  # as above
-
-    found = coverage.CoverageData(no_disk=True)
-    found.loads(branches)
-    measured.get_data().update(found)
+def branch_coverage() -> Coverage:
+    """Return a new measurement of branch coverage."""
+    return Coverage(branch=True, data_file=None, source=PACKAGES, config_file=False)

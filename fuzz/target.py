@@ -110,9 +110,8 @@ def _cpu_s() -> float:
 
 def _peak_mib() -> float:
     """Return the peak memory of this process and of its ended children [MiB]."""
-    status = Path("/proc/self/status").read_text(
-        encoding="ascii"
-    )  # ru_maxrss of a started program begins with that of its parent
+    # ru_maxrss of a started program begins with that of its parent
+    status = Path("/proc/self/status").read_text(encoding="ascii")
     own = next(line for line in status.splitlines() if line.startswith("VmHWM:"))
     return max(int(own.split()[1]), resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss) / 1024.0
 

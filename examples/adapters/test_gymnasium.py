@@ -24,7 +24,9 @@ pytest.importorskip("gymnasium", reason="make adapters installs it")
 import gymnasium
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
-from gymnasium_env import ImpactRigEnv
+from gymnasium_env import SCALES, STEP_S, ImpactRigEnv
+
+from impact_rig.driver import LocalRig
 
 
 def test_the_checker_finds_nothing(recwarn):
@@ -45,6 +47,21 @@ def test_parallel_environments_return_the_same_as_a_single_one(kind):
         assert reward[1] == alone_reward
     envs.close()
     alone.close()
+
+
+def test_an_observation_is_the_true_motion_of_the_rig():
+    env = ImpactRigEnv()
+    env.reset(seed=1)
+    settings = {**env.settings, "daq.seed": env.rig.config.daq.seed, "output.truth_scan": True}
+    with LocalRig(settings, also=["truth/scan"]) as rig:
+        rig.run(STEP_S)
+        rig.command(9.1, 0.35)
+        for _ in range(50):
+            found, *_ = env.step(np.zeros(2, np.float32))  # the middle of both ranges
+        rig.run(50 * STEP_S)
+        last = rig.rows("truth/scan")[-round(STEP_S * rig.rate_hz) :]
+    assert found * SCALES == pytest.approx([last[name].std() for name in ("x_1", "x_b", "current")], rel=0.02)
+    env.close()
 
 
 def test_memory_does_not_grow_with_episodes():

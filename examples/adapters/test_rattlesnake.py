@@ -151,7 +151,7 @@ def rattlesnake(rate_hz, folder, monkeypatch, *environment):
             deadline = time.monotonic() + END_S
             while any(flag.value for flag in active):
                 assert time.monotonic() < deadline, "the hardware does not stop"
-                time.sleep(0.1)
+                time.sleep(0.1)  # its flags give no notice; its environments poll them, too
             for process in started[1:]:
                 assert process.is_alive(), process.name
         finally:

@@ -46,6 +46,6 @@ __all__ = [
 ]
 
 __getattr__ = lazily(
-    __name__, Acquisition="hardware", Hardware="hardware", LocalRig="local_rig", NotReachedError="driver",
-    AnalogOutput="hardware", RigDriver="driver", RosRig="ros_rig", UnderrunError="hardware",
+    __name__, needs_ros="ros_rig", Acquisition="hardware", Hardware="hardware", LocalRig="local_rig",
+    NotReachedError="driver", AnalogOutput="hardware", RigDriver="driver", RosRig="ros_rig", UnderrunError="hardware",
 )  # fmt: skip

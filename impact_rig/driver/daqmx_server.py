@@ -22,6 +22,7 @@ from __future__ import annotations
 import contextlib
 import datetime as dt
 import functools
+import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent import futures
 from typing import Any  # messages of protobuf, whose classes have no static types
@@ -530,6 +531,7 @@ def serving(board: Board, address: str) -> Iterator[tuple[Any, int]]:
     Raises:
         ImpactRigError: the extra is not installed, or the address cannot be used.
     """
+    os.environ.setdefault("GRPC_VERBOSITY", "NONE")  # an address that cannot be used has the message below
     grpc = _load("grpc")
     stubs = _load("nidaqmx._stubs.nidaqmx_pb2_grpc")
     with futures.ThreadPoolExecutor(MOST_CALLS) as pool:

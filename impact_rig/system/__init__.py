@@ -18,14 +18,24 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable
 
+from impact_rig.system.extras import load_ros
 
-def lazily(package: str, **homes: str) -> Callable[[str], object]:
-    """Return the `__getattr__` of a package whose public names are defined in other modules."""
+
+def lazily(package: str, needs_ros: str = "", **homes: str) -> Callable[[str], object]:
+    """Return the `__getattr__` of a package whose public names are defined in other modules.
+
+    Args:
+        package: name of the package.
+        needs_ros: its module that needs ROS 2; without ROS 2, names of this module raise an `ImpactRigError`.
+        homes: module of each name, within the package or with its full name.
+    """
 
     def find(name: str) -> object:
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         home = homes[name]
-        return getattr(importlib.import_module(home if "." in home else f"{package}.{home}"), name)
+        module = home if "." in home else f"{package}.{home}"
+        found = load_ros(module, f"{package}.{name}") if home == needs_ros else importlib.import_module(module)
+        return getattr(found, name)
 
     return find

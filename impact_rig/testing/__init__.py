@@ -42,6 +42,7 @@ __all__ = [
 
 __getattr__ = lazily(
     __name__,
+    needs_ros="schedule",
     Fault="impact_rig.instruments.fault",
     Golden="golden",
     LocalRig="impact_rig.driver",

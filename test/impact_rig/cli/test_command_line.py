@@ -241,7 +241,7 @@ def test_tab_completes_commands_and_options(line: str, expected: set[str], tmp_p
 
 
 WITHOUT_ROS = """\
-import importlib.metadata, sys
+import sys
 
 class Removed:
     def find_spec(self, name, path=None, target=None):
@@ -249,15 +249,18 @@ class Removed:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
 sys.meta_path.insert(0, Removed())
+"""
+PROGRAM_OF_NAME = """\
+import importlib.metadata
 [entry] = importlib.metadata.entry_points(group="console_scripts", name=sys.argv[1])
 del sys.argv[0]
 raise SystemExit(entry.load()())
 """
 
 
-def without_ros(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
-    """Run an installed program where ROS 2 is not installed."""
-    command = [sys.executable, "-c", WITHOUT_ROS, *words]
+def without_ros(folder: Path, source: str, *words: str) -> subprocess.CompletedProcess[str]:
+    """Run a Python program where ROS 2 is not installed."""
+    command = [sys.executable, "-c", WITHOUT_ROS + source, *words]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=False)
 
 
@@ -275,11 +278,20 @@ def test_without_ros_one_line_names_the_remedy_and_nothing_is_made(line: str, tm
     program, *words = line.split()
     if program not in (*commands(), *(one.name for one in entry_points(group="console_scripts"))):
         pytest.skip("the package of this program is not installed")
-    done = without_ros([*(["impact-rig"] if program in commands() else []), program, *words], tmp_path)
+    begin = ("impact-rig", program) if program in commands() else (program,)
+    done = without_ros(tmp_path, PROGRAM_OF_NAME, *begin, *words)
     assert done.returncode == 1
     assert re.fullmatch(rf"[^\n]*{program} needs ROS 2 Jazzy \(No module [^\n]*\[wheels\][^\n]*\n", done.stderr)
     assert done.stdout == ""
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["RosRig", "Client", "driver.RosRig", "client.Collector", "testing.ScheduledRig"])
+def test_without_ros_a_class_names_the_remedy(name: str, tmp_path: Path) -> None:
+    package, _, one = f"impact_rig.{name}".rpartition(".")
+    done = without_ros(tmp_path, f"from {package} import {one}")
+    last = done.stderr.splitlines()[-1]
+    assert re.fullmatch(rf"\S+ImpactRigError: \S+\.{one} needs ROS 2 Jazzy \(No module .*\[wheels\].*", last), last
 
 
 def test_every_command_that_can_run_through_ros_declares_it() -> None:

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import datetime as dt
 import re
+import socket
 import subprocess
 import sys
 import threading
@@ -464,6 +465,16 @@ def test_the_number_of_tasks_is_bounded() -> None:
     with pytest.raises(DaqmxError, match="more than 64 tasks: clear some"):
         board.create("")
     board.close()
+
+
+def test_a_port_in_use_is_reported_in_one_line() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        address = f"127.0.0.1:{taken.getsockname()[1]}"
+        program = [sys.executable, "-c", "from impact_rig.cli import main; raise SystemExit(main())"]
+        command = [*program, "daqmx", "--port", address.rpartition(":")[2]]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.stderr == f"impact-rig daqmx: cannot listen on {address}: is the port in use?\n"
+    assert done.returncode == 1
 
 
 def test_the_script_of_the_page_measures_the_dt_of_the_rig(tmp_path: Path) -> None:
