@@ -48,12 +48,14 @@ from impact_rig_studies.importing.store import estimated
 STUDY = "measured"
 # values of two files that differ by less are equal: each was measured, or typed with other digits
 SAME_HZ, SAME_M = 0.002, 1e-9
+SETTLED = "settled"
+SHOWN = 3  # largest number of points in the message that nothing settled
 SAME_RATE = 1e-3  # relative difference of two rates, found from times of few digits, that counts as none
 STATED = tuple(name for name in DAQ_INFO.names or () if name not in ("name", "since_start"))
 
 
-def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = None) -> Finished:
-    """Combine runs into one campaign and return it.
+def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = None) -> tuple[Finished, list[str]]:
+    """Combine runs into one campaign; return it, and a line for each point that never settled and is left out.
 
     What a certificate, a mapping or an option states about the instruments must be the same in all runs. What the
     import found in the data differs from file to file; the campaign keeps the coarsest step.
@@ -65,34 +67,36 @@ def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = N
 
     Raises:
         ConfigError: a gap is unknown, two runs measured one point, or nothing was measured.
-        RecordingError: it cannot be written, or the calibrations of the runs differ.
+        RecordingError: the directory cannot be written, or the calibrations of the runs differ.
     """
-    found: dict[tuple[float, float], NDArray[np.void]] = {}
-    origins: dict[tuple[float, float], Path] = {}
+    found: dict[tuple[float, float], tuple[Path, NDArray[np.void]]] = {}
+    left_out: list[str] = []
     sensors: _Sensors | None = None
     currents, seconds = [], 0.0
     for path in runs:
         with open_run(path) as run:
-            rows = reanalysis.newest_settled(reanalysis.measurements(reanalysis.analyze(run)))
+            tables = reanalysis.measurements(reanalysis.analyze(run))
             own = _Sensors(path.name, calibration_rows(run).copy(), estimated(run.attachments()))
             seconds += (run.end_ns - run.start_ns) / 1e9
         sensors = own if sensors is None else sensors.joined(own)
-        for row in rows:
+        left_out += (f"{path.name}, {point}" for point in _unsettled(reanalysis.rows(tables)))
+        for row in reanalysis.newest_settled(tables):
             if math.isnan(row["gap"]):
                 raise ConfigError(
                     f"{path.name}: its gap is unknown: state it (--gap, in the mapping, or by the file's name)"
                 )
             gap = _known(float(row["gap"]), {gap for gap, _ in found}, SAME_M)
             frequency = _known(float(row["frequency"]), {frequency for _, frequency in found}, SAME_HZ)
-            if (other := origins.setdefault((gap, frequency), path)) != path:
+            other, _ = found.setdefault((gap, frequency), (path, row))
+            if other != path:
                 raise ConfigError(
                     f"{path.name}: {case_of(gap)} at {frequency:g} Hz is already measured in {other.name}, and a "
                     "campaign has one measurement of each point: import one of the two, or each without --campaign"
                 )
-            found[gap, frequency] = row
+            found[gap, frequency] = path, row
             currents.append(float(row["current_amplitude"] if row["current_amplitude"] > 0.0 else 1.0))
     if sensors is None or not found:
-        raise ConfigError("no file contains a measurement: import one without --campaign; `analyze RUN --all` says why")
+        raise ConfigError(f"no file contains a settled measurement: {'; '.join(left_out[:SHOWN])}")
     base = load_config(config) if config else RigConfig()
     text = json.dumps({
         "title": directory.name,
@@ -104,21 +108,29 @@ def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = N
     }, indent=1)  # fmt: skip
     files.make_folder(directory)
     files.write_text(directory / CAMPAIGN_FILE, text)
-    try:
-        campaign = load_campaign(directory / CAMPAIGN_FILE, resolved=base)
-    except ConfigError:
-        (directory / CAMPAIGN_FILE).unlink()  # otherwise the directory would look like a campaign
-        raise
+    campaign = load_campaign(directory / CAMPAIGN_FILE, resolved=base)
     store = prepare(campaign, directory, "import")
     files.write_text(directory / CALIBRATION_FILE, json.dumps([_plain(row) for row in sensors.info], indent=1))
     for job in unique_jobs(campaign.planned()):
-        point = found.get((job.gap_m, job.frequencies_hz[0]))
-        if point is not None:
-            point["gap"], point["frequency"] = job.gap_m, job.frequencies_hz[0]
+        gap, frequency = job.gap_m, job.frequencies_hz[0]
+        if (gap, frequency) in found:
+            _, point = found[gap, frequency]
+            point["gap"], point["frequency"] = gap, frequency
             store.put(job, Outcome(rows=point.reshape(1).copy()))
     done = finished(campaign, directory)
     write_results(done, seconds)
-    return done
+    return done, left_out
+
+
+def _unsettled(rows: NDArray[np.void]) -> list[str]:
+    """Return gap, frequency and last status of each point without a settled measurement."""
+    last: dict[str, str] = {}
+    for row in rows:
+        point = case_of(row["gap"]) + (f" at {row['frequency']:.4g} Hz" if row["frequency"] > 0.0 else "")
+        if last.get(point) != SETTLED:
+            last[point] = SETTLED if row["settled"] == 1.0 else row["status"].decode()
+    unsettled = [f"{point}: {status}" for point, status in last.items() if status != SETTLED]
+    return unsettled if len(rows) else ["nothing was measured"]
 
 
 def _known(value: float, known: set[float], same: float) -> float:

@@ -186,10 +186,9 @@ def _print(console: Console, found: RunMeasurements) -> None:
     table.add_row("combined", "", "", f"{100.0 * relative:.2g}", f"{whole.u_transmissibility:.2g}", "100")
     console.print(table)
     last = found.rows[-1]
-    gap = "gap unknown" if math.isnan(last["gap"]) else case_of(float(last["gap"]))
     console.print(
         f"DT {whole.transmissibility:.3f} ± {2.0 * whole.u_transmissibility:.3f} (2u) at {last['frequency']:g} Hz, "
-        f"{gap}, {last['regime'].decode()}"
+        f"{case_of(last['gap'])}, {last['regime'].decode()}"
     )
     if note := note_on(last):
         console.print(note, style="yellow")

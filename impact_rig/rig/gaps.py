@@ -15,6 +15,8 @@
 
 from __future__ import annotations
 
+import math
+
 from impact_rig.config.tree import Value
 
 NO_SPHERE = 0.0
@@ -22,7 +24,9 @@ NO_SPHERE = 0.0
 
 
 def case_of(gap_m: float) -> str:
-    """Return the text for a gap, or for no sphere."""
+    """Return the text for a gap, for no sphere, or for an unknown gap (NaN)."""
+    if math.isnan(gap_m):
+        return "gap unknown"
     return "no sphere" if gap_m == NO_SPHERE else f"gap {gap_m * 1e3:g} mm"
 
 

@@ -53,8 +53,9 @@ from impact_rig_studies.campaign.plan import Campaign, Planned, load_campaign
 from impact_rig_studies.campaign.results import Curves, Point, points_of, table, write_summary
 from impact_rig_studies.campaign.statements import Verdict
 from impact_rig_studies.campaign.store import FOLDER, Store, fingerprint
+from impact_rig_studies.campaign.tasks import CONFIGURATION_FILE, refuse_other_rig
 
-CAMPAIGN_FILE, CONFIGURATION_FILE, PROVENANCE_FILE = "campaign.yaml", "configuration.yaml", "provenance.json"
+CAMPAIGN_FILE, PROVENANCE_FILE = "campaign.yaml", "provenance.json"
 CSV_FILE, CALIBRATION_FILE = "points.csv", "calibration.json"
 MAX_CALIBRATION_BYTES = 100_000
 LIBRARIES = ("numpy", "scipy", "numba", "llvmlite", "attrs", "matplotlib")
@@ -134,10 +135,11 @@ def prepare(campaign: Campaign, directory: Path, through: str) -> Store:
     """Create the campaign's directory and return its store.
 
     Raises:
-        RecordingError: the directory cannot be written, or contains something else.
+        RecordingError: the directory cannot be written, or contains something else, or results of another rig.
     """
     if directory.exists() and any(directory.iterdir()) and not (directory / CAMPAIGN_FILE).exists():
         raise RecordingError(f"{directory} is not empty and holds no campaign: choose another --output")
+    refuse_other_rig(directory, campaign.base)
     store = Store(directory)
     with files.translate_errors(f"cannot write {directory}"):
         files.write_text(directory / CAMPAIGN_FILE, campaign.text)

@@ -34,7 +34,7 @@ import attrs
 
 from impact_rig.config.tree import MAX_FILE_BYTES
 from impact_rig.errors import ConfigError, RecordingError
-from impact_rig.rig.config import RigConfig, dump, load_config
+from impact_rig.rig.config import RigConfig, differences, dump, load_config, to_flat
 from impact_rig.system import budget, files
 from impact_rig.system.budget import BudgetError
 from impact_rig_studies.campaign.store import DECIDING, fingerprint
@@ -102,10 +102,11 @@ class TaskStore(Generic[T]):
         """Create the directory.
 
         Raises:
-            RecordingError: the directory cannot be written, or contains something else.
+            RecordingError: the directory cannot be written, or contains something else, or results of another rig.
         """
         if self.directory.exists() and any(self.directory.iterdir()) and not self.file.exists():
             raise RecordingError(f"{self.directory} is not empty and holds no {self.what}: choose another --output")
+        refuse_other_rig(self.directory, base)
         with files.translate_errors(f"cannot write {self.directory}"):
             files.make_folder(self.directory / self.folder)
             files.write_text(self.file, text)
@@ -163,6 +164,22 @@ def _number(value: object) -> str | float:
     if math.isinf(found):
         raise ValueError("not a valid measured number")
     return found
+
+
+def refuse_other_rig(directory: Path, rig: RigConfig) -> None:
+    """Reject a directory with results of another rig, because those of this rig would replace them.
+
+    Raises:
+        RecordingError: the configuration differs; the message names the first difference.
+    """
+    try:
+        kept = load_config(directory / CONFIGURATION_FILE)
+    except ConfigError:  # none yet, damaged, or of another version
+        return
+    for name, value in differences(rig, kept).items():
+        raise RecordingError(
+            f"{directory} has results of a rig with {name} {to_flat(kept)[name]}, not {value}: choose another --output"
+        )
 
 
 def measure(

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import math
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -53,7 +52,7 @@ def run_import(arguments: argparse.Namespace) -> int:
     below = "runs" if arguments.campaign else ""
     parts = [Path(below, file.stem) if several or arguments.campaign else Path() for file in arguments.files]
     directories = [output / part for part in parts]
-    shown = []
+    shown, left_out = [], list[str]()
     with contextlib.ExitStack() as ending:
         if not arguments.dry_run:
             for directory in [output] if arguments.campaign else directories:
@@ -76,10 +75,15 @@ def run_import(arguments: argparse.Namespace) -> int:
         if arguments.campaign and not arguments.dry_run:
             from impact_rig_studies.measured import make_campaign  # noqa: PLC0415  # as above
 
-            done = make_campaign([folder / part for part in parts], folder, arguments.config)
-            console.print(f"{len(done.points)} points, {len(done.failed())} of them without a settled measurement")
+            done, left_out = make_campaign([folder / part for part in parts], folder, arguments.config)
+            for point in left_out:
+                console.print(f"left out of the campaign: {point}", style="yellow")
+            console.print(f"{len(done.points)} points")
     if arguments.json:
-        tell_json({"runs": [str(one) for one in directories], "files": shown, "written": not arguments.dry_run})
+        tell_json({
+            "runs": [str(one) for one in directories], "files": shown, "left_out": left_out,
+            "written": not arguments.dry_run,
+        })  # fmt: skip
     elif arguments.dry_run:
         console.print("nothing was written (--dry-run)", style="yellow")
     else:
@@ -176,8 +180,7 @@ def _print(console: Console, found: ImportedRun) -> None:
         console.print(f"... and {len(found.drive) - 10} further settings of the drive")
     labels = [label for label in map(parse_label, found.labels) if label]
     for label in labels:
-        case = "gap unknown" if math.isnan(label.gap_m) else case_of(label.gap_m)
-        console.print(f"from {(label.stamp_ns - found.start_ns) / 1e9:.6g} s: {case}")
+        console.print(f"from {(label.stamp_ns - found.start_ns) / 1e9:.6g} s: {case_of(label.gap_m)}")
     if not labels:
         console.print("gap: unknown (--gap 6mm, or --gap none without the sphere)", style="yellow")
     for text in found.labels:

@@ -33,6 +33,7 @@ from impact_rig_studies.campaign.paper import FREQUENCIES_HZ, FREQUENCY_HZ
 from impact_rig_studies.campaign.results import Point
 from impact_rig_studies.campaign.run import Finished
 from impact_rig_studies.campaign.statements import Variation, variations
+from impact_rig_studies.campaign.tasks import CONFIGURATION_FILE
 from impact_rig_studies.dynamics import plan as dynamics
 from impact_rig_studies.report import content as kept
 from impact_rig_studies.report import cover, dt, findings, measured
@@ -227,9 +228,9 @@ def _files(done: Finished, content: Content, folder: Path) -> Iterator[Markup]:
 
 def _paths(done: Finished, folder: Path) -> list[Path]:
     """Return the files of a campaign that its page in `folder` links to."""
-    names = [run.CSV_FILE, "summary.json", kept.FILE_NAME, run.CAMPAIGN_FILE, run.CONFIGURATION_FILE]
+    names = [run.CSV_FILE, "summary.json", kept.FILE_NAME, run.CAMPAIGN_FILE, CONFIGURATION_FILE]
     if done.imported:
-        names.remove(run.CONFIGURATION_FILE)  # it describes the nominal rig, on which nothing was measured
+        names.remove(CONFIGURATION_FILE)  # it describes the nominal rig, on which nothing was measured
     paths = [folder / name if name == kept.FILE_NAME else done.directory / name for name in names]
     paths = [path for path in paths if path.exists() or path.name == kept.FILE_NAME]
     return paths + sorted(done.directory.rglob("*.mcap"))

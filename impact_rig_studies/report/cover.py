@@ -33,6 +33,7 @@ from impact_rig.physics.linear import constants, hertz_stiffness_n_m32, sphere_m
 from impact_rig_studies.campaign import paper, run
 from impact_rig_studies.campaign.results import FILE_NAME as SUMMARY_FILE
 from impact_rig_studies.campaign.run import Finished
+from impact_rig_studies.campaign.tasks import CONFIGURATION_FILE
 from impact_rig_studies.report.content import Cell, Content, number
 from impact_rig_studies.report.page import cover, heading, paragraph, tiles, title
 
@@ -70,12 +71,12 @@ def versions(done: Finished) -> dict[str, object]:
 
 def _entries(done: Finished, content: Content) -> list[tuple[str, str]]:
     base, with_ = done.campaign.base, versions(done)
-    digest = hashlib.sha256((done.directory / run.CONFIGURATION_FILE).read_bytes()).hexdigest()[:DIGITS]
+    digest = hashlib.sha256((done.directory / CONFIGURATION_FILE).read_bytes()).hexdigest()[:DIGITS]
     law = base.contact.law.replace("_", " ")
     entries = [
         ("Paper", f"{paper.TITLE}. {paper.AUTHORS}, {paper.AFFILIATION}."),
         ("DOI", paper.DOI or "none found"),
-        ("Configuration", f"contact law {law}, {base.daq.rate_hz} scans/s; {run.CONFIGURATION_FILE} sha256 {digest}…"),
+        ("Configuration", f"contact law {law}, {base.daq.rate_hz} scans/s; {CONFIGURATION_FILE} sha256 {digest}…"),
         ("Seed", str(base.daq.seed)),
         ("Measured", written(done)),
         ("Version", str(with_.get("impact_rig", "not recorded"))),

@@ -166,7 +166,7 @@ def _about(rows: NDArray[np.void], info: NDArray[np.void]) -> Iterator[tuple[str
     yield "Rate", f"{', '.join(f'{rate:.10g}' for rate in rates)} scans/s"
     yield "Instruments", ", ".join(row["name"].decode() for row in info)
     yield "Frequency", _span(rows["frequency"], 1.0, "Hz")
-    yield "Gap", ", ".join(dict.fromkeys(_case(float(gap)) for gap in rows["gap"]))
+    yield "Gap", ", ".join(dict.fromkeys(case_of(float(gap)) for gap in rows["gap"]))
     yield "Amplitude of the base", _span(rows["base_amplitude"], 1e6, "µm")
     yield "Amplitude of the structure", _span(rows["laser_amplitude"], 1e3, "mm")
     yield "Amplitude of the current", _span(rows["current_amplitude"], 1.0, "A")
@@ -182,10 +182,6 @@ def _span(values: NDArray[np.float64], factor: float, unit: str) -> str:
     return f"{low} {unit}" if low == high else f"{low} to {high} {unit}"
 
 
-def _case(gap_m: float) -> str:
-    return "gap unknown" if math.isnan(gap_m) else case_of(gap_m)
-
-
 def _largest(rows: NDArray[np.void]) -> NDArray[np.void]:
     """Return the row with the largest transmissibility, shape (1,), or no row."""
     return rows[np.argmax(rows["transmissibility"])][None] if len(rows) else rows
@@ -198,7 +194,7 @@ def _tiles(data: MeasuredData, best: NDArray[np.void], content: Content) -> Iter
         dt, u = float(row["transmissibility"]), COVERAGE * float(row["transmissibility_uncertainty"])
         content.fact("largest_dt", dt)
         content.fact("largest_dt_expanded_uncertainty", u)
-        where = f"{_case(float(row['gap']))}, {content.fact('largest_dt_hz', float(row['frequency']), '.6g')} Hz"
+        where = f"{case_of(float(row['gap']))}, {content.fact('largest_dt_hz', float(row['frequency']), '.6g')} Hz"
         yield f"{dt:.3f} ± {u:.3f}", f"largest DT: {where}"
 
 
@@ -209,7 +205,7 @@ def _results(rows: NDArray[np.void], content: Content) -> Iterator[Markup]:
         yield content.figures([transmissibility(rows)], large=True)
     cells: list[list[str | Cell]] = [
         [
-            _case(float(row["gap"])), number(float(row["frequency"]), ".6g"),
+            case_of(float(row["gap"])), number(float(row["frequency"]), ".6g"),
             plus_minus(float(row["transmissibility"]), float(row["transmissibility_uncertainty"]), ".3f"),
             plus_minus(math.degrees(row["phase"]), math.degrees(row["phase_uncertainty"]), ".2f"),
             number(1e6 * float(row["base_amplitude"]), ".4g"), number(1e3 * float(row["laser_amplitude"]), ".4g"),
@@ -229,8 +225,8 @@ def transmissibility(rows: NDArray[np.void]) -> Drawn:
     """Draw DT and phase over the frequency with ± 2u, one line per case; call this within `drawing.style`."""
     figure, (upper, lower) = new_axes(4.8, (1.6, 1.0))
     lines: list[Line] = []
-    for i, case in enumerate(dict.fromkeys(_case(float(gap)) for gap in rows["gap"])):
-        own = rows[[_case(float(gap)) == case for gap in rows["gap"]]]
+    for i, case in enumerate(dict.fromkeys(case_of(float(gap)) for gap in rows["gap"])):
+        own = rows[[case_of(float(gap)) == case for gap in rows["gap"]]]
         own = own[np.argsort(own["frequency"], kind="stable")]
         columns = {
             "frequency_hz": own["frequency"], "transmissibility": own["transmissibility"],
@@ -267,7 +263,7 @@ def _reductions(rows: NDArray[np.void], calibration: Calibration, content: Conte
             continue
         found = reduction(reference, row[None], calibration)
         cells.append([
-            _case(float(row["gap"])), number(float(row["frequency"]), ".6g"),
+            case_of(float(row["gap"])), number(float(row["frequency"]), ".6g"),
             plus_minus(found.percent, found.u_points, ".2f"),
         ])  # fmt: skip
     if cells:
@@ -285,7 +281,7 @@ def _uncertainty(row: NDArray[np.void], calibration: Calibration, content: Conte
     expanded = content.fact("budget_expanded_uncertainty", COVERAGE * found.u_transmissibility, ".3f")
     dof = "more than 1000" if effective > 1000.0 else content.fact("budget_degrees_of_freedom", effective, ".3g")
     yield paragraph(
-        f"{_case(float(row['gap'][0]))}, {content.fact('budget_hz', float(row['frequency'][0]), '.6g')} Hz: "
+        f"{case_of(float(row['gap'][0]))}, {content.fact('budget_hz', float(row['frequency'][0]), '.6g')} Hz: "
         f"DT = {dt} ± {expanded}. The number behind ± is an expanded uncertainty: the combined standard uncertainty "
         f"times the coverage factor k = {content.fact('coverage_factor', COVERAGE, 'g')}, coverage about 95 %. "
         f"Effective degrees of freedom (Welch–Satterthwaite): {dof}; type A has "

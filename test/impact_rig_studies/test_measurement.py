@@ -637,6 +637,25 @@ def test_two_files_of_one_point_of_a_sweep_are_refused(
     assert found == {(0.006, 9.1): 20, (0.003, 9.1): 15, (0.006, 9.3): 5}
 
 
+def test_a_campaign_names_each_point_that_never_settled(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A file without a settled measurement vanished: the campaign of the others looked complete."""
+    text, (head, *rows) = readings(1.0, 1e-3), readings(2.0, 1e-3, frequency_hz=9.3).splitlines()
+    (tmp_path / "one.csv").write_text(text, encoding="utf-8")
+    (tmp_path / "short.csv").write_text("\n".join([head, *rows[:6000], ""]), encoding="utf-8")
+    (tmp_path / "shorter.csv").write_text("\n".join([head, *rows[:700], ""]), encoding="utf-8")
+    files = [str(tmp_path / f"{name}.csv") for name in ("one", "short", "shorter")]
+    words = ["--campaign", "--gap", "6mm", "--output", str(tmp_path / "out")]
+    assert main(["import", *files[1:], *words]) == 1
+    told = capsys.readouterr().err
+    assert "no file contains a settled measurement: short, gap 6 mm at 9.3 Hz: not_settled; shorter, gap 6 mm" in told
+    assert main(["import", *files, *words]) == 0
+    told = capsys.readouterr().out
+    assert "left out of the campaign: short, gap 6 mm at 9.3 Hz: not_settled" in told
+    assert "left out of the campaign: shorter, gap 6 mm at 9.3 Hz: too_few_cycles" in told
+    assert "left out of the campaign: one" not in told
+    assert [point.frequency_hz for point in open_finished(tmp_path / "out").points] == [9.1]
+
+
 def test_what_an_import_leaves_out_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     turn = 2.0 * np.pi * 9.0 * np.arange(20_000) / RATE_HZ
     base, laser = 1e-3 * np.sin(turn), 1e-2 * np.sin(turn)

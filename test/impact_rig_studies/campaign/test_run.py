@@ -188,6 +188,21 @@ def test_another_directory_is_never_taken_for_a_campaign(tiny, tmp_path):
         run.prepare(tiny, tmp_path, "process")
 
 
+def test_results_of_another_rig_are_not_replaced(tmp_path, capsys):
+    """With another seed the certificate differs, so no point of the two rigs belongs in one table."""
+    plan, out = tmp_path / "one.yaml", tmp_path / "out"
+    plan.write_text("studies: {one: {frequencies_hz: 9.5, gaps_m: none}}\n")
+    words = ["campaign", str(plan), "--output", str(out)]
+    assert main(words) == 0
+    kept = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    assert main([*words, "--seed", "7"]) == 1
+    assert "has results of a rig with daq.seed 1, not 7" in capsys.readouterr().err
+    plan.write_text("set: {structure.mass_kg: 0.2}\n" + plan.read_text())
+    assert main(words) == 1
+    assert "has results of a rig with structure.mass_kg 0.13, not 0.2" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == kept
+
+
 RUN_TIER = """
 import importlib.metadata as metadata, sys
 known = metadata.version

@@ -203,6 +203,14 @@ def test_what_was_interrupted_is_resumed_to_the_same_bits(small, tmp_path):
     assert files_of(tmp_path / "again") == files_of(directory)
 
 
+def test_a_map_of_another_rig_is_not_replaced(small, tmp_path):
+    plan, _ = small
+    run.store(tmp_path).prepare(plan.text, plan.base)
+    run.store(tmp_path).prepare(plan.text, plan.base)
+    with pytest.raises(RecordingError, match=re.escape("results of a rig with sphere.present True, not False")):
+        run.store(tmp_path).prepare(plan.text, from_flat(plan.base, {"sphere.present": False}))
+
+
 def test_a_line_of_other_code_or_a_damaged_one_is_measured_anew(small, tmp_path):
     plan, directory = small
     run.store(tmp_path).prepare(plan.text, plan.base)
