@@ -27,9 +27,10 @@ import webbrowser
 from pathlib import Path
 from typing import Any  # a source of either kind
 
-from impact_rig.cli.options import Commands, add_recorded_rig, subcommand
+from impact_rig.cli.options import NAMESPACE, Commands, add_recorded_rig, subcommand
 from impact_rig.errors import ImpactRigError
 from impact_rig.system import files
+from impact_rig.system.extras import load
 
 SAMPLE = "lab_sample"
 FOUND = "?"
@@ -38,7 +39,7 @@ POLL_MS = 1000
 
 
 def add_command(commands: Commands) -> None:
-    """Register the subcommand."""
+    """Register `lab`."""
     parser = subcommand(
         commands, "lab", "impact_rig_lab.cli:run", "see the rig move and turn its knobs, live, in a browser",
         [
@@ -53,7 +54,7 @@ def add_command(commands: Commands) -> None:
     parser.add_argument(
         "--attach", nargs="?", const=FOUND, metavar="NAMESPACE", help="show a rig that runs already, e.g. /rig"
     )
-    parser.add_argument("--namespace", default="/rig", help="namespace of the rig (default: /rig)")
+    parser.add_argument("--namespace", default=NAMESPACE, help="namespace of the rig (default: %(default)s)")
     parser.add_argument("--sample", action="store_true", help="play back a short run, recorded for this on first use")
     parser.add_argument("--port", type=int, default=8765, help="port of the page; 0: any free one (default: 8765)")
     parser.add_argument("--host", default="127.0.0.1", help="address to serve; other machines may then open the page")
@@ -87,11 +88,10 @@ def run(arguments: argparse.Namespace) -> int:
         raise ImpactRigError("at most two runs can be shown side by side")
     if (arguments.runs or arguments.sample) and arguments.attach:
         raise ImpactRigError("a run to play back and --attach cannot be combined: choose one")
-    try:
-        from impact_rig_lab.server import Server, check_port, kept_token  # noqa: PLC0415  # an extra
-        from impact_rig_lab.theory import continued  # noqa: PLC0415
-    except ImportError as error:
-        raise ImpactRigError(f"the lab needs further packages: pip install 'impact_rig[lab]' ({error})") from error
+    load("impact_rig_lab.server", "lab", "lab")
+    from impact_rig_lab.server import Server, check_port, kept_token  # noqa: PLC0415  # an extra
+    from impact_rig_lab.theory import continued  # noqa: PLC0415
+
     check_port(arguments.port)
     branches = [continued(directory) for directory in arguments.branches]
     from impact_rig.cli.terminal import Console  # noqa: PLC0415  # rich: not for the help

@@ -39,12 +39,14 @@ def main() -> None:
 
 def _serve(ending: Ending) -> int:
     from impact_rig.errors import ImpactRigError  # noqa: PLC0415
-    from impact_rig.system.extras import load_ros  # noqa: PLC0415
-    from impact_rig_lab.live import LiveSource  # noqa: PLC0415
-    from impact_rig_lab.server import Server, kept_token  # noqa: PLC0415
+    from impact_rig.system.extras import load, load_ros  # noqa: PLC0415
 
     try:
         load_ros("impact_rig.client.client", "lab_node")
+        load("impact_rig_lab.server", "lab_node", "lab")
+        from impact_rig_lab.live import LiveSource  # noqa: PLC0415
+        from impact_rig_lab.server import Server, kept_token  # noqa: PLC0415
+
         domain_id, namespace, host, port = _settings()
         source = LiveSource(domain_id, namespace)
         with Server(source, host, port, kept_token()) as server, source:

@@ -124,8 +124,8 @@ def _encodable(error: UnicodeError) -> tuple[bytes, int]:
     """Return the bytes of a file name unchanged, and other characters that the output cannot encode as in JSON."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
-    units = (error.object[k].encode("utf-16-be", "surrogatepass").hex() for k in range(error.start, error.end))
-    text = "".join("".join(f"\\u{unit[k : k + 4]}" for k in range(0, len(unit), 4)) for unit in units)
+    units = error.object[error.start : error.end].encode("utf-16-be", "surrogatepass").hex()
+    text = "".join(f"\\u{units[k : k + 4]}" for k in range(0, len(units), 4))
     return re.sub(r"\\udc([89a-f].)", lambda found: chr(int(found[1], 16)), text).encode("latin-1"), error.end
 
 

@@ -17,9 +17,9 @@ from __future__ import annotations
 
 import argparse
 import functools
+import pkgutil
 import textwrap
 from collections.abc import Sequence
-from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import TypeAlias
 
@@ -30,12 +30,12 @@ Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 """Commands of the program, or subcommands of one, to which a parser is added."""
 WIDTH = 78  # width of help pages, for a terminal of 80 columns
 NAMESPACE = "/rig"  # of a running rig
-PROCESS, ROS, RUNNING = WAYS = ("process", "ros", "running")
+PROCESS, ROS, RUNNING = "process", "ros", "running"
 
 
 def call(function: str, *arguments: object) -> int:
     """Import a function, given as `module:function`, and return its exit code."""
-    code: int = EntryPoint("", function, "").load()(*arguments)
+    code: int = pkgutil.resolve_name(function)(*arguments)
     return code
 
 
@@ -77,6 +77,11 @@ def add_json(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print the results as JSON instead")
 
 
+def add_output(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add the option for the directory of the results."""
+    parser.add_argument("--output", type=Path, metavar="DIR", help=what)
+
+
 def add_figures(parser: argparse.ArgumentParser, what: str) -> None:
     """Add the options for figures: their directory and formats."""
     parser.add_argument("--figures", type=Path, metavar="DIR", help=what)
@@ -113,14 +118,17 @@ def add_rig(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
-def add_way(parser: argparse.ArgumentParser, needs: str = "") -> None:
-    """Add the options that select where the rig runs."""
-    parser.add_argument(
-        "--through", choices=WAYS, default=PROCESS,
-        help=f"rig in this process (default), behind topics, or already running{needs}",
-    )  # fmt: skip
-    parser.add_argument("--namespace", help=f"namespace of the running rig (default: {NAMESPACE})")
+def add_through(parser: argparse.ArgumentParser, ways: tuple[str, ...], what: str) -> None:
+    """Add the option that selects where the rig runs."""
+    parser.add_argument("--through", choices=ways, default=PROCESS, help=what)
     parser.set_defaults(needs_ros=lambda arguments: arguments.through != PROCESS)
+
+
+def add_way(parser: argparse.ArgumentParser, needs: str = "") -> None:
+    """Add the options that select where the rig runs, also for a running rig."""
+    what = f"rig in this process (default), behind topics, or already running{needs}"
+    add_through(parser, (PROCESS, ROS, RUNNING), what)
+    parser.add_argument("--namespace", help=f"namespace of the running rig (default: {NAMESPACE})")
 
 
 def running_namespace(arguments: argparse.Namespace) -> str:

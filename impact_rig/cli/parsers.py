@@ -24,13 +24,14 @@ from typing import NamedTuple
 
 import attrs
 
-from impact_rig.cli.options import Commands, add_figures, add_json, add_rig, add_run, add_way, subcommand
+from impact_rig.cli.options import Commands, add_figures, add_json, add_output, add_rig, add_run, add_way, subcommand
 from impact_rig.cli.quantities import Quantity, positive
 from impact_rig.config import Drive, FieldInfo
 from impact_rig.embedded import VERSIONS
 
 SECONDS = 60.0
-FREQUENCY_HZ, CURRENT_A = 9.1, 0.52  # values of the paper
+FREQUENCY = attrs.fields(Drive).frequency_hz
+FREQUENCY_HZ, CURRENT_A = FREQUENCY.default, 0.52
 CURRENT = Quantity(FieldInfo("Peak current.", "A", low=0.0))
 
 
@@ -47,7 +48,7 @@ def add_record(commands: Commands) -> None:
         "The last line is the directory of the run. Exit code 0: DT was measured; 1: not, for the printed reason.",
     )  # fmt: skip
     parser.add_argument(
-        "--frequency", type=Quantity.of(attrs.fields(Drive).frequency_hz), metavar="HZ",
+        "--frequency", type=Quantity.of(FREQUENCY), metavar="HZ",
         help=f"drive frequency (default: {FREQUENCY_HZ}Hz; running rig: unchanged)",
     )  # fmt: skip
     parser.add_argument(
@@ -60,12 +61,12 @@ def add_record(commands: Commands) -> None:
     parser.add_argument("--seed", type=int, metavar="N", help="seed of noise and calibration errors")
     parser.add_argument("--scan-rate", type=int, metavar="HZ", help="scans per second (default: the configuration's)")
     add_way(parser)
-    parser.add_argument("--output", type=Path, metavar="DIR", help="directory of the run (default: runs/record_<time>)")
+    add_output(parser, "directory of the run (default: runs/record_<time>)")
     add_json(parser)
 
 
 def add_info(commands: Commands) -> None:
-    """Register the subcommand."""
+    """Register `info`."""
     parser = subcommand(
         commands, "info", "impact_rig.cli.recorded:run_info", "contents of a run, and whether it is complete",
         [
@@ -154,7 +155,7 @@ SINE = Analysis(
 
 
 def add_verify(commands: Commands) -> None:
-    """Register the subcommand."""
+    """Register `verify`."""
     parser = subcommand(
         commands, "verify", "impact_rig.cli.recorded:run_verify",
         "re-simulate a run from its journal and compare all that the rig published",
@@ -166,7 +167,7 @@ def add_verify(commands: Commands) -> None:
 
 
 def add_replay(commands: Commands) -> None:
-    """Register the subcommand."""
+    """Register `replay`."""
     parser = subcommand(
         commands, "replay", "impact_rig.cli.recorded:run_replay", "publish a run on its topics again, with /clock",
         [
@@ -214,7 +215,7 @@ INCOMPLETE = 3  # exit code if the new run lacks parts of the old one
 
 
 def add_recover(commands: Commands) -> None:
-    """Register the subcommand."""
+    """Register `recover`."""
     parser = subcommand(
         commands, "recover", "impact_rig.cli.recorded:run_recover",
         "save every intact chunk of a damaged or unfinished run",

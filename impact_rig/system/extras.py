@@ -22,7 +22,7 @@ from impact_rig.errors import ImpactRigError
 
 
 def load(module: str, purpose: str, extra: str) -> Any:  # a module, whose names a type checker cannot know
-    """Import a library of an extra.
+    """Import a library of an extra, or a module of this project that needs one.
 
     Args:
         module: name of the module.
@@ -30,19 +30,13 @@ def load(module: str, purpose: str, extra: str) -> Any:  # a module, whose names
         extra: name of the extra in `setup.py`.
 
     Raises:
-        ImpactRigError: the module is not installed; the message has the command that installs it.
+        ImpactRigError: a library is not installed; the message has the command that installs it.
     """
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        library = module.partition(".")[0]
-        raise ImpactRigError(
-            f"{purpose} needs {library}, which is not installed: pip install 'impact_rig[{extra}]'"
-        ) from error
+    return _load(module, f"{purpose} needs {{library}}, which is not installed: pip install 'impact_rig[{extra}]'")
 
 
 def load_ros(module: str, purpose: str) -> Any:
-    """Import a module of this package that needs ROS 2.
+    """Import a module of this project that needs ROS 2.
 
     Args:
         module: name of the module.
@@ -51,12 +45,15 @@ def load_ros(module: str, purpose: str) -> Any:
     Raises:
         ImpactRigError: ROS 2 is not installed; the message has the commands that provide it.
     """
+    remedy = "pip install 'impact_rig[wheels]', or, where apt installed it, source /opt/ros/jazzy/setup.bash"
+    return _load(module, f"{purpose} needs ROS 2 Jazzy ({{error}}): {remedy}")
+
+
+def _load(module: str, message: str) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        if (error.name or "").startswith("impact_rig"):
+        library = (error.name or module).partition(".")[0]
+        if library.startswith("impact_rig"):  # a mistake in this project
             raise
-        raise ImpactRigError(
-            f"{purpose} needs ROS 2 Jazzy ({error}): pip install 'impact_rig[wheels]', or, where apt installed it, "
-            "source /opt/ros/jazzy/setup.bash"
-        ) from error
+        raise ImpactRigError(message.format(library=library, error=error)) from error

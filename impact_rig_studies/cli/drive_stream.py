@@ -19,7 +19,6 @@ import argparse
 import contextlib
 import json
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import TypeVar
 
 import attrs
@@ -32,8 +31,8 @@ from impact_rig.cli.terminal import Console, tell_results
 from impact_rig.driver.hardware import Hardware
 from impact_rig.errors import CommandError, ConfigError, ImpactRigError
 from impact_rig.names import visible
-from impact_rig.rig.config import RigConfig, from_flat
-from impact_rig.rig.gaps import NO_SPHERE, case_of
+from impact_rig.rig.config import from_flat
+from impact_rig.rig.gaps import case_of
 from impact_rig.system import files
 from impact_rig.system.endings import defer_signals
 from impact_rig_studies.cli.parsers import EXCITATION, SI
@@ -126,8 +125,11 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work, of:
     """Drive a rig and write its run with the results, however it ends; `of` is the end of the work, for progress."""
     from impact_rig_studies.report.excitation import document, tell  # noqa: PLC0415  # matplotlib
 
-    rate = {"drive.stream_rate_hz": arguments.scan_rate, "daq.rate_hz": arguments.scan_rate}
-    config = from_flat(rig_of(arguments)[0], {"drive.waveform": "stream", **rate})
+    stream = {
+        "drive.waveform": "stream", "drive.stream_rate_hz": arguments.scan_rate, "daq.rate_hz": arguments.scan_rate,
+    }  # fmt: skip
+    config, gap_m = rig_of(arguments)
+    config = from_flat(config, stream)
     if config.drive.kind != "current":
         raise ConfigError(
             f"{arguments.config}: drive.kind must be current, as samples are amperes here, got {config.drive.kind}"
@@ -137,7 +139,8 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work, of:
     console, progress = Console(quiet=arguments.json), Console(stderr=True)
     found, early, interrupted = None, "", None
     with contextlib.ExitStack() as writing:  # a second signal does not interrupt the work after the drive
-        with _connected(arguments, config, directory) as hardware:
+        with open_rig(arguments, config, directory, required=stream) as rig:
+            hardware = Hardware(rig, dict(arguments.abort))
             try:
                 for found in work(hardware):
                     reached = tell(found, unit)
@@ -152,15 +155,10 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work, of:
             raise interrupted or ImpactRigError(f"{early}; the run so far: {directory}")
         summary = tell(found, unit)
         figures = {
-            "title": title,
-            "unit": unit,
-            "rate_hz": arguments.scan_rate,
-            "ended_early": early,
-            **summary.figures,
-        }
-        rig = case_of(config.barriers.gap_m if config.sphere.present else NO_SPHERE)
+            "title": title, "unit": unit, "rate_hz": arguments.scan_rate, "ended_early": early, **summary.figures,
+        }  # fmt: skip
         about = [
-            ("Rig", running_namespace(arguments) or rig), ("Through", arguments.through),
+            ("Rig", running_namespace(arguments) or case_of(gap_m)), ("Through", arguments.through),
             ("Rate", f"{arguments.scan_rate} Hz"),
             ("Recording", f"{visible(directory.name)}; impact-rig verify re-simulates it"),
         ]  # fmt: skip
@@ -175,15 +173,3 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work, of:
         if interrupted:
             raise interrupted
     return 1 if early or summary.missing else 0
-
-
-@contextlib.contextmanager
-def _connected(arguments: argparse.Namespace, config: RigConfig, directory: Path) -> Iterator[Hardware]:
-    """Yield a rig's hardware, with a recording into a directory."""
-    required = {
-        "drive.waveform": "stream",
-        "drive.stream_rate_hz": arguments.scan_rate,
-        "daq.rate_hz": arguments.scan_rate,
-    }
-    with open_rig(arguments, config, directory, required) as rig:
-        yield Hardware(rig, dict(arguments.abort))

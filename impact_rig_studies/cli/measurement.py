@@ -143,20 +143,18 @@ def _print(console: Console, found: ImportedRun) -> None:
     from impact_rig.analysis.settings import parse_label  # noqa: PLC0415  # heavy: after the signals are taken
     from impact_rig_studies.importing.assignment import reason_unused  # noqa: PLC0415  # as above
 
-    unused: dict[str, str] = {}
     used: dict[str, list[str]] = {}
     for name, one in found.mapping.channels.items():
         used.setdefault(one.column, []).append(name)
+    signals = found.source.signals
+    reasons = {name: reason_unused(name, signals, found.mapping) for name in signals if name not in used}
     title = f"{found.source.path}: {found.source.format}"
     table = TextTable(title, left=("signal", "unit", "channel"), right=("least", "largest"), last=("",))
-    for name, signal in found.source.signals.items():
-        if name not in used:
-            why = reason_unused(name, found.source.signals, found.mapping)
-            role = "" if why else "frequency" if name == found.mapping.frequency else "gap"
-            unused |= {name: why} if why else {}
-            table.add_row(
-                name, signal.unit, role, "", "", "not used" if why else "", style="bright_black" if why else None
-            )
+    for name, signal in signals.items():
+        if reasons.get(name):
+            table.add_row(name, signal.unit, "", "", "", "not used", style="bright_black")
+        elif name not in used:
+            table.add_row(name, signal.unit, "frequency" if name == found.mapping.frequency else "gap")
         for channel in used.get(name, []):
             one = found.mapping.channels[channel]
             si = found.info[found.info["name"] == channel.encode()][0]["unit"].decode()
@@ -164,8 +162,9 @@ def _print(console: Console, found: ImportedRun) -> None:
             least, largest = (f"{of(values):.4g}" if len(values) else "" for of in (np.min, np.max))
             table.add_row(name, one.sensitivity or one.unit or si, channel, least, largest, si)
     console.print(table)
-    for name, why in unused.items():
-        console.print(f"not used: {name}, {why}")
+    for name, why in reasons.items():
+        if why:
+            console.print(f"not used: {name}, {why}")
     _print_left_out(console, found.source)
     for doubt in found.doubts:
         console.print(f"assumed: {doubt}", style="yellow")

@@ -83,7 +83,7 @@ def run_map(arguments: argparse.Namespace) -> int:
 def _add_exponents(done: run.FinishedMap, console: Console, runner: Runner[plans.StudyTask] | None) -> int:
     """Add exponent and standard uncertainty to the regimes; return the number of points.
 
-    Without a runner only those that are stored.
+    Without a runner, only stored exponents are added.
     """
     axes, wanted = done.plan.axes, []
     for line in done.plan.lines():

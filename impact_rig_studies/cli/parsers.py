@@ -21,12 +21,16 @@ from pathlib import Path
 import attrs
 
 from impact_rig.cli.options import (
+    PROCESS,
+    ROS,
     Commands,
     add_figures,
     add_json,
+    add_output,
     add_recorded_rig,
     add_rig,
     add_run,
+    add_through,
     add_way,
     subcommand,
 )
@@ -53,9 +57,7 @@ def add_demo(commands: Commands) -> None:
     )  # fmt: skip
     parser.set_defaults(needs_ros=lambda _: True)
     add_json(parser)
-    parser.add_argument(
-        "--output", type=Path, metavar="DIR", help="directory for runs, figure and summary (default: runs/demo_<date>)"
-    )
+    add_output(parser, "directory for runs, figure and summary (default: runs/demo_<date>)")
     parser.add_argument("--scan-rate", type=int, default=10_000, metavar="HZ", help="scans per second (default: 10000)")
     parser.add_argument(
         "--seed", type=int, default=1, metavar="N", help="seed of noise and calibration errors (default: 1)"
@@ -88,7 +90,7 @@ GAP_LABEL = attrs.evolve(GAP, names=True)
 
 
 def add_import(commands: Commands) -> None:
-    """Register the subcommand."""
+    """Register `import`."""
     parser = subcommand(
         commands, "import", "impact_rig_studies.cli.measurement:run_import",
         "import a measurement of your own rig as a run, or several as a campaign",
@@ -141,7 +143,7 @@ def add_import(commands: Commands) -> None:
 
 
 def add_drive(commands: Commands) -> None:
-    """Register the command and its tests, in the order of the help."""
+    """Register `drive` and its tests, in the order of the help."""
     parser = subcommand(
         commands, "drive", None, "drive a rig: signals, sine sweeps, controlled amplitudes, resonances, shocks",
         [
@@ -275,9 +277,7 @@ def _add_stream_options(parser: argparse.ArgumentParser, test: str, rate_hz: int
         metavar="CHANNEL=X",
         help="end the test beyond a reading, e.g. laser=5mm current=2A",
     )
-    parser.add_argument(
-        "--output", type=Path, metavar="DIR", help=f"directory of the results (default: runs/{test}_<time>)"
-    )
+    add_output(parser, f"directory of the results (default: runs/{test}_<time>)")
     add_json(parser)
 
 
@@ -361,16 +361,10 @@ def _add_current(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_sine_options(parser: argparse.ArgumentParser, test: str) -> None:
-    parser.set_defaults(needs_ros=lambda arguments: arguments.through == "ros")
-    parser.add_argument(
-        "--through", choices=("process", "ros"), default="process",
-        help="rig in this process (default), or behind topics",
-    )  # fmt: skip
+    add_through(parser, (PROCESS, ROS), "rig in this process (default), or behind topics")
     add_rig(parser)
     add_json(parser)
-    parser.add_argument(
-        "--output", type=Path, metavar="DIR", help=f"directory of the results (default: runs/{test}_<time>)"
-    )
+    add_output(parser, f"directory of the results (default: runs/{test}_<time>)")
 
 
 def add_campaign(commands: Commands) -> None:
@@ -392,9 +386,7 @@ def add_campaign(commands: Commands) -> None:
         "--through", nargs="+", default=["process"], metavar="WAY",
         help="way of measuring: process (all cores; default), ros (the real graph) or dask ADDRESS (a Dask cluster)",
     )  # fmt: skip
-    parser.add_argument(
-        "--output", type=Path, metavar="DIR", help="results, resumed if they exist (default: runs/campaign_<file>)"
-    )
+    add_output(parser, "results, resumed if they exist (default: runs/campaign_<file>)")
     parser.add_argument("--only", nargs="+", default=(), metavar="STUDY", help="studies to run (default: all)")
     parser.add_argument(
         "--seed", type=int, metavar="N", help="seed of noise and calibration errors (default: the file's)"
@@ -408,7 +400,7 @@ def add_campaign(commands: Commands) -> None:
 
 
 def add_report(commands: Commands) -> None:
-    """Register `report`: the page of a campaign."""
+    """Register `report`."""
     parser = subcommand(
         commands, "report", "impact_rig_studies.cli.campaign:run_report",
         "write the report of a campaign or a run: one HTML page, figures as PNG, SVG and PDF, numbers as JSON",
@@ -419,7 +411,7 @@ def add_report(commands: Commands) -> None:
         ],
     )  # fmt: skip
     parser.add_argument("directory", type=Path, metavar="DIR", help="directory of a campaign, or a run")
-    parser.add_argument("--output", type=Path, metavar="DIR", help="directory of the page (default: DIR)")
+    add_output(parser, "directory of the page (default: DIR)")
     parser.add_argument(
         "--margins", type=Path, metavar="DIR",
         help="campaign with varied constants (config/campaigns/margins.yaml), for the statements' sensitivity",
@@ -433,7 +425,7 @@ def add_report(commands: Commands) -> None:
 
 
 def add_map(commands: Commands) -> None:
-    """Register the subcommand."""
+    """Register `map`."""
     parser = subcommand(
         commands, "map", "impact_rig_studies.cli.mechanics:run_map",
         "map DT and regimes over two or three parameters; run again to resume",
@@ -452,7 +444,7 @@ def add_map(commands: Commands) -> None:
 
 
 def add_dynamics(commands: Commands) -> None:
-    """Register the subcommand."""
+    """Register `dynamics`."""
     parser = subcommand(
         commands, "dynamics", "impact_rig_studies.cli.mechanics:run_dynamics",
         "compute sections, bifurcations, basins, orbits, branches or exponents",
@@ -473,9 +465,7 @@ def _add_task_options(parser: argparse.ArgumentParser, what: str) -> None:
         "--through", nargs="+", default=["process"], metavar="WAY",
         help="way of measuring: process (all cores; default) or dask ADDRESS (a Dask cluster)",
     )  # fmt: skip
-    parser.add_argument(
-        "--output", type=Path, metavar="DIR", help=f"results, resumed if they exist (default: runs/{what}_<file>)"
-    )
+    add_output(parser, f"results, resumed if they exist (default: runs/{what}_<file>)")
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
     add_json(parser)
     parser.add_argument("--no-figures", action="store_true", help="draw no figures")

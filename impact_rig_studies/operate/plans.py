@@ -39,13 +39,7 @@ def current_field() -> Any:
 
 def superior_limit_field() -> Any:
     """Return the field of the largest motion of the superior base that a controller accepts."""
-    return quantity(
-        0.05,
-        "m",
-        "Amplitude of the superior base above which a controller aborts.",
-        above=0,
-        at_most=1,
-    )
+    return quantity(0.05, "m", "Amplitude of the superior base above which a controller aborts.", above=0, at_most=1)
 
 
 @attrs.frozen(kw_only=True)

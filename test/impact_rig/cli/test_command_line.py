@@ -35,6 +35,7 @@ from kits.recorded_rig import messages, record
 from impact_rig.cli import main, terminal
 from impact_rig.cli.main import HEADINGS, HIDDEN, command_line, commands
 from impact_rig.cli.terminal import Console, Steps, TextTable, tell_json
+from impact_rig.system.extras import load_ros
 from impact_rig.system.files import config_dir
 
 PROGRAM = [sys.executable, "-c", "from impact_rig.cli import main; raise SystemExit(main())"]
@@ -240,12 +241,15 @@ def test_tab_completes_commands_and_options(line: str, expected: set[str], tmp_p
     assert {word.strip() for word in answer.read_text().split("\n")} == expected
 
 
-WITHOUT_ROS = """\
-import sys
+ROS = "rclpy|rosidl_runtime_py|.*_(msgs|srvs)"
+WITHOUT = """\
+import re, sys
+
+missing = sys.argv.pop(1)
 
 class Removed:
     def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in ("rclpy", "rosidl_runtime_py") or "_msgs" in name or "_srvs" in name:
+        if re.fullmatch(missing, name.partition(".")[0]):
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
 sys.meta_path.insert(0, Removed())
@@ -258,10 +262,23 @@ raise SystemExit(entry.load()())
 """
 
 
-def without_ros(folder: Path, source: str, *words: str) -> subprocess.CompletedProcess[str]:
-    """Run a Python program where ROS 2 is not installed."""
-    command = [sys.executable, "-c", WITHOUT_ROS + source, *words]
+def without(missing: str, folder: Path, source: str, *words: str) -> subprocess.CompletedProcess[str]:
+    """Run a Python program where some libraries are not installed."""
+    command = [sys.executable, "-c", WITHOUT + source, missing, *words]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=False)
+
+
+def reported_without(missing: str, line: str, folder: Path) -> str:
+    """Run a command or an installed program where some libraries are not; return what it reports to need."""
+    program, *words = line.split()
+    if program not in (*commands(), *(one.name for one in entry_points(group="console_scripts"))):
+        pytest.skip("the package of this program is not installed")
+    begin = ("impact-rig", program) if program in commands() else (program,)
+    done = without(missing, folder, PROGRAM_OF_NAME, *begin, *words)
+    assert (done.returncode, done.stdout, [*folder.iterdir()]) == (1, "", []), done.stderr
+    head, _, needs = done.stderr.partition(f"{program} needs ")
+    assert "\n" not in head
+    return needs
 
 
 @pytest.mark.parametrize(
@@ -275,23 +292,28 @@ def without_ros(folder: Path, source: str, *words: str) -> subprocess.CompletedP
     ],
 )  # fmt: skip
 def test_without_ros_one_line_names_the_remedy_and_nothing_is_made(line: str, tmp_path: Path) -> None:
-    program, *words = line.split()
-    if program not in (*commands(), *(one.name for one in entry_points(group="console_scripts"))):
-        pytest.skip("the package of this program is not installed")
-    begin = ("impact-rig", program) if program in commands() else (program,)
-    done = without_ros(tmp_path, PROGRAM_OF_NAME, *begin, *words)
-    assert done.returncode == 1
-    assert re.fullmatch(rf"[^\n]*{program} needs ROS 2 Jazzy \(No module [^\n]*\[wheels\][^\n]*\n", done.stderr)
-    assert done.stdout == ""
-    assert list(tmp_path.iterdir()) == []
+    needs = reported_without(ROS, line, tmp_path)
+    assert re.fullmatch(r"ROS 2 Jazzy \(No module [^\n]*\[wheels\][^\n]*\n", needs)
+
+
+@pytest.mark.parametrize("line", ["lab --sample", "lab_node"])
+def test_without_the_library_of_the_page_one_line_names_the_remedy(line: str, tmp_path: Path) -> None:
+    pytest.importorskip("rclpy", reason="lab_node needs ROS 2 first")
+    needs = reported_without("aiohttp", line, tmp_path)
+    assert needs == "aiohttp, which is not installed: pip install 'impact_rig[lab]'\n"
 
 
 @pytest.mark.parametrize("name", ["RosRig", "Client", "driver.RosRig", "client.Collector", "testing.ScheduledRig"])
 def test_without_ros_a_class_names_the_remedy(name: str, tmp_path: Path) -> None:
     package, _, one = f"impact_rig.{name}".rpartition(".")
-    done = without_ros(tmp_path, f"from {package} import {one}")
+    done = without(ROS, tmp_path, f"from {package} import {one}")
     last = done.stderr.splitlines()[-1]
     assert re.fullmatch(rf"\S+ImpactRigError: \S+\.{one} needs ROS 2 Jazzy \(No module .*\[wheels\].*", last), last
+
+
+def test_a_missing_module_of_this_project_is_no_missing_library() -> None:
+    with pytest.raises(ModuleNotFoundError):
+        load_ros("impact_rig.absent", "a test")
 
 
 def test_every_command_that_can_run_through_ros_declares_it() -> None:

@@ -25,9 +25,12 @@ import sys
 import numpy as np
 import pytest
 
+from impact_rig.analysis.scans import CHANNELS
 from impact_rig.cli.main import main
+from impact_rig.instruments.section import INSTRUMENTS
 from impact_rig.recording import open_run
 from impact_rig.runs.verification import verify
+from impact_rig_studies.cli.parsers import SI
 
 PROGRAM = [sys.executable, "-c", "from impact_rig.cli import main; raise SystemExit(main())"]
 
@@ -42,6 +45,13 @@ def told(directory, name):
 
 def run(*words):
     return main([str(word) for word in words])
+
+
+def test_the_options_know_the_channels_and_their_units():
+    """A parser must not import the channels, which need NumPy."""
+    units = {name: INSTRUMENTS[name].column().unit for name in CHANNELS}
+    assert {name: unit.strip("()").replace("²", "^2") for name, unit in SI.items()} == units
+    assert tuple(SI) == CHANNELS
 
 
 def test_a_played_file_is_what_the_current_was(tmp_path, capsys):
