@@ -289,9 +289,7 @@ def add_daqmx(commands: Commands) -> None:
         "--device", nargs="+", default=["Dev1"], metavar="NAME", help="names of the board (default: Dev1)"
     )
     parser.add_argument(
-        "--host",
-        default="127.0.0.1",
-        help="address to serve; others can then drive the rig (default: %(default)s)",
+        "--host", default="127.0.0.1", help="address to serve; others can then drive the rig (default: %(default)s)"
     )
     parser.add_argument("--port", type=int, default=PORT, help="port to serve; 0: any free one (default: %(default)s)")
 

@@ -68,7 +68,8 @@ def run_campaign(arguments: argparse.Namespace) -> int:
     old = sum(job.key in done.outcomes and store.get(job) is None for job in run.unique_jobs(campaign.planned()))
     if old:
         console.print(
-            f"{old} runs of other studies are of other code; without --only they are measured again", style="yellow"
+            f"{old} runs of other studies were measured with other code; without --only, they are measured again",
+            style="yellow",
         )
     run.write_results(done, time.monotonic() - started)
     verdicts = done.verdicts()

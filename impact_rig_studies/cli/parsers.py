@@ -270,13 +270,9 @@ def _add_stream_options(parser: argparse.ArgumentParser, test: str, rate_hz: int
         help=f"scans per second, and samples of the drive (default: {rate_hz})",
     )  # fmt: skip
     parser.add_argument(
-        "--abort",
-        nargs="+",
-        type=_limit,
-        default=[],
-        metavar="CHANNEL=X",
+        "--abort", nargs="+", type=_limit, default=[], metavar="CHANNEL=X",
         help="end the test beyond a reading, e.g. laser=5mm current=2A",
-    )
+    )  # fmt: skip
     add_output(parser, f"directory of the results (default: runs/{test}_<time>)")
     add_json(parser)
 
@@ -490,13 +486,9 @@ def add_identify(commands: Commands) -> None:
         "--decrement", action="store_true", help="evaluate the free decay by its logarithmic decrement instead of a fit"
     )
     parser.add_argument(
-        "--without",
-        nargs="+",
-        choices=("decay", "sine", "reductions"),
-        default=(),
-        metavar="DATA",
+        "--without", nargs="+", choices=("decay", "sine", "reductions"), default=(), metavar="DATA",
         help="data to leave out: decay, sine, reductions",
-    )
+    )  # fmt: skip
     parser.add_argument(
         "--e-uncertainty", type=float, default=U_RESTITUTION, metavar="U",
         help=f"standard uncertainty of the configuration's e, 0 if it is exact (default: {U_RESTITUTION:g})",
