@@ -209,7 +209,7 @@ class Identified:
     restitution: float = math.nan  # fitted nominal e; NaN without reductions, as is u_restitution
     u_restitution: float = math.nan
     irregular: Mapping[float, float] = attrs.field(factory=dict)
-    """Gaps [m] at which the fitted motion is irregular, with the standard uncertainty of its mean ratio."""
+    """Gaps [m] at which the fitted motion is irregular, with the standard uncertainty of its mean, including jumps."""
     contradicted: tuple[float, ...] = ()  # gaps of these at which a periodic motion was measured
     alternatives: tuple[Alternative, ...] = ()
     """All explanations of the data, if there are several, the most probable first.
@@ -513,7 +513,7 @@ class _Profile:
             by_constants.append(slope[:-1] / u)
             by_nuisances.append(effect / u)
             by_e.append(slope[-1] / u)
-            motions[gap] = motion
+            motions[gap] = motion if motion.repeats else motion._replace(u=math.hypot(motion.u, roughness))
             widths += 2.0 * math.log(u / known)
         away = 0.0 if self._u == 0.0 else (e - self._nominal) / self._u
         whole = np.concatenate([residual, rows, [away]])

@@ -233,7 +233,10 @@ def test_a_motion_that_does_not_repeat_has_a_mean_with_an_uncertainty():
 
 
 def test_the_roughness_of_an_irregular_mean_is_the_size_of_its_jumps():
-    """The mean changes by jumps from window to window of regimes, which no slope describes: here about a line."""
+    """The mean changes by jumps from window to window of regimes, which no slope describes: here about a line.
+
+    A gap with such a mean therefore adds nearly nothing to one with an orbit, and the result states its uncertainty.
+    """
 
     def place(i, step):
         return place_of(rig(RigConfig(), logarithms(RigConfig()) + step * np.eye(len(NAMES))[i]), 0.0065, 9.1, 0.52)
@@ -246,6 +249,12 @@ def test_the_roughness_of_an_irregular_mean_is_the_size_of_its_jumps():
     left = near - np.polyval(np.polyfit(steps, near, 1), steps)
     assert left.std() > 2.0 * here.motion.u, "jumps beyond the scatter at one place"
     assert left.std() < roughness < 0.01
+    one, both = (
+        identify(attrs.evolve(synthetic(np.random.default_rng(2), RigConfig(), gaps), u_restitution=0.0), RigConfig())
+        for gaps in ((0.006,), (0.006, 0.0065))
+    )
+    assert 0.9 < both.u("m_1") / one.u("m_1") <= 1.0
+    assert left.std() < both.irregular[0.0065] < 0.01
 
 
 def test_stated_uncertainties_cover_the_truth():
