@@ -213,12 +213,8 @@ def parse(raw: str | bytes) -> Request:
     checks = REQUESTS[do]
     if found.keys() != checks.keys():
         raise RequestError(f"{do} takes {', '.join(checks) or 'nothing'}, got {_short(sorted(found))}")
-    return Request(
-        int(identity),
-        do,
-        {name: check(do if name == "value" else name, found[name]) for name, check in checks.items()},
-        rig,
-    )
+    values = {name: check(do if name == "value" else name, found[name]) for name, check in checks.items()}
+    return Request(int(identity), do, values, rig)
 
 
 # Frames

@@ -68,7 +68,7 @@ RESULTS = frozenset({topics.TRANSMISSIBILITY_TABLE.name, topics.SWEEP.name})
 ONE_WRITER = {one.name for one in TOPICS if one.columns is not None} | {topics.CONFIGURATION.name, topics.JOURNAL.name}
 """Topics that only one node may write: a run with two sources could not be simulated or analysed again."""
 QUIET_S = 0.1
-"""Time without a newer configuration, after which the last one counts as active: a late subscriber receives all."""
+"""Time after which the last configuration counts as active: a late subscriber first receives all earlier ones."""
 CALIBRATION = "calibration.yaml"
 LATE_NS = NS_PER_S // 2  # a message that takes this long may have been lost and sent again
 NEEDED = frozenset(topic.name for topic in TOPICS if topic.publisher == "rig" and topic.qos is not topics.Qos.LATCHED)
@@ -120,8 +120,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._awaited: set[str] = set()
         self._opened_at = 0.0
         self._opened_ns = 0
-        self._looked_at = time.monotonic()  # time of the last look at the inbox
-        self._late_at = -math.inf  # last time at which a block or a look at the inbox was late
+        self._emptied_at = time.monotonic()  # time at which the inbox was last emptied
+        self._late_at = -math.inf  # last time at which a block, or the emptying of the inbox, was late
         self._scans: Any = None
         self._recorded: list[Any] = []
         self._inbox: deque[tuple[topics.Topic, bytes, dict[str, Any]]] = deque()  # received and not processed yet
@@ -142,7 +142,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._failure = ""
         self._configuration, self._configured_at = None, math.inf
         self._newest_ns = None
-        self._looked_at = time.monotonic()
+        self._emptied_at = time.monotonic()
         self.until_deactivated(self.subscribe(topics.CONFIGURATION, self._on_configuration))
         self.every(FLUSH_S, self._on_timer)
         if self.settings.record:
@@ -399,9 +399,9 @@ class RecorderNode(ManagedNode[RecorderSettings]):
 
     def _take_all(self) -> None:
         now = time.monotonic()
-        if now - self._looked_at > LATE_NS / NS_PER_S:  # a timer looks more often, unless this process did not run
+        if now - self._emptied_at > LATE_NS / NS_PER_S:  # the timer is faster, unless this process did not run
             self._late_at = now
-        self._looked_at = now
+        self._emptied_at = now
         take = guarded(self._take, self.report_failure)  # one by one: an invalid message must not affect the others
         while self._inbox:
             take(*self._inbox.popleft())

@@ -159,7 +159,7 @@ CHECKED_S = 10.0
 
 If clocks have been set, or differ, stamps prove nothing: every command received within `REPEATED_S` is rejected.
 """
-STEP_NS = 100_000_000  # difference between two clocks from which they disagree, or one of them was set
+STEP_NS = 100_000_000  # difference between two clocks above which they disagree, or one of them was set
 IDLE_S = 1.0  # a client that steps repeatedly does so more often than this: between two such steps a rig is not paused
 RATE_WINDOW_S = 2.0
 COUNTED_TOGETHER = 32  # number of blocks whose scans are checked together

@@ -108,7 +108,7 @@ def test_no_view_reaches_out_of_its_panel(page_file: Path, browser: Browser) -> 
     for width in (1440, 1650, 1100, 800, 600, 400):
         page.size(width, 900)
         page.wait(f"innerWidth === {width}", "the width")
-        for view in ("knobs", "rig", "scope", "spectrum"):
+        for view in ("settings", "rig", "scope", "spectrum"):
             inside = f"""(() => {{ const view = document.getElementById('{view}'), panel = view.closest('section');
                 const outer = panel.getBoundingClientRect(), inner = view.getBoundingClientRect();
                 const others = [...document.querySelectorAll('main section')].filter((one) => one !== panel);
