@@ -44,8 +44,9 @@ RESULTS = Path("build") / "bench.json"
 def main() -> int:
     """Run the named parts, or all that exist; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("parts", nargs="*", choices=PARTS, help="parts to run (default: all)")
-    wanted = parser.parse_args().parts or PARTS
+    parser.add_argument("parts", nargs="*", choices=("all", *PARTS), default="all", help="parts to run (default: all)")
+    chosen = parser.parse_args().parts
+    wanted = PARTS if "all" in chosen else chosen
     console = Console()
     figures: dict[str, float] = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
     for part in wanted:

@@ -392,12 +392,11 @@ def sensors(console: Console) -> bool:
 def main() -> int:
     """Return 0 if no wrong row looked good, no block was lost and everything recovered."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parts = ("sensors", "processes")
-    parser.add_argument("parts", nargs="*", choices=parts, help="parts to run (default: both)")
-    wanted = parser.parse_args().parts or parts
+    parser.add_argument("part", nargs="?", choices=("sensors", "processes"), help="part to run (default: both)")
+    part = parser.parse_args().part
     console = Console(soft_wrap=True, markup=False, highlight=False)
-    good = sensors(console) if "sensors" in wanted else True
-    return 0 if (processes(console) if "processes" in wanted else True) and good else 1
+    good = [run(console) for run in (sensors, processes) if part in {None, run.__name__}]
+    return 0 if all(good) else 1
 
 
 def processes(console: Console) -> bool:

@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+import argparse
 import ast
 import functools
 import importlib
@@ -190,7 +191,7 @@ PROGRAMS = sorted(
 def test_every_program_tells_its_use_and_does_nothing_else(
     program: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Bugs once: `tools.release --help` built a release in a folder `--help`, `lock.py --help` chose new versions."""
+    """A request for help must not start the work, such as a release in a folder of the name `--help`."""
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", [program, "--help"])
@@ -202,6 +203,23 @@ def test_every_program_tells_its_use_and_does_nothing_else(
     assert "usage:" in (said := capsys.readouterr()).out
     assert said.err == ""
     assert not [*tmp_path.iterdir()]
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("program", ["benchmarks/__main__", "qualification/fault_matrix"])
+def test_a_program_runs_all_its_parts_if_none_is_chosen(program: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python 3.11 rejects no choice, or a list as default, like a wrong choice."""
+    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    parse = argparse.ArgumentParser.parse_known_args
+
+    def parse_nothing(parser: argparse.ArgumentParser, *_: object) -> None:
+        parse(parser, [])
+        sys.exit(0)
+
+    monkeypatch.setattr(argparse.ArgumentParser, "parse_known_args", parse_nothing)
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_path(str(ROOT / f"{program}.py"), run_name="__main__")
+    assert ended.value.code == 0
 
 
 # --- An installation: real pip, real environment, three tiny packages -------------------------------------------------
