@@ -341,6 +341,7 @@ def test_scans_lost_after_a_reset_are_counted_from_the_reset() -> None:
         rig.step(20)
         rig.clear()
         rig.reset()
+        assert (rig.sample, rig.time_s) == (0, 0.0)
         rig.inject(Fault(kind="lost_block", start_sample=0, samples=10))
         rig.step(3)
         assert rig.lost_samples() == [(0, 10)]
