@@ -110,6 +110,9 @@ class BoardChannel:
         high: largest value of the range.
         per_volt: value that corresponds to one volt at the board.
         unit: unit of the values.
+
+    Raises:
+        DaqmxError: the range is empty.
     """
 
     name: str
@@ -119,6 +122,10 @@ class BoardChannel:
     high: float
     per_volt: float
     unit: str
+
+    def __attrs_post_init__(self) -> None:
+        if not self.low < self.high:
+            raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"the range {self.low:g} to {self.high:g} is empty")
 
     @property
     def is_accelerometer(self) -> bool:
@@ -309,8 +316,6 @@ class Board:
             DaqmxError: a channel is unknown, or does not fit the task.
         """
         self._must_be_idle(task)
-        if not limits[0] < limits[1]:
-            raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"the range {limits[0]:g} to {limits[1]:g} is empty")
         if task.kind not in {"", kind}:
             raise DaqmxError(Code.INVALID_TASK, "a task has inputs or outputs, not both")
         found = self.physical_channels(physical, kind)
@@ -345,14 +350,13 @@ class Board:
         """Set the smallest or the largest value of channels of a task.
 
         Raises:
-            DaqmxError: no such channel, or not a number.
+            DaqmxError: the task has no such channel, or the range is empty.
         """
         self._must_be_idle(task)
         for channel in self.channels(task, names):
-            limits = channel.low if low is None else low, channel.high if high is None else high
-            if not limits[0] < limits[1]:
-                raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"the range {limits[0]:g} to {limits[1]:g} is empty")
-            task.channels[task.channels.index(channel)] = attrs.evolve(channel, low=limits[0], high=limits[1])
+            task.channels[task.channels.index(channel)] = attrs.evolve(
+                channel, low=channel.low if low is None else low, high=channel.high if high is None else high
+            )
 
     def configure_clock(self, task: DaqmxTask, rate_hz: float, samples: int, *, finite: bool) -> None:
         """Set the sample clock of a task.

@@ -140,6 +140,17 @@ def test_a_name_is_used_once(module: Path) -> None:
 
 
 @pytest.mark.ros
+def test_a_client_uses_the_domain_of_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    from impact_rig.client import Client  # needs rclpy
+
+    with isolated_domain() as domain_id:
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain_id))
+        with Client() as client:
+            assert client.context.get_domain_id() == domain_id
+
+
+@pytest.mark.ros
 def test_a_node_ends_when_the_process_that_started_it_is_killed(tmp_path: Path) -> None:
     """This holds even for SIGKILL, after which no process can end the nodes."""
     pytest.importorskip("rclpy", reason="no ROS 2 here")
