@@ -499,12 +499,15 @@ def test_a_dry_run_says_why_a_column_is_not_used_and_that_the_gap_is_unknown(
         "gap: unknown (--gap 6mm, or --gap none without the sphere)",
     ):
         assert line in printed
+    assert re.findall(r"^ (\w+) .* not used *$", printed, re.MULTILINE) == ["earlier", "top", "coil"]
     assert re.search(r"^ frequency +Hz +frequency", printed, re.MULTILINE), "it is used"
     assert "not used: frequency" not in printed
     assert main([*words, "--channel", "laser=laser 1", "--gap", "6mm"]) == 0
     printed = capsys.readouterr().out
     assert "from 0 s: gap 6 mm" in printed
     assert "unknown" not in printed
+    assert main([*words, "--channel", "laser=laser 1", "--gap", "coil"]) == 0
+    assert re.search(r"^ coil +mm +gap *$", capsys.readouterr().out, re.MULTILINE)
 
 
 def readings(amplitude: float, step: float, rate_hz: float = RATE_HZ, gap: str = "", frequency_hz: float = 9.1) -> str:
