@@ -48,10 +48,10 @@ from impact_rig_studies.importing.store import estimated
 STUDY = "measured"
 # values of two files that differ by less are equal: each was measured, or typed with other digits
 SAME_HZ, SAME_M = 0.002, 1e-9
-SETTLED = "settled"
-SHOWN = 3  # largest number of points in the message that nothing settled
 SAME_RATE = 1e-3  # relative difference of two rates, found from times of few digits, that counts as none
 STATED = tuple(name for name in DAQ_INFO.names or () if name not in ("name", "since_start"))
+SETTLED = "settled"
+SHOWN = 3  # largest number of points in the message that no point settled
 
 
 def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = None) -> tuple[Finished, list[str]]:

@@ -123,6 +123,15 @@ def test_what_has_settled_is_what_a_long_motion_does(gap_m, frequency_hz, period
     assert period == 1 or np.abs(x_1[1:] - x_1[:-1]).max() > 1e-4 * np.abs(x_1).mean()
 
 
+def test_a_motion_that_repeats_after_many_cycles_is_periodic(tmp_path: Path) -> None:
+    """At 55 mm, reached from above, 16 impacts in 12 cycles: more cycles than the regime of a measurement considers."""
+    text = "{axes: {gap_m: [0.055, 0.0555, 0.056], frequency_hz: [9.1, 9.2]}, sweep: gap_m, direction: down}"
+    line = load_map(written(tmp_path, text)).lines()[0]
+    found = dict(zip(line.values, measure_line(line), strict=True))[0.055]
+    assert (line.held["frequency_hz"], found.regime, found.period) == (9.1, "periodic", 12.0)
+    assert found.impacts_per_cycle * 12.0 == pytest.approx(16.0)
+
+
 def test_impacts_of_what_has_not_settled_are_counted_as_they_came():
     """The amplitude repeats within the tolerance for periodic; the sphere does not, so the motion is chaotic."""
     found = MapRig(from_flat(RigConfig(), {"barriers.gap_m": 0.004}), Settings()).measure(8.725, CURRENT_A)
