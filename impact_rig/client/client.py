@@ -734,10 +734,9 @@ class Client:
             name, _, component = status.name.partition(":")
             name = f"/{name}".removeprefix(f"{namespace}/")
             self.diagnostics[name] = status
-            if component.strip() == RIG:
-                instance = next((value.value for value in status.values if value.key == "instance"), "")
-                activation = self._rigs.setdefault(name, Activation(self._spinner.waited_s))
-                activation.heard(instance)
+            values = {value.key: value.value for value in status.values}
+            if component.strip() == RIG and values.get("lifecycle") == "active":  # its next activation is another rig
+                self._rigs.setdefault(name, Activation(self._spinner.waited_s)).heard(values.get("instance", ""))
 
     def _troubles(self) -> str:
         """Return possible causes of a timeout: the messages of unhealthy nodes, or that nothing was heard at all."""
