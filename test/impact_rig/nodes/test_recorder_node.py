@@ -120,17 +120,21 @@ def test_in_real_time_what_several_blocks_bring_is_taken_together_and_all_of_it_
                 raise RuntimeError("of one message")
             super()._take(topic, data, info)
 
+        def _on_timer(self) -> None:
+            if not ended:  # otherwise the timer may be faster than the request
+                super()._on_timer()
+
         def _finish(self) -> None:
             due.append(len(came))
             super()._finish()
 
     ended: list[bool] = []
     due: list[int] = []
-    client.host(Counting, parameter_overrides=ros_parameters({"directory": str(tmp_path), "name": "run"}))
+    node = client.host(Counting, parameter_overrides=ros_parameters({"directory": str(tmp_path), "name": "run"}))
     host_rig(client, "realtime", time__peers=["recorder"])
     client.wait_active("rig", "recorder")
     client.wait_until(lambda: max(kept, default=0) >= 10, "a full inbox")
-    client.wait_until(lambda: kept[-1] > 0, "something in it")
+    client.wait_until(lambda: node._inbox, "something in it")
     ended.append(True)
     if end in ("deactivate", "broken"):
         assert client.change_state("recorder", "deactivate")
