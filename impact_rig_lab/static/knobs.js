@@ -159,7 +159,7 @@ export class KnobPanel {
       for (const button of box.querySelectorAll("button")) button.disabled = this.readOnly;
       const value = this.values[knob.name];
       const isKnown = value !== null && value !== undefined;
-      slider?.classList.toggle("unknown", !isKnown);
+      slider?.classList.toggle("untold", !isKnown);
       if (!this.knobs.follows(knob.name) || field.dataset.written) continue;
       if (!isKnown) { // the value belongs to another rig
         if (field.dataset.shown !== undefined) field.value = "";
