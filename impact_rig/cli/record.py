@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from impact_rig import topics
 from impact_rig.cli.options import RUNNING, running_namespace
 from impact_rig.cli.parsers import CURRENT_A, FREQUENCY_HZ
-from impact_rig.cli.rig_options import open_rig, rig_of, run_directory
+from impact_rig.cli.rig_options import open_rig, refuse_for_running, rig_of, run_directory
 from impact_rig.cli.terminal import Console, Counted, TextTable, figure, tell_results
 from impact_rig.errors import CommandError, ConfigError, ImpactRigError
 from impact_rig.recording import open_run
@@ -39,7 +39,6 @@ from impact_rig.system.endings import defer_signals
 
 SCANS_TIMEOUT_S = 30.0  # largest wall time of a rig for one block of scans
 NEGLIGIBLE = 1e-6  # share of the variance below which a line of the budget is not printed
-OF_THE_RIG = ("config", "gap", "sphere_start", "seed", "scan_rate")
 
 
 def run_record(arguments: argparse.Namespace) -> int:
@@ -85,12 +84,7 @@ def _config(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
         ConfigError: an option is not allowed here.
     """
     if arguments.through == RUNNING:
-        for name in OF_THE_RIG:
-            if getattr(arguments, name) is not None:
-                option = f"--{name.replace('_', '-')}"
-                raise ConfigError(
-                    f"{option} applies only to a rig that this command starts; a running rig keeps its configuration"
-                )
+        refuse_for_running(arguments, "config", "gap", "sphere_start", "seed", "scan_rate")
         return RigConfig(), NO_SPHERE
     config, gap_m = rig_of(arguments)
     rate_hz = arguments.scan_rate

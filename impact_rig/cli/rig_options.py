@@ -22,9 +22,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from impact_rig.cli.options import PROCESS, running_namespace
+from impact_rig.cli.options import PROCESS, RUNNING, running_namespace
 from impact_rig.client.processes import domain_of_environment
-from impact_rig.errors import ImpactRigError
+from impact_rig.errors import ConfigError, ImpactRigError
 from impact_rig.rig.config import RigConfig, from_flat, load_config
 from impact_rig.rig.gaps import NO_SPHERE, gap_values
 from impact_rig.system.files import free_path
@@ -37,14 +37,29 @@ def rig_of(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
     """Return the configuration of the selected rig, and its gap.
 
     Raises:
-        ConfigError: the file or an option is invalid.
+        ConfigError: the file or an option is invalid, or an option would change a running rig.
     """
+    refuse_for_running(arguments, "config", "gap", "sphere_start")
     config = load_config(arguments.config) if arguments.config else RigConfig()
     changes: dict[str, object] = {} if arguments.gap is None else dict(gap_values(arguments.gap))
     if arguments.sphere_start:
         changes["sphere.start"] = arguments.sphere_start
     config = from_flat(config, changes)
     return config, config.barriers.gap_m if config.sphere.present else NO_SPHERE
+
+
+def refuse_for_running(arguments: argparse.Namespace, *names: str) -> None:
+    """Refuse options that describe a rig to start if the command uses a rig that is already running.
+
+    Raises:
+        ConfigError: one of the options was given with `--through running`.
+    """
+    for name in names if arguments.through == RUNNING else ():
+        if getattr(arguments, name) is not None:
+            raise ConfigError(
+                f"--{name.replace('_', '-')} applies only to a rig that this command starts; a running rig keeps its "
+                "configuration"
+            )
 
 
 def open_rig(

@@ -146,6 +146,8 @@ def test_an_interrupt_leaves_a_run_that_verifies_and_a_page(tmp_path):
     [
         (("--scan-rate", "0"), "drive.stream_rate_hz"),
         (("--config", "volts.yaml"), "drive.kind must be current"),
+        (("--through", "running", "--gap", "6mm"), "--gap applies only to a rig that this command starts"),
+        (("--through", "running", "--sphere-start", "left"), "--sphere-start applies only to a rig"),
     ],
 )
 def test_wrong_words_are_refused_by_name(tmp_path, capsys, words, says):
