@@ -11,10 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Dynamics of the model: sections, bifurcations, basins, orbits and their branches, exponents, energy per cycle.
+"""Studies of the model's nonlinear dynamics, defined by one YAML file with a section for each kind in `KINDS`.
 
-All results concern the mechanics alone, with exact events and without instruments, and are labelled so.
+They compute Poincaré sections, bifurcation diagrams, basins of attraction, periodic orbits with their energy per cycle,
+branches of orbits, and Lyapunov exponents. All results concern the mechanics alone, with exactly located impacts and
+without sensors or noise, and are labelled so.
 """
 
 KINDS = ("section", "bifurcation", "basin", "orbit", "continue", "exponent")
-"""Kinds of studies, each a section of a plan."""
+"""Kinds of studies: the word after `impact-rig dynamics`, which is also the key of its section in the YAML file."""

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Figure of each kind of study, in the common style and labelled as results of the model."""
+"""Figures of dynamics studies: one drawing function for each kind of study, labelled as results of the model."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 MARKS = {"fold": "o", "symmetry": "D", "flip": "s", "torus": "^", "grazing": "v", "lost": "x"}
-"""Colours of the changes along a branch."""
+"""Matplotlib marker for each kind of change along a branch of orbits, and for the end of a branch (`lost`)."""
 LABELS = {
     FREQUENCY: ("frequency (Hz)", 1.0), CURRENT: ("current (A)", 1.0), GAP: ("gap (mm)", 1e3),
     POSITION: ("sphere at the beginning, from the middle (mm)", 1e3), SPEED: ("its speed (m/s)", 1.0),
@@ -41,7 +41,15 @@ _SPHERE = "sphere at the section (mm)"
 
 
 def drawn(plan: Plan, found: Found) -> Drawn:
-    """Return the picture of a study."""
+    """Draw the results of a study as the diagram of its kind, such as a bifurcation diagram.
+
+    Args:
+        plan: the study.
+        found: rows of results of each of its tasks; tasks without rows leave gaps in the diagram.
+
+    Returns:
+        The figure with its file name and a text that describes it.
+    """
     draw, panels, what = _DRAWERS[plan.kind]
     with style():
         figure, panes = new_axes(3.0 if panels == 1 else 4.4, (1.0,) * panels)
@@ -55,20 +63,34 @@ def drawn(plan: Plan, found: Found) -> Drawn:
 
 
 def column(plan: Plan, rows: Sequence[Row], name: str) -> NDArray[np.float64]:
-    """Return a column of numbers by its name."""
+    """Return the numbers of one column of a study's rows, shape (number of rows,).
+
+    Args:
+        plan: the study, which defines the order of the columns.
+        rows: rows of results.
+        name: name of the column, one of `plan.columns`.
+    """
     place = plan.columns.index(name)
     return np.array([row[place] for row in rows], float)
 
 
 def label_of(name: str) -> tuple[str, float]:
-    """Return the axis label of a parameter, and the factor of its numbers."""
+    """Return the axis label of a parameter with its unit, and the factor from SI to that unit.
+
+    A configuration value by its dotted name is its own label and has the factor 1.
+    """
     return LABELS.get(name, (name, 1.0))
 
 
 def along(
     plan: Plan, rows: Sequence[Row], quantity: str
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the parameter [SI] along a branch, a quantity there, and whether the motion is stable; each shape (n,)."""
+    """Return the curve of one quantity along a branch of orbits, for drawing.
+
+    Returns:
+        The parameter of each orbit [SI], the quantity, and whether the orbit is stable, each of shape (n,). Rows of
+        changes and of the end of the branch are left out.
+    """
     path = [row for row in rows if row[plan.columns.index("event")] in ("orbit", "start")]
     across, height, stable = (column(plan, path, name) for name in (plan.columns[0], quantity, "stable"))
     return across, height, stable > 0.0
@@ -122,7 +144,10 @@ def _basin(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
 
 
 def motion(plan: Plan, row: Row) -> str:
-    """Return a description of the motion that a start leads to."""
+    """Return the legend text of the motion to which one start of a basin study leads.
+
+    It is "no impacts", the rounded DT of a periodic motion, or the regime of any other motion.
+    """
     cell = dict(zip(plan.columns, row, strict=True))
     if not cell["impacts_per_cycle"]:
         return "no impacts"
@@ -144,7 +169,19 @@ def _orbit(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
 def draw_branch(
     pane: Axes, plan: Plan, rows: Sequence[Row], quantity: str, colour: str, label: str | None
 ) -> list[tuple[list[float], list[float]]]:
-    """Draw a branch over its parameter, dotted where it is unstable; return its stable and its unstable points."""
+    """Draw one quantity along a branch of orbits over the parameter: a line where stable, dotted where unstable.
+
+    Args:
+        pane: axes to draw in.
+        plan: the continuation study.
+        rows: its rows of one branch.
+        quantity: name of the column to draw.
+        colour: colour of the branch.
+        label: text in the legend, or None.
+
+    Returns:
+        The drawn points (parameter in the unit of the axis, quantity) of the stable, and of the unstable orbits.
+    """
     across, height, stable = along(plan, rows, quantity)
     across = label_of(plan.over)[1] * across
     for which, line, name in ((stable, "-", label), (~stable, ":", None)):

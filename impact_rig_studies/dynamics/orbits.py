@@ -11,23 +11,25 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Periodic orbits as fixed points of a map z → f(z, p): Newton's method, multipliers, branches around folds.
+"""Periodic orbits as fixed points of a map z → f(z, p): Newton's method, multipliers, and continuation of branches.
 
-The map is a function of dimensionless coordinates z, shape (n,), and of one dimensionless parameter p. It must be
-smooth only near the orbit: derivatives are central differences. For an orbit that repeats after several returns, the
-map is all of them together. It returns NaN if the motion is undetermined (within a contact).
+The map f gives the state of the motion one return (one or several cycles of the drive) after the state z. It is a
+function of dimensionless coordinates z, shape (n,), and of one dimensionless parameter p. It must be smooth only near
+the orbit: derivatives are central differences. For an orbit that repeats after several returns, f comprises all of
+them. It returns NaN if the state does not determine the motion, because the sphere is in contact with a wall.
 
-A branch is followed by pseudo-arclength (Keller 1977): the next point is searched for in the plane across the tangent,
-so that folds are no obstacle. The multipliers distinguish stable from unstable orbits, and the kind of change between
-them:
+A branch is a curve of orbits over p. It is followed by pseudo-arclength continuation (Keller 1977): the next orbit is
+searched for in the plane perpendicular to the tangent of the branch, so that it can be followed around a fold. The
+multipliers (eigenvalues of ∂f/∂z) distinguish stable from unstable orbits, and the kinds of change along a branch:
 
-    fold       the branch turns back in p             flip    a multiplier passes −1: twice the period
-    symmetry   a multiplier passes 1, no turn: the    torus   a pair passes the unit circle: a second frequency
-               two half cycles become different
-    grazing    multipliers jump over 1 or −1: an impact comes or goes; nearby they grow beyond all bounds
+    fold       the branch turns back in p                flip    a multiplier passes −1: orbits of twice the period
+    symmetry   a multiplier passes 1 without a turn:     torus   a complex pair of multipliers passes the unit circle:
+               the two half cycles become different              a second frequency appears
+    grazing    multipliers jump over 1 or −1: an impact appears or disappears; close to it they grow without bound
 
-A branch of doubled or asymmetric orbits also turns back at its birth. It continues there as the same orbits begun half
-a period later, or as their mirror images. `born` distinguishes such a turn from a fold.
+A branch of period-doubled or asymmetric orbits also turns back where these orbits begin to exist. It continues there
+as the same orbits, with their state taken half a period later, or as their mirror images. The argument `born` of
+`followed` distinguishes such a turn from a fold.
 
 H. B. Keller (1977), "Numerical solution of bifurcation and nonlinear eigenvalue problems", in P. H. Rabinowitz (ed.),
 Applications of Bifurcation Theory, Academic Press, 359–384.
@@ -47,17 +49,18 @@ from impact_rig.analysis.calibration import Real
 
 Map = Callable[[Real, float], Real]
 
-# step of the differences: truncation falls with its square, rounding and the contacts' tolerance with its reciprocal
+# step of the differences: their truncation error is proportional to its square, the error by rounding and by the
+# tolerance of the contacts to its reciprocal
 STEP = 1e-6
-TOLERANCE = 1e-10  # largest component of f(z, p) − z of an orbit
-ROUNDS = 14
-_SHORTEST = 2.0**-6  # smallest fraction of a Newton step that increases the residual
-ROUNDED = 1e-8  # tolerance if rounding and the contacts' tolerance leave no less: a motion with many impacts
-_GIVEN_UP = 1e-5  # smallest step along a branch
-_GROWTH = 1.4  # growth of the step along a branch after a success
-_TURN = 0.97  # cosine between successive tangents, below which a step was too long
+TOLERANCE = 1e-10  # largest component of f(z, p) − z up to which z is an orbit
+ROUNDS = 14  # maximum number of Newton steps
+_SHORTEST = 2.0**-6  # fraction to which a Newton step is shortened at most while it increases the residual
+ROUNDED = 1e-8  # tolerance if no step reduces the residual, as rounding and contacts limit it: many impacts
+_GIVEN_UP = 1e-5  # step along a branch below which the branch counts as lost
+_GROWTH = 1.4  # factor of the step along a branch after a success
+_TURN = 0.97  # cosine of the angle between successive tangents, below which a step was too long
 _LOCATED = 1e-9  # fraction of a step to which a bifurcation is located
-NEUTRAL = 1e-4  # distance from 1 within which a multiplier counts as 1, only for the choice of a word
+NEUTRAL = 1e-4  # imaginary part above which a multiplier counts as one of a complex pair
 # largest distance of a bifurcation's multiplier from the point it passes; otherwise it has jumped over it
 PASSING = 1e-3
 LASTING, FOLD, SYMMETRY, FLIP, TORUS, GRAZING = "stable", "fold", "symmetry", "flip", "torus", "grazing"
@@ -66,57 +69,68 @@ PASSED = {SYMMETRY: 1.0, FLIP: -1.0}
 
 @attrs.frozen(eq=False)
 class Orbit:
-    """Fixed point of the map."""
+    """Periodic orbit: a fixed point z = f(z, p) of the map at one value p of its parameter, with its stability."""
 
-    z: Real  # coordinates, shape (n,)
-    p: float  # parameter
+    z: Real  # dimensionless coordinates of the fixed point, shape (n,)
+    p: float  # dimensionless parameter of the map
     residual: float  # largest component of f(z, p) − z
-    multipliers: NDArray[np.complex128]  # eigenvalues of df/dz, the largest first, shape (n,)
-    tangent: Real  # unit vector (z, p) along the branch, shape (n + 1,)
-    note: object = None  # additional result along a branch
+    multipliers: NDArray[np.complex128]  # eigenvalues of df/dz, the largest modulus first, shape (n,)
+    tangent: Real  # unit vector in the space (z, p) along the branch of the orbit, shape (n + 1,)
+    note: object = None  # result of `noted` for this orbit if it belongs to a followed branch
 
     @property
     def stable(self) -> bool:
-        """Return whether small errors decay."""
+        """Return whether a small disturbance of the orbit decays: all multipliers are inside the unit circle."""
         return bool(abs(self.multipliers[0]) < 1.0)
 
     @property
     def kind(self) -> str:
-        """Kind of stability: `stable`, or fold, flip or torus, by which the orbit loses its stability."""
+        """Stability as a word: `stable`, or the way in which the largest multiplier is outside the unit circle.
+
+        It is `torus` if this multiplier is one of a complex pair, otherwise `fold` if it is positive, `flip` if not.
+        """
         largest = self.multipliers[0]
         if self.stable:
             return LASTING
         return TORUS if abs(largest.imag) > NEUTRAL else FOLD if largest.real > 0.0 else FLIP
 
     def towards(self, direction: Real) -> Orbit:
-        """Return the orbit with that of its two tangents that points along a direction (z, p), shape (n + 1,)."""
+        """Return the orbit with the sign of its tangent such that the tangent points along `direction`.
+
+        A caller that follows a branch needs this to keep its direction: the sign of a computed tangent is arbitrary.
+
+        Args:
+            direction: vector in the space (z, p), shape (n + 1,).
+        """
         return self if float(self.tangent @ direction) >= 0.0 else attrs.evolve(self, tangent=-self.tangent)
 
 
 @attrs.frozen(eq=False)
 class BranchChange:
-    """Change along a branch."""
+    """Bifurcation on a branch of orbits: where stability changes or the branch turns back in the parameter."""
 
     kind: str  # fold, symmetry, flip, torus or grazing
-    orbit: Orbit  # orbit at the change
-    note: object = None  # note of that orbit
+    orbit: Orbit  # orbit at which the change takes place
+    note: object = None  # result of `noted` for that orbit
 
 
 @attrs.frozen(eq=False)
 class Arc:
-    """Branch in one direction from an orbit."""
+    """Part of a branch of orbits that `followed` has found in one direction from its start orbit."""
 
-    orbits: tuple[Orbit, ...]  # in order, without the first one
-    changes: tuple[BranchChange, ...]  # changes of stability or direction, in order
+    orbits: tuple[Orbit, ...]  # orbits in order along the branch, without the start orbit
+    changes: tuple[BranchChange, ...]  # changes of stability or direction, in order along the branch
     end: str
-    """Reason for its end: `edge` of the range, `lost` (no step is short enough.
+    """Reason why the branch is not followed further: `edge`, `lost`, `closed` or `length`.
 
-    An impact comes or goes, or the motion is undetermined at the section), `closed`, or `length`.
+    `edge`: the parameter has reached an end of its range. `lost`: no next orbit is found even with the smallest step,
+    as where an impact appears or disappears, or where the sphere is in contact at the section. `closed`: the branch has
+    returned to its start orbit. `length`: the maximum number of orbits is reached.
     """
 
 
 def jacobian(f: Map, z: Real, p: float) -> Real:
-    """Return df/dz by central differences, shape (n, n)."""
+    """Return the matrix of derivatives ∂f_i/∂z_j of the map at (z, p) by central differences, shape (n, n)."""
     columns = []
     for i in range(len(z)):
         aside = np.zeros(len(z))
@@ -126,7 +140,10 @@ def jacobian(f: Map, z: Real, p: float) -> Real:
 
 
 def orbit(f: Map, z: Real, p: float) -> Orbit | None:
-    """Return the fixed point near z, or None if Newton's method finds none."""
+    """Return the periodic orbit (fixed point of the map f) near z at the parameter p, found by Newton's method.
+
+    Returns None if the method does not converge, or the motion near the orbit is undetermined.
+    """
     return _corrected(f, z, p, None)
 
 
@@ -142,20 +159,21 @@ def followed(
     born: Callable[[Orbit, Orbit], str] = lambda _here, _turn: FOLD,
     moved: Callable[[Sequence[tuple[Real, float]]], list[Real] | None] = lambda _: None,
 ) -> Arc:
-    """Follow the branch of an orbit in one direction.
+    """Follow the branch of periodic orbits through `start` in one direction, around folds, and locate its changes.
 
     Args:
-        f: the map.
+        f: the map z → f(z, p) whose fixed points are the orbits.
         start: an orbit on the branch.
-        way: −1.0 or 1.0: p falls or rises at first.
-        limits: smallest and largest p.
-        longest: largest step along the arc.
-        points: maximum number of points.
-        born: classifies a turn, given an orbit of the branch and that at the turn: `FLIP` or `SYMMETRY` at the birth of
-            its orbits, else `FOLD`.
-        noted: returns the `note` of every orbit while `f` uses its coordinates.
-        moved: given the first point (z, p) and the newest two, returns the z of all in other coordinates that `f` uses
-            from now on, or None.
+        way: initial direction: 1.0 towards larger p, −1.0 towards smaller p.
+        limits: smallest and largest p; the branch ends there.
+        longest: largest step along the branch in the space (z, p).
+        points: maximum number of orbits.
+        born: classifies a turn of the branch in p, given an orbit of the branch and the orbit at the turn: `FLIP` or
+            `SYMMETRY` if the orbits of the branch begin to exist there, else `FOLD`.
+        noted: returns the `note` of an orbit. It is called for each orbit before `moved` may change the coordinates.
+        moved: changes the coordinates of `f` if its section has come too close to an impact. It receives the points
+            (z, p) of the start and of the two newest orbits, and returns their z in the new coordinates, or None if
+            nothing changes.
     """
     orbits: list[Orbit] = []
     changes: list[BranchChange] = []
@@ -194,7 +212,11 @@ def followed(
 
 
 def _corrected(f: Map, z: Real, p: float, tangent: Real | None) -> Orbit | None:
-    """Return the orbit near a guess: in the plane across the tangent, or at the same p. None if there is none."""
+    """Return the orbit near the guess (z, p), found by Newton's method, or None if the method does not converge.
+
+    It is searched for in the plane through the guess perpendicular to `tangent`, so that p changes too; without a
+    tangent, p is fixed.
+    """
     y = origin = np.append(z, p)
     residual = f(z, p) - z
     for _ in range(ROUNDS):
@@ -223,7 +245,13 @@ def _corrected(f: Map, z: Real, p: float, tangent: Real | None) -> Orbit | None:
 
 
 def _extended(f: Map, y: Real, tangent: Real | None) -> Real:
-    """Return the matrix of the equations for (z, p); without a tangent p is fixed."""
+    """Return the matrix of Newton's method for the unknowns y = (z, p), shape (n + 1, n + 1).
+
+    The first n rows are the derivatives of f(z, p) − z. The last row is the tangent, or fixes p without one.
+
+    Raises:
+        numpy.linalg.LinAlgError: a derivative is not finite, because a neighbour of y is undetermined.
+    """
     z, p = y[:-1], float(y[-1])
     n = len(z)
     matrix = np.zeros((n + 1, n + 1))
@@ -239,7 +267,10 @@ def _extended(f: Map, y: Real, tangent: Real | None) -> Real:
 
 
 def _orbit_at(f: Map, y: Real) -> Orbit | None:
-    """Return the orbit at (z, p), or None if its neighbours are undetermined."""
+    """Return the `Orbit` at a point y = (z, p) that is known to be a fixed point, with multipliers and tangent.
+
+    Returns None if these derivatives do not exist, because the map is undetermined at a neighbouring point.
+    """
     z, p = y[:-1], float(y[-1])
     try:
         rows = _extended(f, y, np.zeros(len(y)))[:-1]
@@ -251,7 +282,10 @@ def _orbit_at(f: Map, y: Real) -> Orbit | None:
 
 
 def _changes(f: Map, here: Orbit, new: Orbit, born: Callable[[Orbit, Orbit], str]) -> Iterator[BranchChange]:
-    """Yield the changes between two neighbours, where a test function passes zero."""
+    """Yield the bifurcations between two successive orbits of a branch, each located where its test function is zero.
+
+    `born` decides whether a turn in p is a fold, see `followed`.
+    """
     tests: dict[str, Callable[[Orbit, Real], float]] = {}
     if here.tangent[-1] * new.tangent[-1] < 0.0:
         tests[FOLD] = lambda _, along: float(along[-1])
@@ -273,18 +307,27 @@ def _changes(f: Map, here: Orbit, new: Orbit, born: Callable[[Orbit, Orbit], str
 
 
 def _product(one: Orbit, value: float) -> float:
-    """Return Π (multiplier − value), which is real and changes sign when one real multiplier passes."""
+    """Return Π (multiplier − value) over all multipliers of an orbit.
+
+    It is real, and its sign differs between two orbits if one real multiplier has passed `value` between them.
+    """
     return float(np.prod(one.multipliers - value).real)
 
 
 def _pairs(one: Orbit) -> float:
-    """Return Π (product of two multipliers − 1), which is zero when a pair is on the unit circle."""
+    """Return Π (μ_i μ_j − 1) over all pairs of multipliers of an orbit, the test function of a torus bifurcation.
+
+    It is zero when a complex pair of multipliers is on the unit circle.
+    """
     products = np.outer(one.multipliers, one.multipliers)[np.triu_indices(len(one.multipliers), 1)]
     return float(np.prod(products - 1.0).real)
 
 
 def _zero(f: Map, here: Orbit, new: Orbit, test: Callable[[Orbit, Real], float]) -> Orbit | None:
-    """Return the orbit between two at which a test function is zero."""
+    """Return the orbit on the branch between two successive orbits at which a test function is zero.
+
+    Returns None if an orbit between them cannot be found, or the test function has the same sign at both.
+    """
     origin, whole = np.append(here.z, here.p), np.append(new.z - here.z, new.p - here.p)
     found = here
 

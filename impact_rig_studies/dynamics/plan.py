@@ -11,7 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Plans of dynamics studies: a validated YAML file, with a section for each kind, as tasks that run anywhere."""
+"""Plans of dynamics studies: validate a section of a YAML file, divide it into tasks, and run and store them.
+
+Tasks are independent of one another, so that several processes can run them in any order.
+"""
 
 from __future__ import annotations
 
@@ -67,70 +70,75 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
     CONTINUE: _ORBIT,
     EXPONENT: ("value", "regime", "dt", "exponent_per_s", "uncertainty_per_s", "settled_cycles"),
 }
-"""Columns of a task's rows: `value` is the parameter's, `event` is orbit, or what changes there, or why the branch ends
-there.
+"""Columns of the rows of results, by kind of study.
 
-Multipliers are the largest first, NaN where there are fewer. The state is that at the section `turn`. `settled_cycles`
-went before an exponent.
+`value` is the value of the parameter [SI]. On a branch, `event` is `start`, `orbit`, the kind of change there, or the
+reason why the branch ends there; in a study of one orbit it is the kind of stability. Multipliers are sorted, the
+largest first, NaN where there are fewer. State values are those at the section, the phase `turn` of the drive.
+`settled_cycles` is the number of cycles that passed before an exponent was measured.
 """
 NAMES = (FREQUENCY, CURRENT, GAP)
-CHUNK_VALUES = 20  # values that start from rest in one task
-_CYCLES, _WINDOWS = 100, 20  # number of cycles and windows of an exponent
-_PARTS = 20.0  # parts of a parameter's range that count as one dimensionless step: a motion may change within one
+CHUNK_VALUES = 20  # number of parameter values in one task of a bifurcation diagram, each measured from rest
+_CYCLES, _WINDOWS = 100, 20  # default number of cycles in each window, and of windows, of an exponent
+_PARTS = 20.0  # number of dimensionless steps of 1 into which the range of a continued parameter is divided
 _LOOKED = 7  # number of starts along either axis to search for a basin's attractors
-_NEAR = 1e-3  # distance, relative to an orbit's size, within which an approaching motion counts as on its way there
+_NEAR = 1e-3  # distance, relative to an orbit's size, within which an approaching motion counts as one that reaches it
 _SAME = 1e-4  # relative distance within which orbits are equal
-_MOST_CYCLES = 1200  # number of cycles of a motion in a basin before it is measured at length
+_MOST_CYCLES = 1200  # number of cycles after which a motion that has reached no known attractor is measured itself
 
 Start = str | tuple[float, float]
 
 
 @attrs.frozen(kw_only=True)
 class StudyTask(HashedTask):
-    """Part of a study that is run, stored and never repeated; it contains every value that determines its numbers."""
+    """Independent part of a dynamics study, whose stored results are reused instead of running it again.
+
+    It contains every value that determines its results, so that its hash identifies them.
+    """
 
     kind: str  # kind of the study
-    name: str  # readable name
+    name: str  # name for users, such as parameter values and start
     changes: Mapping[str, Value]  # configuration values that differ from the default rig, by dotted name
-    settings: Settings  # how motions settle
-    frequency_hz: float  # frequency of the drive
-    current_a: float  # amplitude of the drive (A, m or V by `drive.kind`)
-    what: Mapping[str, object]  # everything else, by name
+    settings: Settings  # criteria by which motions count as settled and periodic
+    frequency_hz: float  # frequency of the drive, unless it is the parameter
+    current_a: float  # amplitude of the drive (A, m or V by `drive.kind`), unless it is the parameter
+    what: Mapping[str, object]  # arguments of the function that runs this kind of task, by name
 
     def describe(self) -> str:
-        """Return a short readable name."""
+        """Return the name of the task for progress messages, such as its parameter values and start."""
         return self.name
 
     @property
     def place(self) -> Place:
-        """Frequency, current and rig of the task."""
+        """Rig of the task, with frequency and amplitude of its drive."""
         return Place(from_flat(RigConfig(), self.changes), self.frequency_hz, self.current_a)
 
     def read(self, rows: Sequence[Row]) -> list[Row]:
-        """Return stored rows.
+        """Check rows that were stored for this task, and return them.
 
         Raises:
-            ValueError: the rows do not belong to this kind.
+            ValueError: a row has not as many columns as those of this kind of study.
         """
-        if any(len(row) != len(COLUMNS[self.kind]) for row in rows):
-            raise ValueError("not rows of this kind")
+        columns = len(COLUMNS[self.kind])
+        if any(len(row) != columns for row in rows):
+            raise ValueError(f"a row of results of the study {self.kind} must have {columns} columns")
         return [tuple(row) for row in rows]
 
 
 @attrs.frozen(eq=False, kw_only=True)
 class Plan:
-    """Study of a file."""
+    """Plan of one dynamics study: the rig, and the tasks into which its section of a YAML file is divided."""
 
     kind: str  # kind of the study
-    title: str  # readable title
-    base: RigConfig  # the rig
-    text: str  # the file
-    over: str  # name of the parameter, empty without one
-    tasks: tuple[StudyTask, ...]  # in order
+    title: str  # title for users
+    base: RigConfig  # the rig before a parameter is changed
+    text: str  # text of the YAML file
+    over: str  # name of the parameter that the study varies; empty if it varies none
+    tasks: tuple[StudyTask, ...]  # in the order of their results
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names of the columns of rows, with that of the parameter."""
+        """Names of the columns of the rows of results, in which the parameter's name replaces `value`."""
         return tuple((self.over or FREQUENCY) if name == "value" else name for name in COLUMNS[self.kind])
 
 
@@ -139,20 +147,22 @@ Found = Sequence[tuple[StudyTask, Sequence[Row]]]
 
 @attrs.frozen(eq=False)
 class FinishedStudy:
-    """Study with its results."""
+    """Dynamics study with the results that are stored of it, possibly not of all its tasks."""
 
     plan: Plan
-    found: Found  # rows of each task; none for a task that was not run
+    found: Found  # each task with its rows of results; no rows for a task that has not been run
 
     @property
     def rows(self) -> list[Row]:
-        """Rows of all tasks, with the columns of the plan."""
+        """Rows of results of all tasks, one after the other, with the columns `plan.columns`."""
         return [row for _, rows in self.found for row in rows]
 
     def table(self) -> tuple[list[str], list[list[object]]]:
-        """Return the names of the columns and the rows, each preceded by the values of its task.
+        """Return the results of all tasks as one table: the names of its columns, and its rows.
 
-        `start` is the start of the sphere, `direction` up, down or reset, `branch` the number of a branch, from 1.
+        Except for a basin, columns that identify the task precede those of the plan. They are `start` (start of the
+        sphere), for a bifurcation diagram also `direction` (up, down or reset), and for a continuation also `branch`
+        (number of the branch, from 1).
         """
         found = []
         front: dict[str, object] = {}
@@ -165,15 +175,15 @@ class FinishedStudy:
         """Return the table as a `pandas.DataFrame`.
 
         Raises:
-            ImpactRigError: pandas is not installed, or nothing is measured yet.
+            ImpactRigError: pandas is not installed, or no task has stored results yet.
         """
         return tables.to_dataframe(*self.table())
 
     def to_xarray(self) -> Any:
-        """Return the table as an `xarray.Dataset`: a basin over its starts, other studies over `row`.
+        """Return the table as an `xarray.Dataset`: a basin over speed and position of its starts, others over `row`.
 
         Raises:
-            ImpactRigError: xarray is not installed, or nothing is measured yet.
+            ImpactRigError: xarray is not installed, or no task has stored results yet.
         """
         if self.plan.kind == BASIN:
             return tables.to_xarray(*self.table(), grid=(SPEED, POSITION))
@@ -181,7 +191,12 @@ class FinishedStudy:
 
 
 def _front(task: StudyTask, number: int) -> dict[str, object]:
-    """Return the values of a task that precede each of its rows, by column."""
+    """Return the values that identify a task in a table of all tasks, by name of the column, see `table`.
+
+    Args:
+        task: the task.
+        number: number of the task in its plan, from 1.
+    """
     if task.kind == BASIN:
         return {}
     front: dict[str, object] = {"start": named(task.what["start"])}
@@ -193,39 +208,52 @@ def _front(task: StudyTask, number: int) -> dict[str, object]:
 
 
 def direction_of(task: StudyTask) -> str:
-    """Return the order in which the values of a bifurcation task are visited: up, down, or each from rest (reset)."""
+    """Return the order in which a task of a bifurcation diagram visits its parameter values: `up`, `down` or `reset`.
+
+    With up and down each value continues from the motion at the previous one; with reset each starts from rest.
+    """
     values = task.what["values"]
     assert isinstance(values, Sequence)
     return RESET if not task.what["marched"] else UP if values[0] <= values[-1] else DOWN
 
 
 def store(directory: Path) -> TaskStore[StudyTask]:
-    """Return the store of a study's tasks in a directory."""
+    """Return the store of the tasks of dynamics studies, with the plan file and results in a directory."""
     return TaskStore(directory, "dynamics", "tasks", ("maps", "dynamics"))
 
 
 def open_study(directory: Path, kind: str) -> FinishedStudy:
-    """Return the study of one kind in a directory.
+    """Read a dynamics study with its stored results, for tables and figures.
+
+    Args:
+        directory: output directory of `impact-rig dynamics`.
+        kind: kind of study, one of `KINDS`.
 
     Raises:
-        ConfigError: the directory is not that of a dynamics study of this kind, or nothing is stored in it.
+        ConfigError: the directory is not that of a dynamics study of this kind, or contains no results of it yet.
     """
     kept = store(directory)
     plan = load(kept.file, kind, kept.configuration())
     done = finished(plan, directory)
     if not done.rows:
-        raise ConfigError(f"{directory} holds nothing yet: impact-rig dynamics {kind} {kept.file} --output {directory}")
+        raise ConfigError(
+            f"{directory} has no results of the study {kind} yet; run "
+            f"impact-rig dynamics {kind} {kept.file} --output {directory}"
+        )
     return done
 
 
 def finished(plan: Plan, directory: Path) -> FinishedStudy:
-    """Return a study with everything that is stored of it."""
+    """Return a planned study with the results that its output directory already contains, possibly none."""
     kept = store(directory)
     return FinishedStudy(plan, [(task, kept.get(task) or []) for task in plan.tasks])
 
 
 def kinds(directory: Path) -> list[str]:
-    """Return the kinds of study with stored results in a directory.
+    """Return the kinds of dynamics study of which a directory contains results, in the order of `KINDS`.
+
+    Args:
+        directory: output directory of `impact-rig dynamics`; its plan file may define several kinds.
 
     Raises:
         ConfigError: the directory is not that of dynamics studies.
@@ -237,21 +265,33 @@ def kinds(directory: Path) -> list[str]:
 
 
 def run(task: StudyTask) -> list[Row]:
-    """Return the rows of a task."""
+    """Run a task: simulate its motions, and return its rows of results with the columns `COLUMNS[task.kind]`."""
     return _RUNNERS[task.kind](task, **task.what)
 
 
 def load(path: Path, kind: str, resolved: RigConfig | None = None) -> Plan:
-    """Read the study of one kind in a YAML file.
+    """Read the plan of one dynamics study from its section of a YAML file, and check all values.
+
+    For a basin, this already simulates some starts, to find the periodic motions that they lead to.
+
+    Args:
+        path: path of the YAML file.
+        kind: kind of study, which is also the key of the section.
+        resolved: rig that replaces the file's `config` and `set`, for stored results; None means that of the file.
 
     Raises:
-        ConfigError: the file cannot be read or is wrong, or has no such study.
+        ConfigError: the file cannot be read, has no such section, or a value is wrong.
     """
     return load_plan(path, "dynamics file", lambda document, text: _read(document, text, path, kind, resolved))
 
 
 def exponent_at(line: MapLine, value: float) -> StudyTask:
-    """Return a task that measures the largest exponent at a point of a map in which every point starts from rest."""
+    """Return a task that computes the largest Lyapunov exponent of the motion at one point of a map.
+
+    Args:
+        line: line of a map whose points each start from rest.
+        value: value of the line's axis at the point.
+    """
     changes, frequency, current, sphere = line.place(value)
     changes = {**line.changes, **changes}
     start = sphere or from_flat(RigConfig(), changes).sphere.start
@@ -266,7 +306,7 @@ def _read(document: object, text: str, path: Path, kind: str, resolved: RigConfi
     top = axes.mapping("a dynamics file", document)
     axes.check_keys("", top, ("title", "config", "set", FREQUENCY, CURRENT, "measure", *KINDS))
     if kind not in top:
-        raise ConfigError(f"there is no {kind} in the file")
+        raise ConfigError(f"there is no {kind} in the file: a study of this kind needs the key {kind}")
     rig = resolved or axes.rig(top, path.parent, refuse_owned)
     changes = differences(rig)
     settings = axes.settings("measure", top.get("measure"), Settings)
@@ -383,7 +423,18 @@ def _over(kind: str, given: Mapping[str, object], place: Place) -> tuple[str, tu
 
 
 def _starts(kind: str, given: Mapping[str, object]) -> list[Start]:
-    """Return the starts of the sphere: words, or pairs of position [m] and speed [m/s]."""
+    """Read the starts of the sphere from a section of the file; without any, the sphere starts at the left wall.
+
+    Args:
+        kind: key of the section.
+        given: the section.
+
+    Returns:
+        Words of `sphere.start` (such as left), or pairs of position [m] and speed [m/s], see `MapRig.reset`.
+
+    Raises:
+        ConfigError: a start is neither such a word nor a pair of numbers within ±100.
+    """
     found: list[Start] = []
     listed = given.get("starts", ["left"])
     for i, one in enumerate(listed if isinstance(listed, list) else [listed]):
@@ -396,12 +447,12 @@ def _starts(kind: str, given: Mapping[str, object]) -> list[Start]:
 
 
 def named(start: object) -> str:
-    """Return a description of a start of the sphere."""
+    """Return a start of the sphere as text, such as "left" or "0.001 m at 0 m/s"."""
     return start if isinstance(start, str) else "{:g} m at {:g} m/s".format(*start)  # type: ignore[misc]  # a pair
 
 
 def _begun(place: Place, start: Start, settings: Settings) -> MapRig:
-    """Return a rig at rest with the sphere at a start."""
+    """Return a new rig at rest at a point of parameter space, with its sphere at a start."""
     config = place.config
     rig = MapRig(from_flat(config, {"sphere.start": start}) if isinstance(start, str) else config, settings)
     rig.reset(None if isinstance(start, str) else (start[0], start[1]))
@@ -409,7 +460,17 @@ def _begun(place: Place, start: Start, settings: Settings) -> MapRig:
 
 
 def _points(rig: MapRig, place: Place, cycles: int, turn: float) -> list[list[float]]:
-    """Return one point per cycle, see `POINT`; none if the motion cannot be resolved."""
+    """Continue the motion of a rig, and return its state once per cycle with the columns `POINT`.
+
+    Args:
+        rig: the rig, driven with a whole number of cycles so far.
+        place: its drive.
+        cycles: number of cycles.
+        turn: phase of the drive at which the state is taken, in turns.
+
+    Returns:
+        One point per cycle; an empty list if the motion cannot be simulated.
+    """
     try:
         motion = rig.run_cycles(place.frequency_hz, place.amplitude, cycles)
     except SimulationError:
@@ -494,7 +555,18 @@ def _continue(
 def _found(
     task: StudyTask, over: str, value: float, start: Start, unit: float
 ) -> tuple[Stroboscope, orbits.Orbit] | None:
-    """Return the orbit that a motion settles to; None if it does not, or cannot be resolved."""
+    """Return the periodic orbit to which the motion from a start settles, and the map of which it is a fixed point.
+
+    Args:
+        task: the task, with rig and drive.
+        over: name of the parameter of the map.
+        value: value of the parameter.
+        start: start of the sphere.
+        unit: change of the parameter for one dimensionless step of the map.
+
+    Returns:
+        None if the motion does not become periodic or cannot be simulated, or Newton's method finds no orbit.
+    """
     place = at(task.place, over, value)
     strobe = Stroboscope(task.place, over, unit)
     rig = _begun(place, start, task.settings)
@@ -541,7 +613,14 @@ def _exponent(task: StudyTask, over: str, value: float, start: Start, cycles: in
 def _attractors(
     place: Place, settings: Settings, positions: Sequence[float], speeds: Sequence[float]
 ) -> list[tuple[str | float, ...]]:
-    """Return the periodic motions that a few starts lead to: DT, impacts per cycle, period, and their states."""
+    """Return the periodic motions with impacts to which starts on a coarse grid of a basin lead.
+
+    A task of the basin ends a motion as soon as it approaches one of these, which saves most of its simulation.
+
+    Returns:
+        For each motion, without duplicates: DT, impacts per cycle, period in cycles, and then the seven values of
+        `Simulation.state` at the beginning of each cycle.
+    """
     some = [
         [values[i] for i in sorted({*np.linspace(0, len(values) - 1, _LOOKED).astype(int).tolist()})]
         for values in (positions, speeds)
@@ -559,7 +638,10 @@ def _attractors(
 
 
 def _states(rig: MapRig, place: Place, cycles: int) -> list[np.ndarray]:
-    """Return the state at the beginning of each cycle; none if the motion is undetermined at one of them."""
+    """Continue the motion of a rig for some cycles, and return its state at the beginning of each.
+
+    The list is empty if the sphere is in contact with a wall at one of these times, or the motion cannot be simulated.
+    """
     states = []
     for _ in range(cycles):
         state = rig.simulation.state()
@@ -574,7 +656,13 @@ def _states(rig: MapRig, place: Place, cycles: int) -> list[np.ndarray]:
 
 
 def _distance(state: np.ndarray, attractor: Sequence[str | float], scale: np.ndarray) -> float:
-    """Return the distance of a state from the nearest state of an attractor."""
+    """Return the distance of a state from the nearest state of an attractor, as the largest scaled difference.
+
+    Args:
+        state: values of `Simulation.state`.
+        attractor: a periodic motion, see `_attractors`.
+        scale: size of the motion in each value, by which the differences are divided.
+    """
     states = np.array(attractor[3:], float).reshape(-1, len(state))
     return float(np.abs((states - state) / scale).max(axis=1).min())
 
@@ -604,10 +692,13 @@ def _basin(
 
 
 def _led_to(rig: MapRig, place: Place, attractors: Sequence[Sequence[str | float]]) -> tuple[int, int]:
-    """Return the attractor that the motion approaches, −1 if none, and the number of cycles for that.
+    """Continue the motion of a rig until it has approached a known attractor, or has no impacts, or a limit of cycles.
+
+    Returns:
+        Index of the attractor, or −1 if it has approached none, and the number of simulated cycles.
 
     Raises:
-        SimulationError: the motion cannot be resolved.
+        SimulationError: the motion cannot be simulated.
     """
     sizes = [size(place, np.array(one[3:10], float)) for one in attractors]
     near, cycles = math.inf, 0

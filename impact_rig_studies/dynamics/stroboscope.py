@@ -11,12 +11,16 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Stroboscopic map of the rig: its state once in several cycles of its drive, with exact events in between.
+"""Stroboscopic map of the rig: its state once per period of an orbit (one or several cycles of the drive).
 
-The state is (x_1, v_1, d, d') and, unless the base is prescribed, (x_b, v_b) and a coil's current; d = x_2 − x_1. It is
-divided by the size of the motion, so that a step of 1 means the same in each coordinate. The section is the phase of
-the drive at which the state is taken. It is in the longest stretch without a contact, because the state alone does not
-determine a contact in progress.
+Between two such states the motion is simulated with exactly located impacts. The state consists of the displacement and
+velocity of the superior base (x_1, v_1), and the position of the sphere relative to it and its rate (d = x_2 − x_1, d').
+Unless the motion of the inferior base is prescribed, its displacement and velocity (x_b, v_b) are added, and for a
+voltage drive the current of the coil. Each coordinate is divided by the size of the motion, so that a step of 1 means
+the same in each.
+
+The section is the phase of the drive at which the state is taken. It is in the longest part of the cycle without a
+contact of the sphere and a wall, because the state alone does not determine a contact in progress.
 """
 
 from __future__ import annotations
@@ -40,81 +44,88 @@ from impact_rig_studies.maps.measure import MapRig, Reading
 from impact_rig_studies.maps.plan import CURRENT, FREQUENCY, GAP
 
 COORDINATES = {"prescribed": (0, 1, 5, 6), "current": (0, 1, 2, 3, 5, 6), "voltage": (0, 1, 2, 3, 4, 5, 6)}
-"""Indices of the coordinates in `Simulation.state`, by kind of drive."""
-SPHERE = (5, 6)  # indices of the sphere
-CLOSE = 0.02  # turns of the drive between an impact and the section below which another section is chosen
+"""Indices of the free state values in the array of `Simulation.state`, by kind of drive."""
+SPHERE = (5, 6)  # indices of the sphere's relative position and its rate in that array
+CLOSE = 0.02  # time between an impact and the section, in cycles, below which another section is chosen
 _TURN = 2.0 * math.pi
-_FINE = 64  # parts of a cycle among which a section is chosen
+_FINE = 64  # equal parts of a cycle, of which those with a contact exclude a section
 
 
 class Place(NamedTuple):
-    """Rig and its drive."""
+    """Point of parameter space: the configuration of a rig, with frequency and amplitude of its sine drive."""
 
     config: RigConfig
-    frequency_hz: float
-    amplitude: float
+    frequency_hz: float  # frequency of the drive
+    amplitude: float  # peak amplitude of the drive: A, m or V by `drive.kind`
 
 
 class Energy(NamedTuple):
-    """Energies per cycle of the drive [J]."""
+    """Energy balance of a motion: work done by the drive, and losses in the parts of the rig, per drive cycle [J]."""
 
-    work: float  # of the shaker, or of a prescribed base
-    columns: float  # loss in the columns
+    work: float  # work of the shaker's force, or of the force that moves a prescribed inferior base
+    columns: float  # loss in the columns that carry the superior base
     shaker: float  # loss in the shaker
-    contact: float  # loss in the contacts
-    friction: float  # loss on the guide
-    imbalance: float  # work − losses − stored energy
+    contact: float  # loss in the contacts of the sphere with the walls
+    friction: float  # loss by friction of the sphere on its guide
+    imbalance: float  # work − losses − increase of the stored energy: the error of the balance
 
 
 class Properties(NamedTuple):
-    """Properties of a periodic orbit."""
+    """Mean properties of a periodic orbit over its period; X_1, X_b: complex amplitudes at the drive frequency.
 
-    dt: float  # |X_1| / |X_b| of the fundamentals
-    phase_rad: float  # phase of X_1 / X_b
-    base_m: float  # |X_b|
-    superior_m: float  # |X_1|
-    impacts_per_cycle: float  # number of all impacts
+    x_1 is the displacement of the superior base, x_b that of the inferior base. The damper is the sphere.
+    """
+
+    dt: float  # transmissibility |X_1| / |X_b|
+    phase_rad: float  # phase of X_1 relative to X_b
+    base_m: float  # |X_b|, peak
+    superior_m: float  # |X_1|, peak
+    impacts_per_cycle: float  # number of impacts per cycle of the drive, including weak ones
     slowest_m_s: float  # approach speed of the slowest impact; NaN without one
-    loss_factor: float  # of the damper from energy: its loss per cycle over π m_1 ω² |X_1|²
-    dt_loss_factor: float  # the same from DT alone: −Im N / (m_1 ω²), N the sphere's force per x_1
-    added_mass: float  # of the damper from DT alone, over m_1: Re N / (m_1 ω²)
-    energy: Energy  # per cycle
+    loss_factor: float  # loss factor of the damper from energy: its loss per cycle over π m_1 ω² |X_1|²
+    dt_loss_factor: float  # the same from DT and its phase: −Im N / (m_1 ω²), N force of the sphere on m_1 over X_1
+    added_mass: float  # mass by which the damper appears to increase m_1, as its share: Re N / (m_1 ω²)
+    energy: Energy  # energies per cycle of the drive
 
 
 class OrbitSummary(NamedTuple):
-    """Properties of an orbit, its period in cycles, and its state at the section [turns]."""
+    """Properties of a periodic orbit, its period, and its state at the section, as stored in a row of results."""
 
     properties: Properties
-    cycles: int
-    turn: float
-    state: tuple[float, ...]  # state of the whole rig at the section, as in `Simulation.state`
+    cycles: int  # period of the orbit in cycles of the drive
+    turn: float  # phase of the drive at the section, in turns
+    state: tuple[float, ...]  # state of the whole rig at the section, in the order of `Simulation.state`
 
 
 class Slopes(NamedTuple):
-    """Transmissibility on an orbit, and its derivatives by the rig's parameters."""
+    """Transmissibility on an orbit, and its derivatives by the rig's parameters, for a fit to measurements."""
 
     log_dt: float  # ln(|X_1| / |X_b|) of the fundamentals
-    by: Real  # its derivatives by each parameter
+    by: Real  # derivatives of log_dt by each parameter, shape (number of parameters,)
     stable: bool  # whether all multipliers of the orbit are inside the unit circle
 
 
-BORN = 1e-4  # largest component by which an orbit differs from itself half a period later, or from its mirror image
+BORN = 1e-4
+"""Largest difference in a coordinate up to which an orbit is the same as half a period later, or as its mirror image.
+"""
 STEP = 1e-6
-"""Relative step of differences: truncation falls with it, rounding and the contacts' tolerance grow."""
+"""Relative step of difference quotients: a smaller one has a smaller truncation error but a larger rounding error."""
 
 
 class Stroboscope:
-    """Map of a rig along one parameter, in dimensionless coordinates.
+    """Stroboscopic map z → f(z, p) of a rig, for the periodic orbits of `dynamics.orbits`.
+
+    z is the state at the section in dimensionless coordinates. The map returns it after `cycles` cycles of the drive.
 
     Args:
         place: the rig and its drive.
         over: name of the parameter: frequency_hz, current_a, gap_m, or a number of the configuration by dotted name.
-        unit: size of a step of 1 of the dimensionless parameter.
+        unit: change of that parameter in its own unit for which the dimensionless p changes by 1.
 
     Attributes:
-        cycles: cycles of the drive after which an orbit repeats.
-        turn: the section: phase of the drive, in turns.
-        scale: scale of each coordinate.
+        cycles: number of cycles of the drive after which an orbit repeats.
+        turn: phase of the drive at the section, in turns.
+        scale: SI value of each coordinate that corresponds to 1.
     """
 
     def __init__(self, place: Place, over: str, unit: float) -> None:
@@ -128,12 +139,24 @@ class Stroboscope:
         self._found = functools.lru_cache(maxsize=8)(self._find)
 
     def _find(self, p: float) -> tuple[Place, Model]:
-        """Return the rig and its model; a change of the drive alone does not change the model."""
+        """Return the rig at the dimensionless parameter p, and its compiled model; `_found` caches the newest ones.
+
+        If only the drive differs from that of the original rig, the model is the original one.
+        """
         place = at(self._place, self._over, p * self._unit)
         return place, self._model if place.config is self._place.config else build(place.config)
 
     def __call__(self, z: Real, p: float, returns: int = 1) -> Real:
-        """Return the coordinates after `cycles`; NaN if the motion is in a contact, or cannot be resolved."""
+        """Return the coordinates of the motion after `returns` times `cycles` cycles of the drive, shape of z.
+
+        They are NaN if the sphere is then in contact with a wall, if the motion cannot be simulated, or if an impact
+        occurs in a motion that had none when the coordinates were chosen.
+
+        Args:
+            z: coordinates at the section, shape (n,).
+            p: dimensionless parameter.
+            returns: number of returns of the map.
+        """
         try:
             motion = self._run(z, p, self.cycles * returns)
             state = None if self._quiet and len(motion.impacts) else self._simulation.state()
@@ -142,7 +165,18 @@ class Stroboscope:
         return np.full(len(z), math.nan) if state is None else state[self._free] / self.scale
 
     def seen(self, rig: MapRig, p: float, reading: Reading) -> Real:
-        """Return the coordinates of a settled motion, and choose scale and section for it; this advances the motion."""
+        """Return the coordinates of a settled motion, after choosing period, scale and section of the map for it.
+
+        This advances the motion by its period and on to the section.
+
+        Args:
+            rig: the rig with the settled motion.
+            p: dimensionless parameter at which it was measured.
+            reading: measurement of the motion, with its period and impacts.
+
+        Raises:
+            SimulationError: the motion cannot be simulated, or the sphere is in contact with a wall at the section.
+        """
         place, _ = self._found(p)
         frequency, amplitude = place.frequency_hz, place.amplitude
         self.cycles = int(reading.period) if math.isfinite(reading.period) else 1
@@ -158,14 +192,21 @@ class Stroboscope:
         rig.simulation.advance(part)
         state = rig.simulation.state()
         if state is None:
-            raise SimulationError("the sphere is never free of the walls: there is no section")
+            raise SimulationError("the sphere touches a wall at every phase of the drive: the motion has no section")
         d, rate = state[list(SPHERE)]
         self._aside = d if rate else 0.0  # a resting sphere may be at a wall, where its neighbours would strike
         self.scale = size(place, state)[self._free]
         return state[self._free] / self.scale
 
     def moved(self, points: Sequence[tuple[Real, float]]) -> list[Real] | None:
-        """Return points of a branch at another section if an impact of the last one is near this section, else None."""
+        """Choose another section if the newest orbit of a branch has an impact within `CLOSE` of the present section.
+
+        Args:
+            points: points (z, p) of a branch, the newest last.
+
+        Returns:
+            The coordinates z of the same motions at the new section, or None if the section is unchanged.
+        """
         motion = self._run(*points[-1], self.cycles)
         turns = motion.impacts["offset"] / motion.segments["duration"][0]
         if not len(turns) or np.abs((turns + 0.5) % 1.0 - 0.5).min() > CLOSE:
@@ -178,11 +219,15 @@ class Stroboscope:
         return found
 
     def born(self, here: Orbit, turn: Orbit) -> str:
-        """Classify a turn of a branch: the birth of its doubled or asymmetric orbits, or a fold.
+        """Classify a turn of a branch in its parameter: the end of its period-doubled or asymmetric orbits, or a fold.
 
         Args:
             here: an orbit of the branch.
-            turn: the orbit at the turn; only at a birth is it its own half or its own mirror image.
+            turn: the orbit at the turn.
+
+        Returns:
+            `FLIP` if the orbit at the turn, unlike `here`, already repeats after half of the period, `SYMMETRY` if it,
+            unlike `here`, is its own mirror image, else `FOLD`.
         """
         for kind, returned in ((FLIP, self._halved), (SYMMETRY, self._mirrored)):
             there = returned(turn)
@@ -191,14 +236,20 @@ class Stroboscope:
         return FOLD
 
     def _halved(self, one: Orbit) -> float | None:
-        """Return the distance of an orbit from itself half of its cycles later, None if they are odd."""
+        """Return how far an orbit is from repeating after half of its period, as the largest coordinate difference.
+
+        Returns None if the period is an odd number of cycles, or if the sphere is in contact half a period later.
+        """
         if self.cycles % 2:
             return None
         self._run(one.z, one.p, self.cycles // 2)
         return self._apart(one.z)
 
     def _mirrored(self, one: Orbit) -> float | None:
-        """Return the distance of an orbit from its mirror image half of its cycles later, None if they are even."""
+        """Return how far an orbit is from its mirror image half a period later, as the largest coordinate difference.
+
+        Returns None if the period is an even number of cycles, or if the sphere is in contact half a cycle later.
+        """
         if self.cycles % 2 == 0:
             return None
         self._run(one.z, one.p, 0.5)
@@ -220,12 +271,12 @@ class Stroboscope:
         return None if state is None else float(np.abs(state[self._free] / self.scale - z).max())
 
     def note(self, one: Orbit) -> OrbitSummary:
-        """Return the properties of an orbit in the present coordinates."""
+        """Return the summary of an orbit whose z refers to the section and scale that the map uses now."""
         state = self._whole(one.z, self._found(one.p)[0])
         return OrbitSummary(self.properties(one.z, one.p), self.cycles, self.turn, tuple(state.tolist()))
 
     def properties(self, z: Real, p: float) -> Properties:
-        """Return the properties of the orbit through z."""
+        """Simulate one period of the orbit through the coordinates z at the parameter p, and return its properties."""
         place, model = self._found(p)
         config, frequency = place.config, place.frequency_hz
         simulation = Simulation(config, account=True, model=model)
@@ -254,19 +305,19 @@ class Stroboscope:
         )
 
     def slopes(self, z: Real, p: float, varied: Callable[[int, float], Place], count: int) -> Slopes | None:
-        """Return the transmissibility on the orbit near z and its derivatives by `count` parameters.
+        """Return ln DT on the orbit near z, and its derivatives by any `count` parameters q of the rig.
 
-        z → f(z, q) is the map, g(z, q) the transmissibility of one return, and J = ∂f/∂z. The orbit moves by
-        (I − J)⁻¹ ∂f/∂q, so that dg/dq = ∂g/∂q + ∂g/∂z (I − J)⁻¹ ∂f/∂q. Single returns are enough.
+        z → f(z, q) is the map, g(z, q) is ln DT during one return, and J = ∂f/∂z. The orbit moves by
+        (I − J)⁻¹ ∂f/∂q, so that dg/dq = ∂g/∂q + ∂g/∂z (I − J)⁻¹ ∂f/∂q. Only single returns to the map are simulated.
 
         Args:
             z: coordinates near the orbit, shape (n,).
-            p: the parameter of the map.
-            varied: returns the rig with the i-th parameter changed by a small step.
+            p: dimensionless parameter of the map.
+            varied: `varied(i, step)` returns the rig whose i-th parameter differs by `step`.
             count: number of parameters.
 
         Returns:
-            None if a neighbour strikes in another pattern or cannot be resolved.
+            None if a disturbed motion has another number of impacts, or cannot be simulated.
         """
         place, model = self._found(p)
         here, log_dt, impacts = self._returned(z, place, model)
@@ -295,7 +346,10 @@ class Stroboscope:
         return Slopes(log_dt + float(gradient @ moved[:, 0]), direct + gradient @ moved[:, 1:], stable)
 
     def _returned(self, z: Real, place: Place, model: Model) -> tuple[Real, float, int]:
-        """Return coordinates, ln DT and number of impacts of one return; NaN in a contact or if unresolved."""
+        """Simulate one return from z; return the coordinates after it, ln DT during it, and its number of impacts.
+
+        They are NaN, NaN and −1 if the motion cannot be simulated, or the sphere is in contact at the end.
+        """
         try:
             motion = self._run_at(z, place, model, self.cycles)
             state = self._simulation.state()
@@ -319,7 +373,10 @@ class Stroboscope:
         return self._simulation.advance(self._segments(place, cycles))
 
     def _segments(self, place: Place, cycles: float) -> NDArray[np.void]:
-        """Return the drive from the section on, one segment per cycle; a part of a cycle is one segment."""
+        """Return the segments of the drive for `Simulation.advance` over a time in cycles, beginning at the section.
+
+        They are one segment per cycle, or one segment for a part of one cycle.
+        """
         segments = np.zeros(max(1, int(cycles)), SEGMENT)
         segments["duration"] = min(cycles, 1.0) / place.frequency_hz
         segments["omega"], segments["phase"] = _TURN * place.frequency_hz, _TURN * self.turn
@@ -327,7 +384,11 @@ class Stroboscope:
         return segments
 
     def _whole(self, z: Real, place: Place) -> Real:
-        """Return all state values for `Simulation.set_state`."""
+        """Return the seven SI state values for `Simulation.set_state` that the coordinates z stand for.
+
+        Values that are no coordinates are added: those of a prescribed base from its drive, and those of a sphere
+        without impacts from its resting position.
+        """
         state = np.zeros(7)
         state[self._free] = z * self.scale
         if self._quiet and SPHERE[1] in self._free:
@@ -341,7 +402,10 @@ class Stroboscope:
         return state
 
     def _moved(self, z: Real, p: float, turn: float) -> Real:
-        """Return the coordinates at another section, and use that section from now on."""
+        """Return the coordinates of the motion through z when the drive next has the phase `turn`, the new section.
+
+        If the section differs, the map uses it from now on. The coordinates are NaN if the sphere is then in contact.
+        """
         later = (turn - self.turn) % 1.0
         if later == 0.0 or not np.isfinite(z).all():  # a point in a contact at an earlier section stays unknown
             return z
@@ -352,10 +416,15 @@ class Stroboscope:
 
 
 def at(place: Place, over: str, value: float) -> Place:
-    """Return a rig with another value of one parameter.
+    """Return a rig and its drive with another value of one parameter.
+
+    Args:
+        place: the original rig and its drive.
+        over: name of the parameter: frequency_hz, current_a, gap_m, or a configuration value by its dotted name.
+        value: its value in its own unit.
 
     Raises:
-        ConfigError: the configuration has no such number, or it is out of range.
+        ConfigError: the configuration has no such number, or the value is out of range.
     """
     config, frequency, amplitude = place
     if over == FREQUENCY:
@@ -367,7 +436,10 @@ def at(place: Place, over: str, value: float) -> Place:
 
 
 def _longest_flight(motion: Motion, cycles: int) -> float:
-    """Return the middle of the longest stretch of the drive's cycle without a contact in any cycle, in turns."""
+    """Return the phase of the drive best suited as a section of a motion, in turns.
+
+    It is the middle of the longest part of the drive cycle in which the sphere touches no wall in any of the cycles.
+    """
     period = float(motion.segments["duration"][0])
     number = np.repeat(np.arange(motion.first_tick, motion.last_tick + 1), _FINE)
     part = np.tile(np.arange(_FINE) / _FINE, cycles)
@@ -383,7 +455,12 @@ def _longest_flight(motion: Motion, cycles: int) -> float:
 
 
 def size(place: Place, state: Real) -> Real:
-    """Return the size of a motion in each coordinate of `Simulation.state`, shape (7,)."""
+    """Return the SI size of a motion in each value of `Simulation.state`, by which coordinates are divided, shape (7,).
+
+    Args:
+        place: rig and drive of the motion.
+        state: one state of the motion, shape (7,).
+    """
     omega, half = _TURN * place.frequency_hz, 0.5 * place.config.barriers.gap_m
     x, b = (max(math.hypot(at, rate / omega), 1e-9) for at, rate in (state[0:2], state[2:4]))
     return np.array([x, omega * x, b, omega * b, max(place.amplitude, 1e-9), half, omega * half])
