@@ -14,7 +14,7 @@
 """Stroboscopic map of the rig: its state once per period of an orbit (one or several cycles of the drive).
 
 Between two such states the motion is simulated with exactly located impacts. The state consists of the displacement and
-velocity of the superior base (x_1, v_1), and the position of the sphere relative to it and its rate (d = x_2 − x_1, d').
+velocity of the superior base (x_1, v_1), and the sphere's position relative to it and its rate (d = x_2 − x_1, d').
 Unless the motion of the inferior base is prescribed, its displacement and velocity (x_b, v_b) are added, and for a
 voltage drive the current of the coil. Each coordinate is divided by the size of the motion, so that a step of 1 means
 the same in each.

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Maps: DT, regime and impacts over two or three parameters, computed from the mechanics alone, and the best gap.
+"""Maps: DT, regime and impacts of the settled motion on a grid of two or three parameters, and the best gap.
 
-They involve no instruments, no analysis of scans and no noise, and are labelled so.
+They are computed from the simulated mechanics alone, without sensors, analysis of scans and noise, and are labelled so.
 """

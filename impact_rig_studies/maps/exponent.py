@@ -11,11 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Largest Lyapunov exponent by the two-particle method: the rate at which neighbours separate, with exact events.
+"""Largest Lyapunov exponent by the two-particle method: the mean rate at which neighbouring motions separate.
 
-A second state at a small distance follows the motion. After each return the distance is measured and reset (Benettin,
-Galgani & Strelcyn 1976). No derivative is needed, so impacts are no exception. The exponent is the mean over windows,
-and its standard uncertainty follows from their scatter: windows longer than the memory of the motion count as
+A second motion starts at a small distance from the first. After each return to the section their distance is measured
+and reset to its initial size (Benettin, Galgani & Strelcyn 1976). No derivative is needed, so that the method also
+applies to impacts. The exponent is the mean over windows, each of several returns. Its standard uncertainty follows
+from the scatter of the windows: windows longer than the memory of the motion count as
 independent.
 
 G. Benettin, L. Galgani & J.-M. Strelcyn (1976), "Kolmogorov entropy and numerical experiments", Phys. Rev. A 14, 2338.
@@ -32,25 +33,27 @@ import numpy as np
 from impact_rig.analysis.calibration import Real
 
 APART = 1e-7  # distance of the two states at the beginning of a return, in dimensionless coordinates
-_OUT_OF_SIGHT = 64  # consecutive undetermined returns after which a motion counts as never determined
+_OUT_OF_SIGHT = 64  # number of consecutive returns with a contact after which the exponent is given up as NaN
 
 
 class Exponent(NamedTuple):
-    """Largest exponent per return."""
+    """Largest Lyapunov exponent of a motion, per return to the section: positive for a chaotic motion."""
 
-    value: float  # mean over the windows; NaN if the states are always undetermined
-    uncertainty: float  # standard uncertainty, from the windows' scatter
-    windows: tuple[float, ...]  # of each window
+    value: float  # mean over the windows; NaN if the sphere is in contact at all returns
+    uncertainty: float  # standard uncertainty of value, from the scatter of the windows
+    windows: tuple[float, ...]  # mean exponent per return in each window
 
 
 def largest(f: Callable[[Real, int], Real], z: Real, returns: int, windows: int = 20) -> Exponent:
-    """Return the largest exponent of the motion from z on, which should have settled.
+    """Return the largest Lyapunov exponent of the settled motion that starts at z.
 
     Args:
-        f: coordinates after a number of returns; NaN if they are undetermined then.
-        z: coordinates, shape (n,).
-        returns: returns in each window.
-        windows: number of windows; one more at the beginning only turns the distance to the growing direction.
+        f: map of the motion: `f(z, count)` returns the coordinates `count` returns after z, or NaN if the state does
+            not determine the motion there, because the sphere is in contact with a wall.
+        z: dimensionless coordinates at the section, shape (n,).
+        returns: number of returns in each window.
+        windows: number of averaged windows; a further one before them lets the distance of the two states turn into
+            the direction of fastest growth.
     """
     apart = np.full(len(z), APART / math.sqrt(len(z)))
     found = []

@@ -11,17 +11,17 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Settled motion of the mechanics at one point of a map: DT and phase of the fundamental, impacts per cycle, regime.
+"""Measurement of one point of a map on the simulated mechanics: DT, phase, impacts per cycle and regime once settled.
 
-One drive segment is one cycle, so the record is stroboscopic: the fundamentals of both bases, and the position of the
-sphere at the start of each cycle. A motion that approaches a repeating one has settled when the rest of the transient,
-a geometric series, is negligible.
+The record has one row per cycle of the drive: the complex amplitudes of both bases at the drive frequency, and position
+and velocity of the sphere at the start of the cycle. A motion that approaches a periodic one has settled when the rest
+of its transient, estimated as a geometric series, is negligible.
 
-If a motion has not settled, `analysis.spread.classify` judges the structure and the impacts. They alone do not show the
-regime: a chaotic sphere may leave the structure as steady as an orbit does. Therefore the largest exponent is measured
-(`exponent.largest`), unless `classify` finds chaos and nothing repeats. If neighbours separate, the motion is chaotic.
-If they approach one another, it may also repeat after more cycles than `classify` considers. Everything is
-deterministic, and starts either from a reset rig or from the state of the previous point.
+If a motion does not settle, `analysis.spread.classify` judges its regime by the amplitude of the superior base and the
+impacts. These may look periodic though the sphere moves chaotically. Therefore the largest Lyapunov exponent is
+measured too (`exponent.largest`), unless `classify` finds chaos and nothing repeats. If neighbouring motions separate,
+the motion is chaotic. If they approach one another, it may also repeat after more cycles than `classify` considers.
+Everything is deterministic, and starts either from a reset rig or from the state of the previous point.
 """
 
 from __future__ import annotations
@@ -46,80 +46,89 @@ from impact_rig.rig.config import RigConfig
 from impact_rig.states import Regime
 from impact_rig_studies.maps.exponent import largest
 
-CHUNK = 24  # cycles examined together, for a response that repeats after up to six of them
-_PART = CHUNK // 2  # the later ones, from which such a response is measured
-_FIRST = 2 * CHUNK  # cycles before the first check: hardly any response has settled earlier
-LASTING = 0.98  # ratio of a difference in the halves of a record from which it does not decay
+CHUNK = 24  # number of cycles examined together, for a response that repeats after up to six cycles
+_PART = CHUNK // 2  # number of cycles at the end of these from which such a response is measured
+_FIRST = 2 * CHUNK  # number of cycles before the first check: hardly any response has settled earlier
+LASTING = 0.98  # difference in the later half of a record over that in the earlier one, above which it does not decay
 TINY = 1e-12  # smallest scale of a coordinate
 _ROUNDING = 1e-9  # relative change of a cycle that counts as none
 WEAK = 0.02
-"""Fraction of the fastest impact below which impacts are settling bounces: not counted, not part of the regime."""
-WINDOWS, WINDOW_CYCLES = 16, 12  # windows of an exponent, and their cycles
-SURE = 2.0  # standard uncertainties from which the sign of an exponent counts
-LONGEST_LOOKED = 64  # longest period, in cycles, considered if neighbours approach one another
+"""Approach speed, relative to the fastest impact, below which impacts are settling bounces.
+
+They are not counted and do not influence the regime.
+"""
+WINDOWS, WINDOW_CYCLES = 16, 12  # number of windows of an exponent, and of cycles in each
+SURE = 2.0  # absolute exponent, in standard uncertainties, above which its sign counts as certain
+LONGEST_LOOKED = 64  # longest period, in cycles, considered if neighbouring motions approach one another
 NEAR_S = TrackerSettings().wait_limit_s
-"""Time within which a moving sphere will strike a wall, so that it has not come to rest: a measurement waits for it."""
-FAILED = "failed"  # regime of a point whose motion could not be resolved
+"""Time [s] ahead within which a drifting sphere must reach a wall to count as one that will strike again.
+
+It is the time for which the analysis of measurements waits for such an impact.
+"""
+FAILED = "failed"  # regime of a point whose motion could not be simulated
 
 
 @attrs.frozen(kw_only=True)
 class Settings:
-    """Settings for measuring a point of a map."""
+    """Criteria by which the motion at a point of a map counts as settled and periodic, and lengths of its record."""
 
     settle_tolerance: float = quantity(
         5e-4,
         "-",
-        "Relative change from cycle to cycle, and of all cycles to come, up to which a response has settled.",
+        "Relative change per period, and sum of all further changes, up to which a response counts as settled.",
         above=0,
         at_most=0.1,
     )
     periodic_tolerance: float = quantity(
-        1e-3, "-", "Relative cycle-to-cycle spread up to which a response counts as periodic.", above=0, at_most=0.5
+        1e-3, "-", "Relative rms deviation from repetition up to which a response is periodic.", above=0, at_most=0.5
     )
     settle_cycles: int = integer(
-        360, "-", "Maximum number of cycles to wait for a settled response.", at_least=48, at_most=100_000
+        360, "-", "Maximum number of drive cycles to wait for a settled response.", at_least=48, at_most=100_000
     )
     cycles: int = integer(
-        200, "-", "Number of last cycles over which an irregular response is averaged.", at_least=48, at_most=100_000
+        200, "-", "Number of drive cycles over which an irregular response is averaged.", at_least=48, at_most=100_000
     )
 
 
 class Reading(NamedTuple):
-    """Result at one point."""
+    """Settled motion at one point of a map; X_1, X_b: complex amplitudes of the bases at the drive frequency."""
 
     regime: str
-    """Periodic, modulated, chaotic, intermittent (impacts are absent but will return), or `FAILED`."""
-    dt: float  # |X_1| / |X_b| of the fundamentals
-    reduction_percent: float  # 100 (1 − DT / DT without the sphere, in closed form)
-    phase_rad: float  # phase of X_1 / X_b
-    base_m: float  # |X_b|
-    superior_m: float  # |X_1|
-    impacts_per_cycle: float  # number of impacts that are not weak
-    period: float  # cycles after which the response repeats; NaN if it does not
-    spread: float  # relative cycle-to-cycle rms of X_1
-    drift: float  # relative change of DT between the halves of the record: possible change with a longer one
-    cycles: float
+    """Regime of the motion: periodic, modulated, chaotic, intermittent or `FAILED`.
+
+    Intermittent: there are no impacts at the end of the record, but the sphere drifts towards one.
+    """
+    dt: float  # transmissibility |X_1| / |X_b|
+    reduction_percent: float  # 100 (1 − DT / DT without the sphere), the latter in closed form
+    phase_rad: float  # phase of X_1 relative to X_b
+    base_m: float  # |X_b|, peak
+    superior_m: float  # |X_1|, peak
+    impacts_per_cycle: float  # number of impacts per drive cycle, without weak ones (`WEAK`)
+    period: float  # number of drive cycles after which the response repeats; NaN if it does not
+    spread: float  # rms deviation of the X_1 of single cycles from their mean, relative to the mean
+    drift: float  # relative change of DT from the first to the second half of the record
+    cycles: float  # number of drive cycles in the record
 
 
-NOTHING = Reading(FAILED, *[math.nan] * 10)
+NOTHING = Reading(FAILED, *[math.nan] * 10)  # reading of a point whose motion could not be simulated
 
 
 class _Record(NamedTuple):
-    """Consecutive cycles, dtype `fundamental.CYCLE`, and their impacts."""
+    """Record of consecutive drive cycles: their numbers, and the impacts of the sphere during them."""
 
-    cycles: NDArray[np.void]
-    cycle: NDArray[np.int64]  # cycle of each impact
-    turn: NDArray[np.float64]
-    speed: NDArray[np.float64]
+    cycles: NDArray[np.void]  # one row of dtype `fundamental.CYCLE` per cycle
+    cycle: NDArray[np.int64]  # for each impact, the index of its cycle in the record
+    turn: NDArray[np.float64]  # for each impact, the time since the beginning of its cycle, in periods
+    speed: NDArray[np.float64]  # approach speed of each impact [m/s]
 
     def last(self, n: int) -> _Record:
-        """Return the last n cycles alone."""
+        """Return a record of the last n cycles alone, or of all if there are fewer."""
         before = max(0, len(self.cycles) - n)
         later = self.cycle >= before
         return _Record(self.cycles[before:], self.cycle[later] - before, self.turn[later], self.speed[later])
 
     def then(self, other: _Record) -> _Record:
-        """Return this record with another one appended."""
+        """Return one record of these cycles followed by those of `other`, which directly continues it."""
         later = other._replace(cycle=other.cycle + len(self.cycles))
         return _Record(
             joined([self.cycles, later.cycles]),
@@ -130,7 +139,15 @@ class _Record(NamedTuple):
 
 
 class MapRig:
-    """Mechanics controlled by a map."""
+    """Simulated mechanics of a rig that measures the points of a map one after the other.
+
+    Args:
+        config: configuration of the rig.
+        settings: criteria by which a motion counts as settled.
+
+    Attributes:
+        simulation: the mechanics, whose state persists from point to point.
+    """
 
     def __init__(self, config: RigConfig, settings: Settings) -> None:
         self._settings = settings
@@ -139,13 +156,19 @@ class MapRig:
         self._amplitude = 0.0
 
     def change(self, config: RigConfig) -> None:
-        """Continue with another configuration: the structure keeps its motion, the sphere returns to its start."""
+        """Continue with another configuration: both bases keep their motion, the sphere returns to its start.
+
+        If `config` is the present object, nothing changes.
+        """
         if config is not self._config:
             self.simulation.configure(config)
             self._config = config
 
     def carry(self, config: RigConfig) -> None:
-        """Continue with another configuration: everything keeps its motion, the sphere stays between the new walls."""
+        """Continue with another configuration: bases and sphere keep their motion, as for a slowly varied parameter.
+
+        A sphere outside of the new gap is placed at its wall. A sphere in contact with a wall returns to its start.
+        """
         if config is self._config:
             return
         state = self.simulation.state()
@@ -156,10 +179,11 @@ class MapRig:
             self.simulation.set_state(state)
 
     def reset(self, sphere: tuple[float, float] | None = None) -> None:
-        """Put everything to rest, the sphere at its start.
+        """Put the rig to rest without a drive, with the sphere at a start.
 
         Args:
-            sphere: other start: its position from the middle between the walls [m], and its speed to the right [m/s].
+            sphere: start position from the middle between the walls [m] and speed relative to them [m/s], both positive
+                to the right; None means the start `sphere.start` of the configuration, at rest.
         """
         self.simulation.reset()
         if sphere is not None:
@@ -168,11 +192,13 @@ class MapRig:
         self._amplitude = 0.0
 
     def measure(self, frequency_hz: float, amplitude: float) -> Reading:
-        """Drive with a sine, wait until settled, and return the motion of the mechanics.
+        """Drive the rig with a sine from its present state, wait until the motion has settled, and measure it.
+
+        If the motion cannot be simulated, the rig is reset, and the reading has the regime `FAILED`.
 
         Args:
             frequency_hz: frequency of the drive.
-            amplitude: peak; A, m or V by `drive.kind`.
+            amplitude: peak amplitude of the drive; A, m or V by `drive.kind`.
         """
         try:
             return self._measured(frequency_hz, amplitude)
@@ -220,9 +246,10 @@ class MapRig:
         return _reading(last, behaviour, self._config, frequency_hz)
 
     def _parting(self, frequency_hz: float, amplitude: float, record: _Record) -> int:
-        """Return whether neighbours separate (1), approach one another (-1), or neither is certain (0).
+        """Return the sign of the largest Lyapunov exponent, for the choice of the regime.
 
-        The rig continues from its present state.
+        It is 1 if neighbouring motions separate, -1 if they approach one another, and 0 if neither is certain, as
+        without impacts. Afterwards the rig is in the same state as before.
         """
         before = self.simulation.state()
         if before is None or not len(record.speed):
@@ -245,9 +272,9 @@ class MapRig:
         return 1 if found.value > 0.0 else -1
 
     def _drifts(self, record: _Record) -> bool:
-        """Return whether the sphere drifts towards an impact at the end of a record without impacts.
+        """Return whether a sphere that has not struck during a record will strike a wall within `NEAR_S` after it.
 
-        Between impacts the sphere keeps its velocity, and the wall moves by |X_1| in either direction.
+        Between impacts the sphere keeps its velocity, and the walls move with the superior base by ±|X_1|.
         """
         if len(record.speed) or not self._config.sphere.present:
             return False
@@ -256,14 +283,31 @@ class MapRig:
         return bool(abs(place + velocity * NEAR_S) > reach > 0.0) and abs(velocity) > 0.0
 
     def behaviour(self, frequency_hz: float, amplitude: float, cycles: int) -> Behaviour:
-        """Return the behaviour of the next cycles as a measurement judges it, by structure and impacts alone.
+        """Advance by some drive cycles, and classify their motion as the analysis of a measurement does.
 
-        A motion whose neighbours separate can look periodic, if its changes from cycle to cycle are small.
+        It knows only the amplitude of the superior base and the impacts. A chaotic motion can therefore appear
+        periodic, if its changes from cycle to cycle are small.
+
+        Args:
+            frequency_hz: frequency of the drive.
+            amplitude: peak amplitude of the drive; A, m or V by `drive.kind`.
+            cycles: number of drive cycles.
         """
         return _behaviour(self._run(frequency_hz, amplitude, cycles), self._settings)
 
     def run_cycles(self, frequency_hz: float, amplitude: float, cycles: int) -> Motion:
-        """Return the motion of the next whole cycles, one drive segment each; the first ramps to a new amplitude."""
+        """Advance by whole drive cycles, and return their motion with one drive segment per cycle.
+
+        If the amplitude differs from that of the previous cycles, it changes linearly during the first cycle.
+
+        Args:
+            frequency_hz: frequency of the drive.
+            amplitude: peak amplitude of the drive; A, m or V by `drive.kind`.
+            cycles: number of drive cycles.
+
+        Raises:
+            SimulationError: the motion cannot be simulated.
+        """
         period = 1.0 / frequency_hz
         segments = np.zeros(cycles, SEGMENT)
         segments["duration"], segments["omega"] = period, 2.0 * np.pi * frequency_hz
@@ -274,7 +318,7 @@ class MapRig:
         return self.simulation.advance(segments)
 
     def _run(self, frequency_hz: float, amplitude: float, cycles: int) -> _Record:
-        """Advance by whole cycles."""
+        """Advance by whole drive cycles, and return their record; arguments and errors as for `run_cycles`."""
         motion, period = self.run_cycles(frequency_hz, amplitude, cycles), 1.0 / frequency_hz
         hits = motion.impacts
         cycle = np.maximum(hits["tick"] - motion.first_tick, 0)  # an impact that began earlier is reported now
@@ -282,10 +326,10 @@ class MapRig:
 
 
 def _settled(record: _Record, frequency_hz: float, settings: Settings) -> Behaviour | None:
-    """Return the behaviour of the motion if the motion repeats, and is close enough to its limit.
+    """Return the behaviour of a motion that has settled to a periodic one, or None if it has not (yet).
 
-    Every number of a cycle changes from one period to the next by at most `settle_tolerance`, and by a decreasing
-    factor, so that all future changes, a geometric series, are together at most that large.
+    It has settled if every number of a cycle changes from one period to the next by at most `settle_tolerance`, and all
+    further changes, extrapolated as a geometric series, are together at most that large.
     """
     series = np.array([record.cycles[name] for name in ("x_b", "x_1", "x_2", "v_2")])
     base, superior = np.abs(series[:2].sum(axis=1)).tolist()
@@ -318,7 +362,10 @@ def _settled(record: _Record, frequency_hz: float, settings: Settings) -> Behavi
 
 
 def _long_period(record: _Record, frequency_hz: float, settings: Settings) -> int | None:
-    """Return the number of cycles after which all numbers of a cycle repeat, beyond the range of `classify`."""
+    """Return the number of drive cycles, up to `LONGEST_LOOKED`, after which the motion repeats, or None.
+
+    `classify` considers only short periods. Here x_1 and the sphere must repeat within `periodic_tolerance`.
+    """
     series = np.array([record.cycles[name] for name in ("x_1", "x_2", "v_2")])
     superior = float(np.abs(series[0]).mean())
     sizes = np.array([superior, superior, 2.0 * np.pi * frequency_hz * superior])[:, np.newaxis]

@@ -11,10 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Optimum of one parameter that reduces DT most within bounds, the region nearly as good, and its sensitivities.
+"""Search for the value of one parameter, such as the gap, at which the sphere reduces the transmissibility DT most.
 
-DT over the gap is smooth within one motion and irregular beyond the fold, so no slope is followed: a scan of the whole
-range is refined around the best point.
+The result includes the range of values that are nearly as good, and sensitivities to other constants of the rig. DT
+over the parameter jumps where the kind of motion changes, so that the search does not use slopes: it scans the whole
+range, and refines the scan around the best point.
 """
 
 from __future__ import annotations
@@ -30,10 +31,11 @@ from impact_rig.rig.config import to_flat
 from impact_rig_studies.maps.measure import Reading
 from impact_rig_studies.maps.plan import CURRENT, FREQUENCY, GAP, MapPlan, Search, measure_line
 
-REGION_POINTS = 1.0  # distance from the best reduction, in points, within which values belong to its region
-_ROUNDS, _POINTS, _HALVINGS = 4, 9, 10
+# distance from the best reduction of DT [percentage points] up to which values of the parameter belong to its region
+REGION_POINTS = 1.0
+_ROUNDS, _POINTS, _HALVINGS = 4, 9, 10  # refinements, points of each, and bisections of each end of the region
 _SHARE = 0.005  # relative change of a value, either way, for its sensitivity
-SENSITIVE = (
+SENSITIVE = (  # configuration values whose influence on the reduction is computed
     "barriers.gap_m",
     "sphere.density_kg_m3",
     "contact.restitution",
@@ -44,16 +46,17 @@ SENSITIVE = (
 
 @attrs.frozen(kw_only=True)
 class Optimum:
-    """Best point."""
+    """Value of one parameter at which the sphere reduces DT most, with the motion there and its sensitivities."""
 
-    over: str
-    value: float  # where DT is reduced most
+    over: str  # name of the parameter
+    value: float  # its best value [SI]
     reading: Reading  # motion of the mechanics there
-    region: tuple[float, float]  # lowest and highest value around it whose reductions are within 1 point of the best
-    points_per_percent: dict[str, float]  # change of the reduction there by 1 % more of a value [points], by name
+    region: tuple[float, float]  # ends of the range of values around it within 1 percentage point of the best reduction
+    points_per_percent: dict[str, float]
+    """Change of the reduction [percentage points] if a constant of the rig is 1 % larger, by name of the constant."""
 
     def plain(self) -> dict[str, object]:
-        """Return the optimum for JSON."""
+        """Return the optimum as a dictionary of plain values for `map.json`."""
         return {
             "over": self.over, "value": self.value, "reduction_percent": self.reading.reduction_percent,
             "dt": self.reading.dt, "regime": self.reading.regime, "impacts_per_cycle": self.reading.impacts_per_cycle,
@@ -62,7 +65,12 @@ class Optimum:
 
 
 def find(plan: MapPlan, search: Search) -> Optimum:
-    """Return the optimum; every point is measured from a reset rig, with the plan's rig, frequency and current."""
+    """Find the value of a parameter at which DT is reduced most, by simulating points of its range.
+
+    Args:
+        plan: plan of a map, for rig, frequency, current and settings; each point is measured from a reset rig.
+        search: name of the parameter, its range, and the number of points of the first scan.
+    """
     known: dict[float, Reading] = {}
 
     def measure(values: Sequence[float]) -> None:
@@ -108,7 +116,14 @@ def _best(known: dict[float, Reading]) -> float:
 
 
 def _measured(plan: MapPlan, over: str, values: tuple[float, ...], **changed: float) -> list[Reading]:
-    """Return the readings at values of one parameter, with others changed by name."""
+    """Measure points from a reset rig at some values of the parameter `over`, in order.
+
+    Args:
+        plan: plan of the map, with all other values.
+        over: name of the parameter.
+        values: values of the parameter.
+        **changed: values that replace those of the plan, by name; one of `over` is ignored.
+    """
     return measure_line(plan.search_line(over, values, {name: one for name, one in changed.items() if name != over}))
 
 
@@ -138,7 +153,16 @@ def _sensitivity(plan: MapPlan, over: str, best: float) -> dict[str, float]:
 
 
 def from_map(reductions: Sequence[float], values: Sequence[float]) -> tuple[float, tuple[float, float]]:
-    """Return the best of measured values, and the neighbours around it that are within `REGION_POINTS`."""
+    """Return the best value of a parameter on the grid of a finished map, and the range of values nearly as good.
+
+    Args:
+        reductions: reduction of DT in percent at each value; NaN if it is missing.
+        values: values of the parameter, in the same order.
+
+    Returns:
+        The value with the largest reduction, and the smallest and largest of the values contiguous with it whose
+        reductions are within `REGION_POINTS` of it.
+    """
     order = np.argsort(values)
     x, y = np.asarray(values, float)[order], np.asarray(reductions, float)[order]
     i = int(np.nanargmax(y))

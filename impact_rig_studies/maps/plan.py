@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`MapPlan`: a validated map file, and the lines in which it is measured.
+"""Plan of a map: read and validate its YAML file, divide it into lines of points, and measure a line.
 
-A map is one YAML file with two or three axes; all other values are fixed. A wrong file is rejected before anything
-runs; the message names key, value, range and file. A map that would take too long is rejected with its estimated time.
+The file has two or three axes; all other values are fixed. A wrong file is rejected before anything runs; the message
+names key, value, range and file. A map that would take too long is rejected with its estimated time.
 """
 
 from __future__ import annotations
@@ -40,52 +40,71 @@ from impact_rig_studies.maps.measure import FAILED, MapRig, Reading, Settings
 
 FREQUENCY, CURRENT, GAP = "frequency_hz", "current_a", "gap_m"
 POSITION, SPEED = "sphere_position_m", "sphere_speed_m_s"
-"""Start of the sphere: position from the middle between the walls, and speed, positive to the right."""
+"""Axes for the start of the sphere: its position from the middle between the walls, and its speed.
+
+Both are positive to the right.
+"""
 NAMED = (FREQUENCY, CURRENT, GAP, POSITION, SPEED)
 """Axes with a name of their own; all others are configuration values by dotted name."""
 FASTEST_M_S = 100.0  # limit of the initial speed of a sphere
 RESET, UP, DOWN, BOTH = "reset", "up", "down", "both"
 DIRECTIONS = (RESET, UP, DOWN, BOTH)
+"""Values of `direction`: each point starts from rest, or from the motion at the next lower or next higher value.
+
+`both` measures up and down.
+"""
 OWNED = ("daq.", "instruments.", "time.", "step.", "pluck.", "output.", "drive.waveform", "drive.frequency_hz")
-"""Configuration that is irrelevant to a map, or that the map decides itself."""
-POINT_S = 0.004  # approximate cost of a point on one core: narrow gaps and chaos cost twice as much, wide gaps a fifth
+"""Beginnings of the names of configuration values that a map rejects.
+
+They have no effect on the mechanics, or the map sets them itself.
+"""
+# approximate computing time of a point on one core [s]: narrow gaps and chaos take twice as long, wide gaps a fifth
+POINT_S = 0.004
 LIMIT_S = 3600.0  # estimated time above which a map is rejected
 
 
 @attrs.frozen(kw_only=True)
 class MapLine(HashedTask):
-    """Points measured one after the other, the unit that is measured, stored and never repeated."""
+    """Line of a map: its points along one axis, which are measured one after the other and stored together.
+
+    A stored line is not measured again. It contains every value that determines its results, so that its hash
+    identifies them.
+    """
 
     changes: Mapping[str, Value]  # configuration values that differ from the default rig, by dotted name
-    settings: Settings
+    settings: Settings  # criteria by which a motion counts as settled and periodic
     held: Mapping[str, float]  # fixed values along the line, by name of axis
-    along: str  # name of the axis that changes
+    along: str  # name of the axis along the line
     values: tuple[float, ...]  # its values, in the order of measurement
     direction: str
-    """Start of each point: the state of the previous one (`up`, `down`), or rest (`reset`, or the start of the sphere).
+    """Start of each point: the motion at the previous point for `up` and `down`, rest for anything else.
+
+    It is `reset`, or the start of the sphere (left, centre, right) if the plan lists several.
     """
     frequency_hz: float  # frequency of the drive, unless it is an axis
     current_a: float  # amplitude of the drive (A, m or V by `drive.kind`), unless it is an axis
 
     def describe(self) -> str:
-        """Return a short readable name."""
+        """Return the fixed values and the direction of the line as text, for progress messages."""
         held = ", ".join(f"{name} {value:g}" for name, value in self.held.items())
         return f"{held}, {self.direction}"
 
     def read(self, rows: Sequence[Row]) -> list[Reading]:
-        """Convert stored rows to readings.
+        """Convert the rows that were stored for this line to readings, one for each of `values`.
 
         Raises:
-            ValueError: the rows are invalid.
+            ValueError: the number of rows is wrong, or a row is not a valid reading.
         """
         if len(rows) != len(self.values):
-            raise ValueError("not valid readings of this line")
+            raise ValueError(f"a line of {len(self.values)} points cannot have {len(rows)} stored readings")
         return [_reading(row) for row in rows]
 
     def place(self, value: float) -> tuple[dict[str, Value], float, float, tuple[float, float] | None]:
-        """Return configuration values, frequency, amplitude and sphere of the point with this value of the axis.
+        """Return everything that defines the point of the line at one value of its axis.
 
-        The sphere is its initial position and speed, or None if `sphere.start` applies.
+        Returns:
+            Configuration values by dotted name, frequency and amplitude of the drive, and the sphere's initial position
+            [m] and speed [m/s]. The last is None if no axis sets them; then `sphere.start` applies.
         """
         at = {**self.held, self.along: value}
         frequency, current = at.pop(FREQUENCY, self.frequency_hz), at.pop(CURRENT, self.current_a)
@@ -97,14 +116,17 @@ class MapLine(HashedTask):
 def _reading(row: Row) -> Reading:
     regime, *numbers = row
     if len(row) != len(Reading._fields) or any(isinstance(value, str) for value in numbers):
-        raise ValueError("not a valid reading")
+        raise ValueError(f"not a valid stored reading: {row}")
     if not (regime == FAILED or float(numbers[0]) > 0.0):
-        raise ValueError("not a valid reading")
+        raise ValueError(f"not a valid stored reading: {row}")
     return Reading(str(regime), *map(float, numbers))
 
 
 def measure_line(line: MapLine) -> list[Reading]:
-    """Return the readings of a line, in the order of measurement."""
+    """Measure the points of a line by simulation, and return their readings in the order of `line.values`.
+
+    A point whose motion cannot be simulated has the regime `failed`.
+    """
     base = from_flat(RigConfig(), line.changes)
     rig: MapRig | None = None
     readings, config, before = [], base, None
@@ -122,48 +144,57 @@ def measure_line(line: MapLine) -> list[Reading]:
 
 @attrs.frozen(kw_only=True)
 class Search:
-    """Search range for the best value of one parameter."""
+    """Range in which a map searches for the value of one parameter that reduces DT most: the key `optimum`."""
 
-    over: str
-    low: float
-    high: float
-    points: int = 41
+    over: str  # name of the parameter
+    low: float  # lower end of the range
+    high: float  # upper end of the range
+    points: int = 41  # number of points of the first scan
 
 
 @attrs.frozen(eq=False, kw_only=True)
 class MapPlan:
-    """Complete map."""
+    """Plan of a complete map: rig, axes, fixed values and order of measurement, as its YAML file defines them."""
 
     title: str
-    base: RigConfig
+    base: RigConfig  # the rig, before an axis changes a value
     axes: Mapping[str, tuple[float, ...]]
-    """Two or three axes by name, in the order of the file: horizontal, vertical, and one picture each."""
-    direction: str  # reset, up, down or both
+    """Ascending values of two or three axes by name, in the order of the file.
+
+    The first is the horizontal axis of a picture, the second the vertical one; each value of a third has a picture.
+    """
+    direction: str  # how each point starts, one of `DIRECTIONS`
     starts: tuple[str, ...]
-    """Values of `sphere.start` that are measured side by side, for `reset`; empty means that of `base`."""
+    """Values of `sphere.start` of which each gives a map of its own, for `reset`; empty means that of `base`."""
     sweep: str  # axis along which points are measured one after the other
     frequency_hz: float  # frequency of the drive, unless it is an axis
-    current_a: float  # amplitude of the drive, unless it is an axis
-    settings: Settings
-    search: Search | None  # search for the best value, or None
-    text: str
+    current_a: float  # amplitude of the drive (A, m or V by `drive.kind`), unless it is an axis
+    settings: Settings  # criteria by which a motion counts as settled and periodic
+    search: Search | None  # search for the best value of a parameter, or None
+    text: str  # text of the YAML file
 
     @property
     def layers(self) -> tuple[str, ...]:
-        """Measured directions, or starts."""
+        """Names of the complete grids that are measured: directions (up, down or reset), or starts of the sphere."""
         return (UP, DOWN) if self.direction == BOTH else self.starts or (self.direction,)
 
     @property
     def points(self) -> int:
-        """Number of measured points, counting each direction."""
+        """Number of measured points: grid points times layers."""
         return len(self.layers) * math.prod(map(len, self.axes.values()))
 
     def changes(self) -> dict[str, Value]:
-        """Return the rig's values that differ from the default."""
+        """Return the configuration values of `base` that differ from the default rig, by dotted name."""
         return differences(self.base)
 
     def search_line(self, over: str, values: tuple[float, ...], held: Mapping[str, float] | None = None) -> MapLine:
-        """Return a line of values of one parameter from a reset rig for a search, with other values fixed."""
+        """Return a line that measures points of a search for the optimum, each from rest.
+
+        Args:
+            over: name of the parameter that is searched for.
+            values: its values.
+            held: values that replace those of `base`, by name of axis; None means none.
+        """
         return MapLine(
             changes=self.changes(),
             settings=self.settings,
@@ -176,7 +207,7 @@ class MapPlan:
         )
 
     def lines(self) -> list[MapLine]:
-        """Return all lines in order."""
+        """Return all lines of the map, layer by layer; each runs along the axis `sweep`."""
         others = {name: values for name, values in self.axes.items() if name != self.sweep}
         values, changes = self.axes[self.sweep], self.changes()
         return [
@@ -196,7 +227,11 @@ class MapPlan:
 
 
 def allow_time(points: int, workers: int | None = None) -> None:
-    """Reject a map that would take too long.
+    """Reject a map whose estimated computing time is longer than the limit.
+
+    Args:
+        points: number of points.
+        workers: number of cores that share them; None means all that this process may use.
 
     Raises:
         BudgetError: names the points, the time they would take and how to raise the limit.
@@ -206,17 +241,19 @@ def allow_time(points: int, workers: int | None = None) -> None:
     if seconds > limit:
         raise BudgetError(
             f"{points} points would take about {seconds / 3600.0:.1f} h on {cores} cores, "
-            f"more than {limit / 3600.0:g} h; if you have the time: {budget.VARIABLE}=N allows N times as much"
+            f"more than {limit / 3600.0:g} h; to allow N times the default limit of {LIMIT_S / 3600.0:g} h, "
+            f"set the environment variable {budget.VARIABLE}=N"
         )
 
 
 def load_map(path: Path, workers: int | None = None, resolved: RigConfig | None = None) -> MapPlan:
-    """Read the map in a YAML file.
+    """Read the plan of a map from a YAML file, and check it, including its estimated computing time.
 
     Args:
         path: path of the file.
-        workers: number of cores it would use; None means those of this machine.
-        resolved: rig that replaces the file's `config` and `set`, for an existing map that need not be run.
+        workers: number of cores for that estimate; None means all that this process may use.
+        resolved: rig that replaces the file's `config` and `set`, for the results of an existing map. Then the
+            computing time is not checked.
 
     Raises:
         ConfigError: the file cannot be read or is wrong; the message names key, value, range and file.
@@ -240,14 +277,16 @@ def _read(top: Mapping[str, object], path: Path, text: str, resolved: RigConfig 
     sweep = axes.word("sweep", top.get("sweep", FREQUENCY if FREQUENCY in given else next(iter(given))), given)
     for name in (FREQUENCY, CURRENT):
         if name in top and name in given:
-            raise ConfigError(f"{name} is an axis and cannot be fixed as well")
+            raise ConfigError(f"{name} is an axis and cannot be fixed as well: remove the key {name}, or axes.{name}")
     direction = axes.word("direction", top.get("direction", RESET), DIRECTIONS)
     starts = axes.values("starts", top["starts"]) if "starts" in top else []
     for name in ("starts", POSITION, SPEED):
         if direction != RESET and (name in given or name in top):
             raise ConfigError(f"{name} is a start condition: direction must be {RESET}, got {direction!r}")
     if starts and {POSITION, SPEED} & set(given):
-        raise ConfigError(f"starts and an axis {POSITION} or {SPEED} exclude each other")
+        raise ConfigError(
+            f"starts and an axis {POSITION} or {SPEED} exclude each other: both define where the sphere starts"
+        )
     return MapPlan(
         title=str(top.get("title", path.stem)),
         base=resolved or axes.rig(top, path.parent, refuse_owned),
@@ -267,15 +306,18 @@ def _axes(given: Mapping[str, object]) -> dict[str, tuple[float, ...]]:
     plain = {name: value for name, value in given.items() if name in NAMED or "." in name}
     nested = {name: value for name, value in given.items() if name not in plain}
     if nested:
-        raise ConfigError(f"unknown axis {next(iter(nested))!r}: {', '.join(NAMED)}, or a value by its dotted name")
+        raise ConfigError(
+            f"unknown axis {next(iter(nested))!r}, known: {', '.join(NAMED)}, "
+            "or a number of the configuration by its dotted name"
+        )
     if not 2 <= len(plain) <= 3:
-        raise axes.wrong("axes", "two or three", list(given))
+        raise axes.wrong("axes", "two or three named axes", list(given))
     found = {}
     for name, value in plain.items():
         refuse_owned(f"axes.{name}", name)
         found[name] = tuple(sorted(axes.numbers(f"axes.{name}", value, -math.inf)))
         if len(found[name]) < 2:
-            raise axes.wrong(f"axes.{name}", "two values or more", value)
+            raise axes.wrong(f"axes.{name}", "two values or more, or a range of from, to and step", value)
     return found
 
 
@@ -287,7 +329,10 @@ def _search(given: object) -> Search | None:
     over = str(wanted.get("over", GAP))
     refuse_owned("optimum.over", over)
     if over not in NAMED and "." not in over:
-        raise ConfigError(f"optimum.over: unknown axis {over!r}: {', '.join(NAMED)}, or a value by its dotted name")
+        raise ConfigError(
+            f"optimum.over: unknown axis {over!r}, known: {', '.join(NAMED)}, "
+            "or a number of the configuration by its dotted name"
+        )
     low = axes.number("optimum.from", wanted.get("from"), 0.0)
     return Search(
         over=over,
@@ -298,17 +343,31 @@ def _search(given: object) -> Search | None:
 
 
 def refuse_owned(key: str, name: str) -> None:
-    """Reject the name of a value that is not a parameter of the mechanics, or has a shorter one."""
+    """Reject a configuration value that a map or dynamics study cannot set: one without effect, or with its own key.
+
+    Args:
+        key: key of the file that contains the name, for the message; beginning with `set.` or `axes.` for these parts.
+        name: dotted name of the value.
+
+    Raises:
+        ConfigError: names the key, and the key to use instead if there is one.
+    """
     if name == "sphere.start" and key.startswith("axes."):
-        raise ConfigError(f"{key}: use starts: [left, centre, right]")
+        raise ConfigError(f"{key}: the start of the sphere cannot be an axis; use starts: [left, centre, right]")
     if name == "barriers.gap_m" and not key.startswith("set."):
-        raise ConfigError(f"{key}: use gap_m")
+        raise ConfigError(f"{key}: use gap_m instead of barriers.gap_m")
     if name.startswith(OWNED):
-        raise ConfigError(f"{key}: irrelevant to a map")
+        raise ConfigError(
+            f"{key}: {name} is irrelevant to a map or dynamics study, or has its own key there; remove it"
+        )
 
 
 def _check_corners(plan: MapPlan) -> None:
-    """Reject values at the ends of the axes and of the search that cannot be simulated, before anything runs."""
+    """Reject a map before it runs if the points at the ends of its axes, or of its search, have invalid values.
+
+    Raises:
+        ConfigError: names the value and its range.
+    """
     lines = plan.lines()
     ends = lines[:: max(1, len(lines) - 1)]
     if plan.search is not None:

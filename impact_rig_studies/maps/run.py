@@ -11,12 +11,14 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Directory of a map: the content of `impact_rig_studies.campaign.tasks.TaskStore`, and its results.
+"""Output directory of a map: read its stored lines as arrays, and write its results.
+
+In addition to the files of `impact_rig_studies.campaign.tasks.TaskStore` (plan, rig and measured lines) it contains:
 
 | file | content |
 |---|---|
-| `map.csv` | every point, every direction |
-| `map.json` | figures for programs: points, regimes, the optimum |
+| `map.csv` | one row per measured point and direction |
+| `map.json` | summary for programs: number of points, counts of regimes, the optimum if it was searched for |
 """
 
 from __future__ import annotations
@@ -44,29 +46,32 @@ CSV_FILE, JSON_FILE = "map.csv", "map.json"
 
 @attrs.frozen(eq=False, kw_only=True)
 class FinishedMap:
-    """Map with its results."""
+    """Map with the results that are stored in its output directory, possibly not of all points."""
 
     plan: MapPlan  # definition of the map
-    directory: Path
+    directory: Path  # output directory
     values: dict[str, dict[str, NDArray[np.generic]]]
-    """Readings and added quantities, by direction and name.
+    """Arrays of the results, first by layer (direction or start, see `MapPlan.layers`), then by field of `Reading`.
 
-    The arrays are in the order of the axes, NaN (or "") if not measured.
+    The dimensions of an array are the axes of the plan in their order. Points that are not measured are NaN, or "" for
+    the regime.
     """
 
     def to_dataframe(self) -> Any:
         """Return the measured points as a `pandas.DataFrame`, with the columns of `map.csv`.
 
         Raises:
-            ImpactRigError: pandas is not installed, or nothing is measured yet.
+            ImpactRigError: pandas is not installed, or no point is measured yet.
         """
         return tables.to_dataframe(*table(self))
 
     def to_xarray(self) -> Any:
-        """Return the map as an `xarray.Dataset` over its axes and `direction`, or `start` where there are several.
+        """Return the map as an `xarray.Dataset` whose dimensions are its axes and `direction`.
+
+        If the plan lists several starts of the sphere, the last dimension is `start` instead of `direction`.
 
         Raises:
-            ImpactRigError: xarray is not installed, or nothing is measured yet.
+            ImpactRigError: xarray is not installed, or no point is measured yet.
         """
         names, rows = table(self)
         layers = "start" if self.plan.starts else "direction"
@@ -74,12 +79,12 @@ class FinishedMap:
 
 
 def store(directory: Path) -> TaskStore[MapLine]:
-    """Return the store of a map's lines in a directory."""
+    """Return the store of a map's measured lines in its output directory."""
     return TaskStore(directory, "map", "lines", ("maps",))
 
 
 def finished(plan: MapPlan, directory: Path) -> FinishedMap:
-    """Return a map with all its stored results."""
+    """Return a planned map with the results that its output directory already contains, possibly none."""
     kept = store(directory)
     shape, names = tuple(map(len, plan.axes.values())), list(plan.axes)
     values: dict[str, dict[str, NDArray[np.generic]]] = {}
@@ -100,7 +105,7 @@ def finished(plan: MapPlan, directory: Path) -> FinishedMap:
 
 
 def open_map(directory: Path) -> FinishedMap:
-    """Return the map in a directory.
+    """Read a map with its stored results from the output directory of `impact-rig map`; nothing is simulated.
 
     Raises:
         ConfigError: the directory is not that of a map.
@@ -110,7 +115,12 @@ def open_map(directory: Path) -> FinishedMap:
 
 
 def write_results(done: FinishedMap, more: dict[str, object]) -> None:
-    """Write `map.csv` and `map.json`."""
+    """Write `map.csv` and `map.json` to the directory of a map, replacing existing ones.
+
+    Args:
+        done: the map.
+        more: further entries of `map.json`, such as the optimum.
+    """
     files.write_csv(done.directory / CSV_FILE, *table(done))
     regimes = {
         layer: dict(sorted(Counter(str(word) for word in values["regime"].ravel() if word).items()))
@@ -121,16 +131,20 @@ def write_results(done: FinishedMap, more: dict[str, object]) -> None:
 
 
 def table(done: FinishedMap) -> tuple[list[str], list[list[object]]]:
-    """Return the names of the columns and one row per measured point; NaN for a missing reading.
+    """Return a map as a table: the names of its columns, and one row per measured point and layer.
 
-    `direction` is up, down or reset, `start` the start of the sphere, unless that is an axis.
+    The columns are the axes, `direction` (up, down or reset), `start` (start of the sphere, unless an axis sets it),
+    and the fields of `Reading`.
     """
     first = next(iter(done.values))
     return [*done.plan.axes, *_layer(done.plan, first), *done.values[first]], list(_rows(done))
 
 
 def _layer(plan: MapPlan, layer: str) -> dict[str, str]:
-    """Return the meaning of a layer of a map, by column."""
+    """Return the values of the columns `direction` and, unless an axis sets it, `start` for a layer of a map.
+
+    A layer is a direction or a start of the sphere, see `MapPlan.layers`.
+    """
     found = {"direction": layer if layer in (UP, DOWN) else RESET}
     if not {POSITION, SPEED} & set(plan.axes):
         found["start"] = layer if layer in STARTS else plan.base.sphere.start
