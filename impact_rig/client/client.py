@@ -13,9 +13,9 @@
 # limitations under the License.
 """Client of a rig's graph: it waits for conditions, sends commands, steps, sets parameters and collects topics.
 
-The client spins in the caller's thread, and only while it waits. It starts no thread and never sleeps for a fixed time.
-Every wait has a deadline and an error message that names what was awaited. With `processes`, the wait also ends when a
-node process dies; the error then quotes the end of its log.
+The client runs its callbacks (spins) in the caller's thread, and only while it waits. It starts no thread and never
+sleeps for a fixed time. Every wait has a deadline and an error message that names what was awaited. If node processes
+are given (`processes`), a wait also ends when one of them dies; the error then quotes the end of its log.
 """
 
 from __future__ import annotations
@@ -60,11 +60,14 @@ from impact_rig.topics import Topic
 
 @attrs.frozen(eq=False)
 class Received:
-    """Received message.
+    """Message that a `Collector` has received and kept.
 
     Attributes:
-        sequence: DDS publication sequence number: contiguous per publisher.
-        received_system_ns: system clock at the callback [ns], comparable with stamps in realtime.
+        data: the message, or its CDR bytes on a topic with tables.
+        sequence: DDS publication sequence number: each publisher counts its messages, without gaps.
+        received_system_ns: system time at which the callback ran [ns since 1970]; comparable with stamps of a rig in
+            real time.
+        table: decoded table; None on a topic without tables.
     """
 
     data: Any
@@ -76,7 +79,11 @@ class Received:
 class Collector:
     """Store of all messages received on one topic.
 
-    Messages that are not valid tables of the topic are counted and dropped.
+    Messages that are not valid tables of the topic are counted (`refused`) and dropped.
+
+    Args:
+        topic: the topic.
+        on_message: called after each message that is kept.
     """
 
     def __init__(self, topic: Topic, on_message: Callable[[Received], None] | None = None) -> None:
@@ -90,7 +97,7 @@ class Collector:
         return len(self.received)
 
     def take(self, data: Any, info: dict[str, Any]) -> None:
-        """Keep one message. This is the subscription's callback."""
+        """Keep one message, and decode its table; use this as the callback of the subscription."""
         table = None
         if self.topic.columns is not None:
             try:
@@ -104,29 +111,29 @@ class Collector:
             on_message(message)
 
     def then(self, on_message: Callable[[Received], None]) -> None:
-        """Also call this function after each message that is kept from now on."""
+        """Call this function, in addition to earlier ones, after each message that is kept from now on."""
         self._on_message.append(on_message)
 
     @property
     def messages(self) -> list[Any]:
-        """Messages received; for topics with tables, their CDR bytes."""
+        """Messages received and kept, oldest first; on topics with tables, as CDR (serialised) bytes."""
         return [message.data for message in self.received]
 
     def tables(self, since: int = 0) -> list[Table]:
-        """Return the decoded tables, except the first `since`."""
+        """Return the tables received, oldest first, without the first `since` of them."""
         return [message.table or codec.decode(message.data) for message in self.received[since:]]
 
     def last(self) -> Table | None:
-        """Return the newest table, or None if there is none. Older tables are not decoded."""
+        """Return the newest table received, or None if there is none."""
         found = self.tables(-1)
         return found[0] if found else None
 
     def entries(self, since: int = 0) -> list[JournalEntry]:
-        """Return the received entries of `rig/journal`, except those of the first `since` messages."""
+        """Return the journal entries received on `rig/journal`, oldest first, without the first `since` of them."""
         return [JournalEntry.from_line(message.data.data) for message in self.received[since:]]
 
     def rows(self) -> NDArray[np.void]:
-        """Return the rows of all tables, one after the other; shape (n,)."""
+        """Return the rows of all tables received, one after the other; shape (n,)."""
         parts = [table.rows for table in self.tables()]
         assert parts or self.topic.columns is not None, (
             f"{self.topic.name}: no table received; does this topic carry tables?"
@@ -134,7 +141,10 @@ class Collector:
         return np.concatenate(parts) if parts else np.empty(0, self.topic.columns)
 
     def lost(self) -> int:
-        """Return the number of messages missing between the first and the last, by DDS sequence number."""
+        """Return the number of messages missing between the first and the last one, by DDS sequence number.
+
+        It is meaningful for a topic with one publisher.
+        """
         numbers = [message.sequence for message in self.received]
         return int(numbers[-1] - numbers[0] + 1 - len(set(numbers))) if numbers else 0
 
@@ -151,25 +161,29 @@ HISTORY_S = 1.0  # a client that has just discovered a rig receives its latched 
 
 
 class WaitTimeoutError(ImpactRigError, TimeoutError):
-    """Timeout while waiting for a condition."""
+    """Timeout of a wait: the condition did not become true in time; the message names what was awaited."""
 
 
 Check = Callable[[], None]  # raises an error if the wait has become pointless
 
 
 def patiently() -> None:
-    """Never raise: the default check, with which a wait ends only by its condition or its timeout."""
+    """Do nothing: the default check of a wait, which then ends only when its condition is met or its time is over."""
 
 
 class RigGoneError(GoneError):
-    """Loss of the rig that received a command: it ended or was replaced before it executed the command."""
+    """Loss of the rig that received a command: it ended or was replaced before it answered, so waiting is pointless."""
 
 
 class Activation:
-    """Rig that a client addresses: its last reported activation, and when that was reported.
+    """Record of which activation of a rig a client addresses, so that a wait ends when that rig is gone.
 
-    A command belongs to the rig that received it. Before you wait for its effect, call `given`. The returned check
-    raises as soon as that rig is gone.
+    Each activation of a rig reports its own identifier (`instance`) in diagnostics. A command belongs to the activation
+    that receives it. Before you wait for its effect, call `given`; the check that it returns raises as soon as that
+    activation has ended, been replaced or become silent.
+
+    Args:
+        clock: monotonic clock [s].
     """
 
     def __init__(self, clock: Callable[[], float]) -> None:
@@ -181,18 +195,18 @@ class Activation:
 
     @property
     def is_overdue(self) -> bool:
-        """Return whether a known rig has not reported for a while."""
+        """Return whether a rig that has reported before has not reported for more than one second."""
         return self._is_there and self._clock() - self._reported_at > DIAGNOSTICS_PERIOD_S
 
     @property
     def _is_changing(self) -> bool:
-        """Return whether diagnostics of the previous rig may still arrive."""
+        """Return whether `changed` was called so recently that diagnostics of the previous rig may still arrive."""
         return self._clock() - self._changed_at <= DELIVERY_S
 
     def heard(self, instance: str) -> None:
-        """Update the activation from a rig's diagnostics; call this in the order in which they arrive.
+        """Note that a rig has just reported with this identifier of its activation; call this in the order of arrival.
 
-        Diagnostics of the previous rig may still be under way just after `changed`; these are ignored.
+        Diagnostics of the previous rig that arrive just after `changed` do not count as a new rig.
         """
         self._identify()
         self._reported_at = self._clock()
@@ -202,18 +216,23 @@ class Activation:
             self._first = self._first or instance
 
     def changed(self) -> None:
-        """Address the next rig that reports: the caller has just seen a new rig."""
+        """Note that the rig may be a new one, as after a transition: later waits concern the rig that reports next."""
         self._previous, self._instance, self._changed_at = self._instance or self._previous, "", self._clock()
         self._first = ""
         self._is_there, self._is_gone = True, False
 
     def _identify(self) -> None:
-        """Keep the previous rig if no other rig has reported since `changed`: the caller saw the same rig."""
+        """Address the same rig as before `changed` if no other one has reported since: it is still the same rig."""
         if not self._first and not self._is_changing and self._reported_at >= self._changed_at:
             self._instance = self._first = self._previous
 
     def given(self, what: str, silence_s: float = GONE_S) -> Check:
-        """Return a check that raises once the present rig is gone or has been silent for this long [s]."""
+        """Return a check that raises `RigGoneError` once the rig that is addressed now is gone.
+
+        Args:
+            what: what the rig was asked to do, for the message.
+            silence_s: time without a report after which the rig counts as gone [s].
+        """
         self._identify()
         instance, since = self._instance, self._clock()
 
@@ -232,18 +251,18 @@ class Activation:
 
 
 class Spinner:
-    """Spinning of an executor, with deadlines."""
+    """Execution of an executor's callbacks in the caller's thread, with a clock for time limits."""
 
     def __init__(self, executor: Any) -> None:
         self._executor = executor
         self._working_s = 0.0
 
     def waited_s(self) -> float:
-        """Return a clock [s] that pauses while a hosted node is busy in a callback, since compiling takes minutes."""
+        """Return a clock for time limits [s]: it pauses while a callback is busy, since compiling can take minutes."""
         return time.monotonic() - self._working_s
 
     def spin(self, longest_s: float = SPIN_S) -> None:
-        """Run one callback; wait for one at most this long [s]."""
+        """Run one callback of the executor; if there is none, wait for one for at most `longest_s` seconds."""
         began = time.monotonic()
         self._executor.spin_once(timeout_sec=longest_s)
         self._working_s += max(0.0, time.monotonic() - began - longest_s)
@@ -266,25 +285,25 @@ TRANSITIONS = {
     "shutdown_inactive": Transition.TRANSITION_INACTIVE_SHUTDOWN,
     "shutdown_active": Transition.TRANSITION_ACTIVE_SHUTDOWN,
 }
-"""Transitions of a lifecycle node by name."""
+"""Numbers of the lifecycle transitions in `lifecycle_msgs`, by the name that `Client.change_state` accepts."""
 
 
 class ServiceFailedError(ImpactRigError, RuntimeError):
-    """Negative answer of a service."""
+    """Negative answer of a service; the message is the one of the service."""
 
 
 class Client:
     """ROS node that acts as the user of a rig: it commands, calls services, sets parameters and receives topics.
 
-    It is a context manager, and receives messages while it waits. Every wait has a time limit, and ends with an error
-    if a watched node process ends.
+    It is a context manager, and receives messages only while it waits. Every wait has a time limit, and ends with an
+    error if a watched node process ends.
 
     Args:
         domain_id: ROS domain of the rig; None means that of this process, `ROS_DOMAIN_ID`.
         namespace: namespace of the rig's nodes; topics and node names below are relative to it.
         processes: node processes to watch during every wait.
-        name: node name, and the name in its acknowledgements.
-        commands: whether `command` will be called; the client then keeps all commands that the rig applies.
+        name: name of this node, and the name in the acknowledgements that it sends.
+        commands: whether `command` will be called; the client then keeps all changes of the drive that the rig applies.
 
     Examples:
         >>> import impact_rig
@@ -314,7 +333,7 @@ class Client:
             )
         self.executor.add_node(self.node)
         self.diagnostics: dict[str, DiagnosticStatus] = {}
-        """Latest status of each node, by name relative to the namespace, or by full name outside of it."""
+        """Latest diagnostics of each node, by name relative to the client's namespace, or by full name outside it."""
         self._hosted: list[Any] = []
         self._spinner = Spinner(self.executor)
         self._rigs: dict[str, Activation] = {}
@@ -325,7 +344,7 @@ class Client:
         self._clients: dict[tuple[str, Any], Any] = {}
         self.subscribe(topics.DIAGNOSTICS, self._on_diagnostics)
         self.applied = Collector(topics.APPLIED)
-        """Commands applied since this client started (`shaker/applied`). None without `commands`."""
+        """Changes of the drive that the rig has applied (`shaker/applied`); it stays empty without `commands`."""
         if commands:
             self.subscribe(topics.APPLIED, self.applied.take, raw=True)
 
@@ -336,7 +355,7 @@ class Client:
         self.close()
 
     def close(self) -> None:
-        """Destroy the node, the nodes it hosts and the context."""
+        """End the nodes that this client hosts, and destroy its own node, executor and ROS context."""
         with defer_signals():
             for node in self._hosted:  # nodes of this package finish their work while the executor still runs
                 if hasattr(node, "close"):
@@ -355,10 +374,16 @@ class Client:
         timeout_s: float = DEFAULT_TIMEOUT_S,
         check: Check = patiently,
     ) -> T:
-        """Spin until `condition()` is true, and return its value.
+        """Run callbacks until `condition()` is true, and return its value.
+
+        Args:
+            condition: evaluated before each callback.
+            what: what is awaited, for the error message.
+            timeout_s: longest wait [s]; time in which a callback of a hosted node is busy does not count.
+            check: called before each callback; raises an error if the wait has become pointless, see `given`.
 
         Raises:
-            WaitTimeoutError: the condition did not become true in time; the message names `what`.
+            WaitTimeoutError: the condition did not become true in time.
             ProcessDiedError: a watched process ended.
         """
         deadline = self._spinner.waited_s() + timeout_s
@@ -372,12 +397,13 @@ class Client:
         return found
 
     def given(self, what: str, rig: str = "rig", *, may_be_silent: bool = False) -> Check:
-        """Return a check that raises `RigGoneError` once the present rig is gone or replaced.
+        """Return a check for `wait_until` that raises `RigGoneError` once the rig that runs now is gone or replaced.
 
         Args:
             what: what the rig was asked to do, for the message.
-            rig: its node name, relative to the namespace.
-            may_be_silent: whether the rig may be busy for seconds without a report, as when it compiles a new law.
+            rig: node name of the rig, relative to the namespace.
+            may_be_silent: whether the rig may be busy for seconds without a report, as when it compiles a new contact
+                law.
         """
         activation = self._rigs.setdefault(rig, Activation(self._spinner.waited_s))
         check = activation.given(what, math.inf) if may_be_silent else activation.given(what)
@@ -389,13 +415,16 @@ class Client:
         return check
 
     def spin_pending(self) -> None:
-        """Run the callbacks of everything that has arrived, without waiting for more."""
+        """Run the callbacks of all messages and answers that have arrived, without waiting for more."""
         last = self.executor.create_task(lambda: None)  # tasks and messages run in the order in which they arrived
         while not last.done():
             self._spinner.spin(0.0)
 
     def spin_for(self, duration_s: float) -> None:
-        """Spin for a duration of wall time [s]. Meant for benchmarks and demonstrations, not for tests."""
+        """Run callbacks for a duration of wall time [s].
+
+        Meant for benchmarks and demonstrations; tests wait for a condition.
+        """
         deadline = time.monotonic() + duration_s
         while (left := deadline - time.monotonic()) > 0:
             if self._processes is not None:
@@ -406,8 +435,8 @@ class Client:
         """Wait until these nodes are in the lifecycle state `active`.
 
         Raises:
-            WaitTimeoutError: a node is not active in time.
-            ServiceFailedError: a node reports that it cannot be configured, and why.
+            WaitTimeoutError: a node was not active within `timeout_s`.
+            ServiceFailedError: a node reports that it cannot be configured; the message says why.
         """
         for node in nodes:
             is_active = functools.partial(self._is_active, node, timeout_s)
@@ -415,7 +444,7 @@ class Client:
             self._address(node)
 
     def _address(self, node: str) -> None:
-        """Address the rig that has this name now."""
+        """Address the activation of the rig `node` that runs now, after a transition; no effect for other nodes."""
         if node in self._rigs:
             received = self.executor.create_task(lambda: None)  # runs after everything received so far
             self.wait_until(received.done, "the executor")
@@ -423,10 +452,14 @@ class Client:
             self._matched.clear()
 
     def host(self, make_node: Callable[..., Any], **kwargs: Any) -> Any:
-        """Run a node in this process, in this client's executor, with this client's context and namespace.
+        """Create a node in this process, run it in this client's executor, ROS context and namespace, and return it.
 
-        No thread is started: the node works while the client waits. If the class does not pass keyword arguments on to
-        `Node`, it gets the context as the default one, and no namespace.
+        No thread is started: the node works only while the client waits. If `make_node` accepts no keyword arguments
+        for `Node`, the node gets the context as rclpy's default one, and no namespace.
+
+        Args:
+            make_node: class or function that creates the node.
+            kwargs: its arguments.
         """
         if any(one.kind is one.VAR_KEYWORD for one in inspect.signature(make_node).parameters.values()):
             namespace = self.node.get_namespace()
@@ -438,15 +471,18 @@ class Client:
         return node
 
     def evict(self, node: Any) -> None:
-        """End a node that this client hosts."""
+        """Remove a node that this client hosts from its executor, and destroy the node."""
         self._hosted.remove(node)
         self.executor.remove_node(node)
         node.destroy_node()
 
     def acknowledge_callbacks(self, node: Any) -> int:
-        """Acknowledge every block of daq/scan for a hosted node, after its callback has returned or raised.
+        """Acknowledge every block of daq/scan on behalf of a hosted node, after its callback has returned or raised.
 
-        The node need not know daq/ack. Returns the number of its subscriptions to daq/scan.
+        The node itself needs no knowledge of daq/ack.
+
+        Returns:
+            Number of the node's subscriptions to daq/scan.
         """
         name = self.node.resolve_topic_name(topics.SCAN.name)
         found = [subscription for subscription in node.subscriptions if subscription.topic_name == name]
@@ -460,12 +496,13 @@ class Client:
     def command(
         self, frequency_hz: float | None = None, current_a: float | None = None, timeout_s: float = DEFAULT_TIMEOUT_S
     ) -> np.void:
-        """Command frequency and current (peak), wait for the rig's rows in shaker/applied and return the last one.
+        """Command frequency [Hz] and current [A peak], and wait until the rig has applied them.
 
-        Its `sample` is the first scan that the commands act on.
+        Returns:
+            Row of shaker/applied that the last command caused; its `sample` is the first scan that it acts on.
 
         Raises:
-            CommandError: the rig rejected the command; its message.
+            CommandError: the rig rejected the command; the message is that of the rig.
             WaitTimeoutError: the rig neither applied nor rejected it in time.
             RigGoneError: the rig that received it is gone.
         """
@@ -489,13 +526,13 @@ class Client:
         return row
 
     def refusal(self, *reasons: str) -> Callable[[], str]:
-        """Return a function that returns the rig's message as soon as the rig rejects something, and "" until then.
+        """Return a function that returns "" until the rig rejects an input, and from then on the rig's message.
 
-        A rig reports rejections in its diagnostics, within a second, without naming the sender. Rejected commands of
+        A rig reports rejections in its diagnostics, within a second, without naming the sender. Rejected inputs of
         other senders therefore count, too.
 
         Args:
-            reasons: the keys that the rig counts these rejections by: the name of a topic, or `inactive`.
+            reasons: keys under which the rig counts the rejections of interest: the name of a topic, or `inactive`.
         """
 
         def rejections() -> dict[str, tuple[str, str]] | None:
@@ -521,29 +558,44 @@ class Client:
         listener: str | None = None,
         check: Check = patiently,
     ) -> None:
-        """Publish a message once all subscribers known to the graph are matched, including the node `listener`."""
+        """Publish a message once it will reach all present subscribers of the topic, so that none misses it.
+
+        Args:
+            topic: topic of the topics table.
+            message: the message, or its CDR bytes.
+            timeout_s: longest wait for the subscribers [s].
+            listener: name of a node that must be among them; None means that any one suffices.
+            check: raises an error if the wait has become pointless, see `given`.
+        """
         publisher = self.publisher(topic)
         self._reach(publisher, topic, timeout_s, listener, check)
         publisher.publish(message)
 
     def note(self, text: str) -> None:
-        """Publish an operator's remark, which is recorded with the run."""
+        """Publish an operator's remark on `notes`, which is recorded with the run."""
         self.publish(topics.NOTES, String(data=text))
 
     def step(self, blocks: int | None = None, timeout_s: float = START_TIMEOUT_S) -> str:
-        """Advance a lockstep rig; return when the last block is published and acknowledged."""
+        """Advance a rig in lockstep by `blocks` blocks (default: the present `step.blocks`); return the rig's answer.
+
+        It returns when the last block is published and every peer has acknowledged it.
+        """
         if blocks is not None:
             self.set_parameters("rig", {"step.blocks": blocks})
         return self.trigger("rig/step", timeout_s)
 
     def pause(self, paused: bool = True) -> None:
-        """Pause or resume the rig."""
+        """Pause the rig, or resume it if `paused` is False.
+
+        Raises:
+            ServiceFailedError: the rig did not pause or resume; the message says why.
+        """
         response = self.call(SetBool, "rig/pause", SetBool.Request(data=paused), repeatable=True)
         if not response.success:
             raise ServiceFailedError(f"rig/pause: {response.message}")
 
     def trigger(self, name: str, timeout_s: float = DEFAULT_TIMEOUT_S, *, may_be_silent: bool = False) -> str:
-        """Call a Trigger service, e.g. `rig/reset` or `recorder/start`, and return its message. See `call`.
+        """Call a service of type Trigger, such as `rig/reset` or `recorder/start`, and return its message; see `call`.
 
         Raises:
             ServiceFailedError: the service answered `success = False`.
@@ -563,15 +615,15 @@ class Client:
         repeatable: bool = False,
         may_be_silent: bool = False,
     ) -> Any:
-        """Call any service and return its response.
+        """Call a service of any type and return its response.
 
         Args:
             service_type: class of the service.
-            name: service name.
+            name: service name, relative to the namespace.
             request: the request.
-            timeout_s: time limit for the service to appear, and then for its answer.
+            timeout_s: time limit for the service to appear, and again for its answer [s].
             repeatable: whether the request may be sent again if its answer is late, see `ServiceCall`.
-            may_be_silent: whether to wait on when the rig does not report for a while.
+            may_be_silent: whether to continue to wait if the rig does not report for a while.
 
         Raises:
             WaitTimeoutError: the service did not appear or did not answer in time.
@@ -588,9 +640,9 @@ class Client:
             return self.wait_until(call.response, f"an answer of {name}", timeout_s, check)
 
     def prepare(self, service_type: Any, name: str) -> Any:
-        """Return the client of a service, created if needed.
+        """Return the rclpy client of a service, created at the first call.
 
-        A client created early is discovered by the time it is used.
+        Call this early: discovery of the service then proceeds before the first request.
         """
         client = self._clients.get((name, service_type))
         if client is None:
@@ -600,7 +652,7 @@ class Client:
     # Parameters and lifecycle
 
     def set_parameters(self, node: str, values: Mapping[str, ParameterValue]) -> None:
-        """Set all parameters or none.
+        """Set parameters of a node, by name; all of them or none.
 
         Raises:
             ConfigError: the node rejected the parameters; the message is its reason.
@@ -614,18 +666,24 @@ class Client:
             raise ConfigError(result.reason)
 
     def get_parameters(self, node: str, names: Sequence[str]) -> dict[str, Any]:
-        """Return parameter values by name."""
+        """Return the present values of a node's parameters, by name."""
         request = GetParameters.Request(names=list(names))
         response = self.call(GetParameters, f"{node}/get_parameters", request)
         return {name: parameter_value_to_python(value) for name, value in zip(names, response.values, strict=True)}
 
     def state(self, node: str, timeout_s: float = DEFAULT_TIMEOUT_S) -> str:
-        """Return the label of a node's lifecycle state."""
+        """Return the label of a node's lifecycle state, such as `active`."""
         response = self.call(GetState, f"{node}/get_state", GetState.Request(), timeout_s)
         return str(response.current_state.label)
 
     def change_state(self, node: str, transition: str, timeout_s: float = START_TIMEOUT_S) -> bool:
-        """Request a lifecycle transition (`configure`, `activate`, `deactivate`, `cleanup`); return its success."""
+        """Request a lifecycle transition of a node; return whether it succeeded.
+
+        Args:
+            node: node name.
+            transition: `configure`, `activate`, `deactivate` or `cleanup`, see `TRANSITIONS`.
+            timeout_s: time limit for the answer [s].
+        """
         request = ChangeState.Request(transition=Transition(id=TRANSITIONS[transition]))
         changed = bool(self.call(ChangeState, f"{node}/change_state", request, timeout_s).success)
         self._address(node)
@@ -636,18 +694,19 @@ class Client:
         return self.diagnostics.get(node, DiagnosticStatus(name=node))
 
     def figures(self, node: str) -> dict[str, str]:
-        """Return the key-value pairs of a node's latest diagnostics."""
+        """Return the key-value pairs of a node's latest diagnostics; empty if none has arrived."""
         return {value.key: value.value for value in self.status(node).values}
 
     # Topics
 
     def collect(self, name: str, acknowledge: bool = False, timeout_s: float = DEFAULT_TIMEOUT_S) -> Collector:
-        """Subscribe to a known topic and keep all its messages; return once a publisher is matched.
+        """Subscribe to a topic of the topics table and keep all messages; return once a publisher is matched.
 
         Args:
             name: topic name as in the topics table, e.g. `daq/scan`.
-            acknowledge: whether to acknowledge every message on daq/ack; a peer named like this client must do so.
-            timeout_s: time limit for the publisher to appear.
+            acknowledge: whether to acknowledge every message on daq/ack; necessary for daq/scan if this client is a
+                peer of the rig.
+            timeout_s: time limit for the publisher to appear [s].
         """
         topic = by_name(name)
         collector = Collector(topic, self._acknowledge if acknowledge else None)
@@ -660,7 +719,13 @@ class Client:
     ) -> Collector:
         """Subscribe to any topic, e.g. an output of the pipeline under test, and keep all its messages.
 
-        Type and reliability are those of its publisher, which must be running. Tables are kept as in `collect`.
+        Message type and reliability are those of the topic's first publisher, which must be running. Tables are kept as
+        in `collect`.
+
+        Args:
+            name: topic name, relative to the namespace or absolute.
+            on_message: called after each message.
+            timeout_s: time limit for the publisher to appear, and again for the connection to it [s].
         """
         full_name = self.node.resolve_topic_name(name)
         topic, profile = self.wait_until(lambda: published(self.node, name), f"a publisher of {full_name}", timeout_s)
@@ -671,13 +736,13 @@ class Client:
         return collector
 
     def acknowledge_for(self, peer: str, stamp_ns: int) -> None:
-        """Acknowledge blocks of daq/scan, up to this stamp, on behalf of a peer that does not do so itself."""
+        """Acknowledge daq/scan up to the block with this stamp [ns], on behalf of a peer that does not do so itself."""
         if peer not in self._acknowledgements:
             self._acknowledgements[peer] = Template(Header(frame_id=peer))
         self.publisher(topics.ACK).publish(self._acknowledgements[peer].render(stamp_ns))
 
     def publisher(self, topic: topics.Topic) -> Any:
-        """Return the publisher of a topic, created if needed."""
+        """Return this client's publisher of a topic, created at the first call."""
         if topic.name not in self._publishers:
             kind, profile = messages.class_of(topic), messages.profile(topic.qos)
             self._publishers[topic.name] = self.node.create_publisher(kind, topic.name, profile)
@@ -686,12 +751,15 @@ class Client:
     def subscribe(
         self, topic: topics.Topic, callback: Callable[..., None], raw: bool = False, profile: QoSProfile | None = None
     ) -> Any:
-        """Subscribe to a topic of the topics table; the callback gets the message (CDR bytes if `raw`) and its info."""
+        """Subscribe to a topic of the topics table; the callback gets the message (CDR bytes if `raw`) and its info.
+
+        The quality of service is that of the table, unless `profile` is given.
+        """
         kind, profile = messages.class_of(topic), profile or messages.profile(topic.qos)
         return self.node.create_subscription(kind, topic.name, with_info(callback), profile, raw=raw)
 
     def _reach(self, publisher: Any, topic: topics.Topic, timeout_s: float, listener: str | None, check: Check) -> None:
-        """Wait until the subscribers are matched; see `publish`."""
+        """Wait until the subscribers of a topic are matched, including the node `listener`; see `publish`."""
         if publisher not in self._matched:
             matched = functools.partial(has_subscribers, self.node, publisher, listener)
             self.wait_until(matched, f"{listener or 'a subscriber'} on {topic.name}", timeout_s, check)
@@ -700,7 +768,7 @@ class Client:
     def _receive_applied(self) -> None:
         """Receive all commands applied before this client started, so that none passes for the answer to a new one.
 
-        A rig that has not started has applied none.
+        It waits at most 1 s, because a rig that has not started has applied none.
         """
         deadline = time.monotonic() + HISTORY_S
         while not self._knows_past and time.monotonic() < deadline:
@@ -739,7 +807,7 @@ class Client:
                 self._rigs.setdefault(name, Activation(self._spinner.waited_s)).heard(values.get("instance", ""))
 
     def _troubles(self) -> str:
-        """Return possible causes of a timeout: the messages of unhealthy nodes, or that nothing was heard at all."""
+        """Return possible causes of a timeout, in parentheses: messages of unhealthy nodes, or that no node reports."""
         if not self.diagnostics:
             return f" (no node has reported in ROS domain {self.domain_id})"
         bad = [f"{name}: {status.message}" for name, status in self.diagnostics.items() if status.level != b"\0"]
@@ -747,9 +815,9 @@ class Client:
 
 
 def ros_parameters(values: Mapping[str, ParameterValue]) -> list[Parameter]:
-    """Return parameters by name and value; rclpy accepts only lists, tuples and arrays as sequences.
+    """Return values by parameter name as a list of rclpy parameters.
 
-    An empty list becomes one empty line, as in the nodes: ROS 2 cannot tell the type of an empty list.
+    An empty list becomes `[""]`, as in the nodes of this package: ROS 2 cannot tell the type of an empty list.
     """
     return [
         Parameter(
@@ -760,20 +828,26 @@ def ros_parameters(values: Mapping[str, ParameterValue]) -> list[Parameter]:
 
 
 def subscribers(node: Node, topic: str) -> set[str]:
-    """Return the names of the nodes that subscribe to a topic."""
+    """Return the names of the nodes that subscribe to a topic, as known to `node`."""
     full_name = node.resolve_topic_name(topic)
     return {info.node_name for info in node.get_subscriptions_info_by_topic(full_name)}
 
 
 def has_subscribers(node: Node, publisher: Any, listener: str | None) -> bool:
-    """Return whether a publisher has matched all subscribers known to the graph, including the node `listener`."""
+    """Return whether a publisher is matched with at least one subscriber, and with all that the ROS graph lists.
+
+    Args:
+        node: node of the publisher.
+        publisher: the publisher.
+        listener: name of a node that must be among the subscribers; None for any.
+    """
     found = node.get_subscriptions_info_by_topic(publisher.topic_name)
     there = listener is None or listener in {info.node_name for info in found}
     return there and publisher.get_subscription_count() >= max(len(found), 1)
 
 
 def published(node: Node, topic: str) -> tuple[topics.Topic, QoSProfile] | None:
-    """Return a topic's entry in the topics table and a profile compatible with its first publisher.
+    """Return a topic that any node publishes, with a quality-of-service profile that suits its first publisher.
 
     Returns None if the topic has no publisher.
     """
@@ -802,7 +876,7 @@ def _then(callback: Callable[..., Any], acknowledge: Callable[[int], None]) -> C
 
 @contextlib.contextmanager
 def as_default(context: Context) -> Iterator[None]:
-    """Make this context the default one, for nodes that are created without a context."""
+    """Make this context rclpy's default one within the block, for nodes that are created without a context."""
     utilities: Any = rclpy.utilities
     before, utilities.g_default_context = utilities.g_default_context, context
     try:

@@ -13,8 +13,8 @@
 # limitations under the License.
 """Node processes: started in their own process groups, watched, and ended in order.
 
-If one dies, the error quotes the last lines of its log. This process needs no rclpy; the children are the real console
-entry points. In an isolated domain (`isolated_domain`), no other node on this machine or network can interfere.
+If one dies, the error quotes the last lines of its log. This module needs no rclpy; the processes are the real console
+programs. In an isolated domain (`isolated_domain`), no other node on this machine or network can interfere.
 """
 
 from __future__ import annotations
@@ -39,21 +39,30 @@ from impact_rig.system import files, segments
 from impact_rig.system.endings import PARENT_VARIABLE, defer_signals
 
 STOP_TIMEOUT_S = 10.0
-"""Time that a process may take to end after SIGINT before it is killed; a recorder finishes its file in this time."""
+"""Time [s] that a process may take to end after SIGINT; then it gets SIGTERM and, 2 s later, SIGKILL.
+
+A recorder finishes its file in this time.
+"""
 QUOTED_LINES = 15
 NODES = ("rig", "analysis", "recorder")
-"""Nodes of this package: arguments of `python -m impact_rig.nodes`."""
+"""Nodes of this package that `Processes.start` runs as `python -m impact_rig.nodes NODE`."""
 
 ParameterValue = bool | int | float | str | Sequence[str] | Sequence[float]
 
 
 class ProcessDiedError(GoneError):
-    """Unexpected end of a node process; the message has its exit code and its last log lines."""
+    """Unexpected end of a node process; the message has the exit code and the last log lines of that process."""
 
 
 @attrs.define(eq=False)
 class NodeProcess:
-    """Node process and its log file."""
+    """Node process with its log file.
+
+    Attributes:
+        name: node name.
+        log: file of its output.
+        process: the process.
+    """
 
     name: str
     log: Path
@@ -61,26 +70,26 @@ class NodeProcess:
 
     @property
     def pid(self) -> int:
-        """Process id, also the id of its process group."""
+        """Process id, which is also the id of the process group of the node and its children."""
         return self.process.pid
 
     @property
     def exit_code(self) -> int | None:
-        """Exit code, or negative signal number, or None while it runs."""
+        """Exit code, or the negative number of the signal that ended the process; None while it runs."""
         return self.process.poll()
 
     def last_words(self) -> str:
-        """Return the last lines of the log of the process."""
+        """Return the last 15 lines of the process's log, indented, for an error message."""
         lines = self.log.read_text(errors="replace").splitlines()[-QUOTED_LINES:]
         return "\n".join(f"    {line}" for line in lines) or "    (no output)"
 
     def signal(self, number: int) -> None:
-        """Send a signal to the whole group. A process that has already ended is no error."""
+        """Send a signal to the process and its children; no effect if the process has already ended."""
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.pid, number)
 
     def wait(self, timeout_s: float) -> int | None:
-        """Return the exit code, or None if it still runs after the timeout."""
+        """Wait until the process ends, and return its exit code; None if it still runs after `timeout_s` seconds."""
         try:
             return self.process.wait(timeout_s)
         except subprocess.TimeoutExpired:
@@ -91,8 +100,8 @@ class Processes:
     """Group of node processes on one ROS domain; all of them end with the context manager.
 
     Args:
-        domain_id: ROS domain, see `isolated_domain`.
-        directory: folder of the logs; created if missing.
+        domain_id: ROS domain of the nodes, see `isolated_domain`.
+        directory: folder of their logs; created if missing.
         namespace: ROS namespace of all nodes, e.g. `/rig1`; empty for none.
     """
 
@@ -124,7 +133,7 @@ class Processes:
         environment: Mapping[str, str] | None = None,
         command: Sequence[str] | None = None,
     ) -> NodeProcess:
-        """Start one node.
+        """Start one node as a process, and return without waiting until it is active.
 
         Args:
             node: one of `NODES`, or the name of a module to run; with `command`, only the node's label.
@@ -158,10 +167,10 @@ class Processes:
         return self.running[name]
 
     def check(self) -> None:
-        """Raise an error if any process has ended by itself.
+        """Check that no process of the group has ended by itself.
 
         Raises:
-            ProcessDiedError: names the process, its exit code and its last log lines.
+            ProcessDiedError: a process has ended; the message has its name, exit code and last log lines.
         """
         for process in self.running.values():
             code = process.exit_code
@@ -170,7 +179,10 @@ class Processes:
                 raise ProcessDiedError(f"the {process.name} process {how}; its last lines:\n{process.last_words()}")
 
     def stop(self, *names: str, timeout_s: float = STOP_TIMEOUT_S) -> dict[str, int]:
-        """End the named processes, or all of them, by SIGINT, then SIGTERM, then SIGKILL; return their exit codes."""
+        """End the named processes, or all of them, and return their exit codes by name.
+
+        Each gets SIGINT, after `timeout_s` seconds SIGTERM, and at last SIGKILL.
+        """
         with defer_signals():
             chosen = [self.running[name] for name in names or tuple(self.running)]
             for process in chosen:
@@ -187,7 +199,10 @@ class Processes:
             return {process.name: process.process.wait() for process in chosen}
 
     def environment(self, more: Mapping[str, str]) -> dict[str, str]:
-        """Return the environment of a new node: that of this process, with its own domain, limited to this machine."""
+        """Return the environment variables of a new node: those of this process, the group's ROS domain, and `more`.
+
+        Discovery is limited to this machine.
+        """
         source = str(Path(impact_rig.__file__).parents[1])
         path = os.environ.get("PYTHONPATH", "")
         return {
@@ -208,7 +223,7 @@ def _command(node: str) -> list[str]:
 
 
 def _yaml(value: ParameterValue) -> str:
-    """Return a parameter value for the command line, as a YAML flow scalar or list."""
+    """Return a parameter value as a YAML text for the command line (`-p NAME:=VALUE`)."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, float):
@@ -223,13 +238,16 @@ def _yaml(value: ParameterValue) -> str:
 
 FOLDER = "impact_rig_domains"
 FIRST_DOMAIN, LAST_DOMAIN = 1, 49
-"""0 is the default domain of all nodes; above 101 the ports of a domain fall into Linux's ephemeral range."""
+"""Range of the ROS domain ids that `isolated_domain` uses.
+
+Domain 0 is the default of all nodes; above 101, the ports of a domain fall into Linux's range of ephemeral ports.
+"""
 FIRST_PORT, PORTS_PER_DOMAIN = 7400, 250  # of RTPS (DDSI-RTPS 2.2, 9.6.1.1)
 DISCOVERY_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
 
 def domain_of_environment() -> int:
-    """Return the ROS domain of this process.
+    """Return the ROS domain of this process, from `ROS_DOMAIN_ID` (0 if it is not set).
 
     Raises:
         ImpactRigError: `ROS_DOMAIN_ID` is not a number.
@@ -242,10 +260,11 @@ def domain_of_environment() -> int:
 
 @contextmanager
 def isolated_domain() -> Iterator[int]:
-    """Reserve a domain id until the end of the block; discovery of this process and its children stays on this host.
+    """Reserve a ROS domain until the end of the block, and yield its id: no node outside of this program uses it.
 
-    Two test workers never get the same id: each holds a lock file while it uses one. A domain in which any process of
-    this machine takes part is skipped.
+    Two test workers never get the same id, because each locks a file while it uses one. A domain in which any process
+    of this machine takes part is skipped. Within the block, discovery of this process and its children is limited to
+    this machine.
 
     Raises:
         ImpactRigError: all ids are in use, or no lock file can be created.
@@ -285,7 +304,7 @@ def isolated_domain() -> Iterator[int]:
 
 
 def is_in_use(domain_id: int) -> bool:
-    """Return whether a process of this machine takes part in a ROS domain, that is, has bound one of its UDP ports."""
+    """Return whether a process of this machine takes part in a ROS domain: it has bound one of its UDP ports."""
     first = FIRST_PORT + PORTS_PER_DOMAIN * domain_id
     for table in ("/proc/net/udp", "/proc/net/udp6"):
         with contextlib.suppress(OSError):
@@ -297,10 +316,10 @@ def is_in_use(domain_id: int) -> bool:
 
 
 def remove_litter(domain_id: int) -> None:
-    """Remove the shared-memory ports that killed processes left in a domain, as `fastdds shm clean` does.
+    """Remove the shared-memory ports of Fast DDS that killed processes left in a domain, as `fastdds shm clean` does.
 
     A process that finds a half-written port may crash (https://github.com/eProsima/Fast-DDS/issues/6501). A port in use
-    is locked and stays. A port that is just being created is not locked yet, so use this in an isolated domain.
+    is locked and stays. A port that is just being created is not locked yet, so call this only in an isolated domain.
     """
     first = FIRST_PORT + PORTS_PER_DOMAIN * domain_id
     for name, number in itertools.product(segments.PORTS, range(first, first + PORTS_PER_DOMAIN)):

@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Call of a service in progress, whose request is sent again where that is safe.
+"""Service call in progress, whose request is sent again where that is safe.
 
-On a busy machine DDS loses the answer to a client that the server has not discovered within 100 ms.
+On a busy machine, DDS loses the answer to a client that the server has not discovered within 100 ms.
 """
 
 from __future__ import annotations
@@ -37,16 +37,19 @@ REPEATABLE = (
     DescribeParameters, GetParameters, GetParameterTypes, ListParameters, SetParameters, SetParametersAtomically,
     GetAvailableStates, GetAvailableTransitions, GetState,
 )  # fmt: skip
-"""Services that may receive a request twice: the second one changes nothing."""
+"""Types of the services that may receive a request twice, because the second one changes nothing."""
 
 
 class ServiceCall:
-    """Request that has been sent, and its response; a context manager that forgets the request at its end.
+    """Service call in progress: a request that has been sent, and its response.
+
+    Leaving the context manager gives the call up; a later response is ignored.
 
     Args:
         client: client of the service, which must be ready.
         request: the request.
-        repeatable: whether to send the request every `AGAIN_S` until a response arrives; always so for `REPEATABLE`.
+        repeatable: whether to send the request again every 2 s (`AGAIN_S`) until a response arrives; always so for the
+            types in `REPEATABLE`.
     """
 
     def __init__(self, client: ServiceClient, request: Any, *, repeatable: bool = False) -> None:
@@ -63,7 +66,7 @@ class ServiceCall:
             self._client.remove_pending_request(future)
 
     def response(self) -> Any:
-        """Return the response to any of the requests sent, or None; send the request again if it is time to do so."""
+        """Return the response if one has arrived, else None; send a repeatable request again when it is due."""
         for future in self._sent:
             if future.done():
                 return future.result()

@@ -18,8 +18,8 @@
     rig.run(seconds=20)
     print(rig.rows("transmissibility/table")["transmissibility"])
 
-`AnalogOutput` and `Acquisition` are its buffered analog output and input; `Hardware` is both together. Importing this
-package loads neither rclpy nor compiled code: both are loaded with the first name that needs them.
+`AnalogOutput` and `Acquisition` are the buffered analog output and input of such a rig; `Hardware` combines both.
+Importing this package loads neither rclpy nor compiled code: both are loaded with the first name that needs them.
 """
 
 from __future__ import annotations

@@ -11,10 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The rig as a multifunction board with buffered tasks, as NI-DAQmx has them.
+"""The rig as a multifunction board with buffered tasks, as programs see one with NI-DAQmx.
 
-`ai0` to `ai3` are the outputs of accelerometer, laser, base sensor and current monitor in volts. `ao0` is the input of
-an amplifier of 1 A/V. One thread advances rig time at the speed of wall time, and plays the samples of the output task.
+The inputs `ai0` to `ai3` give the voltages of accelerometer, laser, base sensor and current monitor. The output `ao0`
+drives the shaker through an amplifier of 1 A/V. One thread advances rig time at the speed of wall time, and plays the
+samples of the output task.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ RATE_KEYS = {"ai": "daq.rate_hz", "ao": "drive.stream_rate_hz"}
 
 
 class Code(enum.IntEnum):
-    """Error codes of NI-DAQmx, by the names of the `nidaqmx` package."""
+    """Error codes of NI-DAQmx that this board reports, by their names in the `nidaqmx` package."""
 
     TRIGGER_TERMINAL = -89120
     RESOURCE_RESERVED = -50103
@@ -78,7 +79,7 @@ class Code(enum.IntEnum):
 
 
 class DaqmxError(ImpactRigError):
-    """Error that NI-DAQmx reports by its number.
+    """Error of a call, reported to the client by NI's number.
 
     Attributes:
         code: NI's number of the error.
@@ -90,7 +91,7 @@ class DaqmxError(ImpactRigError):
 
 
 class State(enum.Enum):
-    """State of a task."""
+    """State of a task, with its description for messages."""
 
     IDLE = "not started"
     ARMED = "waits for its start trigger"
@@ -104,12 +105,12 @@ class BoardChannel:
 
     Attributes:
         name: name of the channel within the task.
-        physical: name of the channel on the board, without the device.
+        physical: name of the channel on the board without the device, e.g. `ai0`.
         device: name of the device.
         low: smallest value of the range [unit of the channel].
-        high: largest value of the range.
-        per_volt: value that corresponds to one volt at the board.
-        unit: unit of the values.
+        high: largest value of the range [unit of the channel].
+        per_volt: value in the unit of the channel that corresponds to one volt at the board.
+        unit: unit of the values: `Volts`, or that of an acceleration.
 
     Raises:
         DaqmxError: the range is empty.
@@ -129,29 +130,33 @@ class BoardChannel:
 
     @property
     def is_accelerometer(self) -> bool:
-        """Return whether the channel reads accelerations."""
+        """Return whether the values of the channel are accelerations (otherwise volts)."""
         return self.unit != "Volts"
 
 
 @attrs.define(eq=False)
 class DaqmxTask:
-    """Task, with its settings and its progress since the start.
+    """Task of NI-DAQmx (input or output channels with one clock): its settings and its progress since the start.
 
     Attributes:
         name: name of the task.
-        kind: "ai" or "ao"; empty without channels.
-        rate_hz: samples per second of its clock; 0 means that each call reads or writes at once.
+        kind: "ai" (input) or "ao" (output); empty without channels.
+        channels: channels of the task.
+        rate_hz: samples per second of its clock; 0 means no clock: each call reads or writes at once.
         samples: number of samples of a finite task; None means a continuous task.
-        clock_samples: samples per channel as configured.
-        buffer_samples: size of its buffer as configured; None means the size that NI-DAQmx would choose.
+        clock_samples: number of samples per channel as given with the clock.
+        buffer_samples: size of its buffer as set by the client; None means the size that NI-DAQmx would choose.
         trigger: kind of the task whose start also starts this one; empty if it has no trigger.
         regenerates: whether an output repeats its buffer.
-        auto_starts: whether a read starts it.
-        run: number of times that it was started.
+        auto_starts: whether a read starts the task.
+        state: state of the task.
+        run: number of times that the task was started.
         begin_ns: wall time of its first sample [ns since 1970].
-        passed: number of samples that were read, or, of an output, passed to the rig.
+        passed: number of samples that were read; of an output, that were passed to the rig.
         written: number of samples written to an output.
-        error: error that ended it; None if there was none.
+        error: error that ended the task; None if there was none.
+        acquisition: input of the rig while the task acquires; None for an output.
+        output: output of the rig while the task generates; None for an input.
         data: samples of an output that are still to be played, or are repeated [V].
     """
 
@@ -182,7 +187,7 @@ class DaqmxTask:
 
     @property
     def available(self) -> int:
-        """Number of samples per channel that can be read now."""
+        """Number of samples per channel that an input task can return now without waiting; 0 for an output."""
         if self.acquisition is None:
             return 0
         found = self.acquisition.available
@@ -190,12 +195,12 @@ class DaqmxTask:
 
     @property
     def progress(self) -> int:
-        """Number of samples that were acquired, or passed to the rig, since the start."""
+        """Number of samples per channel since the start: acquired by an input, passed to the rig by an output."""
         return self.passed + self.available
 
     @property
     def buffer_size(self) -> int:
-        """Size of the buffer [samples per channel]."""
+        """Size of the task's buffer [samples per channel]: as set by the client, or as NI-DAQmx chooses it."""
         if self.buffer_samples is not None:
             return self.buffer_samples
         if self.kind == "ao":
@@ -207,15 +212,17 @@ class DaqmxTask:
 
 
 class Board:
-    """Board with the tasks of one rig.
+    """Board that offers one rig to clients of NI-DAQmx, with the tasks that they have created.
+
+    The methods that take a task are called while `changed` is held.
 
     Args:
         config: configuration of the rig that is simulated here.
-        rig: a running rig to use instead of a simulated one; its rates cannot be changed.
-        devices: names under which the board is known.
+        rig: running rig to use instead; its rates cannot be changed.
+        devices: names under which clients find the board.
 
     Attributes:
-        changed: condition that guards all attributes; it is notified after each change.
+        changed: condition that guards the tasks and the rig; it is notified after each change.
         tasks: tasks by name.
     """
 
@@ -232,7 +239,7 @@ class Board:
         self._thread.start()
 
     def close(self) -> None:
-        """End all tasks and the rig."""
+        """Stop and remove all tasks, and end the rig."""
         if self._ended:
             return
         with self.changed:
@@ -246,10 +253,10 @@ class Board:
     # Tasks
 
     def create(self, name: str) -> DaqmxTask:
-        """Create a task; an empty name becomes a unique one.
+        """Create a task without channels; an empty name is replaced by a unique one.
 
         Raises:
-            DaqmxError: the name is taken, or there are too many tasks.
+            DaqmxError: a task of this name exists, or there are too many tasks.
         """
         if name in self.tasks:
             raise DaqmxError(Code.DUPLICATE_TASK, f"a task named {name!r} exists")
@@ -272,16 +279,20 @@ class Board:
         return self.tasks[name]
 
     def clear(self, task: DaqmxTask) -> None:
-        """Stop a task and remove it."""
+        """Stop a task and remove it from the board."""
         self.stop(task)
         self.tasks.pop(task.name, None)
         self.changed.notify_all()
 
     def physical_channels(self, text: str, kind: str) -> list[tuple[str, str]]:
-        """Return device and channel of each channel in a list such as `Dev1/ai0:3, Dev1/ai5`.
+        """Return (device, channel) of each channel in a list such as `Dev1/ai0:3, Dev1/ai5`.
+
+        Args:
+            text: channels of the board; `:` marks a range.
+            kind: "ai" or "ao".
 
         Raises:
-            DaqmxError: a device or channel is unknown.
+            DaqmxError: a device or channel is unknown, or the list is empty.
         """
         found = []
         for item in filter(None, (part.strip() for part in text.split(","))):
@@ -310,10 +321,20 @@ class Board:
         per_volt: float,
         unit: str,
     ) -> None:
-        """Add channels to a task.
+        """Add channels of the board to a task.
+
+        Args:
+            task: the task.
+            kind: "ai" or "ao".
+            physical: channels of the board, as for `physical_channels`.
+            name: name of the channel in the task, or of several ones with numbers appended; empty means that of the
+                board.
+            limits: smallest and largest value of the range [unit].
+            per_volt: value that corresponds to one volt [unit].
+            unit: unit of the values.
 
         Raises:
-            DaqmxError: a channel is unknown, or does not fit the task.
+            DaqmxError: the task is running, or a channel is unknown, is in the task already or is of the other kind.
         """
         self._must_be_idle(task)
         if task.kind not in {"", kind}:
@@ -327,10 +348,10 @@ class Board:
         task.kind = kind
 
     def channels(self, task: DaqmxTask, text: str) -> list[BoardChannel]:
-        """Return the channels of a task in a list of names such as `Dev1/ai1:3, laser`; all if it is empty.
+        """Return the channels of a task that a list such as `Dev1/ai1:3, laser` names; all if the list is empty.
 
         Raises:
-            DaqmxError: the task has no such channel.
+            DaqmxError: the task has no such channel, or no channels.
         """
         known, found = {channel.name: channel for channel in task.channels}, []
         for part in filter(None, (part.strip() for part in text.split(","))):
@@ -347,10 +368,16 @@ class Board:
     def configure_range(
         self, task: DaqmxTask, names: str, *, low: float | None = None, high: float | None = None
     ) -> None:
-        """Set the smallest or the largest value of channels of a task.
+        """Set the smallest or the largest value of the range of a task's channels; None leaves a limit unchanged.
+
+        Args:
+            task: the task.
+            names: channels of the task, as for `channels`.
+            low: smallest value [unit of the channel].
+            high: largest value [unit of the channel].
 
         Raises:
-            DaqmxError: the task has no such channel, or the range is empty.
+            DaqmxError: the task is running or has no such channel, or the range is empty.
         """
         self._must_be_idle(task)
         for channel in self.channels(task, names):
@@ -359,10 +386,16 @@ class Board:
             )
 
     def configure_clock(self, task: DaqmxTask, rate_hz: float, samples: int, *, finite: bool) -> None:
-        """Set the sample clock of a task.
+        """Set the sample clock of a task: its rate, and how many samples it acquires or generates.
+
+        Args:
+            task: the task.
+            rate_hz: samples per second, rounded to a whole number.
+            samples: number of samples per channel of a finite task; otherwise a hint for the size of the buffer.
+            finite: whether the task ends after this number of samples.
 
         Raises:
-            DaqmxError: the rate or the number of samples is invalid.
+            DaqmxError: the task is running or has no channels, or the rate or the number of samples is invalid.
         """
         self._must_be_idle(task)
         self._must_have_channels(task)
@@ -378,10 +411,10 @@ class Board:
         task.rate_hz, task.samples, task.clock_samples = rate, samples if finite else None, samples
 
     def configure_buffer(self, task: DaqmxTask, samples: int) -> None:
-        """Set the size of a task's buffer.
+        """Set the size of a task's buffer [samples per channel].
 
         Raises:
-            DaqmxError: the size is invalid.
+            DaqmxError: the task is running, or the size is invalid.
         """
         self._must_be_idle(task)
         if not 1 <= samples <= MOST_SAMPLES:
@@ -389,10 +422,14 @@ class Board:
         task.buffer_samples = samples
 
     def configure_trigger(self, task: DaqmxTask, source: str) -> None:
-        """Let the start of the other kind of task, `source`, start this one too; an empty `source` removes the trigger.
+        """Let the start of a task of the other kind start this one too; an empty `source` removes the trigger.
+
+        Args:
+            task: the task.
+            source: terminal of that task: `/Dev1/ai/StartTrigger` or `/Dev1/ao/StartTrigger`.
 
         Raises:
-            DaqmxError: there is no such terminal.
+            DaqmxError: the task is running, or there is no such terminal.
         """
         self._must_be_idle(task)
         match = re.fullmatch(r"/?[^/]+/(ai|ao)/StartTrigger", source, re.IGNORECASE)
@@ -405,10 +442,11 @@ class Board:
         task.trigger = match[1].lower() if match else ""
 
     def start(self, task: DaqmxTask) -> None:
-        """Start a task; if it has a start trigger, arm it instead.
+        """Start a task and those that it triggers; if it has a start trigger, make it wait for the trigger instead.
 
         Raises:
-            DaqmxError: the task cannot be started.
+            DaqmxError: it has no channels or samples, another task uses its channels, or the rig cannot run at its
+                rate.
         """
         if task.is_active:
             return
@@ -432,14 +470,14 @@ class Board:
             self._trigger(rig, [task, *armed])
 
     def stop(self, task: DaqmxTask) -> None:
-        """Stop a task; acquired samples can no longer be read."""
+        """Stop a task; acquired samples can no longer be read, and its error is cleared."""
         self._end(task, State.IDLE)
         task.acquisition, task.error, task.passed = None, None, 0
         if task.kind == "ao" and not task.regenerates:
             task.data = np.empty(0)
 
     def is_done(self, task: DaqmxTask) -> bool:
-        """Return whether a task is not running.
+        """Return whether a task is neither running nor waiting for its trigger.
 
         Raises:
             DaqmxError: an error ended the task.
@@ -452,14 +490,14 @@ class Board:
     def read(
         self, task: DaqmxTask, count: int, most: int, timeout_s: float, goes_on: Callable[[], bool]
     ) -> NDArray[np.float64]:
-        """Return the next samples of an input task.
+        """Return the next samples of an input task, waiting for them.
 
         Args:
             task: the task; it is started if it is not running.
             count: samples per channel; a negative count means all samples of a finite task, or all available ones.
-            most: largest number of samples per channel.
+            most: largest number of samples per channel that the client accepts.
             timeout_s: longest wait [s]; a negative value means no limit.
-            goes_on: returns whether the caller still waits.
+            goes_on: returns whether the client still waits for the answer.
 
         Returns:
             Values in the units of the channels, shape (channels, count).
@@ -512,8 +550,8 @@ class Board:
             task: the task.
             values: samples [V], shape (n,).
             timeout_s: longest wait for space in the buffer [s]; a negative value means no limit.
-            goes_on: returns whether the caller still waits.
-            auto_start: whether to start the task.
+            goes_on: returns whether the client still waits for the answer.
+            auto_start: whether to start the task if it is not running.
 
         Raises:
             DaqmxError: the samples cannot be written, or not in time.
@@ -564,10 +602,15 @@ class Board:
         task.data = np.concatenate([task.data, values])
 
     def wait_until_done(self, task: DaqmxTask, timeout_s: float, goes_on: Callable[[], bool]) -> None:
-        """Wait until all samples of a task are acquired or generated; a negative time-out means no limit.
+        """Wait until all samples of a task are acquired or generated.
+
+        Args:
+            task: the task.
+            timeout_s: longest wait [s]; a negative value means no limit.
+            goes_on: returns whether the client still waits for the answer.
 
         Raises:
-            DaqmxError: the wait timed out, the task was not started, or an error ended it.
+            DaqmxError: the task did not end in time, was not started, or ended with an error.
         """
         if task.state is State.IDLE:
             raise DaqmxError(Code.CANNOT_PERFORM_OP_WHEN_TASK_NOT_RUNNING, "the task is not running: start it first")
@@ -580,7 +623,12 @@ class Board:
         self, is_over: Callable[[], bool], timeout_s: float, goes_on: Callable[[], bool], code: Code,
         message: Callable[[], str],
     ) -> None:  # fmt: skip
-        """Wait until `is_over()`; raise this error at the time-out (never if < 0), or once `goes_on()` is false."""
+        """Wait until `is_over()`, and let other threads use the board meanwhile.
+
+        Raises:
+            DaqmxError: the time is over (no limit if `timeout_s` < 0) or `goes_on()` is false; with this code and
+                message.
+        """
         deadline = math.inf if timeout_s < 0.0 else time.monotonic() + timeout_s
         while not is_over():
             left = deadline - time.monotonic()
@@ -591,7 +639,7 @@ class Board:
     # Work of the thread
 
     def _pump(self) -> None:
-        """Advance rig time with wall time, and supply the output with samples."""
+        """Advance rig time with wall time, and supply running tasks, until the board is closed; work of the thread."""
         while not self._ended:
             with self.changed:
                 rig = self._rig
@@ -615,7 +663,7 @@ class Board:
         self.changed.notify_all()
 
     def _continue(self, task: DaqmxTask, rig: RigDriver) -> None:
-        """Do the work that a running task needs after a block."""
+        """Do what a running task needs after a block: end a complete acquisition, or pass more samples to the rig."""
         if task.kind == "ai":
             if task.samples is not None and task.progress >= task.samples:
                 self._end(task, State.DONE)
@@ -658,7 +706,7 @@ class Board:
         task.state = state
 
     def _trigger(self, rig: RigDriver, tasks: list[DaqmxTask]) -> None:
-        """Start tasks at the same instant: an output's first sample, or the next block of scans."""
+        """Start tasks at the same instant: the first sample of an output or, without one, the next block of scans."""
         scan = None
         for task in tasks:
             if task.output is not None:
@@ -670,10 +718,10 @@ class Board:
             self._continue(task, rig)
 
     def _prepare(self, task: DaqmxTask) -> RigDriver:
-        """Return the rig, running at the rates that the tasks need.
+        """Return the rig at the rates that `task` and the other tasks need; create a new one if the rates differ.
 
         Raises:
-            DaqmxError: the rig cannot run at these rates now.
+            DaqmxError: the rig cannot run at these rates, or not while another task runs.
         """
         rates = {}
         for kind, key in RATE_KEYS.items():
@@ -694,7 +742,10 @@ class Board:
         return self._rig
 
     def _config_for(self, rates: dict[str, int]) -> RigConfig:
-        """Return the configuration of a rig with other rates, in blocks of 10 ms.
+        """Return the configuration of a rig with these rates, in blocks of 10 ms.
+
+        Args:
+            rates: rates [Hz] by configuration key.
 
         Raises:
             DaqmxError: the rig cannot run at these rates.
@@ -714,7 +765,10 @@ class Board:
             raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"SampClk.Rate: {error}") from None
 
     def _values(self, task: DaqmxTask, rows: NDArray[np.void]) -> NDArray[np.float64]:
-        """Return the readings of a task's channels: the sensors' volts, scaled as the task requests."""
+        """Return the values of a task's channels, shape (channels, n), from scans.
+
+        The scans are converted back to the voltages of the sensors, and these to the units that the task requests.
+        """
         assert self._rig is not None
         info = {row["name"].decode(): row for row in self._rig.tables(INFO.name)[-1].rows}
         found = []

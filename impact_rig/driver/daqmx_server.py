@@ -13,8 +13,8 @@
 # limitations under the License.
 """Server of NI's gRPC interface of NI-DAQmx for a rig: the calls that buffered analog input and output need.
 
-The messages are those of the `nidaqmx` package. Everything else gets NI's own answer, "not supported": a call that this
-module does not define returns UNIMPLEMENTED, and a property that it does not define returns the error code -200197.
+The messages are those of the `nidaqmx` package. A call that this module does not define returns UNIMPLEMENTED, and a
+property that it does not define returns NI's error code -200197 ("not supported").
 """
 
 from __future__ import annotations
@@ -51,10 +51,13 @@ NEW_SESSION, ATTACH = 1, 2
 BY_CHANNEL = 0
 ACQUIRED, TRANSFERRED = 1, 2
 TRANSFERRED_KEYS = {"Read": "ni-samps-per-chan-read", "Write": "ni-samps-per-chan-written"}
-"""Key of the number of samples that a call has transferred, by the first word of the call; errors report it, too."""
+"""Metadata key of the number of samples that a call has transferred, by the first word of the call's name.
+
+An error must report this number, too, which is 0.
+"""
 ABORT, START, STOP = 6, 0, 1
 PROPERTY_TYPES = {"Bool": bool, "Double": float, "Int32": int, "String": str, "UInt32": int, "UInt64": int}
-"""Type of the properties that a call gets, by the last word of the call."""
+"""Python type of the values of a property call, by the part of the call's name after `Attribute`."""
 VOLTS_PER_SENSITIVITY = {12509: 1e-3, 12510: 1.0}  # mV/g, V/g
 ACCELERATIONS = {10186: (1.0, "g"), 12470: (9.80665, "m/s^2"), 12471: (9.80665 / 0.0254, "in/s^2")}
 
@@ -62,10 +65,10 @@ _load = functools.partial(extras.load, purpose="impact-rig daqmx", extra="nidaqm
 
 
 def _served(method: Callable[..., dict[str, Any] | None], name: str = "") -> Callable[..., Any]:
-    """Serve a call by a method that returns the fields of the response; send errors as the `nidaqmx` package expects.
+    """Return a gRPC handler for a method that returns the fields of the response; it sends errors in NI's form.
 
     Args:
-        method: the method; only one call runs at a time.
+        method: the method; the board is locked while it runs.
         name: name of the call (default: that of the method).
     """
     name = name or method.__name__
@@ -84,13 +87,13 @@ def _served(method: Callable[..., dict[str, Any] | None], name: str = "") -> Cal
 
 
 def _abort(context: Any, code: Code, message: str, transferred: Sequence[tuple[str, str]] = ()) -> None:
-    """End a call with an error of NI-DAQmx."""
+    """End a gRPC call with an error code and message of NI-DAQmx, in the form that the `nidaqmx` package expects."""
     context.set_trailing_metadata((("ni-error", str(int(code))), *transferred))
     context.abort(_load("grpc").StatusCode.UNKNOWN, message)
 
 
 class Service:
-    """Service `nidaqmx_grpc.NiDAQmx`; it answers UNIMPLEMENTED to methods that are missing here.
+    """Service `nidaqmx_grpc.NiDAQmx`; each method serves the call of the same name, others answer UNIMPLEMENTED.
 
     Args:
         board: the rig as a board.
@@ -106,7 +109,7 @@ class Service:
 
     @_served
     def CreateTask(self, request: Any, context: Any) -> dict[str, Any]:
-        """Create a task, or return the existing task of this name."""
+        """Create a task, or return the existing task of this name, as the request's `initialization_behavior` says."""
         name, behavior = request.session_name, request.initialization_behavior
         is_new = behavior == NEW_SESSION or (behavior != ATTACH and name not in self.board.tasks)
         task = self.board.create(name) if is_new else self.board.find(name)
@@ -114,17 +117,17 @@ class Service:
 
     @_served
     def ClearTask(self, request: Any, context: Any) -> None:
-        """Stop a task and remove it."""
+        """Stop a task and remove it from the board."""
         self.board.clear(self._task(request))
 
     @_served
     def StartTask(self, request: Any, context: Any) -> None:
-        """Start a task."""
+        """Start a task, or make it wait for its start trigger."""
         self.board.start(self._task(request))
 
     @_served
     def StopTask(self, request: Any, context: Any) -> None:
-        """Stop a task, and report the error that ended it, if any."""
+        """Stop a task; if an error has ended it before, report that error."""
         task = self._task(request)
         error = task.error
         self.board.stop(task)
@@ -133,7 +136,7 @@ class Service:
 
     @_served
     def TaskControl(self, request: Any, context: Any) -> None:
-        """Move a task to another state; only start, stop and abort have an effect."""
+        """Perform the requested `action` on a task: start, stop or abort; other actions have no effect."""
         task, action = self._task(request), _value(request, "action")
         if action == START:
             self.board.start(task)
@@ -142,17 +145,17 @@ class Service:
 
     @_served
     def IsTaskDone(self, request: Any, context: Any) -> dict[str, Any]:
-        """Return whether a task is done."""
+        """Return whether a task is neither running nor waiting for its trigger; an error that ended it is reported."""
         return {"is_task_done": self.board.is_done(self._task(request))}
 
     @_served
     def WaitUntilTaskDone(self, request: Any, context: Any) -> None:
-        """Wait until a task is done."""
+        """Wait until all samples of a task are acquired or generated, at most the requested time."""
         self.board.wait_until_done(self._task(request), request.time_to_wait, context.is_active)
 
     @_served
     def ResetDevice(self, request: Any, context: Any) -> None:
-        """Stop all tasks."""
+        """Stop all tasks of the board."""
         self.board.physical_channels(f"{request.device_name}/ai0", "ai")
         for task in self.board.tasks.values():
             self.board.stop(task)
@@ -161,13 +164,13 @@ class Service:
 
     @_served
     def CreateAIVoltageChan(self, request: Any, context: Any) -> None:
-        """Add input channels that are read in volts."""
+        """Add input channels to a task whose values are in volts."""
         self._must_be(request, "units", {VOLTS})
         self._add(request, "ai")
 
     @_served
     def CreateAIAccelChan(self, request: Any, context: Any) -> None:
-        """Add input channels that are read as acceleration, with the sensitivity that the caller states."""
+        """Add input channels to a task whose values are accelerations, computed with the sensitivity in the request."""
         units = self._must_be(request, "units", set(ACCELERATIONS))
         kind = self._must_be(request, "sensitivity_units", set(VOLTS_PER_SENSITIVITY))
         if not request.sensitivity > 0.0:
@@ -177,13 +180,13 @@ class Service:
 
     @_served
     def CreateAOVoltageChan(self, request: Any, context: Any) -> None:
-        """Add the output channel."""
+        """Add the output channel `ao0` to a task; its values are in volts."""
         self._must_be(request, "units", {VOLTS})
         self._add(request, "ao")
 
     @_served
     def CfgSampClkTiming(self, request: Any, context: Any) -> None:
-        """Set the sample clock of a task."""
+        """Set the sample clock of a task: rate, number of samples, and whether it is finite or continuous."""
         finite = self._must_be(request, "sample_mode", {FINITE, CONTINUOUS}) == FINITE
         if request.source.rpartition("/")[2] not in {"", "OnboardClock"}:
             raise DaqmxError(Code.TRIGGER_TERMINAL, f"no clock {request.source!r}: use the onboard clock")
@@ -191,29 +194,29 @@ class Service:
 
     @_served
     def CfgDigEdgeStartTrig(self, request: Any, context: Any) -> None:
-        """Let the start of another task start this task."""
+        """Let the start of a task of the other kind (input or output) start this task."""
         self.board.configure_trigger(self._task(request), request.trigger_source)
 
     @_served
     def DisableStartTrig(self, request: Any, context: Any) -> None:
-        """Remove the start trigger of a task."""
+        """Remove the start trigger of a task, so that it starts on request only."""
         self.board.configure_trigger(self._task(request), "")
 
     @_served
     def CfgInputBuffer(self, request: Any, context: Any) -> None:
-        """Set the size of a task's input buffer."""
+        """Set the size of an input task's buffer [samples per channel]."""
         self.board.configure_buffer(self._task(request), request.num_samps_per_chan)
 
     @_served
     def CfgOutputBuffer(self, request: Any, context: Any) -> None:
-        """Set the size of a task's output buffer."""
+        """Set the size of an output task's buffer [samples per channel]."""
         self.board.configure_buffer(self._task(request), request.num_samps_per_chan)
 
     # Data
 
     @_served
     def ReadAnalogF64(self, request: Any, context: Any) -> dict[str, Any]:
-        """Read samples of all channels of a task."""
+        """Read the next samples of all channels of a task, as one array ordered by channel or by scan."""
         task, count = self._task(request), request.num_samps_per_chan
         most = min(request.array_size_in_samps, MOST_MESSAGE_BYTES // 9) // max(1, len(task.channels))
         values = self.board.read(task, count, most, request.timeout, context.is_active)
@@ -223,7 +226,7 @@ class Service:
 
     @_served
     def ReadAnalogWaveforms(self, request: Any, context: Any) -> dict[str, Any]:
-        """Read samples as waveforms, which know their time, their channel and their unit."""
+        """Read the next samples of all channels of a task as waveforms, with time, channel and unit if requested."""
         task = self._task(request)
         most = MOST_MESSAGE_BYTES // 9 // max(1, len(task.channels))
         values = self.board.read(task, request.num_samps_per_chan, most, request.timeout, context.is_active)
@@ -252,17 +255,17 @@ class Service:
 
     @_served
     def ReadAnalogScalarF64(self, request: Any, context: Any) -> dict[str, Any]:
-        """Read one sample of one channel."""
+        """Read the next sample of the first channel of a task."""
         return {"value": self.board.read(self._task(request), 1, 1, request.timeout, context.is_active)[0, 0]}
 
     @_served
     def WriteAnalogF64(self, request: Any, context: Any) -> dict[str, Any]:
-        """Write samples."""
+        """Write samples [V] of an output task, given as an array."""
         return self._write(request, context, request.write_array, request.num_samps_per_chan)
 
     @_served
     def WriteAnalogWaveforms(self, request: Any, context: Any) -> dict[str, Any]:
-        """Write the samples of a waveform."""
+        """Write samples [V] of an output task, given as one waveform."""
         if len(request.waveforms) != 1:
             raise DaqmxError(
                 Code.INVALID_ATTRIBUTE_VALUE, f"{len(request.waveforms)} waveforms for the one output of this board"
@@ -281,14 +284,14 @@ class Service:
 
     @_served
     def WriteAnalogScalarF64(self, request: Any, context: Any) -> None:
-        """Write one sample to the output."""
+        """Write one sample [V] of an output task."""
         value = np.array([request.value])
         self.board.write(self._task(request), value, request.timeout, context.is_active, auto_start=request.auto_start)
 
     # Events
 
     def RegisterEveryNSamplesEvent(self, request: Any, context: Any) -> Iterator[Any]:
-        """Report each time that the requested number of samples was acquired or played."""
+        """Yield a response each time that a task has acquired or played the requested number of further samples."""
 
         def check(task: DaqmxTask) -> None:
             self._must_be(request, "every_n_samples_event_type", {ACQUIRED if task.kind == "ai" else TRANSFERRED})
@@ -304,7 +307,7 @@ class Service:
         return self._follow(request, context, check, pending, lambda _: response)
 
     def RegisterDoneEvent(self, request: Any, context: Any) -> Iterator[Any]:
-        """Report once that a task is done."""
+        """Yield one response, with the error code, each time that a run of a task has ended."""
 
         def pending(task: DaqmxTask, reported: int) -> int:
             return int(task.state is State.DONE and not reported)
@@ -318,7 +321,16 @@ class Service:
         self, request: Any, context: Any, check: Callable[[DaqmxTask], None], pending: Callable[[DaqmxTask, int], int],
         response: Callable[[DaqmxTask], Any],
     ) -> Iterator[Any]:  # fmt: skip
-        """Yield responses for a task until it is cleared or the client leaves; each run counts from zero."""
+        """Yield responses about a task until it is cleared or the client leaves.
+
+        Args:
+            request: request of the client, which names the task.
+            context: gRPC context of the call.
+            check: raises a DaqmxError if the request is invalid for the task.
+            pending: returns how many responses are due, from the task and the number already sent in this run of the
+                task.
+            response: returns a response.
+        """
         board = self.board
         try:
             with board.changed:
@@ -353,7 +365,11 @@ class Service:
     # Properties
 
     def get_property(self, name: str, request: Any) -> Any:
-        """Return the value of a property, by the type and the number in the request.
+        """Return the value of a property of the system, a device, a channel or a task.
+
+        Args:
+            name: name of the call without `Get`; it gives the kind of object and the type of the value.
+            request: request of the client, with the number of the property.
 
         Raises:
             DaqmxError: this board does not have the property.
@@ -459,7 +475,7 @@ class Service:
 
     @_served
     def GetErrorString(self, request: Any, context: Any) -> dict[str, Any]:
-        """Return the name of an error code."""
+        """Return the name of an error code as text; empty if this board does not use the code."""
         name = Code(request.error_code).name if request.error_code in set(Code) else ""
         return {"error_string": name.replace("_", " ").capitalize()}
 
@@ -486,7 +502,7 @@ class Service:
 
 
 def _value(request: Any, field: str) -> Any:
-    """Return a field that may be given as an enumerator or as a number."""
+    """Return a field of a request that clients give either as an enumerator or as a number (`field_raw`)."""
     raw = f"{field}_raw"
     if raw in request.DESCRIPTOR.fields_by_name and not request.HasField(field):
         return getattr(request, raw)
@@ -494,7 +510,7 @@ def _value(request: Any, field: str) -> Any:
 
 
 def _properties(servicer: type) -> dict[str, Callable[..., Any]]:
-    """Return the methods that get and set properties, for each type of property in NI's interface."""
+    """Return, by name, the gRPC handlers of all calls in NI's interface that get or set a property."""
     return {
         name: _property_method(name)
         for name in dir(servicer)
@@ -515,21 +531,21 @@ def _property_method(name: str) -> Callable[..., Any]:
 
 
 def servicer(board: Board) -> Any:
-    """Return an object with a method for each call of NI's service."""
+    """Return an object that serves each call of NI's service for a board, as gRPC needs it."""
     stubs = _load("nidaqmx._stubs.nidaqmx_pb2_grpc")
     return type("Servicer", (Service, stubs.NiDAQmxServicer), _properties(stubs.NiDAQmxServicer))(board)
 
 
 @contextlib.contextmanager
 def serving(board: Board, address: str) -> Iterator[tuple[Any, int]]:
-    """Serve a board until the end of the block; yield the server and its port.
+    """Serve a board until the end of the block; yield the gRPC server and its port. Then the board is closed.
 
     Args:
         board: the rig as a board.
-        address: host and port to listen on.
+        address: host and port to listen on, `HOST:PORT`.
 
     Raises:
-        ImpactRigError: the extra is not installed, or the address cannot be used.
+        ImpactRigError: the extra `nidaqmx` is not installed, or the address cannot be used.
     """
     os.environ.setdefault("GRPC_VERBOSITY", "NONE")  # an address that cannot be used has the message below
     grpc = _load("grpc")

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`RigDriver`: the interface of a rig that a program drives, in this process or behind topics.
+"""`RigDriver`: the interface by which a program drives a rig, in this process or over ROS topics.
 
-Rig time advances only in `step`; for a rig that runs by itself, `step` waits instead. Inputs take effect at exact
-samples. Everything that the rig publishes is read as tables.
+Rig time advances only in `step`, by whole blocks of scans; for a rig that runs by itself, `step` waits for the blocks
+instead. Inputs take effect at exact samples. Everything that the rig publishes is read as tables.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ from impact_rig.simtime import NS_PER_S, TICKS_PER_S, stamp_ns
 
 SCANS = topics.SCAN.name
 ESSENTIAL = (topics.INFO.name, topics.APPLIED.name, topics.JOURNAL.name)
-"""Topics whose tables are always kept, because each table is valid until the next one."""
+"""Topics whose tables `clear` keeps, because each of their tables applies until the next one."""
 TOPICS = (SCANS, *ESSENTIAL, topics.IMPACTS_TRUTH.name, topics.FAULTS.name)
-"""Topics whose tables every driver keeps."""
+"""Topics whose tables every driver keeps; the argument `also` of a rig adds others."""
 STEP_TIMEOUT_S = 240.0  # without the library of kernels, the first step compiles the physics
 _DEFAULTS = to_flat(RigConfig())
 _ROWS = {**{topic.name: topic.columns for topic in topics.COMMON if topic.columns is not None}, SCANS: SCAN}
@@ -51,15 +51,15 @@ _HIDDEN = ("time.", "instruments.faults")  # not useful in a report; listed as t
 
 
 class NotReachedError(ImpactRigError, AssertionError):
-    """Timeout of a wait in a test: the condition was not met within the given simulated time."""
+    """Timeout of `RigDriver.wait_until`: the condition was not met within the given rig time."""
 
 
 class NoSamplesError(ImpactRigError, TimeoutError):
-    """Lack of samples: the stream that drives a rig has no samples for the next block."""
+    """Lack of samples: the stream that drives a rig has none for the next block, so the rig cannot advance."""
 
 
 class StreamLevel(NamedTuple):
-    """State of the drive's buffer.
+    """State of the buffer in a rig that holds the samples of its drive (`drive.waveform: stream`).
 
     Attributes:
         sample: number of the next sample to play.
@@ -77,7 +77,7 @@ class StreamLevel(NamedTuple):
 
 
 class Turns:
-    """Reentrant lock that serves threads in the order of their requests."""
+    """Reentrant lock that threads get in the order in which they ask for it, so that none has to wait for ever."""
 
     def __init__(self) -> None:
         self._next, self._lock = threading.Lock(), threading.Lock()
@@ -99,18 +99,18 @@ class Turns:
 
 
 class RigDriver(abc.ABC):
-    """Rig that a program operates.
+    """Interface of a rig that a program operates; `LocalRig` and `RosRig` implement it.
 
     Args:
-        name: name in reports.
+        name: name of the rig in reports and messages.
         config: configuration of the rig.
 
     Attributes:
-        sample: first scan of the next block.
+        sample: number of the first scan of the next block.
         closed: whether `close` was called.
-        lead_s: rig time by which a stream must be ahead of `stream_level().sample` to arrive in time.
+        lead_s: rig time [s] by which a sample must be sent before `stream_level().sample` reaches it.
         runs_by_itself: whether rig time advances without `step`; `step` then waits for it.
-        scenario: program that repeats the actions on this rig; it is saved with the run of a failed test.
+        scenario: text of a program that repeats the actions on this rig; it is saved with the run of a failed test.
         turns: lock that a thread holds while it calls a rig that it shares with other threads.
         fed: event that is set when samples were sent or the stream was ended.
     """
@@ -140,31 +140,31 @@ class RigDriver(abc.ABC):
 
     @abc.abstractmethod
     def step(self, blocks: int = 1, timeout_s: float = STEP_TIMEOUT_S) -> None:
-        """Advance by whole blocks; return when the pipeline under test has processed all of them.
+        """Advance by whole blocks; return when the pipeline under test, if any, has processed all of them.
 
         Args:
             blocks: number of blocks.
-            timeout_s: limit of wall time.
+            timeout_s: limit of wall time [s].
 
         Raises:
-            TimeoutError: the blocks did not arrive, or the stream that drives the rig has no samples for them.
+            TimeoutError: the blocks did not arrive in time, or the stream that drives the rig has no samples for them.
         """
 
     @abc.abstractmethod
     def tables(self, topic: str = SCANS) -> list[Table]:
-        """Return the tables of a topic that are kept, oldest first."""
+        """Return the tables of a topic that were published and are still kept, oldest first."""
 
     @abc.abstractmethod
     def journal(self) -> list[JournalEntry]:
-        """Return the entries of the journal, oldest first."""
+        """Return the entries of the journal, which has every input that changed the rig's state, oldest first."""
 
     @abc.abstractmethod
     def newest(self, topic: str, count: int) -> NDArray[np.void]:
-        """Return the newest `count` rows of a topic, shape (count,); wait until the last of them has arrived."""
+        """Return the newest `count` rows of a topic's tables, shape (count,), waiting until so many have arrived."""
 
     @abc.abstractmethod
     def save(self, directory: str | Path) -> Path:
-        """Write everything kept as an MCAP run into a new directory, and return the directory.
+        """Write everything that is kept as an MCAP run into a new directory, and return that directory.
 
         Raises:
             RecordingError: the run cannot be written.
@@ -172,7 +172,10 @@ class RigDriver(abc.ABC):
 
     @abc.abstractmethod
     def configure(self, changes: Mapping[str, Any]) -> RigConfig:
-        """Change configuration values at the next instant; return the configuration.
+        """Change configuration values from the first scan not measured yet; return the new configuration.
+
+        Args:
+            changes: new values, `section.key` -> value.
 
         Raises:
             ConfigError: the values were rejected; nothing is changed.
@@ -180,7 +183,7 @@ class RigDriver(abc.ABC):
 
     @abc.abstractmethod
     def inject(self, fault: Fault) -> int:
-        """Start a fault at its exact sample, which must not have been measured yet, and return its number.
+        """Add an instrument fault, which starts at its `start_sample`, and return the number of the fault.
 
         Raises:
             CommandError: the kind or channel is unknown, or the sample has been measured already.
@@ -188,47 +191,51 @@ class RigDriver(abc.ABC):
 
     @abc.abstractmethod
     def feed(self, first: int, samples: NDArray[np.float64]) -> None:
-        """Send samples of the stream that drives the rig, starting with number `first`; an empty array ends the stream.
+        """Send samples of the stream that drives the rig.
+
+        Args:
+            first: number of the first of these samples, counted from scan 0 at the rate of the stream.
+            samples: samples [A, m or V by `drive.kind`], shape (n,); an empty array ends the stream there.
 
         Raises:
-            CommandError: the rig rejects the samples, or has stopped.
+            CommandError: the rig rejects the samples, or its shaker is stopped.
         """
 
     @abc.abstractmethod
     def stream_level(self) -> StreamLevel:
-        """Return the last known state of the stream's buffer."""
+        """Return the last known state of the buffer that holds the samples of the drive."""
 
     @property
     @abc.abstractmethod
     def stopped(self) -> str:
-        """Reason why the shaker is stopped until the latch is cleared; empty if it is not stopped."""
+        """Reason why the shaker is stopped (trip or emergency stop) until its latch is released; empty if it is not."""
 
     @abc.abstractmethod
     def _command(self, frequency_hz: float | None, current_a: float | None) -> int:
-        """Send a command and return the first scan it acts on."""
+        """Command frequency [Hz] and current [A peak] now (None: unchanged), and return the first scan they act on."""
 
     @abc.abstractmethod
     def _forget(self) -> None:
-        """Drop all tables except those of `ESSENTIAL`."""
+        """Drop all tables that are kept, except those of the topics of `ESSENTIAL`."""
 
     @property
     def waiting(self) -> str:
-        """Reason why a measurement is not finished, such as a sphere that may still strike; empty if unknown."""
+        """Reason why a measurement is not finished, for example that the sphere may still strike; empty if unknown."""
         return ""
 
     def poll(self) -> None:  # noqa: B027  # a rig that moves only in `step` has nothing to process
-        """Process what a rig that runs by itself has published, without waiting."""
+        """Process what has arrived from a rig that runs by itself, without waiting; no effect on other rigs."""
 
     def connect(self, listener: Callable[[Table], object]) -> None:
-        """Pass every block of scans to a function, in order."""
+        """Call a function with every block of scans from now on, in order."""
         self._listeners.append(listener)
 
     def disconnect(self, listener: Callable[[Table], object]) -> None:
-        """Stop passing blocks to a function."""
+        """Stop calling a function that `connect` has added."""
         self._listeners.remove(listener)
 
     def close(self) -> None:
-        """End the rig."""
+        """End the rig and what belongs to it: recording, nodes and connections."""
         self.closed = True
         self._listeners.clear()
 
@@ -251,28 +258,28 @@ class RigDriver(abc.ABC):
 
     @property
     def now_ns(self) -> int:
-        """Rig time since the start or reset [ns]."""
+        """Rig time of the next block since the start or the last reset [ns]."""
         return stamp_ns(self.sample, self.rate_hz)
 
     @property
     def frontier_sample(self) -> int:
-        """First scan that is not measured yet: the earliest one that an input can act on."""
+        """Number of the first scan that is not measured yet: the earliest one that an input can act on."""
         return max(self.sample, first_scan_on_grid(self.sample, self.rate_hz))
 
     @property
     def time_s(self) -> float:
-        """Rig time since the start or reset [s]."""
+        """Rig time of the next block since the start or the last reset [s]."""
         return self.sample / self.rate_hz
 
     def run(self, seconds: float) -> None:
-        """Advance by this rig time [s], rounded up to whole blocks."""
+        """Advance by this much rig time [s], rounded up to whole blocks."""
         self.step(math.ceil(seconds * self.rate_hz / self.block_scans - 1e-9))
 
     def run_to_sample(self, sample: int) -> None:
-        """Advance until the next block begins with this scan.
+        """Advance until scan number `sample` is the first one of the next block.
 
         Raises:
-            ConfigError: no block begins there, or the rig is already past it.
+            ConfigError: no block begins with this scan, or the rig is already past it.
         """
         blocks, rest = divmod(sample - self.sample, self.block_scans)
         if rest or blocks < 0:
@@ -286,13 +293,13 @@ class RigDriver(abc.ABC):
     def wait_until(
         self, condition: Callable[[], object], what: str, limit_s: float = 30.0, every_s: float = 0.05
     ) -> float:
-        """Advance until `condition()` is true, and return the rig time [s].
+        """Advance the rig until `condition()` is true, and return the rig time then [s].
 
         Args:
             condition: evaluated before the first step and after each.
-            what: what is awaited, for the message.
-            limit_s: limit of rig time.
-            every_s: rig time between two evaluations, rounded up to whole blocks.
+            what: what is awaited, for the error message.
+            limit_s: longest wait [s of rig time].
+            every_s: rig time between two evaluations [s], rounded up to whole blocks.
 
         Raises:
             NotReachedError: the condition did not become true in time.
@@ -341,10 +348,10 @@ class RigDriver(abc.ABC):
 
     @staticmethod
     def _kept_of(topic: str, kept: Mapping[str, _T]) -> _T:
-        """Return the messages that are kept of a topic.
+        """Return the messages that are kept of a topic, from `kept`: all messages that are kept, by topic.
 
         Raises:
-            ConfigError: nothing is; the message has the topics that are.
+            ConfigError: the rig keeps no messages of this topic; the message lists the topics that it keeps.
         """
         if topic not in kept:
             names = ", ".join(sorted(kept))
@@ -352,18 +359,18 @@ class RigDriver(abc.ABC):
         return kept[topic]
 
     def rows(self, topic: str = SCANS) -> NDArray[np.void]:
-        """Return the rows of all tables of a topic, one after the other; shape (n,)."""
+        """Return the rows of all tables of a topic that are kept, one after the other; shape (n,)."""
         parts = [table.rows for table in self.tables(topic)]
         return np.concatenate(parts) if parts else np.empty(0, _ROWS[topic])
 
     def clear(self) -> None:
-        """Drop the tables published so far, except those of `ESSENTIAL`."""
+        """Drop the tables published so far, to free memory, except those of the topics of `ESSENTIAL`."""
         self._lost_before = self.lost_scans
         self._forget()
         self._kept_from = self.sample
 
     def expected_transmissibility(self, frequency_hz: float) -> complex:
-        """Return X_1 / X_b in closed form, which exists only without the sphere.
+        """Return X_1 / X_b (structure to base, complex) in closed form, which exists only without the sphere.
 
         Raises:
             ConfigError: the sphere is present.
@@ -376,11 +383,11 @@ class RigDriver(abc.ABC):
 
     @property
     def lost_scans(self) -> int:
-        """Number of scans lost before publication so far."""
+        """Number of scans so far that the rig measured but did not publish, as with a fault that loses blocks."""
         return self._lost_before + sum(end - first for first, end in self.lost_samples())
 
     def lost_samples(self) -> list[tuple[int, int]]:
-        """Return the kept ranges of lost scans, as (first, one after the last)."""
+        """Return the ranges of scans not published since the last `clear`, as (first, one after the last)."""
         lost, expected = [], self._kept_from
         for table in self.tables():
             first = self.first_scan(table)
@@ -393,13 +400,13 @@ class RigDriver(abc.ABC):
 
     @property
     def faults(self) -> list[Fault]:
-        """Planned faults."""
+        """Instrument faults that the configuration plans."""
         return list(self.config.instruments.faults.faults(self.rate_hz))
 
     # Reports
 
     def report(self) -> str:
-        """Return a readable report: what this rig is and what happened to it."""
+        """Return a readable report for a failed test: settings other than the defaults, faults, losses and commands."""
         values = to_flat(self.config)
         changed = [key for key, value in values.items() if value != _DEFAULTS[key] and not key.startswith(_HIDDEN)]
         lines = [f"{self.name}: {self.time_s:g} s of rig time, {self.sample} scans at {self.rate_hz} Hz"]
@@ -412,7 +419,7 @@ class RigDriver(abc.ABC):
         return "\n".join(lines)
 
     def first_scan(self, table: Table) -> int:
-        """Return the index of the first scan of a block, computed from its stamp."""
+        """Return the number of the first scan of a block since the start or reset, computed from its stamp."""
         return -(-(table.stamp_ns - self._start_ns) * self.rate_hz // NS_PER_S)
 
     def _faults_so_far(self) -> str:
@@ -421,17 +428,17 @@ class RigDriver(abc.ABC):
 
 
 def first_scan_on_grid(sample: int, rate_hz: int) -> int:
-    """Return the first scan, not before `sample`, on which a command can act."""
+    """Return the first scan from number `sample` on at which a command can act: they act every 10 ms of rig time."""
     tick = -(-sample * TICKS_PER_S // rate_hz)
     first = -(-tick * rate_hz // TICKS_PER_S)
     return first if first >= sample else -(-(tick + 1) * rate_hz // TICKS_PER_S)
 
 
 def configured(config: RigConfig | Mapping[str, Any] | None, faults: Iterable[Fault]) -> RigConfig:
-    """Return the configuration of a rig: the given one, or the defaults with the given values, and the faults.
+    """Return the configuration of a rig: `config`, or the defaults with the values in it, and the planned faults added.
 
     Raises:
-        ConfigError: unknown key, bad value or fault.
+        ConfigError: a key is unknown, or a value or fault is invalid.
     """
     if not isinstance(config, RigConfig):
         config = from_flat(RigConfig(), config or {})

@@ -15,8 +15,8 @@
 
 `AnalogOutput` plays blocks of samples and `Acquisition` reads scans. Each works without the other: they may be in two
 processes, each with its own `RosRig`, or in two threads that share one rig. Threads cannot share a `RosRig` in
-lockstep, because its step waits for samples while the other thread waits for its turn. `Hardware` combines both for one
-program. Every call that waits has a time-out, and blocks may have any size.
+lockstep, because its step waits for samples while the other thread waits for its turn. `Hardware` combines both for a
+program with one thread. Every call that waits has a time limit, and blocks may have any size.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ UNREAD_S = 60.0  # duration of the scans that an acquisition keeps for its reade
 
 
 class UnderrunError(CommandError):
-    """Underrun: samples were not written in time, so the rig continued without them.
+    """Underrun of an analog output: samples were not written in time, so the rig continued without them.
 
     Attributes:
         samples: number of samples that were not played.
@@ -59,14 +59,15 @@ class AnalogOutput:
     """Buffered output: the rig plays the samples that are written, block after block without a gap.
 
     Args:
-        rig: rig with `drive.waveform: stream`; while a call waits, tables that the rig has published are dropped.
-        buffer_s: largest duration by which samples are written ahead of the rig, which is the latency of a controller
-            [s] (default: `drive.stream_buffer_s`).
+        rig: rig with `drive.waveform: stream`; tables that it publishes while a call waits are dropped, except
+            calibrations, commands and journal.
+        buffer_s: longest time by which samples are written ahead of the rig [s], which is the latency of a controller
+            (default: `drive.stream_buffer_s`).
         raise_underrun: whether `write` raises `UnderrunError` when samples were not played in time; otherwise it
             returns their number and continues at the rig's present time.
 
     Attributes:
-        next_sample: number of the next sample to be written; None before the start.
+        next_sample: number of the next sample to be written, counted from scan 0; None before the start.
 
     Raises:
         ConfigError: the buffer is shorter than two blocks of scans, or longer than that of the rig.
@@ -98,7 +99,7 @@ class AnalogOutput:
 
     @property
     def space(self) -> int:
-        """Number of samples that `write` accepts now without waiting."""
+        """Number of samples that can be written now without waiting."""
         return self._size - self.buffered
 
     @property
@@ -108,15 +109,15 @@ class AnalogOutput:
 
     @property
     def missing(self) -> int:
-        """Number of samples since the start that the rig needed before they arrived."""
+        """Number of samples since the start that had not arrived when the rig needed them."""
         return self._level().missing - self._before.missing
 
     def ready(self, count: int) -> bool:
-        """Return whether `write` would accept this many samples now without waiting."""
+        """Return whether `count` samples can be written now without waiting."""
         return count <= self.space
 
     def start(self, lead_s: float | None = None) -> int:
-        """Begin to play the written samples, and return the number of the first one.
+        """Begin to play the samples written so far, and return the number of the first of them, counted from scan 0.
 
         Args:
             lead_s: time between the sample that the rig needs next and the first one that is played [s] (default: the
@@ -144,7 +145,7 @@ class AnalogOutput:
             timeout_s: longest wait for space in the buffer [s].
 
         Returns:
-            Number of samples that were not played in time since the last call, 0 if `raise_underrun` is set.
+            Number of samples that were not played in time since the last call; always 0 with `raise_underrun`.
 
         Raises:
             TimeoutError: the buffer had no space in time.
@@ -197,7 +198,11 @@ class AnalogOutput:
         self.next_sample += len(values)
 
     def _lost(self) -> int:
-        """Return how many samples were not played since the last call; continue at the rig's present sample."""
+        """Return how many samples were not played in time since the last call; continue at the rig's present sample.
+
+        Raises:
+            UnderrunError: there are such samples, and `raise_underrun` is set; the output then stops playing.
+        """
         assert self.next_sample is not None
         level = self._level()
         lost = level.late - self._counted.late
@@ -223,10 +228,11 @@ class AnalogOutput:
 
 
 class Acquisition:
-    """Buffered input: it keeps scans from the start until they are read.
+    """Buffered input: it keeps the scans of a rig from the start until they are read.
 
     Args:
-        rig: rig to read; while a call waits, tables that the rig has published are dropped.
+        rig: rig to read; tables that it publishes while a call waits are dropped, except calibrations, commands and
+            journal.
         buffer_s: duration of the scans that are kept for the reader [s]; older scans are lost.
 
     Attributes:
@@ -245,7 +251,7 @@ class Acquisition:
 
     @property
     def available(self) -> int:
-        """Number of scans that `read` would return now without waiting, including lost ones."""
+        """Number of scans that can be read now without waiting, including lost ones."""
         with self._rig.turns:
             _refresh(self._rig)
             return 0 if self.next_scan is None else max(0, self._end - self.next_scan)
@@ -268,7 +274,12 @@ class Acquisition:
             self._started = False
 
     def delay_s(self, sample: int, scan: int) -> float:
-        """Return the exact time from the playing of a sample to the taking of a scan [s], both in rig time."""
+        """Return the rig time between the playing of a sample of the output and the taking of a scan [s]; > 0 if later.
+
+        Args:
+            sample: number of the sample.
+            scan: number of the scan.
+        """
         rig = self._rig
         return (stamp_ns(scan, rig.rate_hz) - stamp_ns(sample, rig.stream_rate_hz)) / NS_PER_S
 
@@ -283,7 +294,7 @@ class Acquisition:
             Rows with a field for each channel, shape (count,); fewer if scans were lost.
 
         Raises:
-            TimeoutError: the scans did not arrive in time, or the output had no samples for them.
+            TimeoutError: no scan arrived for so long, or the output had no samples for the scans.
             CommandError: the rig stopped while it waited for samples of the output.
         """
         if not self._started and self.available < count:
@@ -296,7 +307,7 @@ class Acquisition:
         return self._cut(count)
 
     def read_remaining(self) -> NDArray[np.void]:
-        """Return the scans that have arrived and have not been read."""
+        """Return the scans that have arrived and have not been read, without waiting."""
         return self._cut(self.available)
 
     def _on_block(self, table: Table) -> None:
@@ -324,16 +335,17 @@ class Acquisition:
 
 
 class Hardware:
-    """Analog output and acquisition of one rig.
+    """Analog output and acquisition of one rig, for a program that plays samples and reads the response.
 
     Args:
-        rig: rig with `drive.waveform: stream`; tables that the rig has published are dropped once they are read here.
-        abort: limit of the absolute reading of a channel, by channel; a larger one raises a `CommandError`.
+        rig: rig with `drive.waveform: stream`; tables that it publishes are dropped once they are read here.
+        abort: largest absolute reading that is allowed, in the unit of its channel, by channel. A larger one raises a
+            `CommandError` in the call that receives the block; the output is not stopped by it.
 
     Attributes:
         rig: the rig.
-        output: its output, which plays samples.
-        acquisition: its input, which reads scans.
+        output: buffered output of the rig, which plays samples.
+        acquisition: buffered input of the rig, which reads scans.
     """
 
     def __init__(self, rig: RigDriver, abort: Mapping[str, float] = MappingProxyType({})) -> None:
@@ -343,16 +355,18 @@ class Hardware:
             rig.connect(self._check)
 
     def info(self) -> NDArray[np.void]:
-        """Return the last published calibration: rows of `daq/info`."""
+        """Return the last published calibration of the rig: rows of `daq/info`, one per channel."""
         return self.rig.tables(INFO.name)[-1].rows
 
     def respond(self, samples: ArrayLike, rest: int = 0) -> NDArray[np.void]:
-        """Play samples, and return the scans from the first sample to the last, and `rest` more.
+        """Play samples, and return the scans from the first to the last sample, and `rest` further scans.
 
-        The stream ends with the last sample. Both rates must be the same.
+        The stream ends after the last sample, so the drive is zero in the further scans. Samples and scans must have
+        the same rate.
 
         Raises:
             TimeoutError: the rig did not advance.
+            CommandError: a reading exceeds the limit of `abort`, or the rig has stopped.
         """
         values = np.asarray(samples, np.float64)
         first = self.output.start()
@@ -379,14 +393,15 @@ class Hardware:
 
 
 class Exchange:
-    """Gapless exchange: each call plays samples and reads as many scans.
+    """Gapless exchange of samples and scans: each call plays samples and reads as many scans.
 
-    The scans respond to the samples that were written `lag` samples earlier.
-    Between two calls, the rig has samples for the duration of the lag, so the next call may follow later.
+    The scans of a call respond to the samples that were written `lag` samples before those of the call. Between two
+    calls, the rig has samples for the duration of the lag, so the next call may come later by that time.
 
     Args:
         hardware: output and acquisition, with equal rates.
-        lag: number of samples written ahead of the scans read; initially zeros.
+        lag: number of samples that are written ahead of the scans read; zeros at first. It is limited to a quarter of
+            the rig's buffer.
     """
 
     def __init__(self, hardware: Hardware, lag: int) -> None:
@@ -397,7 +412,11 @@ class Exchange:
         hardware.output.write(self._ahead)
 
     def exchange(self, samples: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.void]]:
-        """Write samples and read as many scans; return the samples that were played with these scans, and the scans."""
+        """Write samples and read as many scans.
+
+        Returns:
+            The samples that were played during these scans (written `lag` samples earlier), and the scans.
+        """
         parts = []
         for at in range(0, len(samples), self.lag):
             block = samples[at : at + self.lag]
@@ -409,18 +428,23 @@ class Exchange:
 
 
 def _refresh(rig: RigDriver) -> None:
-    """Process what has arrived from a rig that runs by itself."""
+    """Process what has arrived from a rig that runs by itself, and drop its tables; no effect on other rigs."""
     if rig.runs_by_itself:
         rig.poll()
         rig.clear()
 
 
 def _advance(rig: RigDriver, deadline: float, what: str) -> None:
-    """Advance rig time by a block, or wait until another thread writes samples.
+    """Advance rig time by one block; if a shared rig lacks samples for it, wait until another thread writes some.
+
+    Args:
+        rig: the rig.
+        deadline: end of the wait [s, monotonic clock].
+        what: what is awaited, for the error message.
 
     Raises:
-        TimeoutError: the deadline has passed; the message says what was awaited.
-        CommandError: the rig has stopped.
+        TimeoutError: the deadline has passed.
+        CommandError: the shaker of the rig has stopped.
     """
     left = max(0.0, deadline - time.monotonic())
     with rig.turns:

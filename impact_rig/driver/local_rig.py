@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`LocalRig`: a rig in this process, with optional analysis and recording."""
+"""`LocalRig`: a rig that is simulated in this process, with optional analysis and recording."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ KEPT_BYTES = 256_000_000  # limit of the kept tables; the oldest are dropped fir
 KEPT_FAULTS = 100  # number of injected faults kept for reports
 OBJECT_BYTES = 700  # memory of a table or entry, in addition to its rows
 ANALYSED = (topics.IMPACTS.name, topics.TRANSMISSIBILITY_TABLE.name, topics.ANALYSIS_SETTINGS.name)
-"""Tables of the analysis."""
+"""Topics whose tables the analysis of a `LocalRig` adds."""
 NAMESPACE = "/rig"  # namespace of the topics in a recording made while the rig moves
 JOINT_STATES = f"{NAMESPACE}/{topics.JOINT_STATES.name}"
 
@@ -131,10 +131,10 @@ class LocalRig(RigDriver):
         self._publish_changes()
 
     def step(self, blocks: int = 1, timeout_s: float = STEP_TIMEOUT_S) -> None:  # noqa: ARG002  # never waits
-        """Advance by whole blocks, one at a time if a pipeline is connected.
+        """Advance by whole blocks, one at a time if listeners, a recording or samples of the drive need it.
 
         Raises:
-            NoSamplesError: the stream that drives the rig has no samples for them.
+            NoSamplesError: the stream that drives the rig has no samples for these blocks.
         """
         one_by_one = self._listeners or self._recording or self.core.takes_samples
         while blocks > 0:
@@ -148,39 +148,43 @@ class LocalRig(RigDriver):
                 self._deliver(block)
 
     def tables(self, topic: str = SCANS) -> list[Table]:
-        """Return the tables of a topic that are kept, oldest first."""
+        """Return the tables of a topic that were published and are still kept, oldest first."""
         return list(self._kept_of(topic, self._kept))
 
     def journal(self) -> list[JournalEntry]:
-        """Return the entries of the journal, oldest first."""
+        """Return the entries of the journal that are kept, oldest first: every input that changed the rig's state."""
         return list(self._kept[topics.JOURNAL.name])
 
     def newest(self, topic: str, count: int) -> NDArray[np.void]:
-        """Return the newest `count` rows of a topic."""
+        """Return the newest `count` rows of the tables of a topic; fewer if there are not so many."""
         return self.rows(topic)[-count:]
 
     def configure(self, changes: Mapping[str, Any]) -> RigConfig:
-        """Change configuration values; see `RigDriver`."""
+        """Change configuration values from the first scan not measured yet; see `RigDriver.configure`."""
         self.config = self.core.configure(changes)
         self._publish_changes()
         return self.config
 
     def reset(self) -> None:
-        """Start again at scan 0 with everything at rest, as the service `rig/reset` does; stamps continue."""
+        """Start again at scan 0 with everything at rest, as the service `rig/reset` does; stamps continue.
+
+        Raises:
+            CommandError: the shaker is latched.
+        """
         self.core.reset()
         self._start_ns, self.sample = self.core.start_ns, 0
         self._kept_from = self._lost_before = 0
         self._publish_changes()
 
     def inject(self, fault: Fault) -> int:
-        """Start a fault; see `RigDriver`."""
+        """Add an instrument fault; see `RigDriver.inject`."""
         number = self.core.inject(fault)
         self._injected.append(fault)
         self._publish_changes()
         return number
 
     def feed(self, first: int, samples: NDArray[np.float64]) -> None:
-        """Send samples of the stream; see `RigDriver`."""
+        """Send samples of the stream that drives the rig, and record them; see `RigDriver.feed`."""
         if self._recording is not None:
             rows = np.zeros(len(samples), WAVEFORM)
             rows["value"] = samples
@@ -189,32 +193,32 @@ class LocalRig(RigDriver):
         self.core.feed(first, samples)
 
     def stream_level(self) -> StreamLevel:
-        """Return the state of the stream's buffer."""
+        """Return the present state of the buffer that holds the samples of the drive."""
         stream = self.core.stream
         late = int(self.core.stream_state().rows["late"][0])
         return StreamLevel(stream.played, stream.buffered(), stream.capacity, late, stream.missing)
 
     @property
     def stopped(self) -> str:
-        """Reason why the shaker is stopped; empty if it is not stopped."""
+        """Reason why the shaker is stopped (trip or emergency stop) until its latch is released; empty if it is not."""
         return "" if self.core.latched is None else f"the rig tripped: {self.core.latched}"
 
     @property
     def waiting(self) -> str:
-        """Readable reason why a measurement waits."""
+        """Reason why the analysis still waits to finish a measurement; empty if nothing delays it."""
         progress = None if self.tracker is None else self.tracker.progress
         return "" if progress is None else progress.reason
 
     @property
     def faults(self) -> list[Fault]:
-        """Planned faults, and the last 100 injected ones."""
+        """Instrument faults that the configuration plans, and the last 100 injected ones."""
         return [*super().faults, *self._injected]
 
     def save(self, directory: str | Path) -> Path:
-        """Write everything kept as an MCAP run.
+        """Write everything that is kept as an MCAP run into a new directory, and return that directory.
 
         Raises:
-            RecordingError: the run cannot be written.
+            RecordingError: the directory exists, or the run cannot be written.
         """
         directory = Path(directory)
         if directory.exists():
@@ -226,7 +230,7 @@ class LocalRig(RigDriver):
         return directory
 
     def close(self) -> None:
-        """End the recording."""
+        """End the rig, and finish the recording made while it moves (`record`), if there is one."""
         super().close()
         self._publish_changes()
         if self._recording is not None:
@@ -273,7 +277,10 @@ class LocalRig(RigDriver):
             listener(block.scan)
 
     def _publish_changes(self) -> None:
-        """Publish the changes since the last call: journal entries, applied commands and the calibration."""
+        """Publish what has changed since the last call: journal entries, applied commands and the calibration.
+
+        To publish means to keep, to record and to pass to the analysis.
+        """
         entries = self.core.take_journal()
         if entries and (encoded := codec.encode(self.core.info())) != self._info:
             self._info, info = encoded, self.core.info()
@@ -308,7 +315,7 @@ class LocalRig(RigDriver):
             self._forget_oldest()
 
     def _forget_oldest(self) -> None:
-        """Drop the oldest table, except those that every run needs."""
+        """Drop the oldest table or entry; one that every run needs (`ESSENTIAL`) is moved to `_early` and kept."""
         topic, one = self._order.popleft()
         if topic in ESSENTIAL:
             self._early.append((topic, one))
@@ -319,7 +326,11 @@ class LocalRig(RigDriver):
         self._bytes -= _size(one)
 
     def _forget_early(self) -> bool:
-        """Drop the oldest table of `ESSENTIAL` that a later one has replaced; return whether there was one."""
+        """Drop the oldest table of `ESSENTIAL` that a later one has replaced, to free memory.
+
+        Returns:
+            Whether there was one.
+        """
         for index, (topic, one) in enumerate(self._early):
             if self._early_counts[topic] > 1:
                 del self._early[index]
@@ -332,7 +343,7 @@ class LocalRig(RigDriver):
 
 
 def _size(one: Table | JournalEntry) -> int:
-    """Return the approximate memory of a table or entry [bytes]."""
+    """Return the approximate memory that a table or journal entry occupies [bytes]."""
     return OBJECT_BYTES + (one.rows.nbytes if isinstance(one, Table) else len(one.text))
 
 
@@ -341,7 +352,7 @@ def _encoded(one: Table | JournalEntry) -> bytes:
 
 
 def _settings(analysis: Mapping[str, Any]) -> tuple[TrackerSettings, float | None]:
-    """Return the settings of the measurement, and the gap by the operator's label, or None without a label."""
+    """Return the settings of the analysis, and the operator's gap label [m]: NaN if unknown, None if not given."""
     settings = {name: value for name, value in analysis.items() if name != "gap_m"}
     gap_m = analysis.get("gap_m")
     return TrackerSettings(**settings), math.nan if gap_m is not None and gap_m < 0.0 else gap_m

@@ -14,11 +14,11 @@
 """`RosRig`: a rig reached over ROS topics, newly started on its own ROS domain or already running.
 
 A started rig is in lockstep unless its configuration says otherwise: it advances only on request. `step` returns when
-every peer has processed the last block: this program, the recorder, the analysis and each node under test.
+every peer has processed the last block; the peers are this program, the recorder, the analysis and each node under
+test. A rig in another time mode runs by itself, and `step` waits for its blocks.
 
-A node under test becomes a peer in one of three ways. It is hosted in this process: the return of its callback is the
-acknowledgement. Or one of its outputs answers each block. Or it sends `daq/ack` itself. A rig in another time mode runs
-by itself, and `step` waits for its blocks.
+The rig learns in one of three ways that a node under test has processed a block. If the node is hosted in this process,
+the return of its callback counts. Or the node answers each block on one of its outputs. Or it sends `daq/ack` itself.
 """
 
 from __future__ import annotations
@@ -62,19 +62,22 @@ from impact_rig.simtime import NS_PER_S, stamp_ns
 
 NODE_TIMEOUT_S = 30.0  # time limit for a node under test to subscribe
 ACK_WINDOW, WINDOW_S = 8, 0.1
-"""Limits of the number of blocks published and not acknowledged.
+"""Limits of how far a started rig may run ahead of its peers: number of blocks, and rig time [s].
 
-They stay below the 10 messages that most nodes keep, so a slow node loses none. They span so little rig time that the
+Fewer blocks than the 10 messages that most nodes keep, so a slow node loses none. So little rig time that the
 middleware can hold the messages of the monitors.
 """
 LOCKSTEP = "lockstep"
 RUN = "run"
 CLIENT, CONTROLLER = "client", "controller"
-"""Node name of this program for a rig that it starts, and for a running one, which may list it in `time.peers`."""
+"""Node name of this program: CLIENT for a rig that it starts, CONTROLLER for a running one.
+
+A running rig that shall wait for this program lists `controller` in `time.peers`.
+"""
 REALTIME_LEAD_S = 0.2
 GRACE_S = 0.005  # wall time to wait for measurements that were published before the answer to a step
 FIXED = ("time.", "step.", "daq.rate_hz", "daq.block_scans", "output.autostart")
-"""Parameters that `restart` leaves unchanged: read-only ones, and those that define how the rig is driven here."""
+"""Parameters that `restart` leaves unchanged: read-only ones, and those that define how this program drives the rig."""
 
 
 class RosRig(RigDriver):
@@ -205,9 +208,9 @@ class RosRig(RigDriver):
         return config
 
     def _connect_stream(self) -> None:
-        """Wait for the source of the stream and all readers of the rig.
+        """Wait until this program, as the source of the drive's samples, has found all readers of the rig.
 
-        A recorder that starts late loses the first samples.
+        Otherwise, a recorder that connects late would lose the first samples.
         """
         self.client.publisher(topics.WAVEFORM)
         self._stream = self.client.collect(topics.STREAM.name)
@@ -217,13 +220,13 @@ class RosRig(RigDriver):
             self.client.wait_until(self._finds_readers, "all nodes that read the rig", DISCOVERY_S)
 
     def _finds_readers(self) -> bool:
-        """Return whether all readers that the rig reports are discovered."""
+        """Return whether this program has discovered all readers of scans that the rig's diagnostics list."""
         figures = self.client.figures("rig")
         names = {key.removeprefix("behind.") for key in figures if key.startswith("behind.")}
         return bool(figures) and names <= subscribers(self.client.node, topics.SCAN.name)
 
     def _join(self) -> None:
-        """Find the position of a rig that runs by itself."""
+        """Find out the stamp of scan 0 and, of a rig that runs by itself, the number of the next scan."""
         info = self.client.wait_until(self._collectors[topics.INFO.name].last, topics.INFO.name)
         self._start_ns = info.stamp_ns - round(float(info.rows["since_start"][0]) * NS_PER_S)
         if self.runs_by_itself:
@@ -237,7 +240,13 @@ class RosRig(RigDriver):
     # The pipeline under test
 
     def host(self, make_node: Callable[..., Any], **kwargs: Any) -> Any:
-        """Run a node under test in this process and return it: it runs in lockstep with the rig, its code unchanged.
+        """Create a node under test in this process, and return it: the rig waits for its callback after each block.
+
+        The code of the node need not be changed.
+
+        Args:
+            make_node: class or function that creates the node.
+            kwargs: its arguments.
 
         Raises:
             ConfigError: the node does not subscribe to daq/scan.
@@ -257,24 +266,25 @@ class RosRig(RigDriver):
         output: str | None = None,
         timeout_s: float = NODE_TIMEOUT_S,
     ) -> Collector | None:
-        """Start a node under test as a process.
+        """Start a node under test as a process, for which the rig waits after each block.
 
         Args:
             command: program and arguments; `--ros-args -r __node:=NAME …` is appended.
-            name: its node name.
-            parameters: its ROS parameters.
-            output: topic on which it answers every block. A header's stamp tells which block; without a header, answers
-                are counted. None: the node sends `daq/ack` itself, with its name as `frame_id`.
-            timeout_s: time limit for it to subscribe to daq/scan.
+            name: node name of the node.
+            parameters: ROS parameters of the node.
+            output: topic on which the node answers every block. The stamp in an answer's header tells which block;
+                answers without a header are counted. None: the node sends `daq/ack` itself, with its name as
+                `frame_id`.
+            timeout_s: time limit for the node to subscribe to daq/scan [s].
 
         Returns:
-            The messages that arrive on `output`.
+            Collector of the messages on `output`; None without `output`.
         """
         self.processes.start(name, parameters, name=name, command=command)
         return self.follow(name, output, timeout_s)
 
     def follow(self, name: str, output: str | None = None, timeout_s: float = NODE_TIMEOUT_S) -> Collector | None:
-        """Keep in step with a node that another program has started; see `start_node`."""
+        """Make the rig wait, after each block, for a node that another program has started; see `start_node`."""
         node = self.client.node
         self.client.wait_until(
             lambda: name in subscribers(node, SCANS), f"node {name} to subscribe to {SCANS}", timeout_s
@@ -284,19 +294,21 @@ class RosRig(RigDriver):
         return found
 
     def listen(self, topic: str) -> Collector:
-        """Keep all messages of any topic that has a publisher."""
+        """Collect all messages of any topic that has a publisher, from now on."""
         return self.client.listen(topic)
 
     # RigDriver
 
     def step(self, blocks: int = 1, timeout_s: float = STEP_TIMEOUT_S) -> None:
-        """Advance by whole blocks.
+        """Advance by whole blocks; return when every peer has processed them.
+
+        A rig that runs by itself is not advanced: the call returns when so many further blocks have arrived.
 
         Raises:
-            WaitTimeoutError: the blocks did not arrive.
+            WaitTimeoutError: the blocks did not arrive in time.
             ServiceFailedError: a peer does not acknowledge; the message names it.
             ProcessDiedError: a node process ended; the message quotes the end of its log.
-            ImpactRigError: a measurement arrived late, so a command that depends on it could be late, too.
+            ImpactRigError: a measurement arrived one step late, so a command that depends on it could be late, too.
         """
         if blocks < 1:
             return
@@ -330,23 +342,23 @@ class RosRig(RigDriver):
                 raise ImpactRigError("a measurement arrived one step late: this machine is too busy for lockstep")
 
     def _received_to(self) -> int:
-        """Return the scan after the last one that arrived."""
+        """Return the number of the scan after the last one that has arrived."""
         table = self._collectors[SCANS].last()
         return self.sample if table is None else max(self.sample, self.first_scan(table) + len(table.rows))
 
     def tables(self, topic: str = SCANS) -> list[Table]:
-        """Return the tables of a topic that arrived and are kept, oldest first.
+        """Return the tables of a topic that arrived and are still kept, oldest first.
 
         Scans, commands and journal are complete when a step returns; `truth/...` of the last blocks may arrive later.
         """
         return self._kept_of(topic, self._collectors).tables()
 
     def journal(self) -> list[JournalEntry]:
-        """Return the journal entries that arrived, oldest first."""
+        """Return the journal entries that have arrived, oldest first: every input that changed the rig's state."""
         return self._collectors[topics.JOURNAL.name].entries()
 
     def newest(self, topic: str, count: int) -> NDArray[np.void]:
-        """Return the newest `count` rows of a topic; wait until the last of them has arrived."""
+        """Return the newest `count` rows of the tables of a topic, waiting until so many have arrived."""
         self.client.wait_until(lambda: len(self.rows(topic)) >= count, f"{count} rows of {topic}")
         return self.rows(topic)[-count:]
 
@@ -358,14 +370,14 @@ class RosRig(RigDriver):
                 collector.clear()
 
     def configure(self, changes: Mapping[str, Any]) -> RigConfig:
-        """Change parameters of the rig's node; see `RigDriver`."""
+        """Change parameters of the rig's node from the first scan not measured yet; see `RigDriver.configure`."""
         self.client.set_parameters("rig", changes)
         self.config = from_flat(self.config, changes)
         self._step_blocks = changes.get("step.blocks", self._step_blocks)
         return self.config
 
     def inject(self, fault: Fault) -> int:
-        """Start a fault by adding a line to `instruments.faults.planned`; see `RigDriver`."""
+        """Add an instrument fault as a further line of `instruments.faults.planned`; see `RigDriver.inject`."""
         since = attrs.evolve(fault, start_sample=fault.start_sample - self.frontier_sample)
         line = since.line(self.rate_hz)
         planned = [*self.config.instruments.faults.planned, line]
@@ -375,7 +387,7 @@ class RosRig(RigDriver):
 
     @property
     def faults(self) -> list[Fault]:
-        """Planned and injected faults; times of injected faults count from their injection."""
+        """Planned and injected instrument faults; `start_sample` of an injected one is as given to `inject`."""
         injected = {line for line, _ in self._injected}
         planned = zip(self.config.instruments.faults.planned, super().faults, strict=True)
         return [fault for line, fault in planned if line not in injected] + [fault for _, fault in self._injected]
@@ -385,7 +397,7 @@ class RosRig(RigDriver):
         self.client.spin_pending()
 
     def feed(self, first: int, samples: NDArray[np.float64]) -> None:
-        """Send samples of the stream; see `RigDriver`."""
+        """Send samples of the stream that drives the rig, on `shaker/waveform`; see `RigDriver.feed`."""
         if stopped := self.stopped:
             raise CommandError(stopped)
         rows = np.zeros(len(samples), WAVEFORM)
@@ -395,7 +407,10 @@ class RosRig(RigDriver):
         self._sent_to = first + len(samples)
 
     def stream_level(self) -> StreamLevel:
-        """Return the last published state of the buffer; samples sent since count as buffered."""
+        """Return the last published state of the buffer that holds the samples of the drive.
+
+        Samples that were sent since then count as buffered.
+        """
         table = self._stream.last()
         assert table is not None
         del self._stream.received[:-1]
@@ -406,7 +421,7 @@ class RosRig(RigDriver):
 
     @property
     def stopped(self) -> str:
-        """Reason why the shaker is stopped; empty if it is not stopped."""
+        """Reason why the shaker is stopped (trip or emergency stop), from the journal; empty if it is not."""
         for entry in self._collectors[topics.JOURNAL.name].entries(self._journal_read):
             self._journal_read += 1
             if entry.kind is InputKind.TRIP:
@@ -420,7 +435,13 @@ class RosRig(RigDriver):
         return self._stopped
 
     def renew(self, config: RigConfig) -> None:
-        """Restart the same processes with another configuration, as if they were new, without the nodes under test.
+        """Restart rig, analysis and recorder with another configuration, as if they were new, in the same processes.
+
+        The nodes under test are ended, and a temporary recording is replaced by a new one. It saves the start of new
+        processes between two tests.
+
+        Args:
+            config: new configuration of the rig.
 
         Raises:
             ImpactRigError: a node of the rig has ended or does not answer.
@@ -444,15 +465,17 @@ class RosRig(RigDriver):
             shutil.rmtree(before, ignore_errors=True)
 
     def restart(self, config: RigConfig, analysis: Mapping[str, ParameterValue], record: Path | None = None) -> RosRig:
-        """Restart with another configuration, as if in new processes; scan rate and block length must stay the same.
+        """Restart the nodes with another configuration, in the same processes; return this rig.
+
+        Scan rate, block length and the settings of `time` and `step` stay as they are.
 
         Args:
-            config: configuration of the rig.
+            config: new configuration of the rig.
             analysis: parameters of the analysis, if the rig has one.
-            record: directory of the run that the recorder writes; None means no recording.
+            record: directory of the run that the recorder writes from now on; None means no recording.
 
         Raises:
-            ImpactRigError: a node rejected its parameters.
+            ImpactRigError: a node rejected its parameters or a transition.
         """
         client = self.client
         self.stop_recording()
@@ -489,13 +512,15 @@ class RosRig(RigDriver):
         return self
 
     def stop_recording(self) -> None:
-        """End the recorder's run, if there is one."""
+        """Finish the run that the recorder is writing, if there is one."""
         if self._run is not None:
             self._run = None
             self.client.trigger(f"{self._recorder}/stop")
 
     def save(self, directory: str | Path) -> Path:
-        """Finish the recording and copy it, with the logs next to it; the rig cannot continue after that.
+        """Finish the recording and copy it, with the logs of the nodes, to a new directory; return that directory.
+
+        The rig cannot be used after that.
 
         Raises:
             RecordingError: there is no recording, or it cannot be copied.
@@ -519,7 +544,7 @@ class RosRig(RigDriver):
         return directory
 
     def close(self) -> None:
-        """Close the client, end the processes with the recorder's run, and remove a temporary directory."""
+        """End all node processes and nodes, which finishes a recording, and remove temporary directories."""
         super().close()
         self._stack.close()
 
@@ -531,7 +556,11 @@ class RosRig(RigDriver):
         self.client.set_parameters("rig", {"time.peers": self._peers})
 
     def _acknowledge_answers(self, name: str, output: str, timeout_s: float) -> Collector:
-        """Acknowledge for a node each time its output answers a block."""
+        """Acknowledge on behalf of the node `name` each time that it answers a block on the topic `output`.
+
+        Returns:
+            Collector of the answers.
+        """
         scans = self._collectors[SCANS]
         begin = answered = len(scans)
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Sample run: a short recording for users without one of their own."""
+"""Sample run: a recording of 20 s for users without one of their own."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ GAP_M = 6e-3
 
 
 def make_sample(directory: Path) -> Path:
-    """Return the directory of a sample run; record it first if it does not exist."""
+    """Return `directory` with a sample run in it, after recording the run if it is missing or incomplete there."""
     if directory.is_dir():
         try:
             with open_run(directory) as found:

@@ -13,5 +13,6 @@
 # limitations under the License.
 """ROS 2 nodes that publish the results of the rig, the analysis and the recorder.
 
-The nodes contain no logic of their own. None of the layers below imports rclpy.
+The nodes connect the simulation, analysis and recording packages to ROS and contain none of their logic. The packages
+below them do not import rclpy.
 """

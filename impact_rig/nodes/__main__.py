@@ -11,9 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Nodes as programs: `python -m impact_rig.nodes rig --ros-args ...`, and the console scripts.
+"""Programs of the nodes: `python -m impact_rig.nodes rig --ros-args ...`, and the console scripts such as `rig_node`.
 
-Imports are light: signal handlers and the watch on the parent process are set up before anything heavy is imported.
+Heavy modules (rclpy, compiled code) are imported last: the signal handlers and the watch on the parent process already
+work while they load.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ examples:
 {more}
 """
 Use = tuple[str, str, str]
-"""Description of a program, an example of its arguments, and further information."""
+"""Usage text of a node's program: what it does, an example of its arguments, and where to read more."""
 NODES: dict[str, Use] = {
     "rig": (
         "Virtual test rig: publishes the readings of its instruments; frequency and current are its commands.",
@@ -75,7 +76,11 @@ NODES: dict[str, Use] = {
 
 
 def show_help(node: str, use: Use, arguments: Sequence[str]) -> bool:
-    """Print the usage of a node if its arguments ask for it, and return whether they did."""
+    """Print the usage of a node's program if the arguments before `--ros-args` contain `-h` or `--help`.
+
+    Returns:
+        Whether the usage was printed; the caller then ends the program.
+    """
     ours = list(itertools.takewhile(lambda word: word != "--ros-args", arguments))
     if not {"-h", "--help"}.intersection(ours):
         return False
@@ -85,7 +90,10 @@ def show_help(node: str, use: Use, arguments: Sequence[str]) -> bool:
 
 
 def run(node: str, use: Use, module: str) -> None:
-    """Run the node that a module offers as its `PROGRAM`."""
+    """Run a node as a program; `module` is the module whose `PROGRAM` creates the node.
+
+    The program ends with a message if ROS 2 is not installed.
+    """
 
     def main(ending: Ending) -> None:
         from impact_rig.errors import ImpactRigError  # noqa: PLC0415
@@ -108,7 +116,10 @@ rig, analysis, recorder, plot = (functools.partial(_run, node) for node in NODES
 
 
 def begin(node: str, use: Use, main: Callable[[Ending], None]) -> None:
-    """Run a program that ends in order; its `main` does the heavy imports."""
+    """Run the program of a node: show its help if requested, otherwise call `main`, which does the heavy imports.
+
+    The program ends in order, with exit code 0, on SIGINT or SIGTERM, and when the process that started it is gone.
+    """
     if show_help(node, use, sys.argv[1:]):
         return
     # a node that ends on request has succeeded: launch takes any other exit code for a crash
@@ -120,7 +131,7 @@ def begin(node: str, use: Use, main: Callable[[Ending], None]) -> None:
 
 
 def _end(ending: Ending) -> None:
-    """End in order, or by force after a while: no user is there to do it."""
+    """End this process because its parent is gone: by SIGTERM, and by force if that takes longer than `PATIENCE_S`."""
     ending.reason = ", as the process that started it is gone"
     os.kill(os.getpid(), signal.SIGTERM)
     time.sleep(PATIENCE_S)

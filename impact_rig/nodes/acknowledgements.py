@@ -13,9 +13,10 @@
 # limitations under the License.
 """Flow control for `daq/scan`: subscriber discovery, the window of unacknowledged blocks, and acknowledgements.
 
-A rig that the wall clock does not pace advances only as far as its peers have acknowledged. It discovers them in the
-graph. A peer acknowledges all blocks up to one: a single block at once, the blocks of a burst together, and in real
-time at intervals. `Session` decides what to do about a silent peer.
+A rig that is not paced by the wall clock may be only a limited number of blocks (the window) ahead of its slowest peer.
+Peers are the nodes that the rig must wait for; it finds their subscriptions in the ROS graph. An acknowledgement covers
+all blocks up to its stamp: a peer acknowledges a single block at once, a burst of blocks together, and in real time at
+intervals. `Session` decides what to do about a peer that does not acknowledge.
 """
 
 from __future__ import annotations
@@ -41,14 +42,18 @@ KEPT = 4096  # minimum number of blocks whose stamps are remembered
 POLL_S = 0.02  # minimum interval between two graph queries for the peers that a free-running rig waits for
 GRAPH_POLL_S = 0.5  # minimum interval between two graph queries for all readers
 REALTIME_S = 0.05
-"""Interval between acknowledgements of a rig in real time, which waits for no peer and only detects late ones."""
-PRESENT_NS = 86_400 * NS_PER_S
-"""Stamps this close to the system time belong to a rig in real time; in the other modes stamps begin at 0.
+"""Interval [s] at which a reader acknowledges the blocks of a rig in real time.
 
-A rig in real time that could not keep up gives up the lag, and remains behind the system time from then on.
+Such a rig waits for no peer; it only uses acknowledgements to detect readers that are behind.
+"""
+PRESENT_NS = 86_400 * NS_PER_S
+"""Greatest distance [ns] of a block's stamp from the system time for which the block comes from a rig in real time.
+
+In the other time modes, stamps begin at 0. The limit is wide because a rig that cannot keep real time stays behind the
+system time.
 """
 REPEATED_S = 3.25
-"""Time within which Fast DDS repeats what a suspended reader has missed: it does so with heartbeats, every 3 s."""
+"""Time [s] within which Fast DDS delivers again what a suspended reader has missed: its heartbeats come every 3 s."""
 ALONE_S = 0.004  # a block that arrives this long after the last acknowledgement is acknowledged at once
 MOST = 16  # maximum number of blocks per acknowledgement: the default window of a rig
 
@@ -62,16 +67,17 @@ class _Reader:
 
 
 class AckWindow:
-    """Progress of every reader of the blocks, and the number of blocks the rig may run ahead of its slowest peer.
+    """Record of the blocks that each reader has acknowledged; it limits how far the rig runs ahead of its slowest peer.
 
-    A reader acknowledges by the stamp of the last block that it has processed, one or several blocks at a time. Blocks
-    are counted, so that "ahead" means the same for all readers. The rig waits for peers; other readers are only
-    watched.
+    A reader acknowledges by the stamp of the last block that it has processed, one or several blocks at a time. The
+    stamps are converted to block counts, which are compared. The rig waits for its peers; the other readers are only
+    observed.
 
     Args:
         peers: names that the peers use in their acknowledgements.
-        window: maximum number of blocks published and not acknowledged.
-        timeout_ns: clock time [ns] after which a peer without progress counts as silent.
+        window: maximum number of blocks that are published and not acknowledged by every peer.
+        timeout_ns: time [ns] after which a peer that has blocks to acknowledge and acknowledges none counts as silent.
+        clock: monotonic clock [ns] for the timeout.
     """
 
     def __init__(self, peers: Iterable[str], window: int, timeout_ns: int, clock: Clock) -> None:
@@ -86,16 +92,16 @@ class AckWindow:
 
     @property
     def readers(self) -> tuple[str, ...]:
-        """Names of the peers and of all other readers that acknowledge."""
+        """Names of the peers, and of all other nodes whose acknowledgements are accepted."""
         return tuple(self._readers)
 
     @property
     def newest_ns(self) -> int | None:
-        """Stamp of the newest published block."""
+        """Stamp [ns of rig time] of the newest published block; None before the first."""
         return self._stamps[-1] if self._stamps else None
 
     def set_peers(self, peers: Iterable[str]) -> None:
-        """Change the peers; a new peer need not acknowledge blocks published before."""
+        """Replace the peers that the rig waits for; a new peer need not acknowledge blocks published before."""
         before, self.peers = self.peers, tuple(peers)
         for name in set(self.peers).difference(before):
             reader = self._readers.setdefault(name, _Reader(self._published, self._clock()))
@@ -105,11 +111,11 @@ class AckWindow:
                 del self._readers[name]
 
     def watch(self, name: str) -> None:
-        """Accept acknowledgements with this name as well, without waiting for them."""
+        """Accept acknowledgements of one more reader, to observe how far it is behind; the rig does not wait for it."""
         self._readers.setdefault(name, _Reader(0, self._clock()))
 
     def published(self, stamp_ns: int) -> None:
-        """Register that the block with this stamp is published."""
+        """Count a block with this stamp [ns of rig time] as published, so that the peers have to acknowledge it."""
         now = self._clock()
         for reader in self._readers.values():
             if self._owed(reader) == 0:
@@ -120,7 +126,12 @@ class AckWindow:
             del self._stamps[:KEPT]
 
     def acknowledge(self, name: str, stamp_ns: int) -> bool:
-        """Process an acknowledgement; return False if it is invalid (unknown reader, or later than any block)."""
+        """Count all blocks up to this stamp [ns of rig time] as acknowledged by the reader `name`.
+
+        Returns:
+            False if the acknowledgement is invalid and ignored: the reader is unknown, or no block so late was
+            published.
+        """
         reader = self._readers.get(name)
         if reader is None or self.newest_ns is None or stamp_ns > self.newest_ns:
             return False
@@ -132,41 +143,44 @@ class AckWindow:
         return True
 
     def room(self) -> int:
-        """Return how many blocks may be published now."""
+        """Return how many more blocks may be published now, before a peer must acknowledge; can be negative."""
         return self.window - self.outstanding()
 
     def outstanding(self) -> int:
-        """Return how many blocks the slowest peer has not acknowledged."""
+        """Return how many published blocks the slowest peer has not acknowledged; 0 without peers."""
         return max((self._owed(self._readers[name]) for name in self.peers), default=0)
 
     def behind(self) -> dict[str, int]:
-        """Return the number of blocks that each reader has not acknowledged."""
+        """Return, by reader, the number of published blocks that it has not acknowledged; 0 for a waived peer."""
         return {name: self._owed(reader) for name, reader in self._readers.items()}
 
     def heard(self) -> tuple[str, ...]:
-        """Return the readers that have acknowledged at least one block."""
+        """Return the names of the readers that have acknowledged at least one block."""
         return tuple(name for name, reader in self._readers.items() if reader.acknowledged is not None)
 
     def silent(self) -> tuple[str, ...]:
-        """Return the peers that have blocks to acknowledge, and have made no progress for the timeout."""
+        """Return the peers that have owed acknowledgements for longer than the timeout without acknowledging any."""
         limit = self._clock() - self.timeout_ns
         owing = (name for name in self.peers if self._owed(self._readers[name]) > 0)
         return tuple(name for name in owing if self._readers[name].heard_ns < limit)
 
     def forgive(self, names: Iterable[str]) -> None:
-        """Count all published blocks as acknowledged by some peers; the rig waits for later ones as before."""
+        """Count all published blocks as acknowledged by these peers; the rig still waits for them with later blocks."""
         for name in names:
             self._readers[name].forgiven, self._readers[name].heard_ns = self._published, self._clock()
 
     def heard_ns(self, name: str) -> int:
-        """Return the clock time of a reader's last progress, or since when it has blocks to acknowledge [ns]."""
+        """Return the time [ns of this window's clock] since which a reader counts as silent.
+
+        It is the time of its last progress or, if it had acknowledged every block, that of the next published block.
+        """
         return self._readers[name].heard_ns
 
     def waive(self) -> None:
-        """Continue without the silent peers until each of them acknowledges again.
+        """Let the rig continue without waiting for each silent peer until that peer acknowledges again.
 
-        If no other peer is left, the rig waits for them again after the next window, so it never leaves all its peers
-        behind.
+        If all peers are silent, none is waived: the present blocks count as acknowledged, and the rig waits for the
+        peers again after the next window of blocks. So it never leaves all its peers behind.
         """
         silent = self.silent()
         for name in silent if set(silent) != set(self.peers) else ():
@@ -174,16 +188,19 @@ class AckWindow:
         self.forgive(self.peers)
 
     def waived(self) -> tuple[str, ...]:
-        """Return the peers that the rig does not wait for."""
+        """Return the peers that the rig does not wait for, because they were silent when it was resumed."""
         return tuple(name for name in self.peers if self._readers[name].waived)
 
     def excuse(self) -> None:
-        """Restart every peer's timeout: this process was suspended, so their silence means nothing."""
+        """Restart the timeout of every peer, because this process was suspended and could not process messages."""
         for name in self.peers:
             self._readers[name].heard_ns = self._clock()
 
     def forget(self, name: str) -> None:
-        """Drop the state of a reader that has left; a peer must still acknowledge the outstanding blocks."""
+        """Drop the acknowledgements of a reader that no longer subscribes.
+
+        If it is a peer, it stays one: a new node of this name must acknowledge the blocks that are outstanding.
+        """
         reader = self._readers.pop(name)
         if name in self.peers:
             self._readers[name] = _Reader(self._published - self._owed(reader), reader.heard_ns, waived=reader.waived)
@@ -193,10 +210,11 @@ class AckWindow:
 
 
 class Readers:
-    """Subscribers of a publisher that are known to the graph, by node name.
+    """Subscribers of one publisher's topic, found in the ROS graph; they show when all peers are connected.
 
-    A block sent before a peer is connected would be lost to it. The graph knows a subscription before the publisher is
-    matched with it. The publisher counts its matches, so all compatible subscriptions must be matched first.
+    A block that is sent before a peer is connected is lost to that peer. The graph lists a subscription before the
+    publisher is matched (connected) with it, and the publisher only counts its matches. Therefore the peers count as
+    connected once all compatible subscriptions in the graph are matched.
     """
 
     def __init__(self, node: Node, publisher: Any) -> None:
@@ -211,25 +229,28 @@ class Readers:
 
     @property
     def subscribers(self) -> int:
-        """Matched subscriptions, with or without acknowledgements."""
+        """Number of subscriptions that the publisher is matched with, whether their nodes acknowledge or not."""
         return int(self._publisher.get_subscription_count())
 
     def expect(self, names: Iterable[str]) -> None:
-        """Set the peers that must be connected; search for all of them again."""
+        """Set the names of the peers that must be connected, and consider all of them missing until they are found."""
         self._missing = set(names)
         self._expected_at = time.monotonic()
         self._polled_at = -GRAPH_POLL_S
 
     def missing(self) -> tuple[str, ...]:
-        """Return the peers not discovered yet."""
+        """Return the names of the expected peers that are not connected yet, in alphabetical order."""
         return tuple(sorted(self._missing))
 
     def overdue(self, patience_s: float) -> bool:
-        """Return whether a peer has been absent for this long [s]."""
+        """Return whether a peer is still missing more than `patience_s` seconds after the call of `expect`."""
         return bool(self._missing) and time.monotonic() - self._expected_at > patience_s
 
     def all_matched(self) -> bool:
-        """Query the graph, at most every 20 ms; return True once every peer has been matched."""
+        """Return whether every expected peer is connected, so that it loses no block.
+
+        The graph is queried at most every 20 ms.
+        """
         if self._missing and self._due(POLL_S):
             # taken from the graph: the publisher's own profile has 0 where the graph has infinite
             offered = [info.qos_profile for info in self._node.get_publishers_info_by_topic(self._publisher.topic_name)]
@@ -243,19 +264,22 @@ class Readers:
         return not self._missing
 
     def knows(self, name: str) -> bool:
-        """Return whether a node of this name reads the topic; invented names must not fill the memory."""
+        """Return whether a node of this name subscribes to the publisher's topic.
+
+        Acknowledgements with other names are ignored, because invented names would fill the memory.
+        """
         if name not in self._present and (self._due(GRAPH_POLL_S) or self.subscribers != self._matched):
             self._poll()
         return name in self._present
 
     def gone(self, names: Iterable[str]) -> tuple[str, ...]:
-        """Return which of these nodes have left."""
+        """Return those of the named nodes that no longer subscribe to the topic; the answer is at most 0.5 s old."""
         if self._due(GRAPH_POLL_S):
             self._poll()
         return tuple(name for name in names if name not in self._present)
 
     def came_ns(self, name: str) -> int:
-        """Return when a node's newest subscription was discovered [ns of the monotonic clock], or 0 if never."""
+        """Return when this node's newest subscription was discovered [ns of the monotonic clock], or 0 if never."""
         return self._came_ns.get(name, 0)
 
     def _due(self, period_s: float) -> bool:
@@ -274,16 +298,17 @@ class Readers:
 
 
 class Acknowledgements:
-    """Sender of acknowledgements of `daq/scan` on `daq/ack`.
+    """Sender of a reader's acknowledgements of `daq/scan`, as messages on `daq/ack`.
 
-    A single block is acknowledged at once. In a burst, the executor calls back when it has delivered the waiting
-    blocks, and one acknowledgement covers all of them: each message costs its sender and its receiver more than the
-    block itself. In real time, a timer acknowledges.
+    A single block is acknowledged at once. The blocks of a burst are acknowledged together, after the executor has
+    delivered those that wait, because a message costs its sender and its receiver more than a block does. The blocks of
+    a rig in real time are acknowledged by a timer.
 
     Args:
-        node: owner, which offers `daq/ack` while it is configured; its name is the peer's.
-        may_send: called before each acknowledgement; returns whether the acknowledged data are safe.
-        catch_up: called by the timer in real time; processes the deferred blocks.
+        node: node that reads the scans and has created the publisher of `daq/ack`; acknowledgements carry its name.
+        may_send: called before each acknowledgement; returns whether the node has secured the data that it
+            acknowledges. If it returns False, this acknowledgement is not sent.
+        catch_up: called by the timer in real time; processes the blocks that the node has put off.
     """
 
     def __init__(
@@ -293,7 +318,7 @@ class Acknowledgements:
         catch_up: Callable[[], None] = lambda: None,
     ) -> None:
         self.is_timed = False
-        """True if the newest block was published in real time, so that the timer acknowledges it."""
+        """True if the newest processed block came from a rig in real time; a timer then sends the acknowledgements."""
         self._node = node
         self._may_send = may_send
         self._catch_up = catch_up
@@ -305,7 +330,7 @@ class Acknowledgements:
         self._has_timer = False
 
     def processed(self, stamp_ns: int) -> None:
-        """Register that the block with this stamp is processed."""
+        """Register that the node has processed the block with this stamp [ns]; it is acknowledged now or soon."""
         self._newest_ns = stamp_ns
         self._waiting += 1
         self.is_timed = abs(time.time_ns() - stamp_ns) < PRESENT_NS
@@ -324,7 +349,7 @@ class Acknowledgements:
                 executor.create_task(self._later)
 
     def flush(self) -> None:
-        """Send the outstanding acknowledgement, because the node is being deactivated."""
+        """Send an acknowledgement that is still due; call this when the node is deactivated, which ends the timer."""
         self.is_timed = self._has_timer = False
         if self._node.context.ok():
             self._send()

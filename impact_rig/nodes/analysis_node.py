@@ -13,7 +13,7 @@
 # limitations under the License.
 """Analysis as a lifecycle node: it reads blocks of scans and publishes transmissibility and impacts.
 
-`Tracker` does the work.
+The node handles topics and parameters; `impact_rig.analysis.tracker.Tracker` computes the results.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ UNKNOWN_GAP = -1.0
 
 @attrs.frozen(kw_only=True)
 class AnalysisSettings(TrackerSettings):
-    """Parameters of the analysis node: those of `Tracker`, and the operator's label."""
+    """Parameters of the analysis node: those of `Tracker`, the operator's label of the gap, and `autostart`."""
 
     gap_m: float = quantity(
         UNKNOWN_GAP,
@@ -68,7 +68,7 @@ class AnalysisSettings(TrackerSettings):
 
 
 class AnalysisNode(ManagedNode[AnalysisSettings]):
-    """Lifecycle node that feeds `Tracker`, publishes its results and acknowledges every block."""
+    """Lifecycle node that passes scans to `Tracker`, publishes the results and acknowledges every block of scans."""
 
     COMPONENT = "measurement"
     STATES = states.AnalysisWord
@@ -83,11 +83,11 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         self._latest = math.nan
 
     def configure(self) -> None:
-        """Create the publishers."""
+        """Create the publishers of the results and of the acknowledgements (`daq/ack`)."""
         self.offer(*PUBLISHED, topics.ACK)
 
     def activate(self) -> None:
-        """Start a new measurement."""
+        """Start a new measurement with the present settings, and subscribe to scans, calibration, drive and notes."""
         names = [name for name, _, _ in Tree(TrackerSettings).fields()]
         self._tracker = Tracker(TrackerSettings(**{name: getattr(self.settings, name) for name in names}))
         self._blockwise = [analysis() for analysis in ANALYSES]
@@ -103,7 +103,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         )
 
     def deactivate(self) -> None:
-        """Finish the measurements in progress, and unsubscribe from all topics."""
+        """Publish the results of measurements in progress, and send the last acknowledgement."""
         tracker, self._tracker = self._tracker, None
         try:
             if tracker is not None and self.context.ok():
@@ -112,7 +112,11 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
             self._acknowledgements.flush()
 
     def settings_changed(self, settings: AnalysisSettings, changes: dict[str, Any]) -> None:
-        """Apply a new label at once; settings of the measurement apply at the next activation."""
+        """Apply a new gap label at once to the scans that follow.
+
+        Raises:
+            ConfigError: another setting would change while the node is active; deactivate it first.
+        """
         fixed = sorted(set(changes) - {"gap_m"})
         if self._tracker is None:
             return
@@ -122,14 +126,14 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
             self._label(_gap(settings), self.rig_time_ns() or 0)
 
     def rig_time_ns(self) -> int | None:
-        """Return the time of the newest scan."""
+        """Return the rig time of the newest scan received [ns], for the stamp of diagnostics; None before the first."""
         if self._newest is None:
             return None
         last_s = float(self._newest.rows["time"][-1]) if len(self._newest.rows) else 0.0
         return self._newest.stamp_ns + round(last_s * NS_PER_S)
 
     def doing(self) -> NodeState:
-        """Return the state of the tracker, or the state that no scans arrive."""
+        """Return the state of the measurement, or `no_scans` if no block of scans has arrived for two seconds."""
         words = states.AnalysisWord
         if self._tracker is None or self._newest is None:
             return NodeState(words.NO_SCANS, "none received yet")
@@ -140,7 +144,10 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         return NodeState(words(found.word), self._waiting() or found.reason, found.since_ns)
 
     def health(self) -> tuple[Level, str]:
-        """Return a warning if scans do not arrive, or if some were lost."""
+        """Return level and message of diagnostics.
+
+        The level is a warning if the node is inactive, if scans arrive without calibration, or if scans were lost.
+        """
         if self._tracker is None:
             return Level.WARN, self.state
         if self._newest is None:
@@ -153,7 +160,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         return Level.OK, self._tracker.state.word.replace("_", " ") + (f": {why}" if why else "")
 
     def figures(self) -> dict[str, object]:
-        """Return the tracker's counters and the newest value."""
+        """Return values for diagnostics: newest transmissibility, gap label, counters, and progress of settling."""
         tracker = self._tracker
         if tracker is None:
             return {}
@@ -171,12 +178,15 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         return values
 
     def _waiting(self) -> str:
-        """Return a readable reason why a row is delayed; empty if none is, or if the transient is the reason."""
+        """Return why the next row of `transmissibility/table` is delayed.
+
+        Empty if no row is delayed, or if only the transient of the response delays it.
+        """
         progress = None if self._tracker is None else self._tracker.progress
         return "" if progress is None else progress.reason
 
     def _label(self, gap_m: float, stamp_ns: int) -> None:
-        """Label the scans from `stamp_ns` on, and publish the label for the recorder."""
+        """Label the scans from rig time `stamp_ns` on with a gap [m], and publish the label on `analysis/settings`."""
         assert self._tracker is not None
         self._tracker.label(gap_m, stamp_ns)
         table = settings_table(self.settings, gap_m, stamp_ns, self._started_s)
@@ -232,7 +242,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
                     self.send(topics.TRANSMISSIBILITY, Float64(data=self._latest))
 
     def _analyse(self, scan: Table) -> None:
-        """Feed the blockwise analyses whose channels the scan has."""
+        """Pass a block to each of the further analyses (`ANALYSES`) whose channels it has; publish their results."""
         for analysis in self._blockwise:
             if set(analysis.needs) <= set(scan.rows.dtype.names or ()):
                 table = analysis.feed(scan)

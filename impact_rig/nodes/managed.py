@@ -13,11 +13,10 @@
 # limitations under the License.
 """`ManagedNode`: base class of all lifecycle nodes of the rig.
 
-It configures and activates itself (`autostart`), validates all parameters in one place, and reports at 1 Hz and on
-change. It survives invalid transition requests and exceptions in callbacks, both of which end a plain Jazzy Python
-node. A subclass implements configure, activate, deactivate and clean up. Services may answer later.
-
-Every callback is guarded: an exception is logged and reported in diagnostics, and the node continues.
+Such a node configures and activates itself (`autostart`), validates all parameters in one place, and publishes
+diagnostics at 1 Hz and on change. Its services may answer requests later. It survives invalid transition requests and
+exceptions in callbacks, both of which end a plain Python node of ROS 2 Jazzy: an exception is logged and reported in
+diagnostics, and the node continues. A subclass implements `configure`, `activate`, `deactivate` and `cleanup`.
 """
 
 from __future__ import annotations
@@ -56,19 +55,23 @@ Report = Callable[[str, str], None]  # reports a failure by the name of the call
 
 @attrs.define
 class Refusals:
-    """Count of rejected inputs by reason, with the last message of each reason."""
+    """Number of rejected inputs (messages, requests, parameters) by reason, with the last message of each reason."""
 
     counts: Counter[str] = attrs.field(factory=Counter)
     last: dict[str, str] = attrs.field(factory=dict)
 
     def add(self, reason: str, message: str) -> None:
-        """Count one rejection."""
+        """Count one rejected input under `reason`, and keep its message as the last one of this reason."""
         self.counts[reason] += 1
         self.last[reason] = one_line(message)
 
 
 def guarded(callback: Callable[..., Any], report: Report) -> Callable[..., Any]:
-    """Return `callback` with its exceptions reported instead of raised, and its arguments unified by `with_info`."""
+    """Return a wrapper of `callback` that passes any exception to `report` instead of raising it.
+
+    `report` gets the name of the callback and a description of the exception. As with `with_info`, `callback` gets the
+    arguments one by one.
+    """
 
     @functools.wraps(callback)
     def safe(*args: Any) -> Any:
@@ -82,7 +85,7 @@ def guarded(callback: Callable[..., Any], report: Report) -> Callable[..., Any]:
 
 
 def with_info(callback: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a subscription callback that gets (message, info) from every executor.
+    """Return a wrapper of a subscription callback that calls it with (message, info) under every executor.
 
     Jazzy's events executor passes both as one tuple, the others as two arguments. rclpy decides by the signature
     whether the callback wants the info, and `wraps` keeps the signature.
@@ -96,14 +99,15 @@ def with_info(callback: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _each(args: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Return the arguments one by one, even if an executor passed them as one tuple."""
+    """Return callback arguments one by one, even if an executor passed them as a single tuple."""
     return args[0] if len(args) == 1 and type(args[0]) is tuple else args
 
 
 def guarded_answer(callback: Callable[[Any, Any], Any], refuse: Callable[[str], None]) -> Callable[[Any, Any], Any]:
-    """Return a service callback that answers an invalid request with an error, also for rclpy's own services.
+    """Return a wrapper of a service callback that answers with an error instead of raising an exception.
 
-    For example, an unknown parameter type raises in rclpy's parameter services.
+    It also protects rclpy's own services: their parameter services raise if a request has an unknown parameter type.
+    `refuse` is called with the description of the exception.
     """
 
     @functools.wraps(callback)
@@ -132,13 +136,13 @@ def _name(callback: Callable[..., Any]) -> str:
 S = TypeVar("S", bound=attrs.AttrsInstance)
 
 Done = Callable[[bool, str], None]
-"""Answer to a request of `std_srvs/Trigger` or `std_srvs/SetBool`: called once with `success` and `message`."""
+"""Function that answers a request of `std_srvs/Trigger` or `std_srvs/SetBool` by success and message; call it once."""
 
 DIAGNOSTICS_PERIOD_S = 1.0
 CHANGE_PERIOD_S = 0.1
-"""Delay until a change of level or message is reported, and until an unrequested change of state is reported.
+"""Interval [s] at which a node checks whether level, message or state of its diagnostics have changed.
 
-The first is also the minimum interval between two such reports.
+A change is published at the next check, unless a service or a transition has published it already.
 """
 INSTANCE_BYTES = 8
 ERROR_MEMORY_S = 5.0  # duration for which diagnostics show an exception of a callback
@@ -155,7 +159,7 @@ class Level(enum.IntEnum):
 
 @attrs.frozen
 class NodeState:
-    """State of a node, as one word of `impact_rig.states`."""
+    """State of a node for its diagnostics: a word of `impact_rig.states`, with reason and time of its beginning."""
 
     word: enum.StrEnum  # the most severe word that applies
     reason: str = ""  # readable reason; empty if the word says enough
@@ -164,14 +168,14 @@ class NodeState:
 
 @attrs.define
 class CpuMeter:
-    """Meter of the share of one core that this process has used since the last call [%]."""
+    """Meter of how much of one processor core this process uses."""
 
     clock: Callable[[], float] = time.monotonic
     used: Callable[[], float] = time.process_time
     _last: tuple[float, float] | None = None
 
     def percent(self) -> float:
-        """Return the share since the last call [%]; 0 at the first call."""
+        """Return this process's processor time since the last call, in % of the elapsed time; 0 at the first call."""
         now = (self.clock(), self.used())
         before, self._last = self._last, now
         if before is None or now[0] <= before[0]:
@@ -180,7 +184,7 @@ class CpuMeter:
 
 
 def worst(*statuses: tuple[Level, str]) -> tuple[Level, str]:
-    """Return the most severe of several (level, message); messages of equal level are joined, ("OK", "") gives OK."""
+    """Return the most severe level among (level, message) pairs, and the messages of that level, joined by "; "."""
     level = max((found for found, _ in statuses), default=Level.OK)
     return level, "; ".join(message for found, message in statuses if found == level and message)
 
@@ -189,28 +193,33 @@ class ManagedNode(LifecycleNode, Generic[S]):
     """Lifecycle node with guarded callbacks, validated parameters and diagnostics.
 
     Args:
+        name: node name.
+        tree: parameters of the node, with their validation.
         kwargs: passed to rclpy's Node (context, namespace, parameter_overrides, ...).
     """
 
     COMPONENT: ClassVar[str] = "state"  # component that the diagnostics of the node describe
     STATES: ClassVar[type[states.NodeWord]]
-    """Words for the states of the node."""
+    """Enumeration of `impact_rig.states` whose words are the states of this node in diagnostics."""
     MAKES_TIME: ClassVar[bool] = False  # whether the node publishes the clock, so it cannot follow another one
 
     def __init__(self, name: str, tree: Tree[S], **kwargs: Any) -> None:
         super().__init__(name, **kwargs)
         self.is_ending: Callable[[], bool] = lambda: False
-        """Query whether the process is about to end; the end of other nodes is then expected."""
+        """Function that returns whether this process is about to end; the node then reports no changes.
+
+        Other nodes often end at the same time, and a report that they are missing would mislead.
+        """
         self.quitting = False  # whether a client has requested the end of the process
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.refusals = Refusals()
         self.frame_prefix = graph.frame_prefix(self.get_namespace())
-        """Prefix of the frames that the node publishes: rigs in different namespaces have different frames."""
+        """Prefix of the frame names in published messages, from the namespace; to tell the frames of two rigs apart."""
         arguments = kwargs.get("cli_args") or sys.argv
         self.parameters = Parameters(self, tree, arguments, self.MAKES_TIME, self.complete)
         self.outputs: dict[str, Publisher] = {}  # publishers by topic, created by `offer`; destroyed at clean-up
         self.activation = contextlib.ExitStack()
-        """Resources that are destroyed after `deactivate`: see `every` and `until_deactivated`."""
+        """Timers and subscriptions that exist while the node is active: they are destroyed after `deactivate`."""
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self._proposed: Proposal[S] | None = None
         self._guard_transitions()
@@ -231,47 +240,55 @@ class ManagedNode(LifecycleNode, Generic[S]):
     # Methods of a subclass
 
     def configure(self) -> None:
-        """Build the parts of the node and create its publishers.
+        """Build the parts of the node and create its publishers, at the lifecycle transition `configure`.
 
-        An ImpactRigError fails the transition with its message.
+        If it raises an exception, the transition fails with that message, and `cleanup` is called.
         """
 
     def activate(self) -> None:
-        """Start working."""
+        """Start the node's work, at the lifecycle transition `activate`; after an exception, `deactivate` is called."""
 
     def deactivate(self) -> None:
-        """Stop working, if active; the publishers of `offer` stay."""
+        """Stop the node's work; the publishers of `offer` stay. It is also called if the node is not active."""
 
     def cleanup(self) -> None:
-        """Free everything else that `configure` created; must succeed even if `configure` failed half-way."""
+        """Free what `configure` created, except publishers of `offer`; must work also if `configure` failed midway."""
 
     def settings_changed(self, settings: S, changes: dict[str, Any]) -> None:
-        """Apply new, validated settings; an exception rejects them."""
+        """Apply new, validated settings to the node; an exception rejects them, and all parameters keep their values.
+
+        Args:
+            settings: all parameters with their new values.
+            changes: the values that differ from the present ones, by parameter name.
+        """
 
     def doing(self) -> NodeState:
-        """Return the state of the node, computed from data only; often called, but only while the node is active."""
+        """Return the state of the active node as a word of `STATES`, with its reason, for diagnostics.
+
+        It must be cheap, as it is called about ten times a second; it is not called in other lifecycle states.
+        """
         raise NotImplementedError
 
     def health(self) -> tuple[Level, str]:
-        """Return level and message of diagnostics in any lifecycle state; it is called ten times a second."""
+        """Return level and message of the node's diagnostics; called about ten times a second in any state."""
         return Level.OK, self.state
 
     def figures(self) -> Mapping[str, object]:
-        """Return the key-value pairs of diagnostics in any lifecycle state; it is called for each message."""
+        """Return the values that the node adds to its diagnostics, by key; called for each report in any state."""
         return {}
 
     def complete(self, settings: S) -> S:
-        """Return the start-up settings completed by properties of the node, such as its namespace."""
+        """Return the start-up settings, completed by what only the node knows (its namespace); here unchanged."""
         return settings
 
     def autostarts(self) -> bool:
-        """Return whether the node configures and activates itself."""
+        """Return whether the node configures and activates itself at start (parameter `autostart`)."""
         return bool(getattr(self.settings, "autostart", True))
 
     def rig_time_ns(self) -> int | None:
-        """Return the stamp of diagnostics: rig time in a node that follows it, here the node's clock.
+        """Return the stamp of the node's diagnostics [ns]; None, published as 0, if there is no rig time yet.
 
-        None if there is no rig time yet.
+        Here it is the time of the node's clock; a node that follows a rig returns rig time.
         """
         return int(self.get_clock().now().nanoseconds)
 
@@ -279,12 +296,12 @@ class ManagedNode(LifecycleNode, Generic[S]):
 
     @property
     def settings(self) -> S:
-        """Parameters as one frozen value."""
+        """Present values of all parameters, as one immutable object."""
         return self.parameters.settings
 
     @property
     def state(self) -> str:
-        """Label of the lifecycle state."""
+        """Label of the node's lifecycle state, such as `inactive` or `active`."""
         return rclpy_internals.lifecycle_state(self)
 
     @property
@@ -293,7 +310,10 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return self.state == "active"
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any) -> Any:
-        """Create a guarded service. rclpy calls this for its own services (parameters), too."""
+        """Create a service whose callback is guarded: an exception is answered as an error, logged and counted.
+
+        rclpy calls this method for its own services (parameters), too, so they are guarded as well.
+        """
         reason = "parameter" if "parameter" in srv_name else srv_name.removeprefix("~/")
         if srv_type is SetParameters:
             callback = self._on_set_request
@@ -303,41 +323,53 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Callable[..., None], *args: Any, **options: Any
     ) -> Any:
-        """Create a guarded subscription. rclpy calls this for its own subscriptions (/clock), too."""
+        """Create a subscription whose callback is guarded: an exception is logged and reported, and the node continues.
+
+        rclpy calls this method for its own subscriptions (/clock), too, so they are guarded as well.
+        """
         return super().create_subscription(msg_type, topic, guarded(callback, self.report_failure), *args, **options)
 
     def steady_timer(self, period_s: float, callback: Callable[[], None]) -> Any:
-        """Create a guarded timer on the monotonic clock, which neither sim time nor a clock step affects."""
+        """Create a timer that calls `callback` every `period_s` seconds of the monotonic clock.
+
+        Neither simulated time nor a change of the system clock affects it. An exception in `callback` is logged and
+        reported.
+        """
         return self.create_timer(period_s, guarded(callback, self.report_failure), clock=self.steady)
 
     def every(self, period_s: float, callback: Callable[[], None]) -> None:
-        """Call a function periodically until the node is deactivated."""
+        """Call `callback` every `period_s` seconds of wall time until the node is deactivated."""
         self.activation.callback(self.destroy_timer, self.steady_timer(period_s, callback))
 
     def offer(self, *chosen: topics.Topic) -> None:
-        """Create the publishers of some topics; they exist while the node is configured."""
+        """Create the publishers of these topics, for `send`; they exist until the node is cleaned up."""
         self.outputs |= {topic.name: self.publisher(topic) for topic in chosen}
 
     def send(self, topic: topics.Topic, message: Any) -> None:
-        """Publish a message, or its CDR bytes, on an offered topic."""
+        """Publish a message, or its CDR (serialised) bytes, on a topic whose publisher `offer` has created."""
         self.outputs[topic.name].publish(message)
 
     def send_table(self, topic: topics.Topic, table: Table) -> None:
-        """Publish a table on an offered topic, in a frame of this rig."""
+        """Publish a table on a topic whose publisher `offer` has created, with this rig's prefix of the frame name."""
         self.send(topic, codec.encode(table, self.frame_prefix))
 
     def adopt_frame(self, info: Table) -> None:
-        """Adopt the frame prefix of `daq/info`: results are in the frame of the scans they were computed from."""
+        """Adopt the frame prefix of a `daq/info` table, so that results name the same frame as their scans."""
         if info.frame_id.endswith(FRAME_DAQ):
             self.frame_prefix = info.frame_id.removesuffix(FRAME_DAQ)
 
     def until_deactivated(self, *subscriptions: Any) -> None:
-        """Keep subscriptions until the node is deactivated."""
+        """Destroy these subscriptions when the node is deactivated."""
         for subscription in subscriptions:
             self.activation.callback(self.destroy_subscription, subscription)
 
     def publisher(self, topic: topics.Topic, depth: int | None = None) -> Publisher:
-        """Create the publisher of a topic of the topics table, optionally with another depth; `qos_overrides` apply."""
+        """Create the publisher of a topic of the topics table; ROS parameters (`qos_overrides`) can change its QoS.
+
+        Args:
+            topic: topic of the table.
+            depth: number of messages kept for a slow subscriber (default: that of the table).
+        """
         return self.create_publisher(
             messages.class_of(topic),
             topic.name,
@@ -348,7 +380,14 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def subscribe(
         self, topic: topics.Topic, callback: Callable[..., None], raw: bool = False, depth: int | None = None
     ) -> Any:
-        """Create a guarded subscription to a topic of the topics table, optionally deeper; `raw` gives CDR bytes."""
+        """Create a subscription to a topic of the topics table; an exception in `callback` is logged and reported.
+
+        Args:
+            topic: topic of the table.
+            callback: called with each message, and with its info if it takes two arguments.
+            raw: whether `callback` gets the message as CDR (serialised) bytes.
+            depth: length of the queue (default: that of the table).
+        """
         return self.create_subscription(
             messages.class_of(topic),
             topic.name,
@@ -359,9 +398,9 @@ class ManagedNode(LifecycleNode, Generic[S]):
         )
 
     def subscribe_table(self, topic: topics.Topic, callback: Callable[[Table], None]) -> Any:
-        """Create a guarded subscription to a table.
+        """Create a subscription to a topic that carries tables; `callback` gets each decoded table.
 
-        Invalid messages and those that `callback` rejects are logged and counted.
+        Invalid messages, and tables for which `callback` raises an ImpactRigError, are logged and counted as rejected.
         """
 
         def take(data: bytes) -> None:
@@ -376,7 +415,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return self.subscribe(topic, take, raw=True)
 
     def table(self, topic: topics.Topic, data: bytes) -> Table | None:
-        """Decode a received table. Returns None (logged and counted) if it does not match the topic."""
+        """Decode the CDR bytes of a received table; return None (logged and counted) if they are invalid."""
         try:
             return codec.decode(data, topic)
         except CodecError as error:
@@ -390,14 +429,16 @@ class ManagedNode(LifecycleNode, Generic[S]):
         on_request: Callable[[Any, Done], None],
         check_sent: Callable[[int], None] | None = None,
     ) -> None:
-        """Create a service of `std_srvs`; use private names (`~/name`).
+        """Create a service of `std_srvs` that may answer a request later; use private names (`~/name`).
 
         Args:
             service_type: `Trigger` or `SetBool`.
             name: service name.
-            on_request: called with each request and a function that answers it, now or later. An error of this package
-                rejects the request, any other error is a failure; both are answered. Changes are reported at once.
-            check_sent: called first, with the system time at which the request was sent [ns]; may reject it likewise.
+            on_request: called with each request and a function that answers it, now or later. If it raises an
+                ImpactRigError, the request is rejected with that message; any other exception is reported as a failure.
+                A change of the node's state is published at once.
+            check_sent: called before `on_request` with the system time at which the request was sent [ns]; raises an
+                ImpactRigError to reject the request.
         """
         reason = name.removeprefix("~/")
 
@@ -423,18 +464,18 @@ class ManagedNode(LifecycleNode, Generic[S]):
         LateService(self, service_type, name, answer)
 
     def report_failure(self, where: str, message: str) -> None:
-        """Log an exception caught by a guard, and show it in diagnostics."""
+        """Log an exception that was caught in the callback `where`, and show it in diagnostics for some seconds."""
         self._last_error = (time.monotonic(), f"{where}: {message}")
         self.refusals.add("exception", message)
         self.warn_throttled(f"exception in {where}", f"exception in {where}: {message}", error=True)
 
     def refuse(self, reason: str, message: str) -> None:
-        """Count a rejected input and warn, at most once per second and reason."""
+        """Count a rejected input under `reason`, for diagnostics; log a warning at most once per second and reason."""
         self.refusals.add(reason, message)
         self.warn_throttled(reason, f"refused ({reason}): {message}")
 
     def warn_throttled(self, key: str, message: str, error: bool = False) -> None:
-        """Log, at most once per second and key."""
+        """Log a warning (or an error, if `error`), unless one with the same `key` was logged within the last second."""
         now = time.monotonic()
         if now - self._warned.get(key, -WARN_PERIOD_S) >= WARN_PERIOD_S:
             self._warned[key] = now
@@ -444,7 +485,10 @@ class ManagedNode(LifecycleNode, Generic[S]):
     # Lifecycle: every transition is guarded and logs the reason of a failure
 
     def on_configure(self, _state: LifecycleState) -> TransitionCallbackReturn:
-        """Build the node's parts; return FAILURE and log the reason if the parameters are invalid."""
+        """Run `configure` at a lifecycle transition; return FAILURE and log why if it fails.
+
+        It also fails if the start-up parameters are invalid.
+        """
         if self.parameters.refused is not None:
             return self._failed("configure", self.parameters.refused)
         self._last_error = (-ERROR_MEMORY_S, "")
@@ -454,7 +498,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return done
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Start working."""
+        """Run `activate` at a lifecycle transition; return FAILURE, after `deactivate`, and log why if it fails."""
         self._instance = secrets.token_hex(INSTANCE_BYTES)
         done = self._transition("activate", self.activate, undo=self._stop)
         if done != TransitionCallbackReturn.SUCCESS:
@@ -463,25 +507,28 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop working."""
+        """Run `deactivate` at a lifecycle transition, and destroy the timers and subscriptions of the activation."""
         self._transition("deactivate", self._stop)
         self.get_logger().info("deactivated")
         return super().on_deactivate(state)
 
     def on_cleanup(self, _state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop working and free everything, from any state. The node can be configured again unless it is finalized."""
+        """Stop the node's work and free everything, in any state; rclpy calls this at shutdown and after an error, too.
+
+        The node can be configured again unless it is finalized.
+        """
         return self._transition("clean up", self._free)
 
     on_shutdown = on_cleanup
     on_error = on_cleanup
 
     def close(self) -> None:
-        """Stop working before the process ends; works even if ROS is already shut down."""
+        """Stop the node's work and free everything before the process ends; works even if ROS is already shut down."""
         self._transition("clean up", self._free)
         self.get_logger().info("ended")
 
     def destroy_node(self) -> None:
-        """Destroy the node with its state machine."""
+        """Destroy the node and its lifecycle state machine; otherwise the node would stay in the ROS graph."""
         super().destroy_node()
         rclpy_internals.destroy_state_machine(self)
 
@@ -517,9 +564,9 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return TransitionCallbackReturn.FAILURE
 
     def _guard_transitions(self) -> None:
-        """Answer an invalid transition request with `success = False`, and count it.
+        """Make the node answer an invalid transition request with `success = False`, and count it as rejected.
 
-        rclpy of Jazzy would raise and end the process; rclpy of Kilted answers likewise.
+        rclpy of Jazzy would raise an exception that ends the process; rclpy of Kilted answers as this does.
         """
         service = rclpy_internals.change_state_service(self)
         original = service.callback
@@ -551,14 +598,17 @@ class ManagedNode(LifecycleNode, Generic[S]):
     # Parameters
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
-        """Set all parameters or none, through the validator; the services and in-process calls both use this."""
+        """Validate and set all of these parameters, or none; log and count a rejection.
+
+        rclpy's service `set_parameters_atomically` and calls within this process both use this method.
+        """
         result = self._attempt(parameter_list)
         if not result.successful:
             self.refuse("parameter", result.reason)
         return result
 
     def _attempt(self, parameter_list: list[Parameter]) -> SetParametersResult:
-        """Set all parameters or none."""
+        """Validate and set all of these parameters, or none; a rejection is returned but not logged or counted."""
         try:
             self._proposed = proposed = self.parameters.check(parameter_list)
             result = super().set_parameters_atomically(proposed.stored)
@@ -581,7 +631,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return response
 
     def set_parameters(self, parameter_list: list[Parameter]) -> list[SetParametersResult]:
-        """Set the parameters one after the other, each through the validator."""
+        """Validate and set the parameters one after the other; a rejected one does not affect the others."""
         return [self.set_parameters_atomically([parameter]) for parameter in parameter_list]
 
     def _on_set_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
@@ -606,12 +656,18 @@ class ManagedNode(LifecycleNode, Generic[S]):
             self.report_change()
 
     def report_change(self) -> None:
-        """Publish the present status if the state differs from the last published one."""
+        """Publish diagnostics now if the node's state differs from the last published one.
+
+        Nothing is published while the process ends.
+        """
         if self.present().word != self._word and not self.is_ending():
             self.report_now()
 
     def present(self) -> NodeState:
-        """Return the present state in any lifecycle state."""
+        """Return the node's present state for diagnostics, in any lifecycle state.
+
+        While the node is not active, the state is `inactive`; its reason is the lifecycle state and a recent error.
+        """
         if self.active:
             return self.doing()
         at, message = self._last_error
@@ -619,7 +675,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return NodeState(self.STATES("inactive"), f"{self.state}: {message}" if fresh else self.state)
 
     def report_now(self) -> None:
-        """Publish the present status."""
+        """Publish the node's diagnostics now: level, message, state and figures."""
         level, message = self._judged()
         state, now_ns = self.present(), self.rig_time_ns()
         self._reported, self._reported_at = (level, message), time.monotonic()
@@ -652,7 +708,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         self._diagnostics.publish(array)
 
     def _judged(self) -> tuple[Level, str]:
-        """Return the level and message of `health`, together with the last error while it is recent."""
+        """Return level and message for diagnostics: those of `health`, together with a caught error that is recent."""
         at, message = self._last_error
         if time.monotonic() - at < ERROR_MEMORY_S:
             return worst(self.health(), (Level.ERROR, message))

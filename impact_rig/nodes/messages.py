@@ -13,11 +13,12 @@
 # limitations under the License.
 """Topics of the graph with their rclpy properties: classes, qualities of service, stamps, and messages as bytes.
 
-This module adds the monitors of instruments and the blockwise analyses to the base table (`impact_rig.topics`).
+The module adds the monitors of instruments, the blockwise analyses and the plots to the base table
+(`impact_rig.topics`).
 
 Filling and serialising a message object takes 30 to 60 µs in Python; writing its numbers into bytes takes one or two. A
-`Template` does this for messages whose sequences and texts have constant lengths, so that every number has a constant
-offset (OMG DDSI-RTPS 2.2, section 10: CDR is a fixed layout of fixed parts).
+`Template` does the latter for messages whose sequences and texts have constant lengths, so that every number has a
+constant offset (OMG DDSI-RTPS 2.2, section 10: CDR is a fixed layout of fixed parts).
 """
 
 from __future__ import annotations
@@ -41,26 +42,26 @@ _STAMP_FORM = "<4siI"  # encapsulation, seconds, nanoseconds
 _MARK = struct.unpack("<f", b"\x13\x57\x9b\x71")[0]  # exact in both precisions, and in none of the messages here
 
 MONITORS = {name: instrument.monitor for name, instrument in INSTRUMENTS.items() if instrument.monitor is not None}
-"""Monitor topic of each instrument that has one, by channel."""
+"""Monitor topics (readings of one instrument at a low rate), by channel name, for the instruments that have one."""
 
 ENVELOPES = {name: topics.envelope(name, kind.unit) for name, kind in INSTRUMENTS.items()}
-"""Envelope topic of each channel."""
+"""Topic of each channel's envelope for plotters (minimum, maximum and rms of 20 ms), by channel name."""
 SPECTRA = {name: topics.spectrum(name, INSTRUMENTS[name].unit) for name in ("laser", "accelerometer")}
-"""Amplitude spectrum topic of each channel that has one."""
+"""Topic of the amplitude spectrum for plotters, by channel name; only these two channels have one."""
 
 _FOLLOWING = {
     topics.INFO: tuple(MONITORS.values()),
     topics.IMPACTS: tuple(analysis.topic for analysis in ANALYSES),
     topics.PLOT_PULSES: (*SPECTRA.values(), *ENVELOPES.values()),
 }
-"""Topics missing in the base table, by the entry that they follow."""
+"""Topics that the base table lacks, by the topic of the base table after which they are inserted into `TOPICS`."""
 
 TOPICS: tuple[Topic, ...] = tuple(found for topic in topics.COMMON for found in (topic, *_FOLLOWING.get(topic, ())))
-"""All topics of the interface, in the order of the documentation."""
+"""All topics that nodes of this package publish or read, in the order of docs/reference/interface.md."""
 
 
 def by_name(name: str) -> Topic:
-    """Return the topic of this (relative or absolute) name.
+    """Return the row of the topics table with this name, relative (`daq/scan`) or absolute (`/clock`) as in the table.
 
     Raises:
         KeyError: no topic has this name.
@@ -72,7 +73,11 @@ _BY_NAME = {topic.name: topic for topic in TOPICS}
 
 
 def class_of(topic: Topic) -> Any:
-    """Return the class of a topic's messages; raises as `message_class` does."""
+    """Return the Python class of a topic's messages.
+
+    Raises:
+        ImportError, AttributeError: the package of the message type is not installed.
+    """
     return message_class(topic.type_name)
 
 
@@ -87,7 +92,10 @@ def message_class(type_name: str) -> Any:
 
 
 def profile(qos: Qos, depth: int | None = None) -> QoSProfile:
-    """Return a new rclpy profile (rclpy writes overrides into it), optionally with another depth."""
+    """Return a new rclpy quality-of-service profile for `qos`; `depth` replaces its queue length.
+
+    Each call returns a new object, because rclpy writes overrides into the profile.
+    """
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=depth or qos.depth,
@@ -97,18 +105,18 @@ def profile(qos: Qos, depth: int | None = None) -> QoSProfile:
 
 
 def time_message(ns: int) -> Time:
-    """Return a time in nanoseconds as a message."""
+    """Return a time in nanoseconds as a `builtin_interfaces/Time` message."""
     seconds, nanoseconds = divmod(ns, NS_PER_S)
     return Time(sec=seconds, nanosec=nanoseconds)
 
 
 def nanoseconds(stamp: Time) -> int:
-    """Return a time message in nanoseconds."""
+    """Return the time of a `builtin_interfaces/Time` message in nanoseconds."""
     return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
 
 
 def header_stamp_ns(message: Any) -> int | None:
-    """Return the stamp in the header of a message or of its CDR bytes, or None without a header."""
+    """Return the header's stamp [ns] of a message or of its CDR bytes; None if the message has no header."""
     if isinstance(message, bytes):
         return codec.header_stamp_ns(message)
     header = getattr(message, "header", None)
@@ -116,11 +124,11 @@ def header_stamp_ns(message: Any) -> int | None:
 
 
 class Template:
-    """Serialised message with a replaceable stamp and numbers.
+    """Serialised message in which only the stamp and some numbers are replaced before each publication.
 
     Args:
-        message: complete except for its stamp and the changing numbers.
-        paths: fields of these numbers, as in `put`.
+        message: complete message, apart from its stamp and the changing numbers.
+        paths: field of each changing number, in the notation of `put`.
     """
 
     def __init__(self, message: Any, *paths: str) -> None:
@@ -138,7 +146,7 @@ class Template:
         self._form = struct.Struct(f"{form}{len(data) - end}s")
 
     def render(self, stamp_ns: int, *values: object) -> bytes:
-        """Return the bytes of the message with this stamp [ns] and these numbers, in the order of the paths."""
+        """Return the CDR bytes of the message with this stamp [ns] and these numbers, in the order of `paths`."""
         parts = self._parts.copy()
         parts[1:3] = divmod(stamp_ns, NS_PER_S)
         for place, value in zip(self._places, values, strict=True):
@@ -147,7 +155,7 @@ class Template:
 
 
 def put(message: Any, path: str, value: object) -> None:
-    """Set a field of a message: `linear_acceleration.x`, or `position.2` for an element of a sequence."""
+    """Set the field `path` of a message: `linear_acceleration.x`, or `position.2` for element 2 of a sequence."""
     *parts, last = path.split(".")
     for name in parts:
         message = getattr(message, name)
@@ -158,7 +166,10 @@ def put(message: Any, path: str, value: object) -> None:
 
 
 def _find(message: Any, path: str) -> tuple[str, int]:
-    """Return format and offset of a number in serialised bytes, from the position of a mark that occurs only there."""
+    """Return the format (`d` or `f`) and the byte offset of the number `path` in the serialised message.
+
+    It writes a mark into the field, a number that no message here contains, and searches for its bytes.
+    """
     put(message, path, _MARK)
     marked = bytes(serialize_message(message))
     put(message, path, 0.0)

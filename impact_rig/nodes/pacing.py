@@ -14,8 +14,9 @@
 """Pacing of blocks: due times on an injected clock, and a timer in phase with the blocks.
 
 Nothing here sleeps: the owner of the loop queries up to which rig time blocks are due, and reports each block that it
-has published. Deadlines are computed from the start and never accumulated, so pacing does not drift. After a suspension
-of the process, the pacer re-bases, and reports by how much.
+has published. Deadlines are computed from a fixed start, so errors do not accumulate. If the rig is too far behind, as
+after a suspension of the process, the pacer gives up the lag: it sets a new start (re-bases) and counts the time given
+up.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from impact_rig.simtime import NS_PER_S
 Clock = Callable[[], int]  # a monotonic clock [ns], e.g. `time.monotonic_ns`
 
 MAX_LAG_NS = NS_PER_S
-"""Lag in rig time beyond which catching up would overflow every subscriber's queue; a real-time rig is re-based."""
+"""Lag [ns of rig time] beyond which a rig in real time does not catch up: the blocks would overflow all queues."""
 LATENESS_WINDOW = 3000  # number of blocks in the lateness statistics: 30 s of 10 ms blocks
 LATE_CALLS = 100
 LATE_SHARE = 0.1  # share of the period from which a call counts as late
@@ -42,7 +43,7 @@ _AT_ONCE_S = 1e-6
 
 @attrs.frozen
 class Lateness:
-    """Statistics of the delay from the end of a block to its publication [ms]."""
+    """Statistics of how long after its due time a block is published [ms]: median, 99th percentile and maximum."""
 
     median_ms: float
     p99_ms: float
@@ -50,11 +51,12 @@ class Lateness:
 
 
 class Pacer:
-    """Mapping from a monotonic clock to the rig time that is due, at `factor` times real time.
+    """Conversion between a monotonic clock and the rig time that is due, at `factor` times real time.
 
     Args:
+        clock: monotonic clock [ns].
         factor: seconds of rig time per second of clock.
-        max_lag_ns: lag in rig time beyond which the pacer re-bases instead of catching up.
+        max_lag_ns: lag in rig time [ns] beyond which the pacer gives up the lag instead of catching up.
     """
 
     def __init__(self, clock: Clock, factor: float = 1.0, max_lag_ns: int = MAX_LAG_NS) -> None:
@@ -68,13 +70,21 @@ class Pacer:
         self.slipped_ns = 0  # clock time given up by re-basing [ns]
 
     def rebase(self, produced_ns: int, factor: float | None = None) -> None:
-        """Make `produced_ns` of rig time due now: at the start, after a pause, and when the factor changes."""
+        """Make the rig time `produced_ns` due now, with a new `factor` if given.
+
+        Call it at the start, after a pause and when the factor changes.
+        """
         self._origin_ns, self._origin_rig_ns = self._clock(), produced_ns
         if factor is not None:
             self.factor = factor
 
     def due_ns(self, produced_ns: int) -> int:
-        """Return the rig time that should have been produced by now; re-bases when `produced_ns` is too far behind."""
+        """Return the rig time [ns] up to which blocks are due now.
+
+        Args:
+            produced_ns: rig time up to which blocks have been produced. If it is behind by more than `max_lag_ns`, the
+                lag is given up and counted, and `produced_ns` itself is returned.
+        """
         due = self._origin_rig_ns + int((self._clock() - self._origin_ns) * self.factor)
         if due - produced_ns > self._max_lag_ns:
             self.slips += 1
@@ -84,18 +94,18 @@ class Pacer:
         return due
 
     def wait_ns(self, rig_ns: int) -> int:
-        """Return the time until `rig_ns` is due [ns of the clock]; negative if it is overdue."""
+        """Return the time until the rig time `rig_ns` is due [ns of the clock]; negative if it is overdue."""
         return int(self._deadline_ns(rig_ns)) - self._clock()
 
     def published(self, end_ns: int) -> None:
-        """Register that the block ending at rig time `end_ns` is published."""
+        """Record, for `lateness`, that the block that ends at rig time `end_ns` has been published now."""
         self._late_ms.append((self._clock() - self._deadline_ns(end_ns)) * 1e-6)
 
     def _deadline_ns(self, rig_ns: int) -> float:
         return self._origin_ns + (rig_ns - self._origin_rig_ns) / self.factor
 
     def lateness(self) -> Lateness | None:
-        """Return the statistics of the last blocks, or None before the first."""
+        """Return how late the last 3000 blocks were published, or None if none has been published yet."""
         if not self._late_ms:
             return None
         median, p99, worst = np.percentile(self._late_ms, (50, 99, 100))
@@ -103,11 +113,12 @@ class Pacer:
 
 
 class WorkTimer:
-    """Timer with a period and a phase, on the monotonic clock.
+    """Timer that calls back at the times at which blocks are due: with a period and a phase, on the monotonic clock.
 
     A timer of rclpy first fires one period after its creation, so a block would wait up to one period after its end.
-    Here a one-shot timer precedes it. If period and block differ by fractions of a nanosecond, the phase wanders: the
-    timer is realigned when its calls have been late for a while.
+    Therefore a one-shot timer, whose period sets the phase, starts the periodic one. The phase drifts if the periods of
+    timer and blocks differ by fractions of a nanosecond; after 100 late calls in a row the timer is started again in
+    phase.
     """
 
     def __init__(self, node: ManagedNode[Any], callback: Callable[[], None]) -> None:
@@ -118,10 +129,10 @@ class WorkTimer:
         self._late = 0
 
     def start(self, period_s: float, first_s: float) -> None:
-        """Call back in `first_s` and then every `period_s` [s]; this replaces the running timer.
+        """Call back after `first_s` seconds and then every `period_s` seconds; this replaces a running timer.
 
-        An overdue call waits for the next call in phase: an immediate call would set a phase in which all are late. If
-        the first call is more than one period away, calls in phase come before it as well.
+        If `first_s` is negative (overdue) or longer than a period, the first call comes at the next time in phase with
+        it. An immediate call would set a phase in which all calls are late.
         """
         self.stop()
         self._period_s = period_s
@@ -130,17 +141,18 @@ class WorkTimer:
         self._timer = self._node.steady_timer(max(first_s, _AT_ONCE_S), self._first)
 
     def stop(self) -> None:
-        """Stop calling back."""
+        """Stop calling back until the next `start`."""
         if self._timer is not None:
             self._node.destroy_timer(self._timer)
             self._timer = None
         self._late = 0
 
     def keep_in_step(self, wait_s: float) -> None:
-        """Set the wait until the next call [s], after a call.
+        """Start the timer again in phase if its calls have been late for a while; call this after each callback.
 
-        A wait far below the period means that this call was late. A negative wait means that the next one will be: its
-        work became due during this call.
+        Args:
+            wait_s: time until the next block is due [s]. A value far below the period means that this call was late. A
+                negative value means that the next call will be late: its block became due during this call.
         """
         self._late = self._late + 1 if wait_s < (1.0 - LATE_SHARE) * self._period_s else 0
         if self._late >= LATE_CALLS:

@@ -14,8 +14,8 @@
 """ROS parameters derived from configuration fields, with one validator for start-up files and run-time changes.
 
 rclpy would check types and ranges itself, with its own messages, before any callback. Here every change passes the
-validator of `impact_rig.config` first, so a bad value gives the same message in all cases. The descriptors show unit
-and range in ROS tools.
+validator of `impact_rig.config` first, so a bad value gives the same message at start and at run time. The descriptors
+that are declared show unit and range in ROS tools.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ NO_SIM_TIME = "must be false here: this node publishes the clock"
 
 @attrs.frozen
 class Proposal(Generic[S]):
-    """Set of parameters that the validator has accepted."""
+    """Change of parameters that the validator has accepted and that is not applied yet."""
 
     stored: list[Parameter]  # the parameters as they will be stored
     settings: S  # all parameters as one value
@@ -61,10 +61,10 @@ class Parameters(Generic[S]):
 
     Args:
         node: node that owns the parameters; its `set_parameters_atomically` calls `check` first.
-        tree: names, descriptions and validator.
-        arguments: command line, used to name the parameter files in an error of the start-up values.
-        makes_time: whether the node is the source of rig time, so it cannot follow another clock.
-        complete: returns the start-up settings completed by properties of the node.
+        tree: names, descriptions and validator of the parameters.
+        arguments: command line of the process; errors of start-up values name the parameter files in it.
+        makes_time: whether the node publishes the clock, so that `use_sim_time` must stay false.
+        complete: function that returns the start-up settings with values that only the node knows.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class Parameters(Generic[S]):
         self._tree = tree
         self._infos = {name: about for name, about, _ in tree.fields()}
         self.refused: ConfigError | None = None
-        """Reason why the start-up values were rejected; the settings are then the defaults."""
+        """Error that rejected the start-up values, or None; after an error, the settings are the defaults."""
         given = parameter_overrides(node)
         self.settings = self._at_start(given, _files(arguments), complete)
         if makes_time and given.get(SIM_TIME) is True:
@@ -102,13 +102,14 @@ class Parameters(Generic[S]):
             return self._tree.root()
 
     def check(self, wanted: list[Parameter]) -> Proposal[S]:
-        """Return the settings that would result from these parameters.
+        """Validate a change of these parameters, and return all settings that would result; nothing is changed.
 
-        A read-only parameter with its present value is ignored, as in `ros2 param load` of a dump.
+        A read-only parameter with its present value is accepted and ignored, as `ros2 param load` sends all values of a
+        dump.
 
         Raises:
-            ConfigError: a key is unknown, a parameter is read-only, a value is invalid, or values contradict each
-                other; nothing is changed.
+            ConfigError: a name is unknown, a read-only parameter would change, a value is invalid, or values contradict
+                each other.
         """
         changes: dict[str, object] = {}
         wanted = [parameter for parameter in wanted if not self._unchanged(parameter)]
@@ -126,7 +127,7 @@ class Parameters(Generic[S]):
         return Proposal(stored, settings, self._tree.differences(settings, self.settings))
 
     def _unchanged(self, parameter: Parameter) -> bool:
-        """Return whether a read-only or text parameter keeps its value.
+        """Return whether this request can be ignored: a read-only or text parameter would keep its value.
 
         Raises:
             ConfigError: a read-only parameter would change.
@@ -143,11 +144,15 @@ class Parameters(Generic[S]):
 
 
 def set_one_by_one(messages: list[Any], attempt: Attempt) -> list[SetParametersResult]:
-    """Set parameters one by one, and return their results in the given order; `attempt` may be called repeatedly.
+    """Set parameters one by one, as ROS does, and return one result for each message, in the given order.
 
-    ROS sets parameters one after the other. Here the order is chosen so that all are accepted if possible: `ros2 param
-    load` sends a file sorted by name, so a new drive frequency precedes the limit of the shaker that allows it. A
-    rejected value is tried again as long as another value has been accepted.
+    A rejected value is tried again as long as another value has been accepted since, so all are accepted if any order
+    allows it. For example, `ros2 param load` sends a file sorted by name, so a new drive frequency precedes the shaker
+    limit that allows it.
+
+    Args:
+        messages: parameters as ROS messages.
+        attempt: validates and sets some parameters together; may be called repeatedly for the same parameter.
     """
     results: list[SetParametersResult] = []
     refused: dict[int, Parameter] = {}
@@ -172,9 +177,14 @@ def set_one_by_one(messages: list[Any], attempt: Attempt) -> list[SetParametersR
 
 
 def descriptor(about: FieldInfo, value: Value) -> ParameterDescriptor:
-    """Return the descriptor that ROS tools show for a parameter: description, unit, range.
+    """Return the descriptor of a parameter, which ROS tools show: description, unit, range and whether it is read-only.
 
-    ROS ranges are closed. The description names an open end, and the validator enforces it.
+    Ranges of ROS include their limits. If a limit itself is not allowed, the text of the descriptor says so, and the
+    validator rejects it.
+
+    Args:
+        about: configuration field of the parameter.
+        value: present value, which decides the ROS type.
     """
     unit = "" if about.unit == "-" else f" [{about.unit}]"
     limited = bool(about.choices) or about.low is not None or about.high is not None
@@ -200,7 +210,7 @@ def descriptor(about: FieldInfo, value: Value) -> ParameterDescriptor:
 
 
 def _to_ros(value: Value) -> object:
-    """Return a value for ROS, which has no empty typed lists: `[""]` means an empty list."""
+    """Return a configuration value as a ROS parameter value; an empty list becomes `[""]`, as ROS cannot type it."""
     return (list(value) or [""]) if isinstance(value, tuple) else value
 
 
@@ -209,9 +219,9 @@ def _from_ros(value: object) -> object:
 
 
 def _as_loaded(value: object) -> object:
-    """Return the value that `ros2 param load` sends for a value written by `ros2 param dump`.
+    """Return the value that `ros2 param load` sends after `ros2 param dump` has written `value` to a file.
 
-    It parses the text again.
+    The two can differ, because the tool parses the text as YAML again: the text `1` becomes a number.
     """
     try:
         loaded = yaml.safe_load(str(value))

@@ -11,10 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Playback of a recorded run onto the graph, in step with a clock or as fast as named peers acknowledge.
+"""Playback of a recorded run onto the graph, at a multiple of real time or as fast as named peers acknowledge.
 
-The recorded bytes are published unchanged, so a live analysis finds the same results as before. Messages that were
-published before the first scan (calibration, journal, settings) are sent at once, as their stamps may be hours older.
+The recorded bytes are published unchanged, so an analysis of the playback finds the same results as the original one.
+Messages that were recorded before the first scan (calibration, journal, settings) are sent at once, as their times may
+be hours earlier.
 """
 
 from __future__ import annotations
@@ -45,11 +46,14 @@ from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 from impact_rig.system.endings import defer_signals
 
 MADE_HERE = (topics.CLOCK.name, topics.CLOCK.name.lstrip("/"), topics.ACK.name)
-"""Topics that are never replayed: the player publishes the clock, and the present peers acknowledge."""
+"""Topics that are never replayed: the player publishes the clock, and present peers acknowledge, not recorded ones."""
 SPIN_S = 0.05
 LAST_NS = (2**31 - 1) * NS_PER_S  # builtin_interfaces/Time counts seconds in 32 bits
 LONGEST_PAUSE_NS = 3600 * NS_PER_S
-"""Longest pause between two messages; otherwise the player would stall or fill it with ticks of /clock."""
+"""Longest pause [ns] between two recorded messages that is replayed; a run with a longer one is rejected.
+
+Otherwise the player would stall, or fill the pause with messages on /clock.
+"""
 WINDOW = 16  # number of blocks published ahead of the slowest peer
 PEER_TIMEOUT_S = 10.0
 AWAY_S = 1.0  # a gap this long between two waits means that this process, and not the peers, was suspended or busy
@@ -58,7 +62,7 @@ LAST_WORDS_S = 0.3
 
 
 def _is_of(name: str, prefixes: Collection[str]) -> bool:
-    """Return whether a topic belongs to one of the rigs with these prefixes."""
+    """Return whether the topic `name` begins with one of these prefixes, that is, belongs to one of these rigs."""
     return any(name.startswith(prefix) for prefix in prefixes)
 
 
@@ -67,7 +71,10 @@ Spin = Callable[[float], None]  # runs callbacks for at most this long [s]
 
 @contextlib.contextmanager
 def on_graph(name: str) -> Iterator[tuple[Node, Spin]]:
-    """Create a plain node on the graph of the environment, and yield it with a function that runs its callbacks."""
+    """Create a node on the ROS domain of the environment; yield it with a function that runs its callbacks.
+
+    At the end of the block, the node is destroyed.
+    """
     context = Context()
     context.init(args=[])
     executor = make_executor(context)
@@ -84,20 +91,22 @@ def on_graph(name: str) -> Iterator[tuple[Node, Spin]]:
 
 
 class Player:
-    """Publisher of a recorded run.
+    """Publisher of a recorded run, which other nodes receive like a live rig.
 
     Args:
         run: opened run; it must contain daq/scan.
         node: node that publishes.
-        spin: runs the callbacks of the node.
-        factor: seconds of rig time per second; None means as fast as the peers acknowledge.
-        peers: names that nodes use in daq/ack; these nodes must not lose a block.
+        spin: function that runs the callbacks of the node for at most the given time [s].
+        factor: seconds of rig time per second of wall time; None means as fast as the peers acknowledge.
+        peers: names that nodes use in daq/ack; the player waits for these nodes, so that they lose no block.
         chosen: topics to replay, with or without namespace; empty means all.
+        paused: whether playback waits for a call of the service `~/pause` with `false`.
 
     Raises:
         RecordingError: a chosen topic is not in the run, the run has no daq/scan, or it contains a topic name or time
             that ROS does not allow.
-        ImpactRigError: no peer is given that sets the pace, or a message type is not installed.
+        ImpactRigError: `factor` is None without a peer, `chosen` lacks the daq/scan that peers acknowledge, or a
+            message type is not installed.
     """
 
     def __init__(
@@ -141,10 +150,11 @@ class Player:
         self.end_ns = run.end_ns
 
     def play(self) -> Iterator[int]:
-        """Publish the run once, from its start; yield the rig time [ns] from time to time, also while waiting.
+        """Publish the run once, from its start; yield its rig time [ns] often, so that the caller can stop.
 
         Raises:
-            RecordingError: a chunk is damaged; the messages before it have been published.
+            RecordingError: a chunk of the run is damaged, or a pause is too long; the messages before it were
+                published.
             ImpactRigError: a peer stopped acknowledging.
         """
         self.now_ns = self.start_ns
@@ -179,7 +189,7 @@ class Player:
             yield from self._wait(SPIN_S)
 
     def finish(self) -> None:
-        """Deliver the last messages and answers before the node is destroyed."""
+        """Wait, for a short time, until the last messages and answers are delivered; then the node can be destroyed."""
         for publisher in self._publishers.values():
             publisher.wait_for_all_acked(DELIVERY)
         self._spin(LAST_WORDS_S)
@@ -194,7 +204,11 @@ class Player:
         return min(max(self._pacer.wait_ns(due_ns) / NS_PER_S, 0.0), SPIN_S)
 
     def _wait(self, longest_s: float) -> Iterator[int]:
-        """Run callbacks once, for at most this long [s]."""
+        """Run callbacks once, for at most `longest_s` seconds, and yield the present rig time [ns].
+
+        Raises:
+            ImpactRigError: a peer has acknowledged nothing for 10 s.
+        """
         now = time.monotonic()
         if now - self._rested_at > AWAY_S:
             self._window.excuse()

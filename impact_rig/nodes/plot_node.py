@@ -13,7 +13,8 @@
 # limitations under the License.
 """Node for plotters: it publishes envelopes, spectra and the drive as small stamped messages of standard types.
 
-Plotters cannot read tables. The node subscribes to scans only while a plotter subscribes to a topic derived from them.
+Plotters cannot decode the tables of the other topics. The node subscribes to scans only while a plotter subscribes to a
+topic that is computed from them.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ class PlotSettings:
 
 
 class PlotNode(ManagedNode[PlotSettings]):
-    """Publisher of the topics for plotters."""
+    """Lifecycle node that publishes the topics `plot/...`, computed from scans, drive and measurements."""
 
     COMPONENT = "plots"
     STATES = states.PlotWord
@@ -59,11 +60,11 @@ class PlotNode(ManagedNode[PlotSettings]):
         self._stop_following: Callable[[], None] | None = None
 
     def configure(self) -> None:
-        """Create the publishers."""
+        """Create the publishers of the topics `plot/...`."""
         self.offer(*PUBLISHED)
 
     def activate(self) -> None:
-        """Subscribe to calibration, drive and measurements; to scans only while they are needed."""
+        """Subscribe to calibration, drive and measurements; scans are subscribed to only while a plotter needs them."""
         self._plots = Plots(self.outputs, self.frame_prefix)
         self.until_deactivated(
             self.subscribe_table(topics.INFO, self._on_info),
@@ -73,12 +74,12 @@ class PlotNode(ManagedNode[PlotSettings]):
         self.every(POLL_S, self._poll)
 
     def deactivate(self) -> None:
-        """Unsubscribe from everything."""
+        """Unsubscribe from scans and drop what was computed; the other subscriptions end with the activation."""
         self._unfollow()
         self._plots = None
 
     def doing(self) -> NodeState:
-        """Return whether a plotter subscribes."""
+        """Return the state: `plotting` while a plotter subscribes to a topic computed from scans, otherwise `idle`."""
         words = states.PlotWord
         return NodeState(words.PLOTTING if self._stop_following is not None else words.IDLE)
 
@@ -104,11 +105,11 @@ class PlotNode(ManagedNode[PlotSettings]):
 
 
 class Plots:
-    """Messages for plotters, derived from tables.
+    """Computation of the messages for plotters from the tables of a rig; it publishes them where a plotter subscribes.
 
     Args:
         publishers: publisher by topic name.
-        frame_prefix: prefix of the frames, until a calibration names another one.
+        frame_prefix: prefix of the frame names in the messages, until `configure` gets another one.
     """
 
     def __init__(self, publishers: Mapping[str, Any], frame_prefix: str) -> None:
@@ -128,7 +129,7 @@ class Plots:
         self._vectors = {topic.name: _vector(topic, frame_prefix) for topic in (*ENVELOPES.values(), *_VECTORS)}
 
     def configure(self, info: Table, frame_prefix: str) -> None:
-        """Adopt the scan rate of `daq/info`, and the prefix of its frame."""
+        """Adopt the scan rate of a `daq/info` table, and the prefix of the frame names in the messages."""
         if frame_prefix != self._prefix:
             self._set_prefix(frame_prefix)
         rate = float(info.rows["rate"][0]) if len(info.rows) else 0.0
@@ -137,25 +138,25 @@ class Plots:
             self._intervals = self._pulses = self._recent = None
 
     def on_applied(self, applied: Table) -> None:
-        """Publish the drive."""
+        """Publish frequency and amplitude of a new drive (rows of `shaker/applied`) on `plot/drive`."""
         for row in applied.rows:
             self._drive = float(row["frequency"]), float(row["current"])
             self._send(topics.PLOT_DRIVE, applied.stamp_ns, *self._drive, 0.0)
         self._since_drive = 0
 
     def measured(self, table: Table) -> None:
-        """Publish the settled measurements of a `transmissibility/table`."""
+        """Publish the settled rows of a `transmissibility/table` on `plot/transmissibility`."""
         for row in table.rows[table.rows["settled"] == 1]:
             values = (row["transmissibility"], row["transmissibility_uncertainty"], row["phase"])
             self._send(topics.PLOT_TRANSMISSIBILITY, table.stamp_ns, *map(float, values))
 
     def poll(self) -> bool:
-        """Check which topics have subscribers, and return whether any of them needs scans."""
+        """Check which topics computed from scans have subscribers; return whether any has, so that scans are needed."""
         self._listened_to = {topic.name for topic in _FOLLOWED if self._publishers[topic.name].get_subscription_count()}
         return bool(self._listened_to)
 
     def feed(self, scan: Table) -> None:
-        """Publish the messages that a block of `daq/scan` completes."""
+        """Publish the envelopes, spectra, pulses and drive that become due with this block of `daq/scan`."""
         if not self._rate_hz or not len(scan.rows):
             return
         self._since_drive += len(scan.rows)
@@ -222,7 +223,7 @@ class Plots:
 ACCELEROMETER = "accelerometer"
 _VECTORS = (topics.PLOT_TRANSMISSIBILITY, topics.PLOT_DRIVE, topics.PLOT_PULSES)
 _FOLLOWED = (topics.PLOT_DRIVE, topics.PLOT_PULSES, *ENVELOPES.values(), *SPECTRA.values())
-"""Topics derived from scans, which are frequent; the other topics are rare."""
+"""Topics that are computed from scans, and therefore need a subscription to scans while a plotter reads them."""
 
 
 def _vector(topic: Topic, frame_prefix: str) -> Template:

@@ -13,12 +13,13 @@
 # limitations under the License.
 """Main loop of every node: spin until the process is asked to end, then end in order.
 
-`EventsExecutor` needs a third to a sixth of the processor time of the default executor. In Jazzy, its `spin()`
-busy-loops and its `spin_once` returns to Python after every message, so the loop spins for a while at a time. If rclpy
-does not have this executor, the default one is used.
+Spinning means running the callbacks of the node. `EventsExecutor` needs a third to a sixth of the processor time of the
+default executor. In Jazzy, its `spin()` busy-loops and its `spin_once` returns to Python after every message, so the
+loop spins for 0.2 s at a time. If rclpy does not have this executor, the default one is used.
 
-Signals are recorded, not raised. So neither a callback nor the clean-up is interrupted, however often Ctrl-C arrives,
-and the last messages still find a valid context. Only the main thread receives signals; threads of DDS never do.
+Signals only set a flag that the loop checks. So neither a callback nor the clean-up is interrupted, however often
+Ctrl-C arrives, and the last messages still find a valid context. Only the main thread receives signals; threads of DDS
+never do.
 """
 
 from __future__ import annotations
@@ -45,17 +46,20 @@ from impact_rig.system.endings import SIGNALS, Ending, block_signals
 
 SPIN_S = 0.2
 DISCOVERY_S = 3.5
-"""Time for which a new process may not know of others:
+"""Time [s] for which a new process may not know of other nodes.
 
-a missed announcement is repeated 3 s later (qualification/discovery.py).
+If their announcement is missed, it is repeated 3 s later (qualification/discovery.py).
 """
 EXIT_USAGE = 2  # exit code for invalid arguments, parameter files or names
 EXECUTOR_VARIABLE = "IMPACT_RIG_EXECUTOR"
-"""Environment variable: `default` selects rclpy's default executor instead of the events executor."""
+"""Environment variable: the value `default` selects rclpy's default executor instead of the events executor."""
 
 
 def make_executor(context: Any = None) -> Any:
-    """Return the executor of this rclpy that needs the least processor time."""
+    """Return a new executor for a ROS context (default: the global one), of the kind that needs least processor time.
+
+    It is an events executor if this rclpy has one, otherwise rclpy's default executor.
+    """
     if os.environ.get(EXECUTOR_VARIABLE, "") != "default":
         handlers = {number: signal.getsignal(number) for number in SIGNALS}
         try:
@@ -72,14 +76,14 @@ def make_executor(context: Any = None) -> Any:
 
 
 def spin(executor: Any, seconds: float) -> None:
-    """Run callbacks for this long [s], without returning after each of them."""
+    """Run the callbacks of an executor for this long [s], without returning to Python code after each of them."""
     never: Future[None] = Future()
     executor.spin_until_future_complete(never, timeout_sec=seconds)
 
 
 @contextlib.contextmanager
 def patient_threads() -> Iterator[None]:
-    """Give new threads, those of DDS, a scheduling policy that does not preempt others when they wake (Linux).
+    """Start threads within the block, those of DDS, under a scheduling policy that does not preempt others (Linux).
 
     Each message wakes several threads, also in its sender: receipt, heartbeats, acknowledgements. If all cores are
     busy, they would interrupt the running callback about five times per block, which costs a quarter of the speed. The
@@ -100,7 +104,15 @@ def patient_threads() -> Iterator[None]:
 
 
 def run(make_node: Callable[[], ManagedNode[Any]], ending: Ending) -> int:
-    """Spin the node until a signal or a shutdown; return the exit code."""
+    """Create a node, run its callbacks until a signal or a shutdown ends it, and clean up.
+
+    Args:
+        make_node: creates the node.
+        ending: record of the signals that this process has received.
+
+    Returns:
+        Exit code: 0, or 2 if the node cannot be created because its arguments are invalid.
+    """
     try:
         with block_signals(), patient_threads():
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
@@ -137,6 +149,6 @@ def run(make_node: Callable[[], ManagedNode[Any]], ending: Ending) -> int:
 
 
 def main(make_node: Callable[[], ManagedNode[Any]], ending: Ending) -> None:
-    """Run a node as a program, after its imports."""
+    """Run a node as a program, and exit with its exit code; the caller has done the heavy imports."""
     with segments.Watch():
         sys.exit(ending.run(lambda: run(make_node, ending), interrupting=False))

@@ -11,7 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Publishers of the rig node, including standard messages for plotters; `Session` decides the order."""
+"""Publishers of the rig node: blocks, changes, configuration, and standard messages for plotters.
+
+`Session` decides when each of them is published.
+"""
 
 from __future__ import annotations
 
@@ -41,39 +44,43 @@ from impact_rig.simtime import stamp_ns
 
 PUBLISHED = [topic for topic in TOPICS if topic.publisher == "rig"]
 KEPT_S, KEPT_BYTES = 25.0, 16_000_000
-"""Scans kept for a subscriber that does not answer, whichever is less.
+"""Limits [s, bytes] of the scans kept for a subscriber that does not answer; the one reached first applies.
 
-A killed process can block messages to others until the middleware drops it, about 20 s later; the kept scans still
-reach them then.
+A killed process can block messages to other subscribers until the middleware drops it, about 20 s later. Scans that are
+kept until then still reach those subscribers.
 """
 LEAST_S, LEAST_BLOCKS = 2.0, 100  # minimum duration and number of blocks of the scans kept, whichever is less
 GRAPH_POLL_S = (
     0.1  # minimum interval between two checks for subscribers in real time: each costs a twentieth of a block
 )
 QUEUE = 256
-"""Number of messages to one process that the middleware certainly holds.
+"""Number of messages to one process that the middleware can certainly hold.
 
-It is half of the queue of a shared-memory port of Fast DDS. Any messages beyond it are dropped, and repeated seconds
-later.
+It is half of the queue of a shared-memory port of Fast DDS. Messages beyond the queue are dropped, and sent again
+seconds later.
 """
 DELIVERY = Duration(seconds=0.2)
-"""Longest wait for the delivery of a change; only a subscriber that died without notice takes this long."""
+"""Longest wait until all subscribers have received a change of the rig, before blocks that depend on it are published.
+
+Only a subscriber that ended without notice takes this long.
+"""
 
 Reading = Callable[[int, float, int], bytes]  # renders an instrument's message from (stamp [ns], reading, status bits)
 
 
 def noise_of(info: Table) -> dict[str, float]:
-    """Return the rms noise by channel name, in its unit, from daq/info."""
+    """Return the rms noise of each channel, in its unit, from a `daq/info` table."""
     return dict(zip(info.rows["name"].astype(str).tolist(), info.rows["noise"].tolist(), strict=True))
 
 
 class Monitors:
-    """Messages of the monitor topics, computed from blocks.
+    """Renderer of the monitor topics: readings at a low rate and true joint states, computed from blocks of scans.
 
     Args:
         config: active configuration, for ranges and variances.
         noise: rms noise by channel, as returned by `noise_of`.
-        before: the previous monitors; their filter states continue if channels and rate are unchanged.
+        before: the monitors of the configuration before; if channels and rates are the same, their filter continues
+            without a gap.
     """
 
     def __init__(self, config: RigConfig, noise: dict[str, float], before: Monitors | None = None) -> None:
@@ -92,9 +99,14 @@ class Monitors:
             self._filter = before._filter if same else self._filter
 
     def messages(self, block: Block, wanted: Callable[[topics.Topic], bool]) -> Iterator[tuple[topics.Topic, bytes]]:
-        """Yield the monitor messages that a block completes and that have subscribers, each topic in time order.
+        """Yield (topic, CDR bytes) of the monitor messages that a block completes, each topic in the order of time.
 
-        Readings are filtered and delayed by four monitor periods; the truth is neither.
+        Readings pass a low-pass filter, so they are published four monitor periods after the time in their stamp. The
+        true joint states are not filtered.
+
+        Args:
+            block: next block of the rig.
+            wanted: returns whether a topic has subscribers; messages of other topics are not rendered.
         """
         start_ns = block.scan.stamp_ns - stamp_ns(block.first_scan, self._rate_hz)
         if wanted(topics.JOINT_STATES):
@@ -109,7 +121,14 @@ class Monitors:
 
 
 def _reading(config: RigConfig, instrument: Instrument, bit: int, noise: float) -> Reading:
-    """Return a function that renders one instrument's message, in which only numbers change."""
+    """Return a function that renders the monitor messages of one instrument quickly, as only numbers in them change.
+
+    Args:
+        config: configuration of the rig.
+        instrument: the instrument.
+        bit: bit of its channel in the status of a scan, which is set if the reading was over range.
+        noise: rms noise of the channel, in its unit.
+    """
     fields = instrument.message(0.0, False, noise)
     changing = [path for path, value in fields.items() if isinstance(value, float)]
     template = _template(config, MONITORS[instrument.name], fields, changing)
@@ -130,13 +149,15 @@ def _template(config: RigConfig, topic: topics.Topic, fields: Mapping[str, objec
 
 
 class Publishers:
-    """Publishers of the rig.
+    """Publishers of the rig node, created with queues that suit the configuration.
 
     Args:
-        config: defines the depth of the queues, and whether `/clock` is published.
+        node: node that owns the publishers.
+        config: configuration; decides the length of the queues, and whether `/clock` is published.
 
     Attributes:
-        kept_blocks: number of blocks of scans that are kept for a slow subscriber; it loses older ones.
+        kept_blocks: number of blocks whose scans are kept for a slow subscriber; a subscriber that is further behind
+            loses scans.
     """
 
     def __init__(self, node: ManagedNode[RigConfig], config: RigConfig) -> None:
@@ -167,13 +188,13 @@ class Publishers:
         self._decides_monitors: object = None
 
     def names(self) -> list[str]:
-        """Return the topics that are published now, and that no other node may publish."""
+        """Return the topics that this rig publishes now and that no other node may publish at the same time."""
         return [name for name in self._node.outputs if name != topics.ROBOT_DESCRIPTION.name]
 
     def poll(self, often: bool) -> None:
-        """Check which topics have subscribers, before blocks are published.
+        """Check which topics have subscribers, as other messages are not rendered; call this before publishing.
 
-        At most once in `GRAPH_POLL_S`, unless `often`.
+        Without `often`, it has no effect within 0.1 s (`GRAPH_POLL_S`) of the last check.
         """
         now = time.monotonic()
         if now - self._polled_at < GRAPH_POLL_S and not often:
@@ -184,7 +205,7 @@ class Publishers:
         }
 
     def block(self, block: Block) -> None:
-        """Publish a block, with its scans last: a subscriber that has received them has received the complete block.
+        """Publish all messages of a block, its scans last: a subscriber that has the scans has the complete block.
 
         Peers acknowledge blocks by their scans, so a recorder's acknowledgement covers all topics. All messages are
         rendered before the first is sent, because sending evicts the caches needed for rendering.
@@ -206,24 +227,28 @@ class Publishers:
             self._node.send(topics.SCAN, scans)
 
     def _heard(self, topic: topics.Topic) -> bool:
-        """Return whether a topic has subscribers; messages without a subscriber are not rendered."""
+        """Return whether a topic had subscribers at the last `poll`; messages without a subscriber are not rendered."""
         return topic.name in self._listened_to
 
     def stream(self, rig: Rig) -> None:
-        """Publish the number of the next sample needed, if the drive is a stream."""
+        """Publish the state of the drive's sample stream (next sample needed, counters); nothing without a stream."""
         if rig.takes_samples:
             self._node.send_table(topics.STREAM, rig.stream_state())
 
     def clock(self, now_ns: int) -> None:
-        """Publish rig time. The publisher is created when first needed: only one node may offer a clock."""
+        """Publish rig time on `/clock`.
+
+        The publisher is created at the first call, because only one node of a ROS domain may offer this topic.
+        """
         if topics.CLOCK.name not in self._node.outputs:
             self._node.offer(topics.CLOCK)
         self._node.send(topics.CLOCK, messages.CLOCK.render(now_ns))
 
     def changes(self, rig: Rig) -> bool:
-        """Publish new entries of rig/journal and rows of shaker/applied, causes first.
+        """Publish the new entries of `rig/journal`, and then the new rows of `shaker/applied` that they caused.
 
-        Return whether there were any.
+        Returns:
+            Whether there were any.
         """
         entries, applied = rig.take_journal(), rig.take_applied()
         for entry in entries:
@@ -237,7 +262,7 @@ class Publishers:
         return bool(entries or applied)
 
     def configuration(self, rig: Rig) -> None:
-        """Publish the configuration, and the calibration if it has changed; update the monitors."""
+        """Publish the rig's configuration, and its calibration (`daq/info`) if it has changed; update the monitors."""
         self._may_overflow = _may_overflow(rig.config)
         info = rig.info()
         noise = noise_of(info)
@@ -253,9 +278,9 @@ class Publishers:
         self.announce(rig.config)
 
     def announce(self, config: RigConfig) -> None:
-        """Publish the configuration and the appearance of the rig, even before it starts.
+        """Publish the configuration of the rig and its appearance (URDF), even before the rig starts.
 
-        A recorder begins with them.
+        A recorder waits for the configuration before it begins its run.
         """
         self._node.send(topics.CONFIGURATION, String(data=dump(config)))
         description = robot_description(config)
@@ -264,27 +289,27 @@ class Publishers:
             self._node.send(topics.ROBOT_DESCRIPTION, String(data=description))
 
     def settle_history(self) -> None:
-        """Wait until new subscribers have received the latched messages."""
+        """Wait, at most 0.2 s per topic, until new subscribers have received earlier calibration, drive and journal."""
         for topic in (topics.INFO, topics.APPLIED, topics.JOURNAL):
             self._node.outputs[topic.name].wait_for_all_acked(DELIVERY)
 
     def forget(self) -> None:
-        """Let the next call publish the calibration again, because a new rig starts."""
+        """Make the next call of `configuration` publish the calibration in any case, because a new rig starts."""
         self._info = b""
         self._polled_at = -GRAPH_POLL_S
 
     def _settle(self, topic: topics.Topic) -> None:
-        """Wait until every matched subscriber has received the messages of a topic.
+        """Wait, at most 0.2 s, until all subscribers have received the messages of a topic; not for a rig in real time.
 
-        Topics overtake each other. In realtime the difference is milliseconds, which a measurement can wait for. In the
-        other modes it is many blocks, and results would depend on it.
+        Messages of different topics can overtake each other. In real time the difference is milliseconds, for which a
+        measurement can wait. In the other time modes it can be many blocks, and results would depend on it.
         """
         if self._node.settings.time.mode != "realtime":
             self._node.outputs[topic.name].wait_for_all_acked(DELIVERY)
 
 
 def _may_overflow(config: RigConfig) -> bool:
-    """Return whether more messages may be under way to a process than the middleware certainly holds."""
+    """Return whether unacknowledged blocks can have more messages than the middleware can certainly hold."""
     if config.time.mode == "realtime":
         return False
     blocks = config.time.ack_window

@@ -11,17 +11,18 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""All uses of private parts of rclpy, and an events executor built from them.
+"""Access to private parts of rclpy, all in this module, and an events executor built from them.
 
 rclpy has no public access to the start-up overrides of parameters, the state machine of a lifecycle node, the messages
-held by a subscription, or the base class of the events executor. The accessors here support rclpy of Jazzy (7) and
-Kilted (9). Any other version uses the public executor: see `events_executor`.
+held by a subscription, or the base class of the events executor. The functions here support rclpy of Jazzy (7) and
+Kilted (9). With any other version, nodes use the public executor: see `events_executor`.
 
-The events executor of rclpy runs callbacks when the middleware reports an arrival, and never polls. rmw_fastrtps counts
-the messages that a new reader holds, and reports every later message. A message that arrives between these two moments
-is reported only with the next one (since https://github.com/ros2/rmw_fastrtps/pull/657). The gap is usually below a
-microsecond, but milliseconds if the thread waits for a core. A message that is sent once, such as the calibration, has
-no successor. The executor here therefore polls each new entity once.
+The events executor of rclpy runs callbacks when the middleware reports an arrival, and never polls. When it starts to
+listen to a new reader, rmw_fastrtps counts the messages that the reader holds, and then reports every later message. A
+message that arrives between these two moments is reported only with the next one (since
+https://github.com/ros2/rmw_fastrtps/pull/657). The gap is usually below a microsecond, but milliseconds if the thread
+waits for a core. A message that is sent once, such as the calibration, has no next one and would stay unreported. The
+executor here therefore polls each new entity once.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ from rclpy.qos import HistoryPolicy
 from rclpy.subscription import Subscription
 
 KNOWN = ("7.", "9.")
-"""Versions of rclpy whose private parts match this module: Jazzy and Kilted."""
+"""Beginnings of the rclpy versions whose private parts are as this module expects: Jazzy and Kilted."""
 EventsExecutor: Any = getattr(rclpy_implementation, "EventsExecutor", object)  # absent before rclpy 7.1.2
 InvalidHandle: Any = rclpy_implementation.InvalidHandle
 WITH_INFO = Subscription.CallbackType.WithMessageInfo
@@ -50,9 +51,9 @@ MOST = 1000  # maximum number of items processed in one poll, for a queue withou
 
 
 def parameter_overrides(node: Any) -> dict[str, Any]:
-    """Return the values given to a node at start, by parameter name.
+    """Return the parameter values given to a node at start (by file, command line or argument), by parameter name.
 
-    Declaring the parameters one by one would stop at the first bad value.
+    They are read together so that they can be validated together: rclpy would stop at the first bad value.
     """
     return {name: parameter.value for name, parameter in node._parameter_overrides.items()}
 
@@ -63,31 +64,34 @@ def lifecycle_state(node: Any) -> str:
 
 
 def is_possible(node: Any, transition: Any) -> bool:
-    """Return whether a requested transition, given by label or by number, starts in the node's present state."""
+    """Return whether a node's present state allows a requested lifecycle transition, given by label or by number."""
     available = [(number, label) for number, label, *_states in node._state_machine.available_transitions]
     wanted = transition.label or transition.id
     return any(wanted in one for one in available)
 
 
 def change_state_service(node: Any) -> Any:
-    """Return the service that receives transition requests."""
+    """Return the service object of a lifecycle node that receives the requests for transitions."""
     return node._service_change_state
 
 
 def destroy_state_machine(node: Any) -> None:
-    """Destroy the state machine of a destroyed node. rclpy does not, which keeps the node in the graph."""
+    """Destroy the lifecycle state machine of a node that has been destroyed.
+
+    rclpy does not do this, which would keep the node in the ROS graph.
+    """
     node._state_machine.destroy_when_not_in_use()
 
 
 def take_messages(subscription: Any, raw: bool = False) -> Iterator[Any]:
-    """Take the messages that a subscription holds, and yield them, or their CDR bytes if `raw`."""
+    """Take the messages that wait in a subscription, without its callback; yield them, or their CDR bytes if `raw`."""
     with contextlib.suppress(InvalidHandle), subscription.handle:
         while (taken := subscription.handle.take_message(subscription.msg_type, raw)) is not None:
             yield taken[0]
 
 
 def events_executor(context: Any) -> Any:
-    """Return a new events executor, or None if this rclpy has none or is not one of the known versions."""
+    """Return a new events executor for a ROS context; None if this version of rclpy has none or is not supported."""
     version = importlib.metadata.version("rclpy")
     if EventsExecutor is object or not version.startswith(KNOWN):
         return None
@@ -95,7 +99,7 @@ def events_executor(context: Any) -> Any:
 
 
 class LookingExecutor(EventsExecutor):
-    """Events executor that also delivers the messages that arrive while it starts to listen."""
+    """Events executor that misses no message which arrives while it starts to listen to a new subscription."""
 
     def __init__(self, context: Any) -> None:
         super().__init__(context)
@@ -104,7 +108,7 @@ class LookingExecutor(EventsExecutor):
         self._known: weakref.WeakSet[Any] = weakref.WeakSet()
 
     def add_node(self, node: Any) -> bool:
-        """Run a node's callbacks from now on."""
+        """Run the callbacks of a node from now on; return False if it was added before."""
         added = bool(super().add_node(node))
         self._watch_soon()
         return added
@@ -115,7 +119,7 @@ class LookingExecutor(EventsExecutor):
         self._watch_soon()
 
     def wake(self) -> None:
-        """Start listening to new entities of the nodes."""
+        """Start listening to subscriptions, services and clients that were created since; rclpy calls this."""
         super().wake()
         self._watch_soon()
 
@@ -123,9 +127,9 @@ class LookingExecutor(EventsExecutor):
         super().wake()
 
     def _watch_soon(self) -> None:
-        """Poll new entities once the executor listens to them.
+        """Schedule one poll of each new entity, which runs after the executor has begun to listen to the entity.
 
-        Listening is requested already, and requests run in order.
+        The executor has already requested to listen, and its requests run in order.
         """
         nodes = self.get_nodes()
         found = {one for node in nodes for one in (*node.subscriptions, *node.services, *node.clients)}
@@ -135,7 +139,10 @@ class LookingExecutor(EventsExecutor):
 
 
 async def _watch(reference: weakref.ref[Any]) -> None:
-    """Process the items that an entity holds; an item that was also reported is gone when its turn comes."""
+    """Process the items that a subscription, service or client holds, once, as the executor may not report them.
+
+    An item that is also reported is processed only once.
+    """
     entity = reference()
     if entity is None:
         return
@@ -154,7 +161,10 @@ async def _watch(reference: weakref.ref[Any]) -> None:
 
 
 def _taken(entity: Any) -> Callable[[], Any] | None:
-    """Take the next item of an entity, and return a function that processes it as any executor would."""
+    """Take the next item that a subscription, service or client holds; return a function that processes it.
+
+    None if there is no item, or if the entity is already destroyed.
+    """
     handle = entity.handle
     try:
         with handle:
@@ -171,12 +181,20 @@ def _taken(entity: Any) -> Callable[[], Any] | None:
 
 
 def call_subscription(subscription: Any, message: tuple[Any, Any]) -> Any:
-    """Call a subscription's callback with a message and its info; return what it returns, a coroutine if it is one."""
+    """Call a subscription's callback with (message, info), or only the message if it takes one argument.
+
+    Returns:
+        What the callback returns; a coroutine if it is one.
+    """
     return subscription.callback(*(message if subscription._callback_type is WITH_INFO else message[:1]))
 
 
 def call_timer(timer: Any) -> Any:
-    """Mark a timer as called and call its callback; return what that returns, a coroutine if it is one."""
+    """Mark a timer as called now, which restarts its period, and call its callback.
+
+    Returns:
+        What the callback returns; a coroutine if it is one.
+    """
     timer.handle.call_timer()
     return timer.callback()
 

@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Recorder as a lifecycle node: it writes the raw bytes of every recorded topic into a run.
+"""Recorder as a lifecycle node: it writes the raw bytes of every recorded topic into a run (an MCAP file).
 
-`RunWriter` does the work.
+The node handles topics, services and parameters; `impact_rig.recording.RunWriter` writes the file.
 """
 
 from __future__ import annotations
@@ -61,18 +61,21 @@ from impact_rig.system.machine import identity
 
 FLUSH_S = 0.2
 AWAITED = (topics.INFO, topics.APPLIED, topics.JOURNAL, topics.CONFIGURATION, topics.ANALYSIS_SETTINGS)
-"""Latched topics that belong to every run; ~/start is answered when they have arrived."""
+"""Latched topics that belong to every run; ~/start is answered when the recorder has received them."""
 AWAIT_S = 2.0
 RESULTS = frozenset({topics.TRANSMISSIBILITY_TABLE.name, topics.SWEEP.name})
-"""Latched topics that belong to earlier measurements and are not recorded."""
+"""Latched topics whose messages from before the start of a run are not recorded: they are earlier results."""
 ONE_WRITER = {one.name for one in TOPICS if one.columns is not None} | {topics.CONFIGURATION.name, topics.JOURNAL.name}
-"""Topics that only one node may write: a run with two sources could not be simulated or analysed again."""
+"""Topics that only one node may publish: with two sources, a run could not be simulated or analysed again."""
 QUIET_S = 0.1
-"""Time after which the last configuration counts as active: a late subscriber first receives all earlier ones."""
+"""Time [s] without a further configuration after which the last one counts as the active one.
+
+A late subscriber receives all earlier configurations first.
+"""
 CALIBRATION = "calibration.yaml"
 LATE_NS = NS_PER_S // 2  # a message that takes this long may have been lost and sent again
 NEEDED = frozenset(topic.name for topic in TOPICS if topic.publisher == "rig" and topic.qos is not topics.Qos.LATCHED)
-"""Topics of the rig of which every message counts, not only the newest."""
+"""Topics of the rig of which every message counts; if one is lost, the recorder stops acknowledging."""
 
 
 @attrs.frozen(kw_only=True)
@@ -94,10 +97,11 @@ class RecorderSettings:
 
 
 class RecorderNode(ManagedNode[RecorderSettings]):
-    """Lifecycle node that writes runs, and acknowledges every block that is written or need not be.
+    """Lifecycle node that writes runs, and acknowledges every block that is safely written or need not be recorded.
 
     An acknowledgement covers all earlier blocks on all topics. A recorder that should record but cannot, or that has
-    lost a message of the rig, therefore sends none. A rig that waits for it stops and names it.
+    lost a message of the rig, therefore sends none. A rig that waits for this recorder then stops, and names it in its
+    diagnostics.
     """
 
     COMPONENT = "recording"
@@ -131,14 +135,17 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self.service(Trigger, "~/stop", self._on_stop)
 
     def configure(self) -> None:
-        """Check that the message types are installed, and create the publisher of acknowledgements."""
+        """Check that the message types of all recorded topics are installed; create the publisher of `daq/ack`."""
         for type_name in {topic.type_name for topic in TOPICS if topic.recorded}:
             schema_text(type_name)
         environment()  # cached here, while no rig waits
         self.offer(topics.ACK)
 
     def activate(self) -> None:
-        """Subscribe to the configuration. Record if `record` is set; otherwise only follow the scans."""
+        """Subscribe to the configuration of the rig, and start recording if the parameter `record` is set.
+
+        Otherwise the node only subscribes to the scans, to acknowledge them, until the service ~/start is called.
+        """
         self._failure = ""
         self._configuration, self._configured_at = None, math.inf
         self._newest_ns = None
@@ -151,18 +158,18 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             self._follow_scans()
 
     def deactivate(self) -> None:
-        """Finish the run and unsubscribe."""
+        """Write and acknowledge the messages that have arrived, and finish the run."""
         self._take_all()
         self._acknowledgements.flush()
         self._finish()
         self._scans = None
 
     def rig_time_ns(self) -> int | None:
-        """Return the stamp of the newest block."""
+        """Return the stamp of the newest block of scans [ns of rig time], for diagnostics; None before the first."""
         return self._newest_ns
 
     def doing(self) -> NodeState:
-        """Return whether the node records, and a problem with the recording."""
+        """Return the state of the recording, with a problem (failed, two sources, lost messages) as the reason."""
         words, lost = states.RecorderWord, self._lost()
         if self._failure:
             return NodeState(words.FAILED, self._failure)
@@ -181,7 +188,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         return NodeState(words.IDLE, "the last recording lacks messages" if lost else "")
 
     def health(self) -> tuple[Level, str]:
-        """Return whether the node records, and a problem with the recording."""
+        """Return level and message of diagnostics: whether the node records, and a problem with the recording."""
         if self.state != "active":
             return Level.WARN, self.state
         if self._failure:
@@ -201,7 +208,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         return Level.OK, "recording" if self._writer is not None else "not recording"
 
     def figures(self) -> dict[str, object]:
-        """Return the figures of the current run and of losses."""
+        """Return values for diagnostics: directory, messages and size of the current run, lost messages by topic."""
         values: dict[str, object] = {f"lost.{self._added[name]}": n for name, n in self._lost().items()}
         if self._writer is not None:
             values |= {
@@ -214,7 +221,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         return values
 
     def _mixed(self) -> str:
-        """Return which topics of this run were written by several nodes, or an empty text."""
+        """Return which topics of this run several nodes have published although only one may; empty if none."""
         found = {topic: self._account.writers(name) for name, topic in self._added.items() if topic in ONE_WRITER}
         return "; ".join(f"{' and '.join(names)} publish {topic}" for topic, names in found.items() if len(names) > 1)
 
@@ -231,7 +238,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._answer_start()
 
     def _answer_start(self) -> None:
-        """Answer ~/start once the run is open and holds the latched messages."""
+        """Answer waiting ~/start requests once the run is open and has the latched messages, or once it has failed."""
         if self._writer is not None and not self._awaited:
             self._answer(True, str(self._writer.directory))
         elif self._failure:
@@ -254,9 +261,10 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         )
 
     def _start(self, patiently: bool = False) -> None:
-        """Open the run, or wait for the configuration that belongs to it.
+        """Open the run once the configuration of the rig has arrived, which is written at its beginning.
 
-        With `patiently`, wait for the configuration however late the rig starts.
+        Without `patiently`, the run is opened without a configuration after `configuration_wait_s`. With it, that time
+        counts only from when a rig publishes scans, however late it starts.
         """
         self._failure = ""
         self._waiting = True
@@ -290,7 +298,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             self.until_deactivated(self._scans)
 
     def _listen(self, topic: topics.Topic) -> Any:
-        """Subscribe with a queue that outlasts a stall, so that the messages of a burst do not displace each other."""
+        """Subscribe to a topic for recording, with a queue so long that no message of a burst displaces another."""
         depth = None if topic in topics.BULKY else topics.HISTORY_DEPTH
         return self.subscribe(topic, functools.partial(self._on_message, topic), raw=True, depth=depth)
 
@@ -324,7 +332,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         )
 
     def _finish(self) -> None:
-        """Close the run with all messages that have arrived."""
+        """Write all messages that have arrived, and close the run; a run not opened yet is cancelled."""
         self._waiting = False
         writer = self._leave_run()
         self._answer(False, "recording was stopped")
@@ -338,7 +346,10 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self.get_logger().info(one_line(f"finished {writer.directory}: {writer.message_count} messages"))
 
     def _fail(self, error: RecordingError) -> None:
-        """Stop recording and report why; the rig is not blocked."""
+        """Stop recording because of an error, close the run, and show the error in diagnostics until ~/start or ~/stop.
+
+        Until then no block is acknowledged, so a rig that waits for this recorder stops.
+        """
         self._failure = f"recording stopped: {error}"
         self.report_change()
         self.get_logger().error(one_line(self._failure))
@@ -347,7 +358,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             writer.finish()
 
     def _leave_run(self) -> RunWriter | None:
-        """Stop writing and waiting; return the writer, which must still be finished."""
+        """End the subscriptions of the current run; return its writer, which the caller must finish, or None."""
         self._awaited = set()
         for subscription in self._recorded:
             self.destroy_subscription(subscription)
@@ -358,7 +369,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     # Messages
 
     def _publishing(self, name: str) -> dict[str, str]:
-        """Return the publishers of a topic known to the graph: identifier -> node."""
+        """Return the present publishers of a topic from the ROS graph: endpoint identifier -> full node name."""
         return {
             bytes(found.endpoint_gid).hex(): f"{found.node_namespace.rstrip('/')}/{found.node_name}"
             for found in self.get_publishers_info_by_topic(name)
@@ -388,10 +399,11 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._answer_start()
 
     def _on_message(self, topic: topics.Topic, data: bytes, info: dict[str, Any]) -> None:
-        """Queue or process a message; in real time, several blocks are processed together and then acknowledged.
+        """Queue a received message if it comes from a rig in real time; otherwise process it at once.
 
-        Their common data then stays in the caches of the processor, which halves the cost. An event that may change how
-        the queued messages are processed first processes all of them.
+        A timer processes the queued blocks together and then acknowledges them. Their common data then stays in the
+        processor's caches, which halves the cost. An event that may change how queued messages are processed first
+        processes all of them.
         """
         self._inbox.append((topic, data, info))
         if self._writer is None or not self._acknowledgements.is_timed:
@@ -444,7 +456,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             self._answer_start()
 
     def _attach_calibration(self, writer: RunWriter, info: Table) -> None:
-        """Attach the calibration certificate as a file as well, for human readers: one file per recalibration."""
+        """Attach a calibration (`daq/info`) to the run as a YAML file for human readers, too: one per calibration."""
         self._certificates += 1
         name = CALIBRATION if self._certificates == 1 else f"calibration_{self._certificates}.yaml"
         writer.attach(Attachment(name, calibration_yaml(info).encode(), "application/yaml"), instead_of=CALIBRATION)
@@ -460,12 +472,12 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         )
 
     def _secured(self) -> bool:
-        """Make sure that acknowledged data survive this process; return whether they may be acknowledged.
+        """Write the received data to disk, so that they survive this process; return whether they may be acknowledged.
 
         The rig publishes the scans of a block last, and middleware and executor keep the order, so the rest of the
-        block has arrived. The exceptions are messages that the middleware lost and repeats, because this process was
-        suspended or too slow. In real time, nothing is acknowledged until all repetitions must have arrived. In the
-        other modes, the rig never sends more than the middleware holds.
+        block has arrived. The exceptions are messages that the middleware lost and sends again, because this process
+        was suspended or too slow. In real time, nothing is acknowledged until all of these must have arrived. In the
+        other time modes, the rig never sends more than the middleware can hold.
         """
         if self._writer is not None:
             try:
@@ -477,16 +489,19 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         return not self._failure and not may_lack
 
     def _lost(self) -> dict[str, int]:
-        """Return how many messages are missing, by topic; a message that a newer one replaced is not missing."""
+        """Return how many messages of this run never arrived, by full topic name.
+
+        Topics of which only the newest message matters are left out.
+        """
         return {name: n for name, n in self._account.lost().items() if self._added[name] not in REPLACED}
 
     def _lacks_messages(self) -> bool:
-        """Return whether messages of the rig are missing in this run."""
+        """Return whether this run has lost a message of the rig that must not be missing (`NEEDED`)."""
         return self._writer is not None and any(self._added[name] in NEEDED for name in self._lost())
 
 
 def run_directory(text: str) -> Path:
-    """Return the directory given by a parameter.
+    """Return the path for the parameter `directory` of the recorder, with `~` replaced by the home directory.
 
     Raises:
         RecordingError: the path begins with the home directory of an unknown user.
@@ -498,7 +513,7 @@ def run_directory(text: str) -> Path:
 
 
 def calibration_yaml(info: Table) -> str:
-    """Return daq/info as YAML: one mapping per channel, and the time from which it applies."""
+    """Return a `daq/info` table as YAML: the time from which it applies (stamp_ns), and a mapping for each channel."""
     channels: dict[str, dict[str, str | float]] = {}
     for row in info.rows:
         values = {name: row[name] for name in info.rows.dtype.names or ()}
@@ -512,7 +527,7 @@ def calibration_yaml(info: Table) -> str:
 
 
 def qos(profile: Any) -> OfferedQos:
-    """Return a quality-of-service profile of rclpy in the terms of rosbag2."""
+    """Return a quality-of-service profile of rclpy in the notation of rosbag2, for the metadata of a run."""
     return OfferedQos(
         history=profile.history.name.lower(),
         depth=profile.depth,
@@ -526,7 +541,7 @@ def qos(profile: Any) -> OfferedQos:
 
 
 def environment() -> bytes:
-    """Return the software environment of the run, as JSON."""
+    """Return a JSON description of the software that records: versions, machine, system and ROS distribution."""
     return json.dumps(
         {
             "impact_rig": impact_rig.__version__,

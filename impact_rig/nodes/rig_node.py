@@ -31,14 +31,16 @@ from impact_rig.rig import Rig
 from impact_rig.rig.config import TREE, RigConfig
 
 WARM_UP_NS = 50_000_000
-"""Duration simulated once while configuring, so that compiled code is loaded before the first block is due."""
+"""Rig time [ns] that is simulated and discarded at `configure`, to load compiled code before the first block."""
 
 
 class RigNode(ManagedNode[RigConfig]):
-    """Lifecycle node that starts and ends a rig with its activation.
+    """Lifecycle node whose activation starts the simulated rig, and whose deactivation ends it.
 
     Args:
-        discovery_s: minimum age of the node before it checks for other rigs [s]: a new process discovers them slowly.
+        discovery_s: minimum age of the node [s] after `configure`, so that it has discovered other rigs on its topics;
+            not needed if a lock shows them.
+        kwargs: passed to `ManagedNode`.
     """
 
     COMPONENT = "simulation"
@@ -54,16 +56,16 @@ class RigNode(ManagedNode[RigConfig]):
         self._standard = StandardServices(self._session)
 
     def complete(self, settings: RigConfig) -> RigConfig:
-        """Prefix the frames with the node's namespace unless the settings name another prefix."""
+        """Return the settings with the node's namespace as prefix of the frame names, unless they have a prefix."""
         prefix = graph.frame_prefix(self.get_namespace(), settings.output.frame_prefix)
         return attrs.evolve(settings, output=attrs.evolve(settings.output, frame_prefix=prefix))
 
     def autostarts(self) -> bool:
-        """Return `output.autostart`."""
+        """Return whether the node configures and activates itself at start: the setting `output.autostart`."""
         return self.settings.output.autostart
 
     def configure(self) -> None:
-        """Check that this rig can be built and published, load compiled code, and create the publishers."""
+        """Check that the rig can be built, load compiled code, create the publishers, and wait for discovery."""
         Rig(self.settings).advance(WARM_UP_NS)
         self._session.configure()
         # wait here, so that a client that finds the node active may command it at once
@@ -71,34 +73,37 @@ class RigNode(ManagedNode[RigConfig]):
             time.sleep(max(0.0, self._discovered_at - time.monotonic()))
 
     def activate(self) -> None:
-        """Start the rig as soon as no other rig is in this namespace."""
+        """Start the rig as soon as no other rig publishes in this namespace."""
         self._session.activate()
 
     def deactivate(self) -> None:
-        """Stop the rig; unpublished data are dropped."""
+        """End the rig; blocks that are simulated but not yet published are dropped."""
         self._session.deactivate()
 
     def settings_changed(self, settings: RigConfig, changes: dict[str, Any]) -> None:
-        """Apply changes to the running rig; the validator has already accepted them."""
+        """Apply new, validated settings to the running rig."""
         self._session.change(settings, changes)
 
     def rig_time_ns(self) -> int | None:
-        """Return the stamp of the next block (rig time), or the system time while a real-time rig has not started."""
+        """Return the stamp of the next block [ns of rig time], for diagnostics.
+
+        Before the rig has started it is the system time in real time, and None in the other time modes.
+        """
         if self._session.rig is not None:
             return self._session.rig.next_block_ns
         return time.time_ns() if self._session.is_realtime else None
 
     def doing(self) -> NodeState:
-        """Return the state of the rig."""
+        """Return the state of the rig: what blocks it, what stops its shaker, or whether the shaker is driven."""
         return self._state.word()
 
     def health(self) -> tuple[Level, str]:
-        """Return level and message of the rig, and log changes."""
+        """Return level and message of the rig's diagnostics; also log what has changed since the last call."""
         self._state.log_changes()
         return self._state.health()
 
     def figures(self) -> dict[str, object]:
-        """Return time, lateness, peers, shaker, energy and over-ranges."""
+        """Return values for diagnostics: time mode, time, lateness, readers, drive, energy and scans over range."""
         return self._state.figures()
 
 

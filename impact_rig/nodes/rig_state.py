@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Status of a rig: its state, the message and figures of diagnostics, and lines of its log.
+"""Status of a rig: its state, message and values in diagnostics, and the lines of its log.
 
-The log has one line each time something starts, ends or goes wrong. It is updated a few times a second, so nothing is
-logged twice and a flickering fault does not flood it.
+The log has one line each time something starts, ends or goes wrong. It is updated ten times a second and compares with
+the last update, so nothing is logged twice, and a fault that flickers does not flood the log.
 """
 
 from __future__ import annotations
@@ -34,7 +34,10 @@ from impact_rig.rig.config import RigConfig
 from impact_rig.simtime import NS_PER_S
 
 SLOW_S = 1.0
-"""Lag in wall time beyond which a reader is reported; at 100 blocks per second its queue holds ten times that."""
+"""Lag [s of wall time] beyond which diagnostics report that a reader is behind.
+
+At 100 blocks per second, the queue of a reader holds ten times as much.
+"""
 CLOCK_STEP_S = 0.1  # steps of the system clock of this size are reported; slewing changes both clocks alike
 _WITHOUT = {"ramp": "ramped to zero", "hold": "the last one is held", "trip": "ramped to zero"}
 MOST = 5  # maximum number of faults logged in one update; of further faults, only the number is logged
@@ -42,7 +45,7 @@ MOST = 5  # maximum number of faults logged in one update; of further faults, on
 
 @attrs.frozen
 class Problem:
-    """Problem of a rig: its level, its message, and the state it causes, if any."""
+    """Problem of a rig for diagnostics: its level, its message, and the state of the rig that it causes, if any."""
 
     level: Level
     message: str
@@ -50,7 +53,7 @@ class Problem:
 
 
 class RigState:
-    """Observer of a rig, which describes its state."""
+    """Description of a rig for diagnostics and the log, derived from its session."""
 
     def __init__(self, session: Session) -> None:
         self._session, self._node = session, session.node
@@ -63,7 +66,7 @@ class RigState:
         self._lost: dict[str, int] = {}  # by subscriber, the largest number of blocks beyond what is kept for it
 
     def word(self) -> NodeState:
-        """Return the state of the rig: what blocks it, what stops its shaker, or the state of its drive."""
+        """Return the state of the rig: what blocks it, what stops its shaker, or whether the shaker is driven."""
         session = self._session
         reason_not_ready = session.reason_not_ready()
         if reason_not_ready is not None:
@@ -78,7 +81,7 @@ class RigState:
         return NodeState(states.RigWord.DRIVING if session.rig.is_driven else states.RigWord.AT_REST, without)
 
     def health(self) -> tuple[Level, str]:
-        """Return the problem of the rig, or the reason why it has not started."""
+        """Return the level and messages of the most severe problems, or the reason why the rig has not started."""
         reason_not_ready, rig = self._session.reason_not_ready(), self._session.rig
         if reason_not_ready is not None:
             return Level.ERROR if reason_not_ready.word is states.RigWord.RIVAL else Level.WARN, reason_not_ready.reason
@@ -88,7 +91,7 @@ class RigState:
         return worst(running, *((one.level, one.message) for one in self._problems(rig)))
 
     def figures(self) -> dict[str, object]:
-        """Return the time mode and, of a running rig, time, lateness, peers, shaker, energy and over-ranges."""
+        """Return values for diagnostics: time mode and, once started, time, lateness, readers, drive, energy, scans."""
         session, config = self._session, self._node.settings
         rig = session.rig
         if rig is None:
@@ -144,7 +147,7 @@ class RigState:
         return (time.time_ns() - time.monotonic_ns() - self._session.clock_offset_ns) / NS_PER_S
 
     def _problems(self, rig: Rig) -> Iterator[Problem]:
-        """Yield the problems of a running rig; the most severe with a state comes first."""
+        """Yield the problems of a started rig; of those that cause a state, the most severe comes first."""
         session, words, readers = self._session, states.RigWord, self._session.readers
         timing, daq, realtime = self._node.settings.time, self._node.settings.daq, session.is_realtime
         others = session.duplicates.sentence()
@@ -196,7 +199,7 @@ class RigState:
     # The log
 
     def log_changes(self) -> None:
-        """Log the changes since the last call."""
+        """Log what has changed since the last call: start, trips, faults, and slow, silent or missing readers."""
         session = self._session
         rig, window = session.rig, session.window
         if rig is None:
@@ -259,7 +262,7 @@ class RigState:
 
 
 def summary(config: RigConfig) -> str:
-    """Return a one-line summary of what determines a run: mode, rate, gap, law and seed."""
+    """Return one line about what determines the data of a rig: time mode, scan rate, gap, contact law and seed."""
     factor = f" x {config.time.factor:g}" if config.time.mode == "realtime" else ""
     gap = f"gap {1e3 * config.barriers.gap_m:g} mm, law {config.contact.law}"
     sphere = gap if config.sphere.present else "no sphere"

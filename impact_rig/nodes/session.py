@@ -13,12 +13,13 @@
 # limitations under the License.
 """ROS session of one rig: start-up checks, command input, time stepping, publishing and flow control.
 
-The work consists of calls into `Rig` for the blocks that are due. In realtime, the clock decides which blocks are due;
-otherwise the slowest peer does. In lockstep or while paused, only requested steps are due.
+The session asks `Rig` for the blocks that are due, and publishes them. In the time mode `realtime`, the clock decides
+which blocks are due; otherwise the acknowledgements of the slowest peer do. In lockstep or while paused, only requested
+steps are due.
 
-A domain and namespace on one machine belong to one rig at a time. If an announcement was missed, the graph knows of
-another rig only after seconds. A lock detects it at once, but only on this machine. If discovery is limited to this
-machine, the lock suffices, and the rig starts without waiting.
+A namespace of a ROS domain belongs to one rig at a time. If an announcement is missed, the ROS graph shows another rig
+only after seconds. A lock file shows it at once, but only on this machine. If discovery is limited to this machine, the
+lock suffices, and the rig starts without waiting.
 """
 
 from __future__ import annotations
@@ -53,29 +54,41 @@ from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 from impact_rig.system import files
 
 OBEDIENT = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_cyclonedds_cpp")
-"""Middleware that obeys `ROS_AUTOMATIC_DISCOVERY_RANGE`."""
+"""Names of the middleware that obeys `ROS_AUTOMATIC_DISCOVERY_RANGE`."""
 GRAPH_POLL_S = 0.5  # minimum interval between two checks for other publishers of a rig's topics
 
 
 def ends_here(environment: Mapping[str, str], middleware: str) -> bool:
-    """Return whether discovery is certainly limited to this machine."""
+    """Return whether discovery is certainly limited to this machine, so that no rig of another one can interfere.
+
+    Args:
+        environment: environment variables.
+        middleware: name of the ROS middleware, such as `rmw_fastrtps_cpp`.
+    """
     near = environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() in ("LOCALHOST", "OFF")
     far = environment.get("ROS_STATIC_PEERS") or environment.get("ROS_DISCOVERY_SERVER")
     return near and not far and middleware in OBEDIENT
 
 
 class NamespaceLock:
-    """Lock on a rig's domain and namespace."""
+    """Lock file that a rig holds for its ROS domain and namespace, so that a second rig on this machine is detected."""
 
     def __init__(self, node: Node) -> None:
         self._name = files.place(node.context.get_domain_id(), node.get_namespace())
         self._held: int | None = None
         here = ends_here(os.environ, get_rmw_implementation_identifier())
         self.decides = here and files.can_hold(files.PLACES, self._name)
-        """True if the lock excludes any other rig in this namespace; False if only the graph can show other rigs."""
+        """True if the lock shows any other rig in this namespace; False if only the ROS graph can show it.
+
+        It is False if rigs of other machines are possible, or no lock file can be used.
+        """
 
     def take(self) -> bool:
-        """Return whether this rig holds the namespace now; True as well if only the graph can show other rigs."""
+        """Try to acquire the lock; return False if another rig holds it.
+
+        Returns:
+            True also if the lock does not decide, because only the ROS graph can show other rigs.
+        """
         if self._held is None and self.decides:
             self._held = files.hold(files.PLACES, self._name)
             if self._held is None and files.is_held_by_others(files.PLACES, self._name):
@@ -83,17 +96,18 @@ class NamespaceLock:
         return self._held is not None or not self.decides
 
     def leave(self) -> None:
-        """Release the namespace."""
+        """Release the lock, if it is held, so that another rig can start in this namespace."""
         if self._held is not None:
             os.close(self._held)
             self._held = None
 
 
 class DuplicatePublishers:
-    """Other publishers of topics that only one node may publish, as known to the graph.
+    """Detector of other nodes that publish topics which only this rig may publish, as shown by the ROS graph.
 
     Args:
-        names: returns the topics that this rig publishes exclusively now.
+        node: node of this rig.
+        names: returns the topics that this rig publishes now and no other node may publish.
     """
 
     def __init__(self, node: Node, names: Callable[[], Iterable[str]]) -> None:
@@ -103,9 +117,9 @@ class DuplicatePublishers:
         self._sentence = ""
 
     def sentence(self) -> str:
-        """Describe other publishers of the topics, or return an empty text.
+        """Return a sentence that names other nodes which publish this rig's topics; empty if there are none.
 
-        The graph is polled at most twice a second; changes are logged.
+        The graph is queried at most twice a second; a change is logged.
         """
         now = time.monotonic()
         if now - self._polled_at >= GRAPH_POLL_S:
@@ -139,25 +153,27 @@ class DuplicatePublishers:
 WORK_S = 0.02  # wall time for which one call of the work timer may run before commands and services are processed
 LARGEST_BATCH_S = 0.2  # rig time simulated at once, which delays commands and services as well
 CATCH_UP_NS = 50_000_000
-"""Largest rig time simulated at once in realtime: a rig that is slower than real time must still answer."""
+"""Largest rig time [ns] that is simulated at once in real time, so that a slow rig still answers requests."""
 SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 0.001, 0.05
 AHEAD_PERIOD_S = 0.005  # period of the work timer if acknowledgements drive the work
 SLICE_S = 0.02
-"""Time after a call of the timer during which acknowledgements may drive the work:
+"""Time [s] after each call of the work timer during which an acknowledgement may start further work.
 
-an executor that delivers all messages of one subscription first would otherwise never reach services and timers.
+An executor that delivers all messages of one subscription first would otherwise never reach services and timers.
 """
 AWAY_S = 1.0  # a gap this long between two calls of the work timer means that this process was suspended, not the peers
 EXPIRES_S = 2.0
-"""Duration of a suspension after which commands that were queued meanwhile are dropped: their senders have already
-received an error.
+"""Duration [s] of a suspension of this process after which commands that arrived during it are dropped.
+
+Their senders have already received an error.
 """
 # share of a processor: a process that used more between two calls of the work timer was not suspended
 BUSY_SHARE = 0.25
 CHECKED_S = 10.0
-"""Time after a suspension during which the rig rejects commands that were sent before it resumed.
+"""Time [s] after a suspension during which the rig rejects commands that were sent before it resumed.
 
-If clocks have been set, or differ, stamps prove nothing: every command received within `REPEATED_S` is rejected.
+If clocks have been set, or differ, the times of sending prove nothing: then every command received within `REPEATED_S`
+after the suspension is rejected.
 """
 STEP_NS = 100_000_000  # difference between two clocks above which they disagree, or one of them was set
 IDLE_S = 1.0  # a client that steps repeatedly does so more often than this: between two such steps a rig is not paused
@@ -166,7 +182,7 @@ COUNTED_TOGETHER = 32  # number of blocks whose scans are checked together
 
 
 class Counts:
-    """Counters since the activation."""
+    """Counters of a rig since its activation: blocks, impacts, active faults, scans over range."""
 
     def __init__(self) -> None:
         self.blocks = 0
@@ -179,7 +195,7 @@ class Counts:
         self._rates: deque[tuple[float, int]] = deque([(time.monotonic(), 0)])
 
     def take(self, block: Block) -> None:
-        """Count one block, published or lost."""
+        """Count one block of the rig with its impacts and faults, whether it was published or lost by a fault."""
         self.blocks += 1
         self.lost_blocks += block.lost
         if block.impacts is not None:
@@ -196,7 +212,7 @@ class Counts:
                     self.faults.pop(number, None)
 
     def over_range(self) -> Counter[str]:
-        """Return the number of scans in which each channel was over range."""
+        """Return, by channel, the number of scans in which the channel was over range."""
         if self._uncounted:
             rows, self._uncounted = joined(self._uncounted), []
             status = rows["status"]
@@ -206,7 +222,7 @@ class Counts:
         return self._over_range
 
     def block_rate_hz(self) -> float:
-        """Return blocks per second of wall time over about the last two seconds."""
+        """Return the blocks per second of wall time, averaged over about two seconds."""
         now = time.monotonic()
         self._rates.append((now, self.blocks))
         while len(self._rates) > 2 and now - self._rates[1][0] > RATE_WINDOW_S:
@@ -216,7 +232,10 @@ class Counts:
 
 
 class Session:
-    """Rig of a node, and its pace: from the moment no other rig is in its namespace until the node is deactivated."""
+    """Rig of a node, from its start until the node is deactivated: commands, services, publishing and pace.
+
+    The rig starts when the node is active and no other rig is in its namespace.
+    """
 
     publishers: Publishers  # exists from when the node is configured
     readers: Readers  # readers of the scans and, below, other publishers; exist from when the node is active
@@ -269,40 +288,40 @@ class Session:
 
     @property
     def is_realtime(self) -> bool:
-        """Return whether blocks are due by the clock."""
+        """Return whether the time mode is `realtime`, in which the clock decides when blocks are due."""
         return self.node.settings.time.mode == "realtime"
 
     @property
     def is_lockstep(self) -> bool:
-        """Return whether rig time advances by steps only, paused or not."""
+        """Return whether the time mode is `lockstep`, in which rig time advances by requested steps only."""
         return self.node.settings.time.mode == "lockstep"
 
     @property
     def is_idle(self) -> bool:
-        """Return whether no step is owed, and none has been requested for a while."""
+        """Return whether all requested steps are complete, and none has been requested for a second."""
         return self._steps_left <= 0 and time.monotonic() - self._stepped_at > IDLE_S
 
     @property
     def is_starving(self) -> bool:
-        """Return whether the rig has waited for samples of a stream for longer than it waits for a peer."""
+        """Return whether the rig has waited for samples of its drive for longer than `time.peer_timeout_s`."""
         patience_s = self.node.settings.time.peer_timeout_s
         return self._starved_at is not None and time.monotonic() - self._starved_at > patience_s
 
     def controllers(self) -> str:
-        """Return the possible senders of samples of a stream, as text."""
+        """Return the names of the nodes that publish samples of the drive, joined by "and", for messages."""
         found = self.node.get_publishers_info_by_topic(self.node.resolve_topic_name(topics.WAVEFORM.name))
         return " and ".join(sorted({info.node_name for info in found})) or "nobody"
 
     # Start and end
 
     def configure(self) -> None:
-        """Create the publishers."""
+        """Create the publishers of the rig's topics, with the present settings."""
         self.publishers = Publishers(self.node, self.node.settings)
 
     def activate(self) -> None:
-        """Start once no other rig publishes here.
+        """Start the rig as soon as no other rig publishes on these topics, at once if there is none.
 
-        In realtime, it also waits for the peers to connect, at most `start_wait_s`.
+        In real time, the rig also waits for its peers to connect, at most `time.start_wait_s`.
         """
         timing = self.node.settings.time
         self.publishers.forget()
@@ -321,10 +340,10 @@ class Session:
             self.publishers.announce(self.node.settings)
 
     def reason_not_ready(self) -> NodeState | None:
-        """Return why a rig has not started yet, or None.
+        """Return the state that keeps an active rig from starting, with its reason; None if there is none.
 
-        A rig that finds another one on its topics waits until that one is gone: two rigs in one namespace would drive
-        each other's shaker and fill one recording. The earlier rig continues.
+        A rig that finds another one on its topics waits until that one is gone: two rigs in one namespace would both
+        obey the same commands and publish into the same recording. The earlier rig continues.
         """
         if not self._active or self.rig is not None:
             return None
@@ -342,7 +361,10 @@ class Session:
         return NodeState(states.RigWord.NO_PEER, f"waiting for peer {names}, at most {patience_s:g} s")
 
     def _begin(self) -> None:
-        """Start a new rig: scan 0 is at the present time in realtime, and at time 0 otherwise."""
+        """Create and start a new rig: its scan 0 is at the present time in real time, and at time 0 otherwise.
+
+        Commands that were sent before are rejected.
+        """
         config = self.node.settings
         timing = config.time
         self.absent = ", ".join(self.readers.missing()) if self.is_realtime else ""
@@ -367,7 +389,7 @@ class Session:
         self._start_timer(config)
 
     def deactivate(self) -> None:
-        """End the rig: drop unpublished data, and answer waiting requests with the reason. A latch stays."""
+        """End the rig, drop unpublished data, and reject waiting requests; the next rig inherits a latched shaker."""
         self._timer.stop()
         if self.rig is not None:
             self._latched = self.rig.latched
@@ -379,17 +401,17 @@ class Session:
         _answer(self._pausing, False, "the rig was deactivated")
 
     def running(self) -> Rig:
-        """Return the rig.
+        """Return the rig that has started.
 
         Raises:
-            CommandError: there is no rig; the message says why.
+            CommandError: no rig has started; the message says why.
         """
         if self.rig is None:
             raise CommandError(self.why_not())
         return self.rig
 
     def why_not(self) -> str:
-        """Return the reason why there is no rig."""
+        """Return the reason why no rig has started, as text for an error message."""
         reason_not_ready = self.reason_not_ready()
         if reason_not_ready is not None:
             return f"the rig has not started: {reason_not_ready.reason}"
@@ -398,7 +420,7 @@ class Session:
     # Work
 
     def _start_timer(self, config: RigConfig) -> None:
-        """Start the work timer, as often as the settings require."""
+        """Start the timer that calls `work`: in real time in phase with the blocks, otherwise every 5 ms."""
         period_s = AHEAD_PERIOD_S
         if self.is_realtime:
             block_s = config.daq.block_scans / config.daq.rate_hz / config.time.factor
@@ -407,7 +429,7 @@ class Session:
         self._timer.start(period_s, self._wait_s() if self.is_realtime else 0.0)
 
     def _wait_s(self) -> float:
-        """Return the time until the next block is due."""
+        """Return the wall time until the next block is due in real time [s]; negative if it is overdue."""
         return self.pacer.wait_ns(self.running().block_end_ns(1) - self._base_ns) / NS_PER_S
 
     def _on_timer(self) -> None:
@@ -417,9 +439,9 @@ class Session:
             self._timer.keep_in_step(self._wait_s())
 
     def work(self) -> None:
-        """Publish the due blocks, within the time limit of one call; first start the rig, if nothing prevents it.
+        """Start the rig if nothing prevents it; publish the blocks that are due, for at most about 20 ms per call.
 
-        An error of the model ends the activation: the rig cannot continue.
+        If the simulation fails, the node is deactivated, because the rig cannot continue.
         """
         now = self._notice_absence()
         try:
@@ -437,7 +459,10 @@ class Session:
             _answer(self._pausing, True, "paused")
 
     def _notice_absence(self) -> float:
-        """Return the present time [s]; detect whether this process was suspended since the last call."""
+        """Detect whether this process was suspended since the last call; return the present monotonic time [s].
+
+        After a suspension, the timeouts of the peers start again, and `refuse_backlog` rejects commands sent before.
+        """
         now, used_s = time.monotonic(), time.process_time()
         before_ns, self._epoch_ns = self._epoch_ns, time.time_ns() - time.monotonic_ns()
         self._clock_is_set |= abs(self._epoch_ns - before_ns) > STEP_NS
@@ -455,13 +480,13 @@ class Session:
         return now
 
     def refuse_backlog(self, sent_ns: int) -> None:
-        """Reject a command that was queued while this process was suspended.
+        """Reject a command that was sent before this process resumed from a suspension: its sender has given up by now.
 
         Args:
             sent_ns: time at which the command was sent, by the system clock of its sender [ns].
 
         Raises:
-            CommandError: the command was queued during the suspension.
+            CommandError: the command was, or may have been, sent before this process resumed.
         """
         since_s = self._notice_absence() - self._resumed_at
         if since_s > CHECKED_S:
@@ -474,7 +499,10 @@ class Session:
             raise CommandError(f"it was sent {late_s:.1f} s before this rig resumed from a suspension: send it again")
 
     def _catch_up(self, rig: Rig, deadline: float) -> None:
-        """Publish the blocks that are due, until the deadline; the next call continues."""
+        """Simulate and publish the blocks that are due by the clock, until `deadline` [s, monotonic].
+
+        Blocks that are left are published by the next call.
+        """
         due_ns = self._base_ns + self.pacer.due_ns(self._simulated_ns(rig))
         while True:
             until_ns = min(due_ns, rig.frontier_ns + CATCH_UP_NS)
@@ -483,14 +511,19 @@ class Session:
                 return
 
     def _simulated_ns(self, rig: Rig) -> int:
-        """Return the simulated rig time for the pacer [ns]: part of a block counts, as a block may exceed any lag.
+        """Return the rig time since the start that is simulated [ns], for the pacer.
 
-        The last tick does not count, because more of it may be simulated than was due.
+        A part of a block counts, because a block may be longer than the lag that the pacer accepts. The last tick does
+        not count, because more of it may be simulated than was due.
         """
         return max(rig.next_block_ns, rig.frontier_ns - COMMAND_GRID_NS) - self._base_ns
 
     def _run_ahead(self, rig: Rig, deadline: float) -> None:
-        """Publish as many blocks as the window, and a step, allow, until the deadline."""
+        """Publish as many blocks as peers and requested steps allow, until `deadline` [s]; not for real time.
+
+        Requested steps are answered once all their blocks are acknowledged, and rejected if a peer or a controller is
+        silent.
+        """
         daq, window = self.node.settings.daq, self.window
         by_steps = self.paused or self.is_lockstep
         limit = self._steps_left if by_steps else window.window
@@ -524,7 +557,7 @@ class Session:
             _answer(self._stepping, True, f"at {rig.next_block_ns / NS_PER_S:.9f} s")
 
     def _advance(self, rig: Rig, until_ns: int) -> int:
-        """Advance the rig, publish its changes and then the blocks they act on, and return the number of blocks."""
+        """Simulate up to the rig time `until_ns`, publish changes and then the blocks; return the number of blocks."""
         blocks = rig.advance(until_ns)
         if self.publishers.changes(rig):
             self.node.report_change()  # for example, after a trip
@@ -547,7 +580,10 @@ class Session:
     # Steps and pauses
 
     def step(self, steps: int, done: Done) -> None:
-        """Request steps, which are answered when the last block is published and acknowledged."""
+        """Request this many steps of `step.blocks` blocks each, and advance the rig as far as possible now.
+
+        `done` is called when the last block is published and acknowledged, or with an error if that fails.
+        """
         self._steps_left += steps * self.node.settings.step.blocks
         self._stepped_at = time.monotonic()
         self._stepping.append(done)
@@ -555,7 +591,7 @@ class Session:
         self.work()
 
     def pause(self, done: Done) -> None:
-        """Stop rig time; the request is answered when the peers have processed all published blocks."""
+        """Stop rig time at once; `done` is called when the peers have processed all published blocks."""
         self.running()
         self.paused = self._is_still = True
         self._pausing.append(done)
@@ -563,7 +599,10 @@ class Session:
         self.node.report_change()
 
     def resume(self, done: Done) -> None:
-        """Continue, without the blocks that a silent peer has missed."""
+        """Let rig time continue after a pause, or while it waits for a silent peer or samples; answer by `done`.
+
+        The rig no longer waits for peers that are silent, nor for a controller that sends no samples.
+        """
         rig = self.running()
         starving = self.is_starving
         if self.paused or self.window.silent() or starving:  # a running rig gives nothing up
@@ -580,12 +619,12 @@ class Session:
         done(True, "running")
 
     def _end_steps(self, message: str) -> None:
-        """Reject the waiting steps, and drop the blocks they still owe."""
+        """Answer the waiting step requests with an error, and drop the blocks that they still require."""
         self._steps_left = 0
         _answer(self._stepping, False, message)
 
     def _refuse_without_peers(self) -> None:
-        """Reject steps if a peer has been absent for too long."""
+        """Reject waiting step requests if a peer has not subscribed for longer than `time.peer_timeout_s`."""
         patience_s = self.node.settings.time.peer_timeout_s
         waited = time.monotonic() - self._stepped_at > patience_s
         if self._stepping and waited and self.readers.overdue(patience_s):
@@ -601,7 +640,7 @@ class Session:
     # Other inputs
 
     def reset(self, rig: Rig) -> None:
-        """Start again from scan 0; waiting steps are rejected."""
+        """Start the rig again from scan 0 with continuing stamps, and publish that; waiting steps are rejected."""
         rig.reset()
         self._end_steps("the rig was reset")
         self._starved_at = None  # samples are needed from the start again
@@ -614,7 +653,7 @@ class Session:
         rig.pluck(self.node.settings.pluck.displacement_m)
 
     def _act(self, act: Callable[[Rig], None], said: str, _request: Trigger.Request, done: Done) -> None:
-        """Apply an action to the rig, and answer with its description."""
+        """Apply the action `act` of a service to the rig, and answer the request with the text `said`."""
         rig = self.running()
         act(rig)
         self._note_samples(rig)
@@ -652,15 +691,12 @@ class Session:
             self.work()
 
     def _note_samples(self, rig: Rig) -> None:
-        """Register, also while paused, that the rig does not wait for samples.
-
-        Some have arrived, or none are needed.
-        """
+        """Register, also while paused, that the rig does not lack samples: some have arrived, or none is needed."""
         if self._starved_at is not None and rig.blocks_with_samples(1):
             self._starved_at = None
 
     def _on_ack(self, data: bytes) -> None:
-        """Process an acknowledgement of any reader, in any mode; the acknowledgement of a peer allows further work."""
+        """Process an acknowledgement of any reader, in any time mode; that of a peer may make further blocks due."""
         if not self._active:
             return
         try:
@@ -683,7 +719,7 @@ class Session:
             self.work()
 
     def change(self, settings: RigConfig, changes: dict[str, Any]) -> None:
-        """Apply new settings, which the validator has accepted, to the rig.
+        """Apply new, validated settings to the rig, the flow control and the pace, and publish them.
 
         Raises:
             ImpactRigError: the rig rejects the settings; nothing is changed.
@@ -707,7 +743,7 @@ class Session:
         self._publish_configuration(rig)
 
     def _publish_configuration(self, rig: Rig) -> None:
-        """Publish the active configuration, and the calibration if it has changed."""
+        """Publish the active configuration, the calibration if it has changed, and the state of the sample stream."""
         self.publishers.configuration(rig)
         self.publishers.stream(rig)
         if rig.config.contact != self._contact:
@@ -715,7 +751,10 @@ class Session:
 
 
 def _answer(waiting: list[Done], success: bool, message: str) -> None:
-    """Answer all waiting requests; the list is empty before the first answer, which may trigger new requests."""
+    """Answer all waiting requests alike.
+
+    The list is emptied before the first answer, because an answer may trigger new requests.
+    """
     answered, waiting[:] = list(waiting), []
     for done in answered:
         done(success, message)

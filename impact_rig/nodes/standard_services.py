@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Services of the package `simulation_interfaces`, offered if it can be imported, feature by feature.
+"""Services of the package `simulation_interfaces`, each offered if the installed package defines it.
 
-They express `~/pause`, `~/step` and `~/reset` in the terms of that package. A rig counts as stopped if it is inactive,
+They offer pause, step and reset of the rig in the terms of that package. A rig counts as `STOPPED` if it is inactive,
 or if these services have paused and reset it and it has not moved since. Time is never turned back.
 """
 
@@ -36,13 +36,13 @@ FEATURES = {
     "StepSimulation": ("STEP_SIMULATION_SINGLE", "STEP_SIMULATION_MULTIPLE"),
     "ResetSimulation": ("SIMULATION_RESET", "SIMULATION_RESET_STATE"),
 }
-"""Features that a service provides, by service type."""
+"""Names of the features of `SimulatorFeatures` that a service provides, by service type."""
 NOTE = f"impact_rig {__version__}; a step is step.blocks blocks; a reset starts again at scan 0 with continuing stamps"
 Tell = Callable[[int, str], None]  # answers with a result code and an error message
 
 
 class StandardServices:
-    """Standard services of the rig, if the package is installed."""
+    """Standard simulation services (`simulation_interfaces`) of a rig; without that package, there are none."""
 
     def __init__(self, session: Session) -> None:
         self._session, self._node = session, session.node
@@ -58,7 +58,7 @@ class StandardServices:
             LateService(self._node, service_type, name, self._guarded(service_type, name.removeprefix("~/")))
 
     def _guarded(self, service_type: Any, name: str) -> Callable[[Any, int, Callable[[Any], None]], None]:
-        """Return a function that answers each request, even if an exception occurs."""
+        """Return a request handler for the service `name` that always answers, with an error if an exception occurs."""
         handle = getattr(self, f"_{name}")
         codes = self._messages.Result
 
@@ -85,7 +85,7 @@ class StandardServices:
         return serve
 
     def _done(self, tell: Tell, failed: int) -> Done:
-        """Return a function that answers once a pause or a step is complete."""
+        """Return a function that answers a request once a pause or step ends; `failed` is the code of a failure."""
         return lambda success, message: tell(*((self._messages.Result.RESULT_OK, "") if success else (failed, message)))
 
     def _state(self) -> int:
@@ -135,7 +135,7 @@ class StandardServices:
             self._session.pause(lambda success, message: self._stop(success, message, tell, response))
 
     def _stop(self, paused: bool, message: str, tell: Tell, response: Any) -> None:
-        """Reset a rig that has just been paused."""
+        """Reset a rig that `_set_simulation_state` has paused, so that it counts as stopped, and answer the request."""
         code, text = (self._messages.Result.RESULT_OK, "") if paused else (response.STATE_TRANSITION_ERROR, message)
         try:
             if paused:
