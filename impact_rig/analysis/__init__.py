@@ -11,9 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Analysis of scans; it uses only scans, `daq/info`, `shaker/applied` and the operator's labels.
+"""Analysis of scans, live or recorded: transmissibility with its uncertainty, impacts, frequency responses.
 
-Nothing here imports ROS, the physics or the instruments, so live, replayed and real data take one path. Each module has
-one subject: `sine` (IEEE 1057 fits), `transmissibility`, `tracker` (the same, streaming), `impacts`, `frf`, `decay`,
-`settling`, `reduction`. Import the module you need: this package imports none of them by itself.
+The input is what a real rig also provides: scans, `daq/info` (calibration), `shaker/applied` (drive) and the operator's
+label of the gap. Nothing here imports ROS, the physics or the instruments, so the same code analyses live, recorded and
+imported data. Each module has one subject: `sine` (IEEE 1057 fits), `cycles` (the fit of each drive cycle),
+`transmissibility`, `settling`, `tracker` (transmissibility of a stream), `impacts`, `frf`, `health` (plausibility of
+channels). Import the module you need: this package imports none of them by itself.
 """

@@ -71,7 +71,10 @@ LAG_MODELS: dict[int, Callable[[Real], NDArray[np.complexfloating]]] = {
     1: lambda omega_lag: 1.0 / (1.0 + 1j * omega_lag),
     2: lambda omega_lag: 1.0 / (1.0 + 1j * omega_lag - omega_lag**2 / 2.0),
 }
-"""L as a function of ω·lag, by `lag_order`; the two poles are a pure delay to second order."""
+"""Frequency response L of a sensor with a lag, as a function of ω·lag, by the `lag_order` in `daq/info`.
+
+The two poles of order 2 are a pure delay to second order in ω·lag.
+"""
 
 DERIVATIVES = {b"m": 0, b"m/s": 1, b"m/s^2": 2}  # n of a channel by its unit in `daq/info`
 
@@ -106,7 +109,7 @@ LARGEST = 1e100  # limit of every figure, so that its square does not overflow
 
 @attrs.frozen(eq=False)
 class Calibration:
-    """The columns of `daq/info` as arrays over `scans.CHANNELS`."""
+    """Calibration of the channels: the columns of `daq/info`, each as an array in the order of `scans.CHANNELS`."""
 
     rate_hz: float  # scans per second; an int if it is an integer
     low: Real  # lower end of the range [SI unit of the channel]; high: upper end
@@ -125,16 +128,20 @@ class Calibration:
     converter_noise: Real
     high_pass: Real  # corner of a first-order high-pass [Hz]; 0 for none
     truncates: NDArray[np.bool_] = attrs.field(factory=lambda: np.zeros(len(CHANNELS), np.bool_), kw_only=True)
-    """Channels whose converter may truncate instead of round."""
+    """Mask of the channels whose converter may truncate instead of round.
+
+    That is unknown for a channel whose certificate gives one `resolution` for all its steps.
+    """
     present: NDArray[np.bool_] = attrs.field(factory=lambda: np.ones(len(CHANNELS), np.bool_), kw_only=True)  # measured
     derivative: NDArray[np.int64] = attrs.field(factory=lambda: np.zeros(len(CHANNELS), np.int64), kw_only=True)
-    """Derivative of the motion that a channel measures: 0 displacement, 1 velocity, 2 acceleration; 0 for accelerometer
-    and current, which are not converted.
+    """Derivative n of the displacement that each channel measures: 0 displacement, 1 velocity, 2 acceleration.
+
+    It is 0 for accelerometer and current, whose phasors are not converted to displacements.
     """
 
     @classmethod
     def from_info(cls, rows: NDArray[np.void]) -> Calibration:
-        """Return the calibration in the rows of a `daq/info` table, in any order.
+        """Return the calibration in the rows of a `daq/info` table, which may have any order.
 
         Raises:
             ConfigError: a channel is missing or given twice, the rates differ or are not positive, a range is empty, a
@@ -154,10 +161,14 @@ class Calibration:
         rate = float(ordered["rate"][0])
         if not (np.all(ordered["rate"] == rate) and 0 < rate <= MOST_HZ):
             raise ConfigError(
-                f"daq/info: rate must be one positive number of Hz, at most {MOST_HZ:g}, got {ordered['rate'].tolist()}"
+                f"daq/info: rate must be one positive number of Hz for all channels, at most {MOST_HZ:g}, "
+                f"got {ordered['rate'].tolist()}"
             )
         if not np.all(ordered["range_low"] < ordered["range_high"]):
-            raise ConfigError("daq/info: range_low must be < range_high in every row")
+            raise ConfigError(
+                f"daq/info: range_low must be < range_high in every row, got {ordered['range_low'].tolist()} and "
+                f"{ordered['range_high'].tolist()}"
+            )
         if not set(ordered["lag_order"].tolist()) <= set(LAG_MODELS):
             raise ConfigError(f"daq/info: lag_order must be one of 0, 1, 2, got {ordered['lag_order'].tolist()}")
         known = {name: ordered[name] for name in COLUMNS if name in (ordered.dtype.names or ())}
@@ -186,11 +197,15 @@ class Calibration:
 
     @functools.cached_property
     def absent(self) -> tuple[str, ...]:
-        """The channels that are not measured."""
+        """Names of the channels of `scans.CHANNELS` that `daq/info` does not list, so they are not measured."""
         return tuple(name for name, there in zip(CHANNELS, self.present.tolist(), strict=True) if not there)
 
     def response(self, channel: int, frequency_hz: Real | float) -> Complex:
-        """Return (iω)ⁿ·L(ω)·P(ω)·e^{iω·skew} of a channel, measured over true phasor, shape of `frequency_hz`."""
+        """Return the response of a channel, (iω)ⁿ·L(ω)·P(ω)·e^{iω·skew}, in the shape of `frequency_hz`.
+
+        It is the measured phasor [unit of the channel] divided by the true one of the displacement [m]; n is 0 for
+        accelerometer and current. Divide a measured phasor by it to correct the phasor.
+        """
         omega = 2.0 * np.pi * np.asarray(frequency_hz, dtype=np.float64)
         lag = LAG_MODELS[int(self.lag_order[channel])](omega * self.lag[channel])
         response = np.asarray(lag * np.exp(1j * omega * self.skew[channel]), dtype=np.complex128)
@@ -201,18 +216,19 @@ class Calibration:
         return response * (1j * omega) ** order if order else response
 
     def scale(self, channel: int, frequency_hz: float) -> float:
-        """Return ωⁿ: the amplitude of a sine in the channel's unit over that of its displacement."""
+        """Return ωⁿ of a channel: the amplitude of a sine in its unit divided by that of the displacement [m]."""
         return float((2.0 * math.pi * frequency_hz) ** int(self.derivative[channel]))
 
     def scales(self, frequency_hz: float) -> Real:
-        """Return ωⁿ of every channel, shape (4,)."""
+        """Return, for every channel, the amplitude of its reading per metre of displacement (`scale`), shape (4,)."""
         return np.array([self.scale(channel, frequency_hz) for channel in range(len(CHANNELS))])
 
     def gain_uncertainty_at(self, channel: int, amplitude: float) -> float:
-        """Return the relative standard uncertainty of the amplitude of a vibration about mid-range.
+        """Return the relative standard uncertainty of a channel's gain for a vibration about mid-range.
 
-        `gain_uncertainty` holds for a small vibration and includes the slope 1.5 c L/R of the sensor's curve at
-        mid-range. A vibration of amplitude a·R sees the part (1.5 − 1.875 a²) c L/R of it (module docstring).
+        `amplitude` is that of the vibration [unit of the channel]. `gain_uncertainty` holds for a small vibration and
+        includes the slope 1.5 c L/R of the sensor's curve at mid-range. A vibration of amplitude a·R sees the part (1.5
+        − 1.875 a²) c L/R of it (module docstring).
         """
         half_range = float(self.high[channel] - self.low[channel]) / 2.0
         curve = float(self.linearity[channel]) / half_range * U_CUBIC
@@ -221,12 +237,18 @@ class Calibration:
         return math.sqrt(max(small - (1.5 * curve) ** 2, 0.0) + ((1.5 - 1.875 * share**2) * curve) ** 2)
 
     def curvature_uncertainty(self, channel: int, amplitude: float) -> float:
-        """Return the standard uncertainty of the relative change of gain from a small vibration to this amplitude."""
+        """Return the standard uncertainty of the relative change of a channel's gain due to the curve of its sensor.
+
+        The change is that from a small vibration to one of `amplitude` [unit of the channel].
+        """
         half_range = float(self.high[channel] - self.low[channel]) / 2.0
         return float(self.linearity[channel]) / half_range * U_CUBIC * 1.875 * (amplitude / half_range) ** 2
 
     def steps_uncertainty(self, channel: int, amplitude: float) -> float:
-        """Return the standard uncertainty of a measured amplitude due to the steps of sensor and converter [unit]."""
+        """Return the standard uncertainty of a measured amplitude due to the steps of sensor and converter.
+
+        Both are in the unit of the channel.
+        """
         place, weight = self._roundings[channel]
         power = np.minimum(
             (place * amplitude) ** 2 / 4.0, np.minimum(J_1_MOST**2, J_1_TAIL / (place * amplitude + 1e-300))
@@ -240,7 +262,10 @@ class Calibration:
         return math.hypot(math.sqrt(2.0 * float(weight**2 @ power)), truncated)
 
     def steps_variance(self, channel: int) -> float:
-        """Return the variance that rounding adds to a value with averaged noise [unit²]: at most r²/12 + q²/12."""
+        """Return the variance of the rounding error of a channel's sample, averaged over the sample's noise [unit²].
+
+        It is at most r²/12 + q²/12, for the steps r of the sensor and q of the converter.
+        """
         return 0.5 * float(np.sum(self._roundings[channel][1] ** 2))
 
     @functools.cached_property
@@ -248,7 +273,7 @@ class Calibration:
         return [self._rounding(channel) for channel in range(len(CHANNELS))]
 
     def _rounding(self, channel: int) -> tuple[Real, Real]:
-        """Return the sines that make up the error of rounding: (a [1/unit], c [unit]), shape (n,)."""
+        """Return a [1/unit] and c [unit] of the sines c sin(a·value) that make up the error of rounding, shape (n,)."""
         r, q = float(self.output_step[channel]), float(self.converter_step[channel])
         blur_r, blur_q = float(self.output_noise[channel]), float(self.converter_noise[channel])
         order = np.arange(1.0, TERMS + 1.0)
@@ -269,15 +294,19 @@ class Calibration:
         return np.concatenate(places), np.concatenate(weights)
 
     def noise_crowding(self) -> Real:
-        """Return the noise density at the drive relative to noise that fills the band up to rate / 2, shape (4,)."""
+        """Return the noise density of each channel at low frequencies relative to white noise of its rms, shape (4,).
+
+        White noise fills the band up to rate / 2; noise that a sensor limits to a narrower band is denser.
+        """
         noise_band = TWO_POLE_NOISE * np.where(self.bandwidth > 0.0, self.bandwidth, np.inf)
         return np.asarray(np.maximum(1.0, self.rate_hz / (2.0 * noise_band)), dtype=np.float64)
 
     def lag_uncertainties(self, channel: int, frequency_hz: float, lag_uncertainty: float) -> tuple[float, float]:
-        """Return the standard uncertainties of amplitude (relative) and phase caused by a sensor's dynamics.
+        """Return the standard uncertainties of a channel's amplitude (relative) and phase [rad] due to its lag.
 
-        `lag_uncertainty` is that of the lag, relative. A pure delay omits the attenuation by a low-pass of two or more
-        poles with the corner `bandwidth`: at most 1 − 1/√(1 + (f/bandwidth)⁴), uniformly distributed.
+        `lag_uncertainty` is the relative standard uncertainty of the lag. A pure delay omits the attenuation by a
+        low-pass of two or more poles with the corner `bandwidth`: at most 1 − 1/√(1 + (f/bandwidth)⁴), uniformly
+        distributed.
         """
         slope = self.lag_sensitivity(channel, frequency_hz) * lag_uncertainty
         left_out = 0.0
@@ -286,7 +315,10 @@ class Calibration:
         return math.hypot(slope.real, left_out), abs(slope.imag)
 
     def lag_sensitivity(self, channel: int, frequency_hz: float) -> complex:
-        """Return d ln L / d ln lag: real part for the amplitude, imaginary part for the phase, per relative change."""
+        """Return d ln L / d ln lag, the change of a channel's response L per relative change of its sensor's lag.
+
+        The real part is the relative change of the amplitude, the imaginary part that of the phase [rad].
+        """
         omega_lag = np.asarray(2.0 * np.pi * frequency_hz * self.lag[channel])
         model = LAG_MODELS[int(self.lag_order[channel])]
         step = 1e-6
@@ -294,7 +326,7 @@ class Calibration:
 
 
 def _finite(column: NDArray[np.float64]) -> Real:
-    """Keep infinite values (unlimited ranges) and read NaN (unknown figures) as 0."""
+    """Return a column of `daq/info` with 0 instead of NaN (an unknown figure); infinity (an unlimited range) stays."""
     values = np.array(column, dtype=np.float64)
     values[np.isnan(values)] = 0.0
     return values

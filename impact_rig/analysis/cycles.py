@@ -46,17 +46,17 @@ from impact_rig.arithmetic.elementary import TWO_PI, sincos
 from impact_rig.kernels import BYTES, INTEGERS, REALS, REALS_2D, REALS_3D, Reals, entry, kernel
 
 RANGE_BIT = 256
-"""Bit in a cycle's flags for channel 0 outside its range or not finite; channel j uses RANGE_BIT << j."""
+"""Bit in a cycle's flags that is set if channel 0 is outside its range or not finite; channel j has RANGE_BIT << j."""
 MIN_SAMPLES_PER_CYCLE = 8
 HALF = 32
-"""Number of pairs of scans that are added together: their data stay in the fastest cache."""
+"""Number of pairs of scans in a stretch, which is added to the sums at once: it fits into the fastest cache."""
 PHASE_BINS = 64
 """Number of parts of a drive cycle in which the phases of impacts are counted: 0.1 rad each."""
 
 
 @attrs.frozen(eq=False)
 class Cycles:
-    """n consecutive complete cycles of the drive: 4 channels in the order of `scans.CHANNELS`, some harmonics."""
+    """Fits of n consecutive complete drive cycles: 4 channels in the order of `scans.CHANNELS`, some harmonics."""
 
     first: NDArray[np.int64]  # index of each cycle's first scan, counted like `Accumulator.origin`, shape (n,)
     samples: NDArray[np.int64]  # scans per cycle, shape (n,)
@@ -74,12 +74,12 @@ class Cycles:
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Residual degrees of freedom of all fits together."""
+        """Number of residual degrees of freedom of the fits of all cycles together, per channel."""
         return int(np.sum(self.samples - (2 * self.phasors.shape[2] + 1)))
 
     @property
     def residual_variance(self) -> Real:
-        """Variance per scan that all fits together leave, shape (4,).
+        """Residual variance per scan and channel of the fits of all cycles together [unit²], shape (4,).
 
         Zero if the fits have as many unknowns as scans: they leave no residual and tell nothing about the noise.
         """
@@ -90,12 +90,15 @@ class Cycles:
 
 
 def concatenate(parts: list[Cycles]) -> Cycles:
-    """Join several runs of cycles."""
+    """Join groups of cycles into one; each group continues the one before."""
     return Cycles(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in attrs.fields(Cycles)))
 
 
 LOWEST_HZ = 1e-6
-"""Limit of a cycle: twelve days. A lower frequency is damaged data, and its period fits no integer."""
+"""Lowest drive frequency that is measured: a cycle of twelve days.
+
+A lower one comes from damaged data, and its period in scans would not fit into an integer.
+"""
 
 
 def distinct_phases(samples: int, period: float) -> int:
@@ -113,7 +116,7 @@ def distinct_phases(samples: int, period: float) -> int:
 
 
 def usable_harmonics(rate_hz: float, frequency_hz: float, wanted: int) -> int:
-    """Return how many of the wanted harmonics are safely below half the rate; 0 if the frequency cannot be measured."""
+    """Return how many of the wanted harmonics are safely below half the scan rate; 0 for an unmeasurable frequency."""
     if (
         not (math.isfinite(frequency_hz) and frequency_hz >= LOWEST_HZ)
         or rate_hz / frequency_hz < MIN_SAMPLES_PER_CYCLE
@@ -123,10 +126,20 @@ def usable_harmonics(rate_hz: float, frequency_hz: float, wanted: int) -> int:
 
 
 class Accumulator:
-    """Reduction of scans to cycles of `period` scans, fractions included; its state is a few dozen numbers.
+    """Accumulator that reduces a stream of scans to fits of its drive cycles; its state is a few dozen numbers.
 
-    It fits `harmonics` (see `usable_harmonics`). Cycle 0 starts at scan `origin`. Values at or below `low` and at or
-    above `high`, shape (4,), are flagged.
+    Args:
+        rate_hz: scans per second.
+        frequency_hz: drive frequency.
+        harmonics: number of harmonics to fit (see `usable_harmonics`).
+        origin: index of the scan at which cycle 0 starts.
+        low: largest value that counts as below the range of each channel, shape (4,).
+        high: smallest value that counts as above it, shape (4,).
+        capacity: number of cycles that one call of the kernel can complete.
+
+    Attributes:
+        origin: as given.
+        period: scans per drive cycle, fractions included.
     """
 
     def __init__(
@@ -160,15 +173,15 @@ class Accumulator:
 
     @property
     def pending_cycles(self) -> int:
-        """Number of complete cycles that are accumulated and not yet taken."""
+        """Number of complete cycles that `take` can return."""
         return int(self._place[1]) - self._cycle
 
     def end(self, count: int) -> int:
-        """Return the index after the last scan of the oldest `count` cycles not yet taken."""
+        """Return the index after the last scan of the oldest `count` cycles that `take` has not returned yet."""
         return self.origin + math.ceil((self._cycle + count) * self.period)
 
     def add(self, samples: Real, status: NDArray[np.uint8], begin: int, end: int) -> None:
-        """Accumulate the scans begin <= i < end of a buffer; samples has shape (4, capacity), status (capacity,)."""
+        """Accumulate the next scans: columns begin <= i < end of a buffer of shapes (4, capacity) and (capacity,)."""
         while begin < end:
             done, begin = _accumulate(
                 samples, status, begin, end, self._low, self._high, self.period, self._waves, self._place,
@@ -182,7 +195,7 @@ class Accumulator:
         """Fit and remove the oldest `count` complete cycles, and return them.
 
         Raises:
-            ValueError: fewer cycles are complete.
+            ValueError: fewer than `count` cycles are complete.
         """
         if not 0 < count <= self.pending_cycles:
             raise ValueError(f"count must be 1 to {self.pending_cycles}, got {count}")
@@ -196,7 +209,7 @@ class Accumulator:
     def _fitted(
         self, sums: Real, flags: NDArray[np.int64], jump: Real, edges: NDArray[np.int64], numbers: NDArray[np.int64]
     ) -> Cycles:
-        """Fit every cycle from its sums about its middle; then refer the phase to the drive's zero."""
+        """Fit every cycle from its sums, taken about its middle; refer the phasors to drive phase 0 at its start."""
         samples, size = edges[1:] - edges[:-1], sums.shape[2] - 1
         right = sums[:, :, :size]
         with np.errstate(invalid="ignore", over="ignore"):
@@ -213,7 +226,7 @@ class Accumulator:
         return Cycles(self.origin + edges[:-1], samples, phasors, mean, variance, residual, flags, jump, *uncounted)
 
     def _inverse_for(self, samples: int) -> Real:
-        """Return the inverse of the normal matrix of `samples` samples about their middle; two such numbers occur."""
+        """Return the inverse normal matrix of a cycle of `samples` scans; it is kept, since only two numbers occur."""
         found = self._inverse.get(samples)
         if found is None:
             step = 2.0 * np.pi / self.period
@@ -248,7 +261,11 @@ def normal_matrix(phase: Real, samples: NDArray[np.int64], step: float, harmonic
 
 @functools.lru_cache(maxsize=16)
 def _places(harmonics: int) -> tuple[NDArray[np.int64], ...]:
-    """Return for each pair of harmonics the orders of difference and sum and a sign, and the rows of both kinds."""
+    """Return index arrays for `normal_matrix`.
+
+    They are the orders 1 … 2H, then for each pair of harmonics the difference and the sum of their orders and the sign
+    of the difference, then the rows of the cosines (with the constant), and those of the sines.
+    """
     a, b = np.meshgrid(np.arange(harmonics + 1), np.arange(harmonics + 1), indexing="ij")
     at_cos = np.concatenate([[0], np.arange(1, 2 * harmonics, 2)])
     at_sin = np.arange(2, 2 * harmonics + 1, 2)
@@ -266,7 +283,7 @@ def _outside(values: Reals, count: int, low: float, high: float) -> int:
 
 @kernel
 def _largest_change(values: Reals, count: int, before: float, largest: float) -> float:
-    """Return the largest change between successive values of the first `count`, or `largest` if that is larger."""
+    """Return the largest change between successive values, of which `before` precedes the first; at least `largest`."""
     largest = _larger(abs(values[0] - before), largest)
     for q in range(1, count):
         largest = _larger(abs(values[q] - values[q - 1]), largest)
@@ -275,14 +292,15 @@ def _largest_change(values: Reals, count: int, before: float, largest: float) ->
 
 @kernel
 def _larger(change: float, largest: float) -> float:
-    """Return the larger of two numbers, or `largest` if `change` is NaN, as for the first scan of all."""
+    """Return the larger of two numbers; `largest` if `change` is NaN, as for the first scan, which has no change."""
     return change if change > largest else largest
 
 
 @kernel
 def _fold(folded: Reals, stretch: Reals, half: int, plain: Reals, square: Reals) -> None:
-    """Add values, shape (4, 2 half), and their squares to two sums, shape (4,), and fold the values about their middle.
+    """Fold a stretch of scans about its middle, and add its values and their squares to two sums.
 
+    `stretch` holds values by channel, shape (4, 2 half). `plain` and `square` are the sums of the cycle, shape (4,).
     folded[0, q, j] is the sum of the values of channel j at q + ½ after and before the middle, folded[1, q, j] their
     difference.
     """
@@ -302,10 +320,10 @@ def _fold(folded: Reals, stretch: Reals, half: int, plain: Reals, square: Reals)
 def _add_wave(
     at_cosine: Reals, at_sine: Reals, folded: Reals, wave: Reals, half: int, cosine: float, sine: float
 ) -> None:
-    """Add folded values times a wave to two sums, shape (4,).
+    """Add a folded stretch times cosine and sine of one harmonic to two sums of the cycle, shape (4,).
 
-    `wave` holds its cosines and sines after the middle for phase 0 there; `cosine` and `sine` are those of its real
-    phase.
+    `wave` holds cosines and sines of the harmonic after the middle of the stretch, for phase 0 in the middle; `cosine`
+    and `sine` are those of its actual phase there.
     """
     even_0, even_1, even_2, even_3 = 0.0, 0.0, 0.0, 0.0
     odd_0, odd_1, odd_2, odd_3 = 0.0, 0.0, 0.0, 0.0
@@ -323,14 +341,17 @@ def _add_wave(
 
 @kernel
 def _add_turned(at_cosine: Reals, at_sine: Reals, j: int, even: float, odd: float, cosine: float, sine: float) -> None:
-    """Add a channel's sums about the middle to those of the cycle."""
+    """Add the sums of channel j over a stretch, turned by the phase of its middle, to those of the cycle."""
     at_cosine[j] += even * cosine - odd * sine
     at_sine[j] += even * sine + odd * cosine
 
 
 @kernel
 def _add_stretch(sums: Reals, stretch: Reals, filled: int, angle: float, waves: Reals, folded: Reals) -> None:
-    """Add the first `filled` scans of a stretch to the sums; `angle` is the phase of their middle."""
+    """Add the first `filled` scans of a stretch to the sums of a cycle.
+
+    `angle` is the drive phase at the middle of the stretch minus that at the middle of the cycle [rad].
+    """
     half = (filled + 1) // 2
     if 2 * half > filled:
         for j in range(4):
@@ -353,7 +374,7 @@ def _accumulate(
     place: NDArray[np.int64], stretch: Real, folded: Real, sums: Real, last: Real, jump: Real, out: Real,
     out_flags: NDArray[np.int64], out_jump: Real,
 ) -> tuple[int, int]:  # fmt: skip
-    """Add scans to the running sums; stop early when `out` is full. Return (cycles completed, next scan).
+    """Add scans begin <= i < end to the running sums; stop early if `out` is full. Return (cycles done, next scan).
 
     `place` = [sample since the origin, cycle, first sample of the next cycle, flags, scans in the stretch under way].
     `waves[n, :, q]` = cos, sin of harmonic n + 1 at q + ½ samples. `sums[q, j]` = Σ basis_q value_j, finally Σ

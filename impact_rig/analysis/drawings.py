@@ -40,7 +40,10 @@ SMOOTHED_SAMPLES = 11
 
 @style()
 def transmissibility_curves(curves: Mapping[str, NDArray[np.void]]) -> Figure:
-    """Draw DT over frequency with ±2u, and the phase below, for rows by label; rows without numbers are left out."""
+    """Draw DT over frequency with ±2u, and its phase below; each label has one curve of rows of measurements.
+
+    The rows are those of `transmissibility/table`; rows without numbers are left out.
+    """
     from matplotlib.ticker import LogFormatter  # noqa: PLC0415  # heavy: imported only for drawing
 
     figure, (upper, lower) = _axes(2)
@@ -64,7 +67,7 @@ def transmissibility_curves(curves: Mapping[str, NDArray[np.void]]) -> Figure:
 
 
 def amplitudes(values: NDArray[np.float64], unit: str) -> str:
-    """Return the range of measured amplitudes for a legend; empty if none was measured."""
+    """Return the range of measured amplitudes for a legend, such as `0.5 to 0.7 A`; empty if none was measured."""
     known = values[np.isfinite(values) & (values > 0.0)]
     if not len(known):
         return ""
@@ -73,14 +76,14 @@ def amplitudes(values: NDArray[np.float64], unit: str) -> str:
 
 
 TRACES = (("base", "b"), ("laser", "1"), ("accelerometer", "1"))
-"""Channels of scans to draw, if they were measured, and the index of their symbol."""
+"""Channels that `time_traces` draws, if they were measured, and the index of their symbol: b base, 1 structure."""
 MOTIONS = {"m": (1e3, "x", "mm"), "m/s": (1e3, "v", "mm/s"), "m/s^2": (1.0, "a", "m/s²"), "A": (1.0, "i", "A")}
-"""Factor, symbol and unit for drawing a quantity, by its SI unit."""
+"""Factor, symbol and unit with which a quantity is drawn, by its SI unit."""
 SI = {"accelerometer": "m/s^2", "laser": "m", "base": "m", "current": "A"}
 
 
 def symbol(index: str, unit: str) -> str:
-    """Return the symbol of a motion in a drawing, by its SI unit."""
+    """Return the symbol of a motion as TeX, such as `$x_1$`: letter by its SI unit, `index` 1 structure, b base."""
     return f"${MOTIONS[unit][1]}_{index}$"
 
 
@@ -91,7 +94,7 @@ def time_traces(
     remark: str = "",
     units: Mapping[str, str] = SI,
 ) -> Figure:
-    """Draw base, superior base and acceleration over time; impacts are marked above the axes, where they hide no pulse.
+    """Draw the motions of base and structure and the acceleration over time, with marks of impacts above the axes.
 
     `impact_times` are on the time axis of the scans [s], shape (k,). `remark` is written above the acceleration.
     `units` are the SI units of the channels.
@@ -124,10 +127,10 @@ def time_traces(
 
 @style()
 def phase_plane(displacement: Real, rate_hz: float, smooth_s: float = 0.0, name: str = "$x_1$") -> Figure:
-    """Draw velocity over displacement; the velocity is the derivative of a cubic fitted to the neighbouring samples.
+    """Draw velocity over displacement [m]; the velocity is the derivative of a cubic fitted to neighbouring samples.
 
-    `smooth_s`, the span of the fit, is at least 11 samples and at most all. Faster motion is lost together with the
-    noise.
+    The fit spans `smooth_s`, at least 11 samples and at most all; motion that is faster than this is smoothed away with
+    the noise. `name` is the symbol of the displacement.
     """
     samples = max(SMOOTHED_SAMPLES, 2 * round(smooth_s * rate_hz / 2.0) + 1)
     samples = min(samples, (len(displacement) - 1) // 2 * 2 + 1)
@@ -141,9 +144,9 @@ def phase_plane(displacement: Real, rate_hz: float, smooth_s: float = 0.0, name:
 
 @style()
 def spectrum(y: Real, rate_hz: float, unit: str, drive_hz: float | None = None, upto_hz: float | None = None) -> Figure:
-    """Draw the amplitude spectrum: a sine of amplitude A has a line of height A (flat-top window).
+    """Draw the amplitude spectrum of samples y: a sine of amplitude A has a line of height A (flat-top window).
 
-    `drive_hz` is marked with its harmonics; the axis ends at `upto_hz`, or at rate / 2.
+    The drive frequency `drive_hz` and its harmonics are marked; the axis ends at `upto_hz`, or at rate / 2.
     """
     frequency, power = scipy.signal.periodogram(y, rate_hz, window="flattop", scaling="spectrum", detrend="constant")
     end = upto_hz or rate_hz / 2.0
@@ -161,7 +164,7 @@ def spectrum(y: Real, rate_hz: float, unit: str, drive_hz: float | None = None, 
 
 @style()
 def frequency_response(found: Frf, from_hz: float, upto_hz: float) -> Figure:
-    """Draw |H1|, |H2| and |Hv|, the phase of H1, and the coherence."""
+    """Draw |H1|, |H2| and |Hv|, the phase of H1, and the coherence of a frequency response between two frequencies."""
     shown = (found.frequency_hz >= from_hz) & (found.frequency_hz <= upto_hz)
     frequency = found.frequency_hz[shown]
     figure, (upper, middle, lower) = _axes(3)
@@ -180,9 +183,9 @@ def frequency_response(found: Frf, from_hz: float, upto_hz: float) -> Figure:
 
 @style()
 def sine_fits(rows: NDArray[np.void], fits: Mapping[str, SineFit], units: Mapping[str, str], rate_hz: float) -> Figure:
-    """Draw the samples of every channel with the fitted sine, and the rms of the residual.
+    """Draw the first samples of every fitted channel with its fitted sine; the title has the rms of the residual.
 
-    `rows` are the first of the fitted scans; fits and units are by channel.
+    `rows` are the first of the fitted scans; fits and units are by name of the channel.
     """
     figure, axes = _axes(len(fits))
     for axis, (name, fit) in zip(axes, fits.items(), strict=True):
@@ -197,9 +200,9 @@ def sine_fits(rows: NDArray[np.void], fits: Mapping[str, SineFit], units: Mappin
 
 @style()
 def restitution_by_drop(each: Real, mean: float, u_mean: float) -> Figure:
-    """Draw the restitution of every drop, and their mean with ±2u.
+    """Draw the coefficient of restitution of every drop, and the mean with ±2u.
 
-    `each` is √(h1/h0), shape (n,).
+    `each` is √(rebound height / drop height) of every drop, shape (n,).
     """
     from matplotlib.ticker import MaxNLocator  # noqa: PLC0415  # heavy: imported only for drawing
 
@@ -214,5 +217,5 @@ def restitution_by_drop(each: Real, mean: float, u_mean: float) -> Figure:
 
 
 def _axes(count: int) -> tuple[Figure, list[Axes]]:
-    """Return a figure with axes above one another sharing x."""
+    """Return a figure with `count` axes above one another, which share the abscissa."""
     return new_axes(HEIGHT_INCH, (1.0,) * count, WIDE_INCH)

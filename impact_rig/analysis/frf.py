@@ -56,25 +56,25 @@ SHAPE = 8192  # points of a window of which only the shape matters
 
 @attrs.frozen
 class Resonance:
-    """Mode of a base-excited structure."""
+    """Resonance of a structure on a moving base: undamped natural frequency and damping ratio."""
 
     frequency_hz: float
     damping_ratio: float
 
     @property
     def width_hz(self) -> float:
-        """Half-power width [Hz]."""
+        """Width of the resonance peak at half its power [Hz]."""
         return 2.0 * self.damping_ratio * self.frequency_hz
 
     @property
     def decay_per_s(self) -> float:
-        """Decay rate σ = ζω_n [1/s]."""
+        """Rate σ = ζω_n at which a free vibration decays [1/s]."""
         return math.pi * self.width_hz
 
 
 @attrs.frozen(eq=False, kw_only=True)
 class Frf:
-    """Frequency response function of one pair of channels.
+    """Estimated frequency response function y / x of two channels, with coherence and uncertainty.
 
     Attributes:
         u_relative: standard uncertainty of |H1| relative to it, and of its phase [rad], shape (n,); from `frf` by noise
@@ -107,7 +107,7 @@ def frf(
     noise_ratio: float = 1.0,
     x_noise: float = 0.0,
 ) -> Frf:
-    """Estimate y / x.
+    """Estimate the frequency response y / x of a record x (excitation) and a record y (response).
 
     x and y have shape (n,). `segment` is a number of samples (for a periodic chirp one period, with boxcar), of which
     the share `overlap` is also in the next segment. `noise_ratio` is κ of Hv. `x_noise` is the rms of the noise of x,
@@ -119,11 +119,13 @@ def frf(
     if x.shape != y.shape or x.ndim != 1:
         raise ValueError(f"x and y must be one-dimensional and of equal length, got {x.shape} and {y.shape}")
     if not 8 <= segment <= len(x) or not 0.0 <= overlap < 1.0:
-        raise ValueError(f"segment must be 8 to {len(x)} and overlap 0 to < 1, got {segment} and {overlap}")
+        raise ValueError(
+            f"segment must be 8 to {len(x)} samples and overlap 0 to < 1, got {segment} samples and {overlap}"
+        )
     if not (np.all(np.isfinite(x)) and np.all(np.isfinite(y))):
-        raise ValueError("x and y must be finite")
+        raise ValueError("x (excitation) and y (response) must be finite")
     if np.ptp(x) == 0.0 or np.ptp(y) == 0.0:
-        raise ValueError("x and y must not be constant")
+        raise ValueError("x (excitation) and y (response) must not be constant")
     shared = int(overlap * segment)
     options = {"fs": rate_hz, "window": window, "nperseg": segment, "noverlap": shared}
     frequency, s_xx = scipy.signal.welch(x, **options)
@@ -150,7 +152,10 @@ def frf(
 
 
 def _excited(s_xx: Real, floor: float, window: str) -> tuple[NDArray[np.intp], bool]:
-    """Return the excited lines without the mean, and whether they are a single line widened by the window."""
+    """Return the indices of the excited lines of a spectrum, without the mean, and whether the excitation is a sine.
+
+    It is a sine if the lines are a single one that the window has widened. `floor` is the density of the noise.
+    """
     power = s_xx[1:]
     peak = int(np.argmax(power))
     lines = np.flatnonzero((power >= EXCITED * power[peak]) & (power >= ABOVE_NOISE * floor))
@@ -169,7 +174,7 @@ def find_resonance(
     high_hz: float,
     corrected: Callable[[Real], Complex | float] = lambda _: 1.0,
 ) -> Resonance | None:
-    """Return the mode by which a base x moves y within a band, or None if none fits.
+    """Return the resonance by which a moving base x excites a structure y within a band, or None if none fits.
 
         (s² + 2ζω_n s + ω_n²) Y − (2ζω_n s + ω_n²) X = a + b s,   s = iω
 
@@ -210,9 +215,9 @@ def find_resonance(
 
 
 def resolution_bias(window: str, segment: int, decay_per_sample: float) -> float:
-    """Return the largest share by which the true value may exceed the estimate at a resonance peak.
+    """Return the largest share by which the true |H| may exceed its estimate at a resonance peak.
 
-    `segment` in samples.
+    `segment` is the length of a segment in samples, `decay_per_sample` the decay rate σ of the resonance per sample.
 
     The bound is 2 (1/r − 1), with r the normalised autocorrelation of the window at the resonance's decay time 1/σ. It
     is the first term in 1/(σ · segment) for an antiresonance of x that the window fills, which under current drive is
@@ -243,7 +248,7 @@ def transmissibility_frf(
     window: str = "hann",
     damping_ratio: float | None = None,
 ) -> Frf:
-    """Return x_1 / x_b of a sweep or random record, corrected for skew and lag.
+    """Return the frequency response x_1 / x_b of a sweep or random record, corrected for the sensors' skew and lag.
 
     u_relative includes calibration and resolution. The scans are consecutive. The default `segment` [samples] resolves
     the resonance that is found. The default `overlap` is a half, or none with `boxcar`, which is for an excitation that
@@ -299,7 +304,7 @@ def transmissibility_frf(
 
 
 def _periodic(x: Real, segment: int) -> bool:
-    """Return whether an excitation repeats from segment to segment."""
+    """Return whether an excitation repeats from segment to segment, so that no power leaks between lines."""
     if 2 * segment > len(x):
         return False
     return bool(np.std(x[segment:] - x[:-segment]) <= REPEATS * np.std(x))

@@ -44,44 +44,49 @@ DISPLACEMENTS = (LASER, BASE, CURRENT)
 CONSTANT_FACTOR = 1e-13  # variance over squared mean of a constant, caused by rounding of the sums alone
 SIGNAL_FACTOR = 5.0  # an amplitude below this many standard uncertainties counts as no signal
 SMOOTH_FACTOR = 2.0
-"""Multiple of the largest scan-to-scan change of the fitted sine and its overtones that still counts as vibration."""
+"""Change from scan to scan that still counts as vibration, as a multiple of that of the fitted sine and overtones."""
 PEAK_FACTOR = 9.0  # noise changes by less from scan to scan than this many times its rms: 6.4 σ√2, once in 10^10
 # noise of this many times the calibration's indicates that the calibration belongs to another channel
 NOISE_FACTOR = 10.0
 REFERENCE_FACTOR = 20.0
-"""Amplitude per cycle, in standard uncertainties, from which a channel's phase can serve as reference."""
+"""Amplitude, in standard uncertainties, from which a channel has a clear signal: it can serve as a reference."""
 SWAP_MATCH, SWAP_MISMATCH = 1.25, 1.5
-"""Factors for detecting a swap.
+"""Factors for detecting that laser and base are exchanged.
 
-Acceleration over ω² matches the base within the first and misses the laser by the second.
+The amplitude of acceleration over ω² then agrees with that of the base within the first factor, and differs from that
+of the laser by more than the second.
 """
 LEAD_LIMIT_RAD = math.radians(0.5)
 CERTAIN = 0.1  # relative uncertainty of DT up to which wiring is judged from it: 1.25 and 1.5 can then be distinguished
 ACCELERATION_LIMIT = 0.04
 """Relative deviation of the acceleration from ω² times the laser's amplitude that is always allowed.
 
-No calibration contains mounting and transverse sensitivity.
+It allows for mounting and transverse sensitivity, which no calibration contains.
 """
 ACCELEROMETER_HIGH_PASS_HZ = 1.0  # corner frequency that a charge amplifier may have, which `daq/info` does not contain
 ALONE = 0.003  # smallest relevant relative change of an amplitude, in addition to its noise
 NOISES = 5.0  # standard uncertainties of a change that may be chance
 FOLLOWS = 50.0
-"""Multiple of the relative change of current and superior base by which the base may change.
+"""Largest relative change of the base's amplitude, as a multiple of the changes of coil current and structure.
 
-At resonance it is the difference of two almost equal forces.
+At resonance, the difference of two almost equal forces moves the base, so small changes of them change it much.
 """
 
 
 @attrs.frozen
 class Rejection:
-    """Reason for a rejection, and the channel concerned, if it is a single one."""
+    """Reason why a measurement is rejected or doubtful, and the channel concerned, if it is a single one."""
 
     status: Status
     channel: str = ""
 
 
 def unsound(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> Rejection | None:
-    """Return why cycles must not be averaged, or None."""
+    """Return why cycles must not be averaged, or None if they may.
+
+    Reasons are that laser, base or current is over range or not finite, or that laser or base is constant, jumps or is
+    far noisier than its calibration.
+    """
     flags = int(np.bitwise_or.reduce(cycles.flags))
     finite = np.logical_and.reduce(np.isfinite(cycles.mean)).tolist()
     for channel in DISPLACEMENTS:
@@ -112,14 +117,14 @@ def silent(amplitudes: tuple[float, float], floors: tuple[float, float]) -> Reje
 
 
 def _still(still: list[bool], alone: Status) -> Rejection | None:
-    """Return silence if laser and base, in this order, are both still, and `alone` if one of them is."""
+    """Return a rejection of status `silence` if laser and base do not move, `alone` if only one does not; else None."""
     if all(still):
         return Rejection(Status.SILENCE)
     return Rejection(alone, CHANNELS[(LASER, BASE)[still.index(True)]]) if any(still) else None
 
 
 def _constant(cycles: Cycles) -> NDArray[np.bool_]:
-    """Return which channels are constant in a cycle, shape (4,)."""
+    """Return which channels are constant throughout at least one cycle, shape (4,)."""
     with np.errstate(over="ignore"):
         return np.asarray((cycles.variance <= CONSTANT_FACTOR * cycles.mean**2).any(axis=0), dtype=np.bool_)
 
@@ -133,7 +138,7 @@ def _medians(values: Real) -> list[float]:
 
 
 def _rough(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> list[Status | None]:
-    """Return the fault indicated by the largest scan-to-scan change of each channel, or None."""
+    """Return, for each channel, the fault that its changes from scan to scan show (noise, spikes, jump) or None."""
     harmonics = np.arange(1.0, cycles.phasors.shape[2] + 1.0)
     turn = 2.0 * np.pi * frequency_hz / calibration.rate_hz
     with np.errstate(over="ignore", invalid="ignore"):  # an accelerometer may read anything
@@ -158,10 +163,10 @@ def _rough(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> lis
 
 @attrs.frozen(eq=False)
 class Amplitudes:
-    """Amplitudes of a measurement, each with the standard uncertainty due to scatter, noise and steps.
+    """Amplitudes of the channels in a measurement, with standard uncertainties due to scatter, noise and steps.
 
     Attributes:
-        calibrated: relative deviation of acceleration over ω² from X_1 that the calibrations allow.
+        calibrated: relative difference of acceleration over ω² and X_1 that the calibrations of the sensors allow.
     """
 
     size: Real  # by `scans.CHANNELS`; acceleration over ω² [m], X_1 [m], X_b [m], current [A]
@@ -171,7 +176,7 @@ class Amplitudes:
 
     @property
     def relative(self) -> Real:
-        """Relative u; infinite without a signal."""
+        """Relative standard uncertainties of the amplitudes, shape (4,); infinite without a signal."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.size > 0.0, self.u / self.size, np.inf)
 
@@ -179,7 +184,7 @@ class Amplitudes:
 def amplitudes(
     true: list[Complex], noise: Real, cycles: Cycles, calibration: Calibration, frequency_hz: float
 ) -> Amplitudes:
-    """Return the amplitudes of a measurement.
+    """Return the amplitudes of all channels in a measurement, with their uncertainties.
 
     An acceleration of less than a step of the converter may be read as anything from zero to several times its size.
     The effect of the steps is therefore computed for the amplitude that the laser measures: for a reading of 0 it would
@@ -205,7 +210,7 @@ def amplitudes(
 
 
 def misplaced(found: Amplitudes, u_relative: float, phase_rad: float, u_phase_rad: float) -> Rejection | None:
-    """Return whether laser and base are exchanged, or one of them has the wrong polarity.
+    """Return a rejection if laser and base seem exchanged, or one of them seems to have the wrong polarity; else None.
 
     Nothing is concluded from a DT more uncertain than `CERTAIN`. The phase is that of X_1 / X_b, ± π far above
     resonance.
@@ -226,10 +231,10 @@ def misplaced(found: Amplitudes, u_relative: float, phase_rad: float, u_phase_ra
 
 
 def contradiction(found: Amplitudes, before: Amplitudes | None = None) -> Rejection | None:
-    """Return whether the accelerometer contradicts the laser, or is dead: then impacts or DT are unreliable.
+    """Return a rejection if the accelerometer is dead or contradicts the laser, so that impacts or DT are unreliable.
 
-    A dead accelerometer does not affect the displacements. If it moves, but not as the laser does, either of the two
-    may be wrong, unless the laser still agrees with its earlier value.
+    A dead accelerometer does not affect DT. If it shows another motion than the laser, either of the two may be wrong:
+    the accelerometer if the laser still agrees with its amplitude in `before`, an earlier row, otherwise the laser.
     """
     u, expected = found.u, found.size[LASER]
     if not math.isfinite(found.size[ACCELEROMETER]):
@@ -254,10 +259,10 @@ def contradiction(found: Amplitudes, before: Amplitudes | None = None) -> Reject
 def current_unsound(
     cycles: Cycles, calibration: Calibration, found: Amplitudes, before: Amplitudes | None = None
 ) -> bool:
-    """Return whether the coil current is unreliable: stuck, disturbed, or changed alone. DT does not depend on it.
+    """Return whether the measured coil current is unreliable: stuck, disturbed, or changed alone since a row `before`.
 
-    A current that varies less than its own noise is stuck. A constant current from the start is not compared with the
-    command: a prescribed base or a voltage drive may have none.
+    DT does not depend on the current. A current that varies less than its own noise is stuck. A constant current from
+    the start is not compared with the command: a prescribed base or a voltage drive may have none.
     """
     stuck = calibration.noise[CURRENT] > calibration.converter_step[CURRENT] and _constant(cycles)[CURRENT]
     if stuck or _rough(cycles, calibration, found.frequency_hz)[CURRENT]:
@@ -270,13 +275,13 @@ def current_unsound(
 
 
 def _changes(before: Amplitudes, now: Amplitudes) -> tuple[Real, Real]:
-    """Return the logarithms of the ratios of the amplitudes to those of an earlier row, and their possible scatter."""
+    """Return ln(now / before) of the amplitudes of all channels, and how far noise alone may change them."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.log(now.size / before.size), NOISES * np.hypot(before.relative, now.relative)
 
 
 def changed_alone(before: Amplitudes, now: Amplitudes) -> Rejection | None:
-    """Return the channel that alone has changed since an earlier row of the same setting, or None."""
+    """Return a rejection that names laser or base if it alone has changed since an earlier row of the same setting."""
     change, noise = _changes(before, now)
     size = np.nan_to_num(np.abs(change), posinf=math.inf)
     least = np.maximum(ALONE, noise)

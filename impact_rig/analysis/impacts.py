@@ -43,26 +43,36 @@ from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S
 
 ONSET = 0.45
 LOOK_AHEAD_S = 150e-6
-"""The peak of a pulse follows the crossing within this time."""
+"""Time after the crossing of the threshold within which the pulse of an impact has its peak."""
 LOOK_AHEAD_SCANS = 6
-"""The same at low rates, where most of a pulse may fall between the scans and its aliased ringing is higher."""
+"""Least number of scans in that time.
+
+At low scan rates, most of a pulse may fall between the scans, and its aliased ringing is higher.
+"""
 BLANK_S = 0.01
-"""Settling time of the high-pass after a start or a gap."""
+"""Settling time of the high-pass after a start or a gap, in which no impacts are detected."""
 RMS_TIME_S = 0.1
 RMS_CLIP, RMS_CLIP_RINGING = 9.0, 2.0
-"""Limit of one sample's weight as a multiple of the tracked variance, in quiet and soon after an impact. A rig that
-chatters must not make the detector insensitive, but a vibration that has become stronger must.
+"""Limit of the square of one sample in the tracked variance, as a multiple of it: in quiet, and soon after an impact.
+
+A rig that chatters must not make the detector insensitive, but a vibration that has become stronger must.
 """
 QUIET_RING_TIMES = 8.0
-"""Number of ring times since the last impact after which it is quiet."""
+"""Time since the last impact after which the signal counts as quiet, in time constants of the ringing."""
 MOST_CALIBRATIONS = 64  # number of calibrations kept: impacts are reported within a second of their scan
 RING_SCANS = 8
-"""Below 20 kS/s the pulse falls between the scans, and the high-pass rings longer than the sensor."""
+"""Least time constant of the ringing, in scans.
+
+Below 20 kS/s, the pulse falls between the scans, and the high-pass rings longer than the sensor.
+"""
 FORERUNNER = 4.0
-"""A swing to the other side that is larger by this factor is the pulse; the crossing was its precursor or its flank."""
+"""Factor by which a swing to the other side must exceed the first one to count as the pulse of the impact.
+
+The first swing, which crossed the threshold, is then only its precursor or flank.
+"""
 HISTORY_MASK = 511  # an onset is searched as far back as twice the look-ahead: 300 scans at the highest rate
 MIN_RATE_HZ = 2_000
-"""Least scan rate for detection: below it contacts fall between the scans."""
+"""Least scan rate at which impacts are detected: below it, contacts fall between the scans."""
 
 
 IMPACT = np.dtype([("scan", "f8"), ("peak", "f8"), ("sign", "f8")])
@@ -74,7 +84,7 @@ NO_IMPACTS = np.zeros(0, IMPACT)
 
 
 def counted(cycles: Cycles, impacts: NDArray[np.void], origin: int, period: float) -> Cycles:
-    """Return the cycles with `impacts` and `strikes` filled in.
+    """Return drive cycles with their `impacts` and `strikes` filled in from detected impacts.
 
     Impacts (`IMPACT`) outside the cycles are ignored; `origin` is the first scan of cycle 0, `period` is in scans.
     """
@@ -89,7 +99,7 @@ def counted(cycles: Cycles, impacts: NDArray[np.void], origin: int, period: floa
 
 
 def _high_pass(corner_hz: float, rate_hz: float) -> NDArray[np.float64]:
-    """Return (b_0, b_1, b_2, a_1, a_2) of a Butterworth high-pass of second order.
+    """Return the coefficients (b_0, b_1, b_2, a_1, a_2) of a digital Butterworth high-pass of second order.
 
     s^2 / (s^2 + sqrt(2) s + 1) through the bilinear transform, pre-warped so that the corner is exact (Oppenheim and
     Schafer, Discrete-Time Signal Processing, section 7.1.2). `scipy.signal.butter` gives the same, for 60 MB of memory
@@ -118,7 +128,7 @@ class ImpactDetector:
         look_ahead = max(LOOK_AHEAD_SCANS, math.ceil(LOOK_AHEAD_S * rate))
         self._times = np.array([look_ahead, round(BLANK_S * rate), round(QUIET_RING_TIMES * ring_time * rate)])
         self.behind = 0
-        """Number of scans after which an impact is known: its onset may be before the crossing, and the sensor lags."""
+        """Number of scans within which every impact is found after it happened: the largest delay of the detector."""
         self._sensors: list[tuple[float, float, float]] = []  # first scan of its validity, lag [scans], noise [m/s²]
         self.recalibrate(-math.inf, calibration)
         self._history = np.zeros(HISTORY_MASK + 1)
@@ -128,14 +138,14 @@ class ImpactDetector:
         self.restart(0)
 
     def restart(self, scan: int) -> None:
-        """Reset the detector at the start and after a gap in the stream; the next sample is that of scan `scan`."""
+        """Reset the detector, at the start or after a gap in the stream; the next sample belongs to scan `scan`."""
         noise = self._sensors[self._sensor_at(scan)][2]
         self._state[:] = (0.0, 0.0, noise * noise, 0.0, 0.0, 0.0, 0.0)
         self._place[:] = (scan, 0, 0, 1, 0, 0)
         self._history[:] = 0.0
 
     def recalibrate(self, scan: float, calibration: Calibration) -> None:
-        """Use lag and noise of the accelerometer from another calibration with the same rate from a scan on."""
+        """Use the lag and noise of the accelerometer in another calibration, of the same scan rate, from a scan on."""
         noise = max(float(calibration.noise[ACCELEROMETER]), 1e-9)
         lag = (float(calibration.lag[ACCELEROMETER]) - float(calibration.skew[ACCELEROMETER])) * self._rate
         self._sensors.append((scan, lag, noise))
@@ -146,18 +156,21 @@ class ImpactDetector:
         return max(0, bisect.bisect_right(self._sensors, scan, key=lambda sensor: sensor[0]) - 1)
 
     def feed(self, acceleration: Real) -> NDArray[np.void]:
-        """Return the impacts (`IMPACT`) in the next samples [m/s²], shape (n,), each LOOK_AHEAD_S after it happened."""
+        """Return the impacts (`IMPACT`) that the next samples complete, within `behind` scans after each.
+
+        The samples are the acceleration [m/s²] of consecutive scans, shape (n,).
+        """
         return self.timed(self.find(acceleration))
 
     def timed(self, onsets: NDArray[np.void]) -> NDArray[np.void]:
-        """Convert some results of `find` to instants of touch, by subtracting the sensor's lag."""
+        """Return results of `find` with their scans changed to the instants of touch: less the lag of the sensor."""
         impacts = onsets.copy()
         for impact in impacts:
             impact["scan"] -= self._sensors[self._sensor_at(impact["scan"])][1]
         return impacts
 
     def find(self, acceleration: Real) -> NDArray[np.void]:
-        """Find impacts as `feed` does, but with the scan at which the sensor shows the impact instead of the touch."""
+        """Return impacts as `feed` does, but with the scan in which the sensor shows the impact, without its lag."""
         if self._rate < MIN_RATE_HZ:
             return NO_IMPACTS
         found: list[Real] = []
@@ -252,7 +265,10 @@ def _detect(
 
 
 def impact_tables(found: NDArray[np.void], rate_hz: float, start_ns: int) -> list[Table]:
-    """Return detected impacts as tables stamped on the command grid, so that they do not depend on the block length."""
+    """Return detected impacts (`IMPACT`) as tables for publication, one per cell of the command grid with impacts.
+
+    Each is stamped with the begin of its cell, so that the tables do not depend on the length of the blocks.
+    """
     rows: dict[int, list[tuple[float, float, float]]] = {}
     for scan, peak, sign in found.tolist():  # usually a single one, for which NumPy is slow
         seconds = scan / rate_hz

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Scans in the form that the analysis needs: its channels, blocks joined into one stream, and the last seconds.
+"""Scans in the form that the analysis needs: four channels in a fixed order, in buffers that join successive blocks.
 
 A run may have more channels than these, in any order. An imported measurement may lack some of them; neither `daq/info`
 nor `daq/scan` then contains them. Transmissibility needs `laser` and `base`. Without `accelerometer` no impacts are
@@ -39,13 +39,16 @@ ACCELEROMETER, LASER, BASE, CURRENT = range(len(CHANNELS))
 _TIME, _STATUS = topics.SCAN.fields
 SCAN_COLUMNS = (_TIME, *(Column(name, "SI", "Its reading.") for name in CHANNELS), _STATUS)
 SCAN = row_type(SCAN_COLUMNS)
-"""A row of `daq/scan` with all of these channels."""
+"""Row type of `daq/scan` with exactly the channels of `CHANNELS`, in this order."""
 _FRAME = (_TIME.name, _STATUS.name)
 _IN_ORDER = tuple((bit, bit) for bit in range(len(CHANNELS)))
 
 
 def status_of(rows: NDArray[np.void]) -> NDArray[np.uint8]:
-    """Return the status of scans with bit j for channel j of `CHANNELS`, shape (n,), wherever these are in a scan."""
+    """Return the status bits of scans, shape (n,): bit j is set if channel j of `CHANNELS` is over range or clipped.
+
+    The channels of the scans may have another order.
+    """
     status: NDArray[np.uint8] = rows["status"]
     places = _places(rows.dtype)
     if places == _IN_ORDER:
@@ -58,13 +61,13 @@ def status_of(rows: NDArray[np.void]) -> NDArray[np.uint8]:
 
 @functools.lru_cache(maxsize=64)  # few types of rows exist
 def _places(dtype: np.dtype[np.void]) -> tuple[tuple[int, int], ...]:
-    """Return for each measured channel its number in the scans and its index in CHANNELS."""
+    """Return, for each channel of `CHANNELS` in a row type of scans, its index in `CHANNELS` and in the scans."""
     found = [name for name in dtype.names or () if name not in _FRAME]
     return tuple((bit, found.index(name)) for bit, name in enumerate(CHANNELS) if name in found)
 
 
 def _as_scans(rows: NDArray[np.void]) -> NDArray[np.void]:
-    """Return scans of any type as rows of `SCAN`, shape (n,), with zeros for channels that were not measured."""
+    """Convert scans of any row type to rows of `SCAN`, shape (n,), with zeros for channels that were not measured."""
     scans = np.zeros(len(rows), SCAN)
     for name in set(CHANNELS).intersection(rows.dtype.names or ()):
         scans[name] = rows[name]
@@ -74,7 +77,7 @@ def _as_scans(rows: NDArray[np.void]) -> NDArray[np.void]:
 
 @entry(SCAN, REALS_2D, BYTES, int)
 def _copy(rows: Any, samples: NDArray[np.float64], status: NDArray[np.uint8], at: int) -> None:
-    """Copy scans into the columns of a buffer from `at` on: samples has shape (4, capacity), status (capacity,)."""
+    """Copy scans into a `ScanBuffer`, from column `at` on: samples has shape (4, capacity), status (capacity,)."""
     for i in range(len(rows)):
         samples[0, at + i] = rows[i].accelerometer
         samples[1, at + i] = rows[i].laser
@@ -84,16 +87,18 @@ def _copy(rows: Any, samples: NDArray[np.float64], status: NDArray[np.uint8], at
 
 
 def samples_of(rows: NDArray[np.void], name: str) -> NDArray[np.float64]:
-    """Return a channel of scans, shape (n,), with zeros if it was not measured."""
+    """Return the samples of one channel of scans [its unit], shape (n,); zeros if the channel was not measured."""
     present = name in (rows.dtype.names or ())
     return np.array(rows[name], dtype=np.float64) if present else np.zeros(len(rows))
 
 
 def need_columns(table: Table, wanted: np.dtype[np.void], topic: str, later: Collection[str] = ()) -> None:
-    """Reject a table that lacks a column (except `later`, columns of later versions) or has text in place of a number.
+    """Check that a table has the columns of a row type, with numbers and texts where that type has them.
+
+    The columns of `later` may be missing: earlier versions did not write them, or the channel was not measured.
 
     Raises:
-        ConfigError: a column is missing or has another type; the message names the topic and the columns.
+        ConfigError: a column is missing, or holds text instead of numbers, or numbers instead of text.
     """
     found = table.rows.dtype
     if found == wanted:
@@ -105,27 +110,29 @@ def need_columns(table: Table, wanted: np.dtype[np.void], topic: str, later: Col
         if (name not in later if name not in names else (found[name].kind == "S") != (wanted[name].kind == "S"))
     ]
     if wrong:
-        raise ConfigError(f"{topic} lacks the column {', '.join(wrong)}, or has another type there")
+        raise ConfigError(
+            f"{topic} lacks the column {', '.join(wrong)}, or has text there instead of numbers (or the reverse)"
+        )
 
 
 def scan_index(stamp_ns: int, rate_hz: float, start_ns: int) -> int:
-    """Return the index of the scan with this stamp, the inverse of `simtime.stamp_ns`."""
+    """Return the index of the scan stamped `stamp_ns`; scan 0 has the stamp `start_ns`. Inverse: `simtime.stamp_ns`."""
     over, under = rate_hz.as_integer_ratio()
     return ((stamp_ns - start_ns) * over + under * NS_PER_S // 2) // (under * NS_PER_S)
 
 
 def first_scan_at(time_ns: int, rate_hz: float, start_ns: int) -> int:
-    """Return the index of the first scan at or after an instant (a stamp is its scan's instant)."""
+    """Return the index of the first scan at or after the rig time `time_ns`; scan 0 has the stamp `start_ns`."""
     over, under = rate_hz.as_integer_ratio()
     return -(-(time_ns - start_ns) * over // (under * NS_PER_S))
 
 
 class ScanBuffer:
-    """Consecutive scans, contiguous in memory per channel; the buffer grows with the kept scans and the longest block.
+    """Buffer of consecutive scans, stored channel by channel; it grows with the kept scans and the longest block.
 
     Attributes:
-        samples: shape (4, capacity).
-        status: shape (capacity,).
+        samples: samples by channel of `CHANNELS` and by scan, shape (4, capacity).
+        status: status bits of the scans, shape (capacity,).
         first: index of the scan in column 0.
         end: index after the newest scan.
     """
@@ -138,16 +145,16 @@ class ScanBuffer:
         self.end = 0
 
     def restart(self, index: int) -> None:
-        """Drop everything; the next scan is `index`."""
+        """Drop all scans, because the stream has a gap; the next scan to append has the index `index`."""
         self.first = self.end = index
 
     def renumber(self, index: int) -> None:
-        """Renumber the scans so that scan `index` becomes scan 0."""
+        """Renumber the scans so that scan `index` becomes scan 0, which is the first one after a reset of the rig."""
         self.first -= index
         self.end -= index
 
     def append(self, rows: NDArray[np.void], keep: int) -> None:
-        """Add scans; those before index `keep` may be dropped to make room."""
+        """Append scans that follow the newest one; scans with an index below `keep` may be dropped to make room."""
         used, new = self.end - self.first, len(rows)
         if used + new > len(self.status):
             self._make_room(keep, new)
@@ -160,7 +167,7 @@ class ScanBuffer:
         self.end += new
 
     def column(self, index: int) -> int:
-        """Return the column of scan `index`."""
+        """Return the column of `samples`, and the place in `status`, of the scan with the index `index`."""
         return index - self.first
 
     def _make_room(self, keep: int, new: int) -> None:
@@ -176,7 +183,7 @@ class ScanBuffer:
 
 
 class Recent:
-    """The last `length` scans, cleared whenever blocks are not contiguous."""
+    """Buffer of the newest blocks of `daq/scan`, as many as hold `length` scans; a gap in the stream clears it."""
 
     def __init__(self, rate_hz: float, length: int) -> None:
         self._rate_hz = rate_hz
@@ -185,11 +192,11 @@ class Recent:
         self.count = 0  # scans that are kept
 
     def follows(self, scan: Table) -> bool:
-        """Return whether a block continues the previous one; false for the first block."""
+        """Return whether a block begins one scan after the end of the newest kept block; False if none is kept."""
         return bool(self._blocks) and abs(scan.stamp_ns - self.next_ns()) <= 0.5 * NS_PER_S / self._rate_hz
 
     def add(self, scan: Table) -> None:
-        """Add a block; if it does not continue the previous one, drop all earlier scans."""
+        """Add a block; if it does not follow the newest kept block without a gap, drop all earlier scans."""
         if not self.follows(scan):
             self.clear()
         self._blocks.append(scan)
@@ -203,13 +210,13 @@ class Recent:
         self.count = 0
 
     def next_ns(self) -> int:
-        """Return the stamp of the next scan [ns]."""
+        """Return the stamp that the scan after the newest kept one has in a stream without a gap [ns]."""
         return self.stamp_ns(self.count)
 
     def stamp_ns(self, number: int) -> int:
-        """Return the stamp of scan `number` of the kept scans, also of a future one [ns]."""
+        """Return the stamp of the kept scan `number`, counted from 0 at the oldest [ns]; also of a scan yet to come."""
         return self._blocks[0].stamp_ns + int(number * NS_PER_S / self._rate_hz)
 
     def rows(self) -> NDArray[np.void]:
-        """Return the kept scans, oldest first."""
+        """Return the rows of all kept scans, oldest first."""
         return joined([block.rows for block in self._blocks])

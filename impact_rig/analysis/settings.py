@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Operator's input: settings of the measurement, and the gap as a remark on `notes`, `gap_m=0.006 at 12500000`.
+"""Settings of the analysis, and the operator's label of the gap between the barriers.
 
-The rig does not reveal its gap to the analysis, which must measure without seeing the truth. A label contains the
-instant from which it holds, so that the live analysis and a later analysis of the recorded run apply it to the same
-scan.
+The rig does not reveal its gap to the analysis, which must measure without seeing the truth. The operator labels it
+with a remark on the topic `notes`: `gap_m=0.006 at 12500000` is a gap of 6 mm from the rig time 12500000 ns on. Because
+of this time, the live analysis and a later analysis of the recorded run apply the label from the same scan on.
 """
 
 from __future__ import annotations
@@ -34,40 +34,83 @@ from impact_rig.system.machine import fingerprint
 
 @attrs.frozen(kw_only=True)
 class TrackerSettings:
-    """Settings of `Tracker`; the defaults suit the rig, for 5 to 200 Hz and time constants of 0.3 to 4 s.
+    """Settings of `Tracker`, which measures the transmissibility; also the parameters of the analysis node.
 
-    They are the parameters of the analysis node. docs/reference/configuration.md describes each, with unit and range.
+    The defaults suit vibrations of 5 to 200 Hz whose transients decay with time constants of 0.3 to 4 s.
+    docs/reference/configuration.md describes each setting, with unit and range.
 
     Raises:
         ConfigError: a value is out of range, or two contradict each other.
     """
 
-    harmonics: int = integer(5, "-", "Harmonics in the fit, the drive included.", at_least=1, at_most=10)
-    window_s: float = quantity(0.25, "s", "Shortest window; its cycles are a multiple of 6.", above=0, at_most=100)
-    windows: int = integer(8, "-", "Windows per measurement of a periodic response.", at_least=8, at_most=64)
+    harmonics: int = integer(
+        5, "-", "Number of harmonics fitted to each drive cycle, fundamental included.", at_least=1, at_most=10
+    )
+    window_s: float = quantity(
+        0.25,
+        "s",
+        "Shortest window, the unit in which settling is judged; it is lengthened to a multiple of 6 drive cycles.",
+        above=0,
+        at_most=100,
+    )
+    windows: int = integer(
+        8, "-", "Number of windows that a measurement of a periodic response averages.", at_least=8, at_most=64
+    )
     long_windows: int = integer(
-        32, "-", "Windows per measurement of a response that is not periodic.", at_least=16, at_most=256
+        32,
+        "-",
+        "Number of windows that a measurement of a response that is not periodic averages.",
+        at_least=16,
+        at_most=256,
     )
     settle_tolerance: float = quantity(
-        5e-4, "-", "Largest relative bias of a measurement by a dying transient.", above=0, at_most=0.1
+        5e-4,
+        "-",
+        "Relative bias of DT by a dying transient up to which the response counts as settled.",
+        above=0,
+        at_most=0.1,
     )
     periodic_tolerance: float = quantity(
-        1e-3, "-", "Largest relative cycle-to-cycle spread of a periodic response.", above=0, at_most=0.5
+        1e-3,
+        "-",
+        "Relative rms change of the structure's vibration between cycles up to which it counts as periodic.",
+        above=0,
+        at_most=0.5,
     )
-    wait_limit_s: float = quantity(60.0, "s", "Longest wait for a settled response.", above=0, at_most=3600)
+    wait_limit_s: float = quantity(
+        60.0,
+        "s",
+        "Longest wait for a settled response; then a row of status `not_settled` gives the present numbers.",
+        above=0,
+        at_most=3600,
+    )
     slowest_speed: float = quantity(
         1e-4,
         "m/s",
-        "Slowest sphere for which a row without impacts waits, at most for `wait_limit_s`.",
+        "Slowest sphere considered: a row without impacts waits until it would have crossed the gap.",
         above=0,
         at_most=10,
     )
-    hold_s: float = quantity(0.05, "s", "Delay of scans, for commands that arrive after them.", at_least=0, at_most=1)
+    hold_s: float = quantity(
+        0.05,
+        "s",
+        "Delay before scans are measured, so that a command that arrives after them still acts on them.",
+        at_least=0,
+        at_most=1,
+    )
     lag_uncertainty: float = quantity(
-        0.0, "-", "Relative standard uncertainty of the lags; daq/info states none.", at_least=0, at_most=1
+        0.0,
+        "-",
+        "Relative standard uncertainty of the sensors' lags, which daq/info does not state.",
+        at_least=0,
+        at_most=1,
     )
     worst_relative_uncertainty: float = quantity(
-        0.2, "-", "Relative standard uncertainty of DT above which a row has no number.", above=0, at_most=1
+        0.2,
+        "-",
+        "Relative standard uncertainty of DT above which a row has a reason instead of numbers.",
+        above=0,
+        at_most=1,
     )
 
     def __attrs_post_init__(self) -> None:
@@ -79,14 +122,23 @@ class TrackerSettings:
 class ImpactSettings:
     """Settings for the detection of impacts despite background, noise and the accelerometer's ringing."""
 
-    corner_hz: float = quantity(1500.0, "Hz", "Corner of the high-pass that removes the vibration.", above=0)
-    noise_factor: float = quantity(8.0, "-", "Threshold, times the rms of what the high-pass leaves.", above=1)
-    threshold_m_s2: float = quantity(0.5, "m/s^2", "Lowest threshold.", above=0)
+    corner_hz: float = quantity(
+        1500.0, "Hz", "Corner of the high-pass that removes the vibration from the acceleration.", above=0
+    )
+    noise_factor: float = quantity(
+        8.0, "-", "Threshold in multiples of the rms of the high-passed acceleration between impacts.", above=1
+    )
+    threshold_m_s2: float = quantity(
+        0.5, "m/s^2", "Lowest threshold of the high-passed acceleration: lower pulses are no impacts.", above=0
+    )
     ring_factor: float = quantity(
-        2.0, "-", "Threshold right after an impact, times its peak: the sensor still rings.", at_least=0
+        2.0,
+        "-",
+        "Threshold right after an impact in multiples of the impact's peak, because the sensor still rings.",
+        at_least=0,
     )
     ring_time_s: float = quantity(
-        4e-4, "s", "Time constant of the ringing, Q / (π f) of the mounted sensor: 30 at 25 kHz.", above=0
+        4e-4, "s", "Time constant of this ringing, Q / (π f) of the mounted sensor: Q = 30, f = 25 kHz.", above=0
     )
 
 
@@ -96,18 +148,18 @@ _END_NS = 2**31 * 1_000_000_000  # the latest instant of a ROS stamp
 
 @attrs.frozen
 class GapLabel:
-    """A gap [m] (0 = no sphere, NaN = unknown) that holds from an instant of rig time on."""
+    """Operator's label of the gap between the barriers [m] (0 = no sphere, NaN = unknown), from a rig time on."""
 
     gap_m: float
     stamp_ns: int
 
     def text(self) -> str:
-        """Return the remark, which `parse_label` parses exactly."""
+        """Return the label as a remark for the topic `notes`; `parse_label` reads the same label from it."""
         return f"gap_m={self.gap_m!r} at {self.stamp_ns}"
 
 
 def parse_label(remark: str) -> GapLabel | None:
-    """Return the label in a remark, or None if the remark is no label."""
+    """Return the gap label in an operator's remark, such as `gap_m=0.006 at 12500000`; None for any other remark."""
     match = _PATTERN.fullmatch(remark)
     if match is None:
         return None
@@ -127,9 +179,10 @@ RETIRED = ("bootstrap_resamples", "seed")  # settings of resampling in recording
 
 
 def settings_table(settings: TrackerSettings, gap_m: float, stamp_ns: int, started_s: float = 0.0) -> Table:
-    """Return `analysis/settings`: settings and label from an instant on, and the analysis that uses them.
+    """Return the table `analysis/settings`: settings and gap label from a rig time on, and the analysis that uses them.
 
-    The machine and the start time of the analysis [s, Unix] distinguish several analyses in one run.
+    The fingerprint of this machine and `started_s`, the start time of the analysis [s, Unix], distinguish several
+    analyses in one run.
     """
     values = {attribute.name: getattr(settings, attribute.name) for attribute in attrs.fields(TrackerSettings)}
     rows = [*values.items(), (GAP, gap_m), (MACHINE, fingerprint()), (STARTED, started_s)]
@@ -137,10 +190,10 @@ def settings_table(settings: TrackerSettings, gap_m: float, stamp_ns: int, start
 
 
 def read_settings(table: Table) -> tuple[TrackerSettings, float]:
-    """Return settings and label of `analysis/settings`; a setting that the table does not contain has its default.
+    """Return the settings and the gap label [m] in a table `analysis/settings`; a missing setting has its default.
 
     Raises:
-        ConfigError: a key is unknown, or a value out of range.
+        ConfigError: the table has an unknown key, or a value out of range.
     """
     values = dict(zip(table.rows["key"].astype(str).tolist(), table.rows["value"].tolist(), strict=True))
     gap_m = float(values.pop(GAP, np.nan))
@@ -149,18 +202,20 @@ def read_settings(table: Table) -> tuple[TrackerSettings, float]:
     defaults = TrackerSettings()
     unknown = sorted(set(values) - {attribute.name for attribute in attrs.fields(TrackerSettings)})
     if unknown:
-        raise ConfigError(f"analysis/settings has an unknown key: {', '.join(unknown)}")
+        raise ConfigError(
+            f"analysis/settings has an unknown key: {', '.join(unknown)} (perhaps a setting of a later version)"
+        )
     return TrackerSettings(**{key: _as_set(getattr(defaults, key), value) for key, value in values.items()}), gap_m
 
 
 def machine_of(table: Table) -> int | None:
-    """Return the machine's fingerprint in `analysis/settings`, see `machine`; None if it is missing."""
+    """Return the fingerprint of the machine that made a table `analysis/settings`; None if the table lacks it."""
     found = _value(table, MACHINE)
     return None if found is None else int(found)
 
 
 def started_of(table: Table) -> float | None:
-    """Return the start time of the analysis in `analysis/settings` [s, Unix]; None if it is missing."""
+    """Return when the analysis that made a table `analysis/settings` started [s, Unix]; None if the table lacks it."""
     return _value(table, STARTED)
 
 
@@ -170,5 +225,8 @@ def _value(table: Table, key: str) -> float | None:
 
 
 def _as_set(default: float, value: float) -> Any:  # int or float, as the setting is; the validator decides
-    """Return a setting with its type; the validator rejects a fraction where an integer is needed."""
+    """Return the value of a setting from a table, where all are floats, as an int if its default is one.
+
+    A fraction stays a float, so that the validator of the setting rejects it.
+    """
     return int(value) if isinstance(default, int) and np.isfinite(value) and value == int(value) else value

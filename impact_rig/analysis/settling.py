@@ -54,18 +54,23 @@ from impact_rig.analysis.transmissibility import Measurement, complex_transmissi
 from impact_rig.states import MEASURED, Regime, Status
 
 SLOWEST_RATIO = 0.97
-"""Bound of |q|: a fit cannot resolve transients slower than 33 window pairs per time constant."""
+"""Largest |q|: the factor by which a transient decays from one quarter of the fitted windows to the next.
+
+A fit cannot resolve slower transients, with time constants of more than 33 quarters.
+"""
 TREND_LIMIT = 3.0  # difference of the halves, in standard deviations, that still counts as no trend
 POWER_LIMIT = 4.0  # ratio of the fluctuation power of the halves that still counts as stationary
 
 
 def transient_bias(windows: Complex, measured: int) -> complex:
-    """Return the bias that a dying transient leaves in the mean of the newest windows; of noise size without one.
+    """Return the complex bias that a dying transient leaves in the mean of the newest windows.
 
-    The limit is extrapolated from the newest 8 windows and, if available, from the newest 16: the longer record detects
-    slow transients below the noise of the shorter one. The larger bias counts.
+    Without a transient, it is of the size of the noise. The limit of the transient is extrapolated from the newest 8
+    windows and, if available, from the newest 16: the longer record detects slow transients below the noise of the
+    shorter one. The larger bias counts.
 
-    `windows` is the value in successive windows, oldest first, shape (n,), of which the newest are `measured`.
+    `windows` is the complex transmissibility in successive windows, oldest first, shape (n,). The mean is that of the
+    newest `measured` ones.
 
     Raises:
         ValueError: not 8 <= measured <= n.
@@ -78,7 +83,7 @@ def transient_bias(windows: Complex, measured: int) -> complex:
 
 
 def more_windows(taken: int, reached: float, share: float) -> int:
-    """Return the number of further windows until a dying transient is small enough, at its pace so far.
+    """Return the number of further windows until a dying transient has fallen to a share, at its pace so far.
 
     A transient that began as large as the response itself and took n windows to fall to a fraction ε takes n ln(s) /
     ln(ε) more to fall by another factor s. A transient below the noise cannot be followed, but its pace can.
@@ -90,7 +95,7 @@ def more_windows(taken: int, reached: float, share: float) -> int:
 
 
 def _limit(quarters: Complex) -> complex:
-    """Return the limit of four successive values: Aitken, with q from both pairs of differences."""
+    """Return the limit that four values of a decaying series approach: Aitken, q from both pairs of differences."""
     steps = np.diff(quarters)
     power = float(np.sum(np.abs(steps[:-1]) ** 2))
     if power == 0.0:
@@ -102,13 +107,11 @@ def _limit(quarters: Complex) -> complex:
 
 
 def is_stationary(windows: Complex) -> bool:
-    """Return whether a fluctuating value has neither trend nor growing or decaying fluctuation.
+    """Return whether a fluctuating response has settled: it has neither a trend nor a growing or decaying fluctuation.
 
-    Settled, if not constant.
-
-    The means of the halves may differ by `TREND_LIMIT` standard deviations (including correlation between windows) in
-    either component, the fluctuation powers of the halves by a factor `POWER_LIMIT`. The windows have shape (n,), n >=
-    16.
+    `windows` is the complex transmissibility in successive windows, shape (n,), n >= 16. The means of the halves may
+    differ by `TREND_LIMIT` standard deviations (including correlation between windows) in either component, the
+    fluctuation powers of the halves by a factor `POWER_LIMIT`.
     """
     half = len(windows) // 2
     first, second = windows[:half], windows[half : 2 * half]
@@ -132,17 +135,17 @@ REMNANT = 0.02  # fraction of the bias limit that a transient may leave in the f
 
 
 def window_cycles(frequency_hz: float, settings: TrackerSettings) -> int:
-    """Return the number of whole drive cycles per window."""
+    """Return the number of drive cycles per window: the least multiple of CYCLE_MULTIPLE that lasts `window_s`."""
     return CYCLE_MULTIPLE * max(1, math.ceil(settings.window_s * frequency_hz / CYCLE_MULTIPLE))
 
 
 NOTICED_S, NOTICED_CYCLES = 0.5, 2.0
-"""Time without impacts, in seconds and in cycles, after which the next impact is waited for."""
+"""Time without impacts, in seconds and in drive cycles, after which `Progress` shows the wait for the next impact."""
 
 
 @attrs.frozen
 class ImpactPause:
-    """Time without impacts so far, and the time for which a row without impacts is delayed."""
+    """Wait for a sphere that may still strike: the time without impacts so far, and its bound."""
 
     since_s: float = 0.0  # time since the last impact under drive, or since the gap was set or the drive started
     # time without impacts after which a row is given; 0 without a sphere, or if none was ever noticed
@@ -150,13 +153,13 @@ class ImpactPause:
 
     @property
     def is_waiting(self) -> bool:
-        """Return whether the sphere may still strike within the waiting time."""
+        """Return whether a row without impacts is still delayed, because the sphere may strike before the bound."""
         return self.since_s < self.bound_s
 
 
 @attrs.frozen
 class Progress:
-    """Progress of a first measurement."""
+    """Progress towards the first row after a change of drive, gap label or calibration, in windows."""
 
     windows: int  # number since the last change; at most `needed`
     needed: int  # estimated number required: it grows while no row can be given
@@ -165,14 +168,14 @@ class Progress:
 
     @property
     def reason(self) -> str:
-        """Reason why there is no row yet, other than the transient: a sphere that may still strike; otherwise empty."""
+        """Readable reason why there is no row yet: the wait for a sphere; empty if it is only the transient."""
         if not self.quiet.is_waiting:
             return ""
         return f"waiting up to {self.quiet.bound_s:.3g} s for a sphere that may still strike"
 
 
 class Judge:
-    """Collection of the windows of one drive setting, at most `long_windows` of them."""
+    """Judge of settling for one drive setting: it keeps the newest windows and decides when to measure."""
 
     def __init__(self, calibration: Calibration, frequency_hz: float, settings: TrackerSettings) -> None:
         self._calibration = calibration
@@ -197,10 +200,11 @@ class Judge:
         self._remnant = math.nan  # remnant of the transient, relative to the newest transmissibility
 
     def add(self, window: Cycles, quiet: ImpactPause = ImpactPause()) -> Measurement | None:
-        """Add the next window; return a measurement if one is due.
+        """Add the next window of drive cycles; return a measurement if the response has settled or the wait is over.
 
-        A window with lost, over-range or non-finite values is discarded with all before it. It is reported when it is
-        the first of several such windows, and every `windows` windows thereafter.
+        `quiet` is the wait for the sphere at the end of the window. An unsound window (over range, not finite, noisy)
+        is discarded with all before it. The first of several such windows is returned as a measurement that has only a
+        status, and again every `windows` windows.
         """
         self._quiet = quiet
         self._since_row += 1
@@ -226,7 +230,7 @@ class Judge:
         return self._given(found or self._overdue())
 
     def finish(self) -> Measurement | None:
-        """End the record: return the row that was delayed for a sphere that has not struck, if there is one."""
+        """Return the measurement delayed for a sphere that may still strike, as the record ends; None if none is."""
         return self._given(self._held)
 
     def unsettled(self, rest: Cycles | None) -> Measurement | None:
@@ -244,7 +248,7 @@ class Judge:
         return attrs.evolve(found, status=Status.NOT_SETTLED) if found.status in MEASURED else found
 
     def _given(self, found: Measurement | None) -> Measurement | None:
-        """Register a measurement as the next row and return it; None if there is none."""
+        """Register a measurement as the newest row and return it, checked against the row before; None stays None."""
         self._held = None
         if found:
             silent = found.status is Status.OK and found.impacts_per_cycle == 0.0 and self._quiet.bound_s > 0.0
@@ -276,7 +280,10 @@ class Judge:
         return Progress(self._whole, max(needed, self._whole + 1), self._remnant)  # no row yet: at least one more
 
     def _compared(self, found: Measurement) -> Measurement:
-        """Reject a measurement in which one channel alone has changed since the last good one of this setting."""
+        """Return a measurement, or one that has only a status if one channel alone has changed since the last good row.
+
+        Such a channel has changed its gain, because the drive is the same.
+        """
         if found.amplitudes is None or found.status is Status.NOT_SETTLED:
             return found
         alone = changed_alone(self._reference, found.amplitudes) if self._reference else None
@@ -289,7 +296,7 @@ class Judge:
         return found
 
     def _lost_signal(self, window: Cycles) -> Rejection | None:
-        """Return a rejection if a channel that had a signal in earlier windows has none in the newest.
+        """Return a rejection if laser or base has no signal in this window but had one in the window before; else None.
 
         Signals that only many windows can detect are not considered.
         """
@@ -334,11 +341,11 @@ class Judge:
         return found if found.steady and not self._sparse(found) else None
 
     def _struck(self) -> bool:
-        """Return whether the newest windows contain an impact."""
+        """Return whether the newest `windows` windows, those of a short measurement, contain an impact."""
         return any(np.nansum(window.impacts) > 0 for window in list(self._windows)[-self._settings.windows :])
 
     def _sparse(self, found: Measurement) -> bool:
-        """Return whether impacts are few and irregular, so that a longer record is needed."""
+        """Return whether the impacts in a measurement are few and irregular, so that it needs a longer record."""
         return found.regime is not Regime.PERIODIC and 0.0 < found.impacts_per_cycle < SPARSE
 
     def _stationary(self) -> Measurement | None:
@@ -372,7 +379,10 @@ class Judge:
         return measure(cycles, self._calibration, self._frequency_hz, self._settings, bias, self._reference, worst)
 
     def _noise(self, ratio: float) -> float:
-        """Return the standard uncertainty of X_1 / X_b due to noise in `windows` windows, from the newest one."""
+        """Return the standard uncertainty of X_1 / X_b = `ratio` due to the noise in the mean of `windows` windows.
+
+        The noise is that of the newest window.
+        """
         window = self._windows[-1]
         per_channel = self._noise_per_scan
         base = abs(complex(window.phasors[:, BASE, 0].mean()))

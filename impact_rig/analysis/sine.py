@@ -41,7 +41,7 @@ CONVERGED_RAD = 1e-10  # phase change at the end of the record by the last frequ
 
 @attrs.frozen(eq=False)
 class SineFit:
-    """Fitted sine; without a fit, everything except `status` and `frequency_hz` is NaN."""
+    """Result of fitting a sine and its harmonics to samples y; without a fit, all but status and frequency is NaN."""
 
     status: Status  # `ok`, or why there is no fit
     frequency_hz: float  # given or refined
@@ -55,25 +55,26 @@ class SineFit:
 
     @property
     def amplitude(self) -> float:
-        """Amplitude of the fundamental."""
+        """Amplitude of the fundamental (peak, in the unit of the samples)."""
         return abs(complex(self.phasors[0]))
 
     @property
     def phase_rad(self) -> float:
-        """Phase of the fundamental: 0 is a cosine."""
+        """Phase of the fundamental at the first sample [rad]: 0 is a cosine, −π/2 a sine."""
         return float(np.angle(self.phasors[0]))
 
     def values(self, time: Real) -> Real:
-        """Return the fitted sine and its harmonics at `time` [s since the first sample], shape (n,)."""
+        """Return the fitted offset plus all fitted harmonics at `time` [s since the first sample], shape (n,)."""
         order = np.arange(1, len(self.phasors) + 1)
         turns = np.exp(2j * math.pi * self.frequency_hz * time[:, None] * order)
         return np.asarray(self.offset + (turns @ self.phasors).real)
 
 
 def fit_sine(y: Real, rate_hz: float, frequency_hz: float, harmonics: int = 1) -> SineFit:
-    """Fit offset and harmonics at a known frequency: three parameters for harmonics = 1.
+    """Fit an offset and the harmonics of a known frequency to samples: three parameters for harmonics = 1.
 
-    `y` has shape (n,); the H harmonics, including the fundamental, must be below rate / 2.
+    `y` has shape (n,); the H harmonics, including the fundamental, must be below rate / 2. If y cannot be fitted
+    (too few cycles, not finite, constant, no such frequency), the status of the result is the reason.
     """
     refusal = _refusal(y, rate_hz, frequency_hz, harmonics)
     if refusal:
@@ -84,10 +85,10 @@ def fit_sine(y: Real, rate_hz: float, frequency_hz: float, harmonics: int = 1) -
 
 
 def fit_sine_frequency(y: Real, rate_hz: float, frequency_hz: float, harmonics: int = 1) -> SineFit:
-    """Fit offset, harmonics and the frequency: four parameters for harmonics = 1.
+    """Fit an offset, the harmonics and their frequency to samples: four parameters for harmonics = 1.
 
-    Gauss–Newton iteration from the given frequency, which must be right to within about half a cycle over the record;
-    the status is `no_fit` if it does not converge.
+    Gauss–Newton iteration from `frequency_hz`, which must be right to within about half a cycle over the record. The
+    status of the result is `no_fit` if the iteration does not converge, otherwise as for `fit_sine`.
     """
     refusal = _refusal(y, rate_hz, frequency_hz, harmonics)
     if refusal:
@@ -116,9 +117,10 @@ def fit_sine_frequency(y: Real, rate_hz: float, frequency_hz: float, harmonics: 
 
 
 def least_squares(design: Real, y: Real) -> tuple[Real, Real]:
-    """Return the solution and the inverse normal matrix, with columns scaled to one size; fast for tall designs.
+    """Solve design · solution ≈ y; return the solution, shape (p,), and the inverse of the normal matrix, shape (p, p).
 
-    The design, shape (n, p), has independent, non-zero columns; y has shape (n,).
+    The design, shape (n, p), has independent, non-zero columns, which are scaled to one size for the solution; y has
+    shape (n,). The method is fast for n much larger than p.
     """
     normal = design.T @ design
     size = np.sqrt(np.diagonal(normal))
@@ -127,7 +129,7 @@ def least_squares(design: Real, y: Real) -> tuple[Real, Real]:
 
 
 def noise_density(residual: Real, frequency_hz: float, rate_hz: float) -> float:
-    """Return the residual's variance per sample according to its spectrum near a frequency: the variance if white."""
+    """Return the noise variance per sample that a residual's spectrum shows near a frequency; its variance if white."""
     power = np.abs(np.fft.rfft(residual)) ** 2 / len(residual)
     middle = round(frequency_hz / rate_hz * len(residual))
     apart = np.arange(SKIP_BINS + 1, SKIP_BINS + NEAR_BINS + 1)
@@ -162,9 +164,10 @@ def _finished(
     y: Real, rate_hz: float, frequency_hz: float, design: Real, normal: Real, solution: Real, harmonics: int,
     scale: float, middle_s: float | None = None,
 ) -> SineFit:  # fmt: skip
-    """Convert a solution to values with uncertainties; y was divided by `scale`.
+    """Return the result of a fit: the solution of the least-squares problem as phasors with uncertainties.
 
-    `middle_s` is given if the last column is that of the frequency.
+    `y` are the samples divided by `scale`. If the frequency was fitted, its column is the last one of the design, and
+    `middle_s` is the time from the first sample to the middle of the record [s]; otherwise None.
     """
     residual = y - design @ solution
     freedom = len(y) - design.shape[1]

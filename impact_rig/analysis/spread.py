@@ -52,9 +52,10 @@ def variance_of_mean(values: Real) -> float:
 
 
 def student_factor(n: int) -> float:
-    """Return ν/(ν − 2), the factor for a mean whose variance is an estimate by `variance_of_mean` of n values.
+    """Return the factor ν/(ν − 2) by which to multiply a variance that `variance_of_mean` estimated from n values.
 
-    ν = 3n / (2(L + 1)) degrees of freedom; the variance of Student's t instead of the normal (GUM Supplement 1, 6.4.9).
+    The estimate has ν = 3n / (2(L + 1)) degrees of freedom. The mean therefore has Student's t distribution, whose
+    variance is larger than that of the normal distribution by this factor (GUM Supplement 1, 6.4.9).
     """
     freedom = max(1.5 * n / (_longest_lag(n) + 1.0), 3.0)
     return freedom / (freedom - 2.0)
@@ -65,17 +66,18 @@ def _longest_lag(n: int) -> int:
 
 
 def student_2u(freedom: float) -> float:
-    """Return the factor by which a standard uncertainty must grow so that ±2u covers 95.45 % of Student's t.
+    """Return the factor by which a standard uncertainty of few degrees of freedom grows so that ±2u covers 95.45 %.
 
-    The quantile follows the expansion of Abramowitz & Stegun (1964), 26.7.5, at the normal quantile 2: within 0.3 % of
-    the true one from 4 degrees of freedom on; fewer than 2 count as 2.
+    The estimate has Student's t distribution, whose quantile follows the expansion of Abramowitz & Stegun (1964),
+    26.7.5, at the normal quantile 2: within 0.3 % of the true one from 4 degrees of freedom on; fewer than 2 count as
+    2.
     """
     inverse = 1.0 / max(freedom, 2.0)
     return 1.0 + 1.25 * inverse + 1.531 * inverse**2 + 1.43 * inverse**3
 
 
 def batch_variance(values: Complex, batches: int) -> Real:
-    """Return the variances (real, imaginary) of the mean of a series from the scatter of the means of a few batches.
+    """Return the variances of the mean of a series (real, imaginary part) from the scatter of means of batches.
 
     Batches much longer than the correlation are practically independent, however it decays (Schmeiser 1982, Operations
     Research 30, 556–568). For shorter ones, the variance from b batches is too small in proportion to b. 2V_b − V_2b is
@@ -93,16 +95,16 @@ def _scatter_of_batches(values: Complex, batches: int) -> Real:
 
 
 def by_class_removed(values: Complex, period: int) -> Complex:
-    """Return values minus the mean of all values at the same position in the period.
+    """Return values, each minus the mean of all values at the same position in a period of `period` values.
 
-    The residual of a periodic orbit.
+    For a series that repeats with this period, noise remains.
     """
     place: NDArray[np.int64] = np.arange(len(values)) % period
     return np.asarray(values - (_class_sums(values, period) / np.bincount(place))[place], dtype=np.complex128)
 
 
 def _class_sums(values: NDArray[Any], period: int) -> NDArray[Any]:
-    """Return the sum of all values at the same position in the period, by position."""
+    """Return, for each position in a period of `period` values, the sum of the values there; shape (period, …)."""
     whole = len(values) - len(values) % period
     sums: NDArray[Any] = values[:whole].reshape(-1, period, *values.shape[1:]).sum(axis=0)
     sums[: len(values) - whole] += values[whole:]
@@ -111,17 +113,23 @@ def _class_sums(values: NDArray[Any], period: int) -> NDArray[Any]:
 
 LONGEST_PERIOD = 8
 NOISE_FACTOR = 2.0
-"""Variance ratio up to which a class scatter counts as noise: 48 cycles exceed it by chance once in a million."""
+"""Ratio of a scatter's variance to that of the noise up to which the scatter counts as noise.
+
+The noise of 48 cycles exceeds it once in a million.
+"""
 SUPPORT = 0.6  # share of the cycles of a class that strike at a phase which belongs to the orbit
 REGULAR_SHARE = 0.85  # share of the impacts at such phases from which the impacts repeat
 LINES = 3
-"""A response is modulated if this many spectral lines, each as wide as the window's main lobe, hold LINE_SHARE."""
+"""Number of spectral lines that hold at least LINE_SHARE of the fluctuation power of a modulated response.
+
+Each is as wide as the main lobe of the window.
+"""
 LINE_SHARE = 0.8
 
 
 @attrs.frozen
 class Behaviour:
-    """Behaviour of a response from cycle to cycle."""
+    """Behaviour of a response from drive cycle to drive cycle, as found by `classify`."""
 
     regime: Regime  # its regime
     period: float  # drive cycles after which it repeats; NaN if never
@@ -130,7 +138,7 @@ class Behaviour:
 
 
 def classify(deviation: Complex, noise_variance: float, tolerance: float, strikes: NDArray[np.uint8]) -> Behaviour:
-    """Classify a response.
+    """Classify a response as periodic, modulated or chaotic by its drive cycles.
 
     `deviation` is ε_k per cycle, shape (n,), of which noise explains E|ε|² = `noise_variance`; an rms up to `tolerance`
     is negligible. `strikes` are the phases of the impacts (`Cycles.strikes`). The regime is `unknown` for n < 4 or
@@ -156,8 +164,9 @@ def classify(deviation: Complex, noise_variance: float, tolerance: float, strike
 
 
 def _strikes_repeat(strikes: NDArray[np.uint8], period: int) -> bool:
-    """Return whether nearly all impacts occur at phases where most cycles of their class have one, within one bin.
+    """Return whether the impacts repeat every `period` cycles: nearly all at phases where most such cycles have one.
 
+    Phases agree if they differ by at most one bin.
     Weak impacts may be missed in some cycles, so a cycle without one proves nothing; an impact at another phase does.
     """
     around = np.concatenate([strikes[:, -1:], strikes, strikes[:, :1]], axis=1)
@@ -169,7 +178,10 @@ def _strikes_repeat(strikes: NDArray[np.uint8], period: int) -> bool:
 
 
 def _line_share(deviation: Complex) -> float:
-    """Return the share of the fluctuation power in its strongest `LINES` lines; Hann window, main lobe 5 bins."""
+    """Return the share of a series' fluctuation power in its `LINES` strongest spectral lines.
+
+    The window is that of Hann, whose main lobe is 5 bins wide.
+    """
     n = len(deviation)
     power = np.abs(np.fft.fft((deviation - deviation.mean()) * np.hanning(n + 1)[:n])) ** 2
     total = float(power.sum())

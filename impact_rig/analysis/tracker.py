@@ -60,7 +60,7 @@ class Counters:
 
 @attrs.frozen
 class TrackerState:
-    """State of a measurement, decided from scans and commands alone: the same live and from a recorded run."""
+    """State of a tracker's measurement; scans and commands alone decide it, so a recorded run has the same states."""
 
     word: str  # of `states.AnalysisWord`
     reason: str = ""  # a status of `transmissibility/table`; empty if the word says enough
@@ -69,7 +69,7 @@ class TrackerState:
 
 @attrs.frozen(eq=False)
 class Findings:
-    """Results of one call: `transmissibility/table` tables of one row each, and tables of detected impacts."""
+    """New results of a call of a tracker: tables `transmissibility/table` of one row each, and of detected impacts."""
 
     measurements: tuple[Table, ...] = ()
     impacts: tuple[Table, ...] = ()
@@ -85,7 +85,7 @@ class _Command(NamedTuple):
 
 
 class _Reset(NamedTuple):
-    """Reset of the rig: a new scan 0."""
+    """Reset of the rig that is still to be applied: the stamp of the new scan 0, and its calibration."""
 
     start_ns: int
     calibration: Calibration
@@ -93,7 +93,10 @@ class _Reset(NamedTuple):
 
 _Event = _Command | GapLabel | Calibration
 _KINDS = (GapLabel, Calibration, _Command)
-"""Order in which simultaneous events are applied: which of two topics is delivered first is random."""
+"""Kinds of events in the order in which simultaneous ones are applied.
+
+It must be fixed, because it is random which of two topics is delivered first.
+"""
 NOTHING = Findings()
 
 
@@ -133,7 +136,7 @@ class Tracker:
         self._hold = 0
         self._buffer = ScanBuffer()
         self._added = 0  # index of the scan before which all must have been added
-        self._due = 0  # row type of the newest block, and the channels it may lack
+        self._due = 0  # index before which the held scans need not be added to their cycles
         self._taken: tuple[object, ...] = ()  # type of the rows of the newest block, and the channels it may lack
         self._started = False
         self._last_block = -1
@@ -158,18 +161,18 @@ class Tracker:
         return self._calibration is not None
 
     def configure(self, info: Table) -> None:
-        """Apply `daq/info`: a calibration, which acts from its stamp on, and the time of scan 0.
+        """Register a table `daq/info`: its calibration acts from its stamp on, and it gives the time of scan 0.
 
-        Another scan 0 means a reset of the rig: from its first block on everything is measured as in a new record.
+        Another time of scan 0 means that the rig was reset: scans from then on are measured as a new record.
 
         Raises:
-            ConfigError: the table describes none of the four channels, or one twice.
+            ConfigError: the table is invalid, such as one that lists a channel twice.
         """
         need_columns(info, DAQ_INFO, topics.INFO.name, later=STEPS)
         calibration = Calibration.from_info(info.rows)
         if not abs(info.rows["since_start"][0]) <= LONGEST_S:
             raise ConfigError(
-                f"daq/info: since_start must be within {LONGEST_S:g} s, got {info.rows['since_start'][0]!r}"
+                f"daq/info: since_start must be within ±{LONGEST_S:g} s, got {info.rows['since_start'][0]!r}"
             )
         start_ns = info.stamp_ns - round(float(info.rows["since_start"][0]) * NS_PER_S)
         rows = info.rows.copy()
@@ -192,24 +195,24 @@ class Tracker:
             self._resets.append(_Reset(start_ns, calibration))
 
     def on_applied(self, applied: Table) -> None:
-        """Apply `shaker/applied`: each row acts from its stamp plus time.
+        """Register a table `shaker/applied`: the drive of each row acts from the stamp of the table plus its `time` on.
 
         Raises:
             ConfigError: the table is invalid, or its times are not numbers.
         """
         need_columns(applied, APPLIED, topics.APPLIED.name)
         if not (np.abs(applied.rows["time"]) <= LONGEST_S).all():
-            raise ConfigError(f"shaker/applied: time must be within {LONGEST_S:g} s")
+            raise ConfigError(f"shaker/applied: time must be within ±{LONGEST_S:g} s in every row")
         for row in applied.rows:
             instant = applied.stamp_ns + round(float(row["time"]) * NS_PER_S)
             self._schedule(instant, _Command(float(row["frequency"]), float(row["current"])))
 
     def label(self, gap_m: float, stamp_ns: int) -> None:
-        """Apply the operator's label of the gap [m] from a time on: 0 = no sphere, NaN = unknown."""
+        """Register the operator's label of the gap [m] (0 = no sphere, NaN = unknown), from a rig time on."""
         self._schedule(stamp_ns, GapLabel(gap_m, stamp_ns))
 
     def feed(self, scan: Table) -> Findings:
-        """Process a block of `daq/scan`; blocks arrive in the order of their stamps.
+        """Process the next block of `daq/scan`, and return the new measurements and impacts; blocks arrive in order.
 
         Raises:
             ConfigError: the table is invalid.
@@ -257,7 +260,7 @@ class Tracker:
 
     @property
     def progress(self) -> Progress | None:
-        """Progress of the first measurement since the last change; None if nothing is measured."""
+        """Progress towards the first row after the last change; None without a drive frequency that can be measured."""
         if self._accumulator is None:
             return None
         progress, quiet = self._judge.progress, self._quiet(self._measured - 1)
@@ -268,13 +271,14 @@ class Tracker:
 
     @property
     def state(self) -> TrackerState:
-        """State of the measurement, and since when."""
+        """Present state of the measurement, its reason, and the rig time at which it began."""
         return self._state
 
     def flush(self, *, take_unsettled: bool = False) -> Findings:
-        """Measure all delayed scans, without further waiting for a sphere: the record ends.
+        """Measure the scans that are still delayed, because the record ends, and return the last rows.
 
-        With `take_unsettled`, a record that is too short for any row gives one row of all its cycles.
+        A row that waits for a sphere to strike is given at once. With `take_unsettled`, a record that ends before its
+        first row gives one row of all its cycles, with the status `not_settled`.
         """
         if self._started:
             self._advance(self._buffer.end)
@@ -287,7 +291,7 @@ class Tracker:
         return Findings(measurements)
 
     def _take_unsettled(self) -> None:
-        """Report a record that ends before its first row."""
+        """Add a row of all cycles of a record that ends before its first row, or the reason why it has none."""
         accumulator = self._accumulator
         if accumulator is None:
             frequency = self._command.frequency_hz if self._command else math.nan
@@ -322,7 +326,7 @@ class Tracker:
         )
 
     def _schedule(self, time_ns: int, event: _Event) -> None:
-        """Queue an event at the scan it acts on; before the time base is known, keep its time."""
+        """Queue an event until the scans reach its time; simultaneous events are ordered by their kind."""
         self._event_count += 1
         entry = time_ns, _KINDS.index(type(event)), self._event_count, event
         bisect.insort(self._events, entry, key=lambda entry: entry[:3])
@@ -338,12 +342,12 @@ class Tracker:
                 self._prepare_detector(time_ns, event)
 
     def _prepare_detector(self, time_ns: int, calibration: Calibration) -> None:
-        """Time impacts with a calibration from its time on: the detector reaches that time before `_apply` does."""
+        """Let the impact detector use a calibration from its time on, which it reaches earlier than the measurement."""
         self._detector.recalibrate(first_scan_at(time_ns, calibration.rate_hz, self._start_ns), calibration)
         self._hold = max(self._hold, self._detector.behind)
 
     def _begin_again(self, reset: _Reset) -> None:
-        """Measure everything before a reset, and start again with the delayed scans after it."""
+        """Measure the scans before a reset of the rig, then begin a new record with the delayed scans after it."""
         buffer, end = self._buffer, self._buffer.end
         cut = scan_index(reset.start_ns, self._rate, self._start_ns)
         if cut > end or not self._started:
@@ -369,7 +373,10 @@ class Tracker:
         self._begin(first, changed=True)
 
     def _resume(self, index: int) -> None:
-        """Start at a scan that does not follow the last one: the first of all, after lost blocks, or after a reset."""
+        """Start to measure at a scan that does not follow the last one.
+
+        It is the first of all, or follows lost blocks or a reset; a measurement in progress ends with that reason.
+        """
         back = self._started and index < self._buffer.end
         lost = self._started and not back
         if self._started:
@@ -391,7 +398,7 @@ class Tracker:
             self._enter(AnalysisWord.LOST_SCANS, Status.LOST_BLOCKS, index)
 
     def _advance(self, until: int) -> None:
-        """Measure the scans before `until`, with events at their scans."""
+        """Measure the scans before the index `until`, and apply each queued event at the scan from which it acts."""
         rate = self._rate
         while self._events:
             at = first_scan_at(self._events[0][0], rate, self._start_ns)
@@ -426,12 +433,15 @@ class Tracker:
         self._begin(index, changed=True)
 
     def _enter(self, word: AnalysisWord, reason: str, scan: int) -> None:
-        """Enter a state at a scan. An unchanged state keeps its start, but settling restarts with every change."""
+        """Set the state from a scan on. An unchanged state keeps its start; `settling` restarts with every change."""
         if (word, reason) != (self._state.word, self._state.reason) or (word, reason) == (AnalysisWord.SETTLING, ""):
             self._state = TrackerState(word, reason, stamp_ns(scan, self._rate, self._start_ns))
 
     def _begin(self, index: int, *, changed: bool) -> None:
-        """Restart the count of cycles and windows at scan `index`."""
+        """Start new cycles and windows at scan `index`, with the present drive, calibration and settings.
+
+        `changed` tells whether drive, label or calibration change there; `waited` of a row counts from there.
+        """
         assert self._calibration is not None
         rate, frequency = self._calibration.rate_hz, self._command.frequency_hz if self._command else 0.0
         if changed:
@@ -473,7 +483,7 @@ class Tracker:
                 self._enter(AnalysisWord.SETTLING, "", last)
 
     def _add(self, accumulator: Accumulator) -> None:
-        """Accumulate the measured scans; the next time is when that completes a window, or after ADD_S."""
+        """Add the scans up to `_measured` to their cycles, and set `_due`: the next window end, or ADD_S later."""
         buffer = self._buffer
         accumulator.add(buffer.samples, buffer.status, buffer.column(self._added), buffer.column(self._measured))
         self._added = self._measured
@@ -481,10 +491,10 @@ class Tracker:
         self._due = min(soon, accumulator.end(self._window))
 
     def _quiet(self, scan: int) -> ImpactPause:
-        """Return the time without impacts at a scan, and the time for which one may still occur.
+        """Return the wait for a sphere at a scan: the time without impacts so far, and for how long it delays a row.
 
-        Without a label, an impact proves that there is a sphere; its flight distance is unknown then. Without an impact
-        detector, none is missed.
+        Without a label of the gap, the first impact proves that there is a sphere; the wait is then `wait_limit_s`,
+        because its flight distance is unknown. If impacts cannot be counted, there is no wait.
         """
         assert self._calibration is not None
         never, unknown = math.isnan(self._struck), math.isnan(self._gap_m)
@@ -504,7 +514,7 @@ class Tracker:
         self._take_impacts(until)
 
     def _take_impacts(self, before: int) -> NDArray[np.void]:
-        """Return the impacts before a scan, and keep the time of the last one; later ones belong to delayed scans."""
+        """Remove the impacts before a scan and return them; later ones stay, because they belong to delayed scans."""
         onsets = joined([NO_IMPACTS, *self._impacts_ahead])
         impacts = self._detector.timed(onsets)
         later = int(np.searchsorted(impacts["scan"], before))
@@ -514,7 +524,7 @@ class Tracker:
         return impacts[:later]
 
     def _counted(self, window: Cycles, accumulator: Accumulator) -> Cycles:
-        """Return the window with its impacts counted per cycle; later impacts are kept."""
+        """Return a window of cycles with its impacts filled in, if impacts can be counted."""
         assert self._calibration is not None
         if not counts_impacts(self._calibration):
             return window
@@ -527,7 +537,7 @@ class Tracker:
         return impact_tables(self._detector.timed(found), self._rate, self._start_ns)
 
     def _interrupt(self, status: Status) -> None:
-        """Report that a measurement in progress ends here without a result."""
+        """Add a row that gives the reason why a measurement in progress ends without a result, if there is one."""
         if self._accumulator is not None:
             self._add(self._accumulator)
             if self._accumulator.pending_cycles or self._judge.pending:

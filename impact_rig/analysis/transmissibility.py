@@ -54,9 +54,9 @@ BATCHES = (4, 6)
 
 @attrs.frozen(kw_only=True)
 class Measurement:
-    """Measured point; unknown values are NaN. Units as in `blocks.TRANSMISSIBILITY`.
+    """Measured transmissibility at one drive frequency, or the status that says why there is none.
 
-    The prefix u_ means standard uncertainty.
+    Unknown values are NaN. Units are those of `blocks.TRANSMISSIBILITY`; the prefix u_ means standard uncertainty.
     """
 
     status: Status
@@ -86,16 +86,17 @@ class Measurement:
 
 
 def counts_impacts(calibration: Calibration) -> bool:
-    """Return whether impacts can be counted: there is an accelerometer, with at least `MIN_RATE_HZ`."""
+    """Return whether impacts can be counted: an accelerometer was measured, with at least `MIN_RATE_HZ` scans/s."""
     return calibration.rate_hz >= MIN_RATE_HZ and bool(calibration.present[ACCELEROMETER])
 
 
 def measure_record(
     rows: NDArray[np.void], info: NDArray[np.void], frequency_hz: float, settings: TrackerSettings | None = None
 ) -> Measurement:
-    """Measure a whole record at one drive frequency: all its whole cycles, taken as settled.
+    """Measure the transmissibility from all complete drive cycles of a record, which is taken as settled.
 
-    The scans (`daq/scan`) are consecutive, shape (n,). Of the settings, only harmonics, tolerance and lag are used.
+    The scans (`daq/scan`) are consecutive, shape (n,); `info` are the rows of `daq/info`. Of the settings, only those
+    of harmonics, periodicity and uncertainty are used.
     """
     settings = settings or TrackerSettings()
     calibration = Calibration.from_info(info)
@@ -123,11 +124,11 @@ def measure(
     before: Amplitudes | None = None,
     worst: float | None = None,
 ) -> Measurement:
-    """Measure settled, consecutive cycles of one commanded frequency.
+    """Measure the transmissibility from settled, consecutive cycles of one commanded frequency.
 
-    `bias` is that of the complex transmissibility by a remaining transient. `before` are the amplitudes of an earlier
-    measurement of the same setting. Above the relative uncertainty `worst`, by default that of the settings, there is
-    no number.
+    `bias` is the possible error of the complex transmissibility by a remaining transient. `before` are the amplitudes
+    of an earlier measurement of the same setting, for the plausibility of the channels. If the relative uncertainty
+    exceeds `worst`, by default that of the settings, the result has a status and no numbers.
     """
 
     def refuse(why: Rejection, largest: str = "") -> Measurement:
@@ -226,7 +227,10 @@ def measure(
 
 
 def complex_transmissibility(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> complex:
-    """Return X_1 / X_b of some cycles; NaN if the base does not move. Settling is judged on this inexpensive value."""
+    """Return X_1 / X_b of some cycles, corrected for lags; NaN if the base does not move.
+
+    Settling is judged by this value, which is faster to compute than a measurement.
+    """
     base = complex(cycles.phasors[:, BASE, 0].mean())
     if base == 0.0 or not np.isfinite(base):
         return complex(NAN, NAN)
@@ -235,7 +239,7 @@ def complex_transmissibility(cycles: Cycles, calibration: Calibration, frequency
 
 
 def harmonic_numbers(cycles: Cycles) -> Real:
-    """Return 1 … H."""
+    """Return the numbers 1 … H of the harmonics of fitted cycles, as floats."""
     return np.arange(1.0, cycles.phasors.shape[2] + 1.0)
 
 
@@ -245,10 +249,11 @@ def _noise_variance(cycles: Cycles, calibration: Calibration) -> Real:
 
 
 def _derotated(cycles: Cycles, calibration: Calibration, noise: Real) -> tuple[Complex, float]:
-    """Rotate the phasors back by the drift of the reference's phase; return them and the frequency deviation [Hz].
+    """Remove the phase drift of the reference from all phasors; return them and the frequency deviation [Hz].
 
-    The reference is the current if available, else the base. This is the fourth parameter of IEEE Std 1057, found from
-    the cycles: a DAQ clock that is off by some ppm must not smear the amplitudes.
+    The reference is the current if available, else the base; NaN if neither has a clear signal. A DAQ clock that is off
+    by some ppm makes the phases drift, which would reduce the mean amplitudes. The deviation of the drive frequency
+    from the commanded one is the fourth parameter of IEEE Std 1057.
     """
     time = (cycles.first + (cycles.samples - 1) / 2.0) / calibration.rate_hz
     time -= time.mean()
@@ -264,19 +269,19 @@ def _derotated(cycles: Cycles, calibration: Calibration, noise: Real) -> tuple[C
 
 
 def _amplitude_u(phasors: Complex, white: float) -> float:
-    """Return the standard uncertainty of |mean phasor|: scatter of the cycles or white noise, whichever is larger."""
+    """Return the standard uncertainty of |mean phasor|: from their scatter or from white noise, if larger."""
     n = len(phasors)
     scatter = float(np.sum(np.abs(phasors - phasors.mean()) ** 2)) / (n * (n - 1))
     return math.sqrt(max(scatter, white) / 2.0)
 
 
 STEPS, MEASUREMENT = "steps", "measurement"
-"""Names of contributions: the steps of a channel, and contributions that belong to no channel."""
+"""Names in `_Part`: `what` of the steps of a channel, and `channel` of contributions that belong to no channel."""
 
 
 @attrs.frozen
 class _Part:
-    """Contribution to the uncertainty: variances of ln DT and of the phase [rad²]."""
+    """Contribution to the uncertainty of a measurement: variances of ln DT (`amplitude`) and of the phase [rad²]."""
 
     channel: str
     what: str
@@ -293,7 +298,10 @@ def _parts(
     laser_m: float,
     base_m: float,
 ) -> list[_Part]:
-    """Return the contributions of scatter, transient, sensitivities and lags."""
+    """Return the contributions to the uncertainty of DT and phase by scatter, transient, sensitivities and lags.
+
+    `variance` is that of the mean of ln DT and of the phase, shape (2,); `bias` is relative to the transmissibility.
+    """
     # an extrapolated bias contains the noise of the windows, which is already counted: only the excess is a bias
     left = np.maximum(np.array([bias.real, bias.imag]) ** 2 - variance, 0.0) / 3.0
     parts = [
@@ -311,11 +319,12 @@ def _parts(
 
 
 def _rounding(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> list[_Part]:
-    """Return the contributions of the steps of laser and base.
+    """Return the contributions to the uncertainty of DT and phase by the steps of laser and base.
 
     For a pure sine sampled at many phases, only the amplitude changes (`calibration`). Overtones as large as a step
-    rotate the phase of that error by up to its sign. If the same few phases recur in every cycle, the errors at them do
-    not average out either, and affect amplitude and phase alike: 2 v / N instead of the 2 v / n that the scatter shows.
+    rotate the phase of that error by up to its sign. If the n samples fall on only N different drive phases,
+    the errors at these do not average out, and affect amplitude and phase alike. With v from `steps_variance`, their
+    variance is 2 v / N instead of the 2 v / n that the scatter shows.
     """
     n = int(cycles.samples.sum())
     phases = distinct_phases(n, calibration.rate_hz / frequency_hz)
@@ -347,7 +356,10 @@ def note_on(row: np.void | NDArray[np.void]) -> str:
 
 
 def measurement_table(found: Measurement, stamp_ns: int, gap_m: float, waited_s: float) -> Table:
-    """Return one row of `transmissibility/table`; its stamp is that of the last scan in it."""
+    """Return a measurement as a table `transmissibility/table` of one row, stamped with the stamp of its last scan.
+
+    `gap_m` is the operator's label of the gap, `waited_s` the time since the last change.
+    """
     row = np.zeros(1, dtype=TRANSMISSIBILITY)
     for column, value in {
         "frequency": found.frequency_hz, "transmissibility": found.transmissibility, "phase": found.phase_rad,

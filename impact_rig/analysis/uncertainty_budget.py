@@ -38,16 +38,17 @@ AMPLITUDES = ((LASER, "laser_amplitude"), (BASE, "base_amplitude"))
 
 
 def combined(rows: NDArray[np.void]) -> float:
-    """Return the standard uncertainty of the mean transmissibility itself; repetitions hardly reduce it.
+    """Return the standard uncertainty of the mean transmissibility of some rows: the rms of their uncertainties.
 
-    It is dominated by the sensitivities, whose errors are the same in all rows.
+    It does not fall with the number of rows, because the errors of the sensitivities dominate it and are the same in
+    all rows.
     """
     return math.sqrt(float(np.mean(rows["transmissibility_uncertainty"] ** 2)))
 
 
 @attrs.frozen
 class Contribution:
-    """Line of the budget."""
+    """Line of the uncertainty budget: one source of error of the mean transmissibility."""
 
     source: str  # channel, or `measurement`
     what: str  # error that it represents
@@ -57,30 +58,31 @@ class Contribution:
 
 @attrs.frozen
 class Budget:
-    """All lines of a budget, and their sum."""
+    """Uncertainty budget of a mean transmissibility: all its lines, and the total."""
 
     transmissibility: float  # mean of the rows
     u_transmissibility: float  # its stated standard uncertainty
     parts: Sequence[Contribution]  # the lines; their squares add up to (u/DT)²
 
     def share(self, part: Contribution) -> float:
-        """Return a line's share of the variance, 0 to 1."""
+        """Return the share of one line of the budget in the variance of the transmissibility, 0 to 1."""
         whole = (self.u_transmissibility / self.transmissibility) ** 2
         return part.u_relative**2 / whole if whole else 0.0
 
 
 def budget(rows: NDArray[np.void], calibration: Calibration, lag_uncertainty: float = 0.0) -> Budget:
-    """Return the budget of the mean transmissibility.
+    """Return the uncertainty budget of the mean transmissibility of settled rows of one setting.
 
-    The rows are settled ones of `transmissibility/table` of one setting, shape (n,), n >= 1.
+    The rows are those of `transmissibility/table`, shape (n,), n >= 1; `lag_uncertainty` is the relative standard
+    uncertainty of the sensors' lags.
     """
     dt, u = float(np.mean(rows["transmissibility"])), combined(rows)
     frequency_hz = float(rows["frequency"][0])
     parts: list[Contribution] = []
     for channel, column in AMPLITUDES:
         amplitude = float(np.mean(rows[column]))
-        curve = _curve(calibration, channel, amplitude)
         reading = amplitude * calibration.scale(channel, frequency_hz)
+        curve = _curve(calibration, channel, reading)
         gain = math.sqrt(max(calibration.gain_uncertainty_at(channel, reading) ** 2 - curve**2, 0.0))
         lag, _ = calibration.lag_uncertainties(channel, frequency_hz, lag_uncertainty)
         parts += [
@@ -95,13 +97,13 @@ def budget(rows: NDArray[np.void], calibration: Calibration, lag_uncertainty: fl
 
 
 def _steps_at(calibration: Calibration, channel: int, amplitude: float, frequency_hz: float) -> float:
-    """Return the relative contribution of the steps of sensor and converter."""
+    """Return the relative standard uncertainty of an amplitude [m] due to the steps of sensor and converter."""
     read = amplitude * abs(complex(calibration.response(channel, frequency_hz)))
     return calibration.steps_uncertainty(channel, read) / read
 
 
 def _curve(calibration: Calibration, channel: int, amplitude: float) -> float:
-    """Return the contribution to the gain of the nonlinearity of a sensor's curve at an amplitude."""
+    """Return the relative standard uncertainty of a channel's gain due to its sensor's curve; amplitude in its unit."""
     half_range = float(calibration.high[channel] - calibration.low[channel]) / 2.0
     share = amplitude / half_range
     return abs(1.5 - 1.875 * share**2) * float(calibration.linearity[channel]) / half_range * U_CUBIC

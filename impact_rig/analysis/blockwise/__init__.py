@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Blockwise analyses of scans: those with a topic of their own, and data for plotters.
+"""Analyses of scans block by block: the base class of those with a topic of their own, and tools for plotters.
 
 Every module of this folder that defines a `Blockwise` is found automatically. The analysis node feeds it and publishes
 its results (docs/how-to/extending.md).
@@ -42,13 +42,16 @@ from impact_rig.topics import Topic
 
 
 class Blockwise:
-    """Analysis with a topic of its own."""
+    """Base class of an analysis that receives the blocks of `daq/scan` and publishes its results on its own topic."""
 
     topic: ClassVar[Topic]  # its entry in the topics table; its publisher is `analysis`, and it carries tables
     needs: ClassVar[tuple[str, ...]]  # the channels that it requires
 
     def feed(self, scan: Table) -> Table | None:
-        """Return the results of a block of `daq/scan`, or None; blocks arrive in the order of their stamps."""
+        """Return the results of the next block of `daq/scan` as a table of `topic`; None if this block completes none.
+
+        Blocks arrive in the order of their stamps.
+        """
         raise NotImplementedError
 
 
@@ -59,13 +62,13 @@ PULSES_HZ = 500.0  # corner frequency: 50 times the vibration, a tenth of the ba
 
 @attrs.frozen
 class Interval:
-    """Contiguous scans; `stamp_ns` is that of the first."""
+    """Interval of contiguous scans, for one point of an envelope; `stamp_ns` is the stamp of its first scan."""
 
     stamp_ns: int
     rows: NDArray[np.void]
 
     def extremes(self, channel: str) -> tuple[float, float, float]:
-        """Return the minimum, maximum and rms value of a channel, in its unit."""
+        """Return the minimum, maximum and rms value of a channel in this interval, in its unit."""
         values = self.rows[channel]
         return float(values.min()), float(values.max()), float(np.sqrt(np.mean(values * values)))
 
@@ -74,7 +77,8 @@ class HighPass:
     """High-pass filter at `PULSES_HZ`: it passes the pulses of impacts without the vibration.
 
     Args:
-        rate_hz: scans per second; below five times the corner, only the upper part of the band remains.
+        rate_hz: scans per second; below 2500 Hz the corner frequency is only a fifth of it.
+        channel: name of the channel that is filtered.
     """
 
     def __init__(self, rate_hz: float, channel: str) -> None:
@@ -83,11 +87,14 @@ class HighPass:
         self._state: NDArray[np.float64] | None = None
 
     def restart(self) -> None:
-        """Reset the filter: the stream has a gap."""
+        """Reset the filter, because the next block does not follow the last one."""
         self._state = None
 
     def feed(self, scan: Table) -> Table:
-        """Return the block with the single column `pulses`; the first value of a stream is taken as its mean."""
+        """Return the filtered channel of a block as a table with the single column `pulses`.
+
+        The filter starts as if the channel had always had its first value.
+        """
         values = scan.rows[self._channel]
         if self._state is None:
             self._state = scipy.signal.sosfilt_zi(self._sections) * values[0]
@@ -98,7 +105,7 @@ class HighPass:
 
 
 class Intervals:
-    """Division of blocks of any length into intervals.
+    """Division of a stream of blocks of any length into intervals of 20 ms (`INTERVALS_HZ`).
 
     Args:
         rate_hz: scans per second, from daq/info; below `INTERVALS_HZ` each interval is one scan.
@@ -109,11 +116,11 @@ class Intervals:
         self._pending = Recent(rate_hz, 1 << 40)
 
     def follows(self, scan: Table) -> bool:
-        """Return whether a block follows directly after the previous one."""
+        """Return whether a block follows the one before without a gap; False for the first block."""
         return self._pending.follows(scan)
 
     def feed(self, scan: Table) -> Iterator[Interval]:
-        """Yield the intervals that the block completes; an interval with a lost block is left out."""
+        """Add a block and yield the intervals that it completes; an interval with lost scans is left out."""
         self._pending.add(scan)
         if self._pending.count < self.length:
             return

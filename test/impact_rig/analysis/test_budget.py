@@ -75,3 +75,14 @@ def test_each_line_is_what_its_name_says(calibration):
         lag = abs(calibration.lag_sensitivity(channel, 9.1).real) * LAG_U
         assert lines[name, "lag"].u_relative == pytest.approx(lag)
         assert lines[name, "lag"].evaluation == "B"
+
+
+def test_the_curve_of_a_velocity_sensor_acts_on_its_reading():
+    info = info_rows(gain_u=GAIN_U)
+    info["unit"][LASER], info["range_low"][LASER], info["range_high"][LASER] = b"m/s", -0.5, 0.5
+    info["linearity"][LASER] = 1e-3
+    calibration = Calibration.from_info(info)
+    found = budget(rows_of(calibration), calibration)
+    line = next(part for part in found.parts if (part.source, part.what) == ("laser", "linearity at this amplitude"))
+    share = AMPLITUDES[LASER] * 2.0 * math.pi * 9.1 / 0.5
+    assert line.u_relative == pytest.approx(abs(1.5 - 1.875 * share**2) * 1e-3 / 0.5 / math.sqrt(6))
