@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Node `stepped_sine` as a program: `python -m impact_rig_studies --ros-args ...`, and its console script.
+"""Program of the ROS node `stepped_sine`: `python -m impact_rig_studies --ros-args ...`, or the console script.
 
 Imports are light: signal handlers and the watch on the parent process are set up before anything heavy is imported.
 """
@@ -23,7 +23,7 @@ import functools
 from impact_rig.nodes.__main__ import run
 
 USE = (
-    "Stepped sine: sets one frequency after the other, waits for the analysis, and publishes the curve.",
+    "Stepped sine: sets one drive frequency after the other, waits for its measurement, and publishes the curve.",
     "begin:=true",
     "Topics, services and parameters: docs/reference/interface.md.",
 )

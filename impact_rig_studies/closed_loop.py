@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Closed-loop tests with a held amplitude, and blocks for phase locking."""
+"""Sweeps in which a controller holds an amplitude, and rigs with blocks short enough for a control loop."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ BLOCKS_PER_S = 20  # blocks of the rig in a loop: rig time passes in steps of 50
 
 @attrs.frozen(eq=False)
 class HeldSweep:
-    """Result of a controlled sine."""
+    """Result of a sweep during which a controller held an amplitude (`hold`)."""
 
     rows: NDArray[np.void]  # of `blocks.SWEEP`
     failure: str  # why it did not finish; empty otherwise
 
 
 def hold(job: Job, plan: HoldPlan, rig: RigDriver | None = None) -> HeldSweep:
-    """Take a rig through a job's points with a held amplitude; its current is the initial value of the first point.
+    """Measure a job's points while a controller adjusts the coil current so that one amplitude keeps its target value.
 
     Args:
-        job: points, and the rig.
-        plan: held quantity.
-        rig: new rig of the job, with its analysis; None means one in this process.
+        job: rig and frequencies; the job's current is the controller's initial value at the first frequency.
+        plan: held quantity (current, base or superior base), target amplitude and limits.
+        rig: rig that was newly started for the job, with its analysis; None means a new one in this process.
 
     Raises:
         ImpactRigError: the rig rejected a command.
@@ -54,5 +54,5 @@ def hold(job: Job, plan: HoldPlan, rig: RigDriver | None = None) -> HeldSweep:
 
 
 def with_short_blocks(config: RigConfig) -> RigConfig:
-    """Return the rig with the block length of a loop."""
+    """Return the configuration with blocks of 50 ms, so that a controller can react after each (`BLOCKS_PER_S`)."""
     return from_flat(config, {"daq.block_scans": max(1, config.daq.rate_hz // BLOCKS_PER_S)})

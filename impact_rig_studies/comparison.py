@@ -80,19 +80,22 @@ SCANS = 20_000_000  # limit for a compared run
 
 @attrs.frozen
 class ComparedPoint:
-    """One gap and frequency, measured and modelled."""
+    """Measurement at one gap and frequency, and that of the model for the same drive."""
 
     gap_m: float  # label, NaN if unknown
     frequency_hz: float  # of the drive
     measured: np.void  # row of `transmissibility/table`
     model: np.void | None  # row of the model; None if it did not settle
     more: np.void | None
-    """Row of the model driven by one standard uncertainty of its sensor's gain more; None without sphere."""
+    """Row of the model with a drive larger by one standard uncertainty of the gain of the drive's sensor.
+
+    None without sphere, where the motion is proportional to the drive.
+    """
 
     def off(self, column: str) -> float:
-        """Return measured minus model of `transmissibility` or `phase`, in standard uncertainties.
+        """Return measured minus model of the column `transmissibility` or `phase`, in standard uncertainties.
 
-        NaN without model.
+        The uncertainty is that of the difference; NaN if the model did not settle.
         """
         if self.model is None:
             return math.nan
@@ -102,20 +105,20 @@ class ComparedPoint:
 
 
 def _less(one: np.void, other: np.void, column: str) -> float:
-    """Return the difference of two rows in a column; of phases the smallest."""
+    """Return `one` minus `other` in a column; a difference of phases is brought into −π … π."""
     difference = float(one[column] - other[column])
     return math.remainder(difference, 2.0 * math.pi) if column == "phase" else difference
 
 
 @attrs.frozen(eq=False)
 class Comparison:
-    """Result of a comparison."""
+    """Result of `compare`: a measured run, and the model with the same drive."""
 
     driven_by: str  # `current` or `base`
     config: RigConfig  # configuration of the model
     places: tuple[ComparedPoint, ...]  # ascending by gap and frequency
     excerpt: Excerpt  # the last settled measurement; laser, base and current of its scans are corrected for lag
-    model: NDArray[np.void]  # its scans in the model, shape of the excerpt's
+    model: NDArray[np.void]  # scans of the model at the times of the excerpt, same shape
     constants: Identified | None
     """Constants that fit these measurements best; None if no fit was requested, or for the reasons in `missing`."""
     missing: tuple[str, ...] = ()  # measurements that a requested fit needs and the run does not have
@@ -135,7 +138,7 @@ def compare(
     fits: bool = True,
     on_step: Callable[[str], None] = lambda _: None,
 ) -> Comparison:
-    """Compare a run with a model.
+    """Measure a run, drive a model by the run's measured current or base motion, and measure the model alike.
 
     Args:
         run: an open run, recorded or imported.
@@ -194,7 +197,7 @@ def compare(
 
 
 def _same(row: np.void, rows: NDArray[np.void]) -> np.void | None:
-    """Return the row of the same gap and frequency."""
+    """Return the row of `rows` with the gap and frequency of `row`; None if there is none."""
     same = (rows["frequency"] == row["frequency"]) & (
         (rows["gap"] == row["gap"]) | (np.isnan(rows["gap"]) & np.isnan(row["gap"]))
     )
@@ -203,7 +206,10 @@ def _same(row: np.void, rows: NDArray[np.void]) -> np.void | None:
 
 @attrs.frozen
 class _Stretch:
-    """Scans first … last − 1 of a run, without a gap and under one label [m]."""
+    """Consecutive scans first … last − 1 of a run, with none missing and one label of the barriers' gap.
+
+    The gap is in m, NaN if unknown; `drive_hz` is the drive frequency at the first scan, 0 if unknown.
+    """
 
     first: int
     last: int
@@ -212,7 +218,7 @@ class _Stretch:
 
 
 class _ModelledScans:
-    """All scans of a run: measured, with lags corrected, and those of the model in their place."""
+    """Scans of a run with the lags of the sensors corrected (`true`), and the model's at the same times (`model`)."""
 
     def __init__(self, run: Run, calibration: Calibration) -> None:
         tables = list(run.tables(topics.SCAN.name, recorded_order=True))
@@ -248,7 +254,11 @@ class _ModelledScans:
             yield _Stretch(first, last, gap, drive)
 
     def instead(self, topic: topics.Topic, table: Table) -> Table:
-        """Return the model's scans in place of measured ones, in order, and a calibration without any error."""
+        """Return the table that the analysis must use instead of a measured one, so that it measures the model.
+
+        For `daq/info` it is a calibration without any error, for `daq/scan` the model's scans at the same times. Scans
+        must be requested in the order of the run.
+        """
         if topic is topics.INFO:
             rows = table.rows.copy()
             rows["unit"][np.isin(rows["name"], [b"laser", b"base"])] = b"m"  # independent of the sensors
@@ -265,7 +275,7 @@ class _ModelledScans:
         return Table(table.stamp_ns, rows)
 
     def at(self, excerpt: Excerpt) -> slice:
-        """Return the positions of the scans of an excerpt, which are the newest ones."""
+        """Return the slice of the run's scans that an excerpt consists of."""
         # the time of an excerpt counts from the first scan, or from the first after the last reset
         offsets = np.round((self.stamps - self.stamps[0]) / NS_PER_S * self.rate_hz)
         first = int(np.searchsorted(offsets, round(float(excerpt.rows["time"][0]) * self.rate_hz)))
@@ -274,9 +284,9 @@ class _ModelledScans:
 
 
 def undone(values: Real, calibration: Calibration, channel: int, drive_hz: float) -> Real:
-    """Correct a channel for its sensor's lag and skew, without its noise beyond the band.
+    """Return the quantity that a channel measured: readings corrected for the lag and skew of the sensor.
 
-    Velocities and accelerations are integrated to displacements.
+    Noise above the band (`BAND_HZ`) is removed. Velocities and accelerations are integrated to displacements.
 
     Args:
         values: contiguous readings, shape (n,).
@@ -308,7 +318,10 @@ def undone(values: Real, calibration: Calibration, channel: int, drive_hz: float
 
 
 def _continued(values: Real, turns: float, count: int) -> Real:
-    """Extrapolate values by the sine of the last cycles; `turns` are cycles per value."""
+    """Return `count` values that continue `values` by the sine of the last cycles; `turns` is cycles per sample.
+
+    They are zero if `turns` is 0, for an unknown drive.
+    """
     if not turns > 0.0:
         return np.zeros(count)
     newest = values[-min(len(values), round(FIRST_CYCLES / turns)) :]
@@ -318,7 +331,10 @@ def _continued(values: Real, turns: float, count: int) -> Real:
 
 
 def _drive(scans: _ModelledScans, stretch: _Stretch, config: RigConfig, kind: str, channel: int, gain: float) -> None:
-    """Fill in the model's scans of a stretch, driven by the measured drive times `gain`."""
+    """Simulate one stretch of the run with the measured drive times `gain`, and store the scans in `scans.model`.
+
+    A stretch too short for an interpolation keeps the scans of a model at rest.
+    """
     rate, own = scans.rate_hz, slice(stretch.first, stretch.last)
     measured = gain * scans.true[CHANNELS[channel]][own]
     if len(measured) < SHORTEST:
@@ -355,7 +371,7 @@ def _drive(scans: _ModelledScans, stretch: _Stretch, config: RigConfig, kind: st
 
 
 def _model(config: RigConfig, gap_m: float, kind: str) -> RigConfig:
-    """Return the rig of a label, driven by a stream."""
+    """Return the model's configuration with the gap of a label (NaN: its own) and a drive by streamed samples."""
     changes: dict[str, object] = {
         "drive.kind": kind, "drive.waveform": "stream", "drive.stream_hold": "first_order", "drive.amplitude": 0.0,
         "drive.stream_rate_hz": STREAM_HZ,
@@ -366,7 +382,11 @@ def _model(config: RigConfig, gap_m: float, kind: str) -> RigConfig:
 
 
 def _lead(measured: Real, structure: Real, rate_hz: float, drive_hz: float, time_s: Real) -> Real:
-    """Return the drive before the first scan, rising from zero; zero if the motion just begins."""
+    """Return the unknown drive before the first scan at the times `time_s` (< 0 [s]).
+
+    If the structure moves steadily from the first scan on, it is the sine of the first cycles, rising from zero;
+    otherwise it is zero.
+    """
     count = round(FIRST_CYCLES / drive_hz * rate_hz) if drive_hz > 0.0 else 0
     if not 0 < 2 * count <= len(measured):
         return np.zeros(len(time_s))
@@ -380,7 +400,7 @@ def _lead(measured: Real, structure: Real, rate_hz: float, drive_hz: float, time
 
 
 def _gaps(rows: NDArray[np.void], known: RigConfig) -> Real:
-    """Return the gap of each measurement; one without a label has that of the model."""
+    """Return the gap [m] of each measurement; a measurement without a label has that of the model."""
     return np.asarray(np.nan_to_num(rows["gap"], nan=known.barriers.gap_m if known.sphere.present else NO_SPHERE))
 
 
@@ -393,7 +413,7 @@ def _missing(rows: NDArray[np.void], known: RigConfig) -> tuple[str, ...]:
 
 
 def _constants(rows: NDArray[np.void], gains: Gains, known: RigConfig, on_step: Callable[[str], None]) -> Identified:
-    """Fit the constants to measurements: DT without sphere, and the reductions at the frequency with most of them."""
+    """Fit the constants of the rig to DT without sphere and to the reductions at the frequency with the most gaps."""
     points = [
         Point(
             study="compare", axes={}, reference=True, frequency_hz=float(row["frequency"]),
@@ -419,7 +439,10 @@ TRACED_CYCLES = 6
 
 @style()
 def drawn(found: Comparison, name: str) -> Drawn:
-    """Draw a comparison of the run of this name."""
+    """Draw a comparison: deviations in standard uncertainties, motion of the last cycles, and its spectrum.
+
+    `name` is the run's name in the title.
+    """
     figure, (apart, traces, lines) = new_axes(7.5, (1.0, 1.0, 1.0), WIDE_INCH, share=False)
     rate, drive = found.excerpt.rate_hz, found.excerpt.drive_hz
     numbers: list[Line] = []

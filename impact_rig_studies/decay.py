@@ -59,38 +59,52 @@ CONVERGED = 1e-10
 REASONS = {
     Status.IMPACTS: "the accelerometer shows impacts: a free decay gives ζ of the structure alone, without the sphere "
     "(sphere.present: false) or with amplitudes at which it strikes no wall",
-    Status.NOT_EXPONENTIAL: "its two halves decay at different rates, so one ζ does not describe it",
+    Status.NOT_EXPONENTIAL: "the two halves of the record decay at different rates, so one ζ does not describe it",
 }
-"""Reason why there is no result, for statuses that need an explanation."""
+"""Explanation why a free decay has no f_n and ζ, by status, for messages."""
 
 
 @attrs.frozen(kw_only=True)
 class Decay:
-    """Result of a free decay; without one, everything except `status` is NaN. u_: standard uncertainties."""
+    """Natural frequency f_n and damping ratio ζ of a free decay; NaN if `status` is not `ok`.
+
+    Fields with u_ are standard uncertainties.
+    """
 
     status: Status
     natural_frequency_hz: float = math.nan
     damping_ratio: float = math.nan
     u_natural_frequency_hz: float = math.nan
     u_damping_ratio: float = math.nan
-    amplitude: float = math.nan
-    cycles: int = 0
+    amplitude: float = math.nan  # at the beginning of the record, in the unit of the record
+    cycles: int = 0  # number of cycles evaluated
 
 
 class DecayMethod(Protocol):
-    """Method: `fit_decay` or `log_decrement`."""
+    """Function that computes f_n and ζ from a recorded free decay: `fit_decay` or `log_decrement`."""
 
     def __call__(self, y: Real, rate_hz: float, u_clock: float = 0.0) -> Decay:
-        """Return f_n and ζ of a displacement."""
+        """Return natural frequency f_n and damping ratio ζ of a freely decaying displacement.
+
+        Args:
+            y: samples of the displacement, shape (n,).
+            rate_hz: samples per second.
+            u_clock: relative standard uncertainty of the rate.
+        """
 
 
 def measure_decay(
     rows: NDArray[np.void], info: NDArray[np.void], method: DecayMethod | None = None, u_clock: float = 0.0
 ) -> Decay:
-    """Measure the free decay of the superior base in scans that begin after its release; the base must be locked.
+    """Measure f_n and ζ from the free decay of the superior base while the inferior base is locked.
 
-    The status is `impacts` or `not_exponential` if no single ζ describes the record. The scans (`daq/scan`) are
-    consecutive; `u_clock` is the relative standard uncertainty of their rate.
+    The status is `impacts` or `not_exponential` if no single ζ describes the record.
+
+    Args:
+        rows: consecutive scans (`daq/scan`) that begin after the release, shape (n,).
+        info: rows of `daq/info`, which describe the instruments.
+        method: `fit_decay` (None) or `log_decrement`.
+        u_clock: relative standard uncertainty of the scan rate.
 
     Raises:
         ConfigError: `info` does not describe the channels.
@@ -116,7 +130,10 @@ def measure_decay(
 
 
 def _one_rate(y: Real, rate_hz: float, omega: float, bend: float) -> bool:
-    """Return whether both halves of a decay have one rate, within their scatter and the bend by the sensor's curve."""
+    """Return whether both halves of a record decay at one rate, which an exponential decay must.
+
+    A difference within the scatter of the cycles, or by the curved characteristic of the sensor (`bend`), is tolerated.
+    """
     phasors, middles, noise = _cycle_phasors(y, rate_hz, omega)
     half = _strong(phasors, noise) // 2
     if half < MIN_CYCLES:
@@ -130,9 +147,14 @@ def _one_rate(y: Real, rate_hz: float, omega: float, bend: float) -> bool:
 
 
 def bent(decay_per_s: float, seconds: float) -> float:
-    """Return Δζ/ζ per κ: the effect of a gain of 1 + κ (a/a_0)² on the slope of ln a, fitted with weights a².
+    """Return Δζ/ζ per κ: the relative error of ζ if the sensor's gain depends on the amplitude a as 1 + κ (a/a_0)².
 
-    It is 1/2 for a record that contains the whole decay, more for a shorter one, up to 2.
+    a_0 is the amplitude at the beginning of the record; ζ is fitted to ln a with the weights a². The result is 1/2 for
+    a record that contains the whole decay, more for a shorter one, up to 2.
+
+    Args:
+        decay_per_s: rate λ of the decay [1/s].
+        seconds: length of the record.
     """
     k = 2.0 * decay_per_s * seconds
     weight, first, second = _moments(k)
@@ -150,9 +172,9 @@ def _moments(k: float) -> tuple[float, float, float]:
 
 
 def fit_decay(y: Real, rate_hz: float, u_clock: float = 0.0) -> Decay:
-    """Fit a free decay, from its first sample to its last.
+    """Return f_n and ζ of a free decay by a least-squares fit of a decaying sine and a drift to all samples.
 
-    `u_clock`: relative standard uncertainty of the rate.
+    The arguments are those of `DecayMethod`.
     """
     start = _start(y, rate_hz)
     if isinstance(start, Status):
@@ -183,8 +205,8 @@ def fit_decay(y: Real, rate_hz: float, u_clock: float = 0.0) -> Decay:
 def log_decrement(y: Real, rate_hz: float, u_clock: float = 0.0) -> Decay:
     """Return f_n and ζ from the amplitudes of successive cycles: slope of their logarithm and of their phase.
 
-    Amplitude and phase of each cycle come from a fit over that cycle, with weights as their squared amplitudes; the
-    uncertainties come from the scatter about the straight lines.
+    A fit over each cycle gives its amplitude and phase. Both lines are weighted with the squared amplitudes, and the
+    uncertainties come from the scatter about them. The arguments are those of `DecayMethod`.
     """
     start = _start(y, rate_hz)
     if isinstance(start, Status):
@@ -214,7 +236,7 @@ def log_decrement(y: Real, rate_hz: float, u_clock: float = 0.0) -> Decay:
 
 
 def _start(y: Real, rate_hz: float) -> tuple[float, float] | Status:
-    """Return first guesses of ω_d [rad/s] and λ [1/s], or the status why there are none."""
+    """Return first guesses of ω_d [rad/s] and λ [1/s] of a decay, or the status that tells why it cannot be fitted."""
     if not np.all(np.isfinite(y)):
         return Status.NOT_FINITE
     if len(y) < MIN_POINTS:
@@ -242,16 +264,21 @@ def _start(y: Real, rate_hz: float) -> tuple[float, float] | Status:
 
 
 def _strong(phasors: Complex, noise: float) -> int:
-    """Return the number of cycles before the first one below the noise."""
+    """Return the number of cycles before the first whose amplitude is below `SIGNAL_FACTOR` times `noise`.
+
+    `noise` is the standard uncertainty of an amplitude; later cycles are too uncertain for a logarithm.
+    """
     weak = np.flatnonzero(np.abs(phasors) < SIGNAL_FACTOR * noise)
     return int(weak[0]) if len(weak) else len(phasors)
 
 
 def _straight_line(phasors: Complex, middles: Real) -> tuple[complex, Complex, Real]:
-    """Fit the logarithm of the phasors by a straight line, weights as the squared amplitudes.
+    """Fit a straight line over the time to the complex logarithm of the cycles' phasors (ln amplitude + i phase).
+
+    The weights w are the squared amplitudes.
 
     Returns:
-        (slope [1/s]: −λ + i(ω_d − ω), what it leaves, weights over Σ weights · (t − mean)²).
+        (slope [1/s]: −λ + i(ω_d − ω) for phasors at ω, residuals of the logarithms, w / Σ w (t − mean)²).
     """
     weights = np.abs(phasors) ** 2
     logs = np.log(np.abs(phasors)) + 1j * np.unwrap(np.angle(phasors))
@@ -263,7 +290,12 @@ def _straight_line(phasors: Complex, middles: Real) -> tuple[complex, Complex, R
 
 
 def _cycle_phasors(y: Real, rate_hz: float, omega: float) -> tuple[Complex, Real, float]:
-    """Return the phasor of every whole cycle at ω, its middle [s], both of shape (cycles,), and u of the amplitudes."""
+    """Return the complex amplitudes (phasors) of the complete cycles of y at the angular frequency `omega` [rad/s].
+
+    Returns:
+        (phasors, times of the middles of their cycles [s], both of shape (cycles,), standard uncertainty of an
+        amplitude).
+    """
     period = 2.0 * math.pi * rate_hz / omega
     edges = np.ceil(np.arange(int(len(y) / period) + 1) * period).astype(np.int64)
     samples = np.diff(edges)
@@ -328,12 +360,12 @@ class DropHeights:
     h1_m: float
 
     def text(self) -> str:
-        """Return the remark; `parse_drop` reads it back exactly."""
+        """Return the remark that states this drop on the topic `notes`; `parse_drop` reads it back exactly."""
         return f"drop h0_m={self.h0_m!r} h1_m={self.h1_m!r}"
 
 
 def parse_drop(remark: str) -> DropHeights | None:
-    """Parse the drop in a remark; return None for any other remark."""
+    """Return the heights in a remark like `drop h0_m=0.2 h1_m=0.0245`; None for any other remark."""
     match = _PATTERN.fullmatch(remark)
     if match is None:
         return None
@@ -345,7 +377,7 @@ def parse_drop(remark: str) -> DropHeights | None:
 
 @attrs.frozen(kw_only=True)
 class DropTest:
-    """Coefficient of restitution with its standard uncertainty; NaN if the heights give none."""
+    """Mean coefficient of restitution of `drops` drops, with its standard uncertainty; NaN if `status` is not `ok`."""
 
     status: Status
     restitution: float = math.nan
@@ -354,14 +386,21 @@ class DropTest:
 
 
 def restitution_of_drops(h0_m: Real, h1_m: Real, u_h0_m: float, u_h1_m: float) -> DropTest:
-    """Return the mean e of repeated drops; the uncertainty of the heights is independent from drop to drop.
+    """Return the mean coefficient of restitution e of repeated drops, with its standard uncertainty.
 
-    With several drops the scatter of e is used if it exceeds the effect of the heights: sphere and barrier vary. The
-    heights of drops and rebounds have shape (n,); the uncertainties are those of each.
+    The errors of the heights are independent from drop to drop. If the values of e scatter more than these errors
+    explain, the uncertainty is that of the scatter.
+
+    Args:
+        h0_m: heights of the releases [m], shape (n,).
+        h1_m: heights of the rebounds [m], shape (n,).
+        u_h0_m: standard uncertainty of each height of release [m].
+        u_h1_m: standard uncertainty of each height of rebound [m].
 
     Returns:
-        `not_finite` for values that are not finite; `no_fit` for heights that are not positive, negative uncertainties,
-        or a rebound higher than the drop by more than three standard uncertainties.
+        The result, with the status `ok`. The status is `not_finite` if a value is not finite. It is `no_fit` if a
+        height is not positive, an uncertainty negative, or a rebound higher than its drop by more than three standard
+        uncertainties.
     """
     if h0_m.shape != h1_m.shape or h0_m.ndim != 1 or not len(h0_m):
         raise ValueError(f"h0_m and h1_m must be one-dimensional and of equal length, got {h0_m.shape}, {h1_m.shape}")

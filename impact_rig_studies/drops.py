@@ -25,7 +25,7 @@ from impact_rig_studies.decay import DropHeights, DropTest, parse_drop, restitut
 
 
 def drops_of(run: Run, u_m: float) -> tuple[list[DropHeights], DropTest]:
-    """Return the drops noted with a run, and their coefficient of restitution.
+    """Return the drops that remarks of a run state, and the coefficient of restitution from their heights.
 
     Args:
         run: an open run.
@@ -36,8 +36,14 @@ def drops_of(run: Run, u_m: float) -> tuple[list[DropHeights], DropTest]:
     """
     drops = [drop for drop in map(parse_drop, remarks(run)) if drop is not None]
     if not drops:
-        raise RecordingError(f"{run.path} holds no remark on `notes` like {DropHeights(0.2, 0.0245).text()!r}")
+        raise RecordingError(
+            f"{run.path}: no remark on the topic `notes` states the heights of a drop and its rebound in metres, like "
+            f"{DropHeights(0.2, 0.0245).text()!r}"
+        )
     found = restitution_of_drops(np.array([one.h0_m for one in drops]), np.array([one.h1_m for one in drops]), u_m, u_m)
     if found.status is not Status.OK:
-        raise RecordingError(f"{run.path}: its {len(drops)} drops give no restitution: {found.status.value}")
+        raise RecordingError(
+            f"{run.path}: its {len(drops)} drops give no coefficient of restitution ({found.status.value}): every "
+            "height must be finite and > 0, and no rebound higher than its drop"
+        )
     return drops, found

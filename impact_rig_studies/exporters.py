@@ -31,20 +31,20 @@ from impact_rig_studies.maps import run as maps
 POINTS = "points"
 Columns = dict[str, NDArray[np.generic]]
 Tables = Mapping[str, Callable[[str], Columns]]
-"""Functions that return the columns for a file with a suffix, by name of the table."""
+"""Name of a table -> function that returns the table's columns for the suffix of the file to write, such as `.csv`."""
 
 
 def map_points(directory: Path) -> Tables | None:
-    """Return the table of a map; None if the directory is something else."""
+    """Return the function for the table of the map in a directory, by name; None if the directory holds no map."""
     if not maps.store(directory).file.exists():
         return None
     return {POINTS: lambda _suffix: by_columns(*maps.table(maps.open_map(directory)))}
 
 
 def study_rows(directory: Path) -> Tables | None:
-    """Return the tables of dynamics studies, by kind; None if the directory is something else.
+    """Return the functions for the tables of the dynamics studies in a directory; None if it holds none.
 
-    A single table is also called `points`.
+    Each kind of study is one table with the name of the kind. A single table can also be exported as `points`.
     """
     if not dynamics.store(directory).file.exists():
         return None
@@ -57,7 +57,7 @@ def study_rows(directory: Path) -> Tables | None:
 
 
 def campaign_points(directory: Path) -> Tables | None:
-    """Return the table of a campaign; None if the directory is something else."""
+    """Return the function for the table of the campaign in a directory, by name; None if it holds no campaign."""
     if not (directory / CAMPAIGN_FILE).exists():
         return None
 
@@ -69,7 +69,10 @@ def campaign_points(directory: Path) -> Tables | None:
 
 
 def _response(points: Sequence[Point]) -> dict[str, NDArray[np.generic]]:
-    """Return settled points for a universal file: X_1/X_b over the frequency, one function per curve."""
+    """Return the settled points as columns for a universal file: X_1/X_b over the frequency.
+
+    The column `curve` names the function to which a point belongs: one per study, gap, direction, current and axes.
+    """
     settled = [point for point in points if point.settled]
     if not settled:
         raise RecordingError("no point of this campaign is settled: there is no curve to export")

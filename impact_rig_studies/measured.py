@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Imported runs of one sweep as a campaign: a point for each gap and frequency that settled, and the calibration."""
+"""Conversion of imported runs into a campaign: a point for each gap and frequency that settled, and the calibration."""
 
 from __future__ import annotations
 
@@ -57,12 +57,12 @@ SHOWN = 3  # largest number of points in the message that no point settled
 def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = None) -> tuple[Finished, list[str]]:
     """Combine runs into one campaign; return it, and a line for each point that never settled and is left out.
 
-    What a certificate, a mapping or an option states about the instruments must be the same in all runs. What the
-    import found in the data differs from file to file; the campaign keeps the coarsest step.
+    Properties of the instruments that a certificate, a mapping or an option states must be the same in all runs.
+    Properties that the import estimated from the data may differ: the campaign keeps the coarsest resolution.
 
     Args:
-        runs: runs of one rig, with the same instruments.
-        directory: directory of the campaign, which may contain the runs.
+        runs: imported runs of one rig, with the same instruments.
+        directory: directory of the campaign to write, which may contain the runs.
         config: known properties of the rig (sphere, contact law); None means the default rig.
 
     Raises:
@@ -123,7 +123,7 @@ def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = N
 
 
 def _unsettled(rows: NDArray[np.void]) -> list[str]:
-    """Return gap, frequency and last status of each point without a settled measurement."""
+    """Return a text with gap, frequency and last status for each point without a settled measurement."""
     last: dict[str, str] = {}
     for row in rows:
         point = case_of(row["gap"]) + (f" at {row['frequency']:.4g} Hz" if row["frequency"] > 0.0 else "")
@@ -134,24 +134,27 @@ def _unsettled(rows: NDArray[np.void]) -> list[str]:
 
 
 def _known(value: float, known: set[float], same: float) -> float:
-    """Return the value of an existing point that is the same, or this one, rounded to half of what counts as equal."""
+    """Return the element of `known` within `same` of `value`, or else `value`, rounded to decimals finer than `same`.
+
+    Gaps and frequencies of several files thus become equal if they differ only by measurement or typed digits.
+    """
     near = (one for one in sorted(known) if abs(one - value) <= same)
     return next(near, round(value, math.ceil(-math.log10(same))))
 
 
 @attrs.frozen(eq=False)
 class _Sensors:
-    """Calibration of one run, or of several."""
+    """Calibration of the instruments, common to one or several runs."""
 
     name: str  # of the first run, for messages
     info: NDArray[np.void]  # rows of `daq/info`
     estimated: dict[str, tuple[str, ...]]  # columns that are known only from the data, by channel
 
     def joined(self, other: _Sensors) -> _Sensors:
-        """Return the common calibration of these runs and another.
+        """Return the common calibration of these runs and another one.
 
         Raises:
-            RecordingError: what is stated differs; the message names channel, column and both values.
+            RecordingError: a stated property differs; the message names channel, column and both values.
         """
         channels, others = (one.info["name"].astype(str).tolist() for one in (self, other))
         if channels != others:
@@ -175,7 +178,8 @@ class _Sensors:
 
     def _differs(self, other: _Sensors, what: str, value: str, first: str) -> RecordingError:
         return RecordingError(
-            f"{other.name}: {what} is {value}, but {first} in {self.name}: a campaign has one set of sensors"
+            f"{other.name}: {what} is {value}, but {first} in {self.name}: all runs of a campaign must have the same "
+            "instruments"
         )
 
 

@@ -98,11 +98,13 @@ Complex = NDArray[np.complex128]
 
 @attrs.frozen
 class Manifold:
-    """Slow invariant manifold for one restitution.
+    """Closed-form motion of a sphere that strikes each wall once per cycle, for one restitution.
+
+    A is the amplitude of the structure and b half the gap. The amplitude of the sphere is Θ b.
 
     Attributes:
         restitution: realised restitution of the impacts, in (0, 1).
-        mass_ratio: μ, of sphere to structure; 0 means that the structure does not recoil.
+        mass_ratio: μ, mass of the sphere over that of the structure; 0 means that the structure does not recoil.
 
     Raises:
         ValueError: the restitution is out of range.
@@ -118,38 +120,44 @@ class Manifold:
 
     @property
     def rho(self) -> float:
-        """ρ = (2/π)(1 − e)(1 + μ)/(1 + e)."""
+        """ρ = (2/π)(1 − e)(1 + μ)/(1 + e), which measures the loss in an impact: 0 for an elastic one."""
         return 2.0 / math.pi * (1.0 - self.restitution) / (1.0 + self.restitution) * (1.0 + self.mass_ratio)
 
     @property
     def kappa(self) -> float:
-        """κ = 1 + 2μ/π²."""
+        """κ = 1 + 2μ/π², by which the recoil of the structure changes the motion: 1 without recoil."""
         return 1.0 + 2.0 * self.mass_ratio / math.pi**2
 
     @property
     def theta_fold(self) -> float:
-        """Θ of the fold, κ/(κ² + ρ²)."""
+        """Θ of the fold, κ/(κ² + ρ²): the motion with the smallest possible amplitude A for its gap."""
         return self.kappa / (self.kappa**2 + self.rho**2)
 
     @property
     def gap_per_amplitude_at_fold(self) -> float:
-        """Largest g/A at which two symmetric impacts per cycle exist, 2√(κ² + ρ²)/ρ."""
+        """Largest gap over the structure's amplitude A at which two symmetric impacts exist, 2√(κ² + ρ²)/ρ."""
         return 2.0 * math.hypot(self.kappa, self.rho) / self.rho
 
     def theta(self, xi: Real | float) -> Real:
-        """Return Θ of the upper solution for ξ = A/b, NaN below the fold."""
+        """Return Θ of the motion for ξ = A/b; NaN below the fold, where no such motion exists.
+
+        Of the two solutions of the quadratic equation it is the larger: the other is never stable.
+        """
         both = self.kappa**2 + self.rho**2
         square = both * np.asarray(xi, float) ** 2 - self.rho**2
         root: Real = np.sqrt(np.where(square >= 0.0, square, np.nan))
         return (self.kappa + root) / both
 
     def xi(self, theta: Real | float) -> Real:
-        """Return ξ = A/b for Θ."""
+        """Return ξ = A/b of the motion with Θ: the structure's amplitude over half the gap."""
         found: Real = np.hypot(self.kappa * np.asarray(theta, float) - 1.0, self.rho * np.asarray(theta, float))
         return found
 
     def force(self, theta: Real) -> Complex:
-        """Return N / (m ω²): the fundamental of the sphere's force per displacement of the structure."""
+        """Return N / (m ω²), complex: the fundamental of the sphere's force on the structure, per displacement.
+
+        m is the mass of the sphere; the real part acts as an added mass, the imaginary part as damping.
+        """
         top = theta * (self.kappa * theta - 1.0) - 1j * self.rho * theta**2
         return np.asarray(8.0 / math.pi**2 * top / self.xi(theta) ** 2, np.complex128)
 
@@ -159,12 +167,12 @@ class Manifold:
         return found
 
     def approach_speed(self, theta: Real) -> Real:
-        """Return the sphere's speed relative to the wall before an impact, over ω b: 4Θ(1 + μ) / (π(1 + e))."""
+        """Return the sphere's speed relative to the wall before an impact, in units of ω b: 4Θ(1 + μ) / (π(1 + e))."""
         found: Real = 4.0 * (1.0 + self.mass_ratio) / (math.pi * (1.0 + self.restitution)) * theta
         return found
 
     def stable(self, theta: Real) -> NDArray[np.bool_]:
-        """Return a mask of the Θ for which small errors of the sphere's motion decay, with an undisturbed structure."""
+        """Return a mask: whether small errors of the sphere's motion decay if the structure's motion is undisturbed."""
         found: NDArray[np.bool_] = (theta > self.theta_fold) & (theta < THETA_SYMMETRIC)
         return found
 
@@ -182,7 +190,7 @@ _AT_ONCE = 32  # number of frequencies whose gaps are computed together: they fi
 
 @attrs.frozen(eq=False, kw_only=True)
 class Branch:
-    """Motions with two symmetric impacts per cycle, in order along a line; every attribute has the shape (n,).
+    """Motions with two symmetric impacts per cycle, in order along a curve; every attribute has the shape (n,).
 
     Attributes:
         frequency_hz: frequency of the drive.
@@ -221,14 +229,14 @@ class Branch:
         return Branch(**{field.name: getattr(self, field.name)[which] for field in attrs.fields(Branch)})
 
     def reduction_percent(self, config: MechanicsSetup) -> Real:
-        """Return 100 (1 − DT / DT without the sphere) at each motion's frequency."""
+        """Return 100 (1 − DT / DT without the sphere) of each motion, for the rig `config`, at the same frequency."""
         without: Real = np.abs(transmissibility(config, self.frequency_hz))
         return 100.0 * (1.0 - self.dt / without)
 
 
 @attrs.frozen
 class HeldDrive:
-    """Constant quantity of a drive: exactly one of the three.
+    """Quantity that is held constant while gap or frequency changes: exactly one of the three.
 
     Attributes:
         current_a: coil current, peak.
@@ -236,7 +244,7 @@ class HeldDrive:
         superior_m: amplitude of the superior base.
 
     Raises:
-        ConfigError: none or several are given, or it is not > 0.
+        ConfigError: none or several are given, or the value is not finite and > 0.
     """
 
     current_a: float | None = None
@@ -248,11 +256,11 @@ class HeldDrive:
         if len(given) != 1:
             raise ConfigError("exactly one of current_a, base_m and superior_m must be given")
         if not (math.isfinite(given[0]) and given[0] > 0.0):
-            raise ConfigError(f"the held quantity must be > 0 and finite, got {given[0]!r}")
+            raise ConfigError(f"current_a, base_m or superior_m must be > 0 and finite, got {given[0]!r}")
 
 
 class _Answer(NamedTuple):
-    """Response of the linear rig to the sphere's force: complex amplitudes, and the corresponding gap."""
+    """Response of the linear rig to drive and sphere for given Θ: complex amplitudes, and the gap of the motion."""
 
     s: Complex
     force: Complex
@@ -265,7 +273,7 @@ class _Answer(NamedTuple):
 
 @attrs.frozen
 class LinearRig:
-    """Linear rig and its sphere, for a prediction."""
+    """Quantities of a rig that the closed-form prediction needs: linear constants, mass and motion of the sphere."""
 
     linear: Constants
     sphere_kg: float
@@ -273,10 +281,12 @@ class LinearRig:
 
     @classmethod
     def of(cls, config: MechanicsSetup, *, recoil: bool = True) -> LinearRig:
-        """Create it from a configuration; without recoil of the structure, the textbook's formulas apply.
+        """Create the quantities of a configured rig.
+
+        `recoil` False neglects the recoil of the structure in an impact, as the published formulas do.
 
         Raises:
-            ConfigError: the prediction does not apply to the configuration.
+            ConfigError: no sphere, friction of its guide, or a realised restitution that is not > 0 and < 1.
         """
         restitution = contact_laws.from_config(config.contact).realised_restitution()
         if not config.sphere.present:
@@ -291,12 +301,12 @@ class LinearRig:
         return cls(linear, sphere_kg, Manifold(restitution, sphere_kg / linear.m_1 if recoil else 0.0))
 
     def thetas(self) -> Real:
-        """Return Θ from the fold to beyond the symmetric motion's bound, denser where results change quickly."""
+        """Return a grid of Θ for a branch: from the fold to beyond the bound of stable motion, denser near the fold."""
         low, high = self.manifold.theta_fold * (1.0 + _NEAR_FOLD), BEYOND * THETA_SYMMETRIC
         return low + (high - low) * np.linspace(0.0, 1.0, POINTS) ** 2
 
     def gaps(self, theta: Real, frequency_hz: Real, held: HeldDrive) -> Real:
-        """Return the gaps of motions with these Θ; the shapes broadcast."""
+        """Return the gaps [m] for which the motions have these Θ; the shapes of Θ and frequency broadcast."""
         return self._answer(theta, frequency_hz, held).gap_m
 
     def _answer(self, theta: Real, frequency_hz: Real, held: HeldDrive) -> _Answer:
@@ -318,7 +328,10 @@ class LinearRig:
         return _Answer(s, force, ratio, current, base, superior, 2.0 * superior / self.manifold.xi(theta))
 
     def motions(self, theta: Real, frequency_hz: Real | float, held: HeldDrive) -> Branch:
-        """Return the motions for values of Θ, each with its gap."""
+        """Return the motions with these Θ, shape (n,), each with the gap at which it occurs.
+
+        The frequency is common to all, or has the shape (n,), too.
+        """
         manifold = self.manifold
         frequency = np.broadcast_to(np.asarray(frequency_hz, float), theta.shape).copy()
         answer = self._answer(theta, frequency, held)
@@ -343,10 +356,12 @@ class LinearRig:
         )
 
     def _multipliers(self, theta: Real, frequency_hz: Real, answer: _Answer, held: HeldDrive) -> Complex:
-        """Return the multipliers of half a cycle, including the sign of the mirror image; shape (n, 6) or (n, 4).
+        """Return the Floquet multipliers of each motion over half a cycle; shape (n, 6), or (n, 4) for a held base.
 
-        They are those of rig and sphere together: −S Φ, Φ the flight and S the saltation matrix of the impact that ends
-        it (Leine & Nijmeijer 2004, Dynamics and Bifurcations of Non-Smooth Mechanical Systems, chapter 7).
+        They tell whether small errors of rig and sphere grow. They are the eigenvalues of −S Φ. Φ is the flight between
+        impacts, S the saltation matrix of the impact that ends it, and the sign mirrors the second half cycle.
+
+        Source: Leine & Nijmeijer 2004, Dynamics and Bifurcations of Non-Smooth Mechanical Systems, chapter 7.
         """
         c, manifold = self.linear, self.manifold
         free = held.base_m is None  # whether the base can move
@@ -390,7 +405,10 @@ class LinearRig:
 
 
 def _kinds(multipliers: Complex) -> NDArray[np.str_]:
-    """Return the kind of each motion, by its largest multiplier of half a cycle."""
+    """Return whether each motion is stable, or how it loses its stability (`Branch.kind`), by its largest multiplier.
+
+    The multipliers are those of half a cycle, shape (n, k).
+    """
     largest = np.take_along_axis(multipliers, np.abs(multipliers).argmax(axis=1)[:, None], axis=1)[:, 0]
     paired = np.abs(largest.imag) > PAIRED * np.abs(largest)
     lost = np.where(paired, TORUS, np.where(largest.real > 0.0, FOLD, SYMMETRY))
@@ -406,7 +424,9 @@ def branch(
     superior_m: float | None = None,
     recoil: bool = True,
 ) -> Branch:
-    """Return the motions at one frequency with one held quantity, over the gap: from the fold to ever smaller gaps.
+    """Return the motions with two symmetric impacts per cycle at one frequency, for all gaps at which they exist.
+
+    They begin at the fold, and the gap decreases from there. Exactly one quantity is held.
 
     Args:
         config: the rig; its own gap is irrelevant.
@@ -414,7 +434,7 @@ def branch(
         current_a: held peak current; or
         base_m: held amplitude of the inferior base; or
         superior_m: held amplitude of the superior base.
-        recoil: whether the structure recoils, to first order in m/m_1; False means the textbook's formulas.
+        recoil: whether the structure recoils in an impact, to first order in m/m_1; False means the published formulas.
 
     Raises:
         ConfigError: the prediction does not apply to the configuration, or not exactly one quantity is held.
@@ -433,7 +453,9 @@ def at(
     superior_m: float | None = None,
     recoil: bool = True,
 ) -> Branch:
-    """Return all motions at one frequency and gap, the largest Θ first; of length 0 if there are none.
+    """Return all motions with two symmetric impacts per cycle at one frequency and gap, the largest Θ first.
+
+    The length is 0 if there are none. The arguments other than the gap are those of `branch`.
 
     Raises:
         ConfigError: as for `branch`.
@@ -453,7 +475,10 @@ def curves(
     superior_m: float | None = None,
     recoil: bool = True,
 ) -> list[Branch]:
-    """Return the motions with one gap over the frequency as continuous lines; empty if there are none.
+    """Return the motions with two symmetric impacts per cycle with one gap over the frequency.
+
+    Each branch in the list is one continuous curve; the list is empty if there are no such motions. The other arguments
+    are those of `branch`.
 
     Raises:
         ConfigError: as for `branch`.
@@ -470,9 +495,9 @@ def curves(
 
 
 def backbone(config: MechanicsSetup, gap_m: float, *, recoil: bool = True) -> Branch:
-    """Return the motions at resonance (the superior base a quarter cycle behind the base) with one gap.
+    """Return the motions at resonance (the superior base a quarter cycle behind the inferior base) with one gap.
 
-    The order is from the fold, the smallest amplitude, to ever larger ones.
+    The amplitude grows along the branch, from the fold on; frequency, current and DT belong to it.
 
     Raises:
         ConfigError: as for `branch`.
@@ -498,12 +523,15 @@ def backbone(config: MechanicsSetup, gap_m: float, *, recoil: bool = True) -> Br
 
 
 def widest_gap_m(motions: Branch) -> float:
-    """Return the largest gap of a branch, at its end."""
+    """Return the largest gap [m] at which a motion of this branch exists."""
     return float(np.max(motions.gap_m))
 
 
 def best_gap(motions: Branch) -> Branch:
-    """Return the stable motion with the smallest DT of a branch over the gap: a branch of length 1, or 0 if none is."""
+    """Return the stable motion with the smallest DT of a branch over the gap, as a branch of length 1.
+
+    The length is 0 if no motion is stable.
+    """
     stable = np.flatnonzero(motions.stable)
     if not len(stable):
         return motions.take(stable)
@@ -511,7 +539,7 @@ def best_gap(motions: Branch) -> Branch:
 
 
 def _roots(rig: LinearRig, frequencies_hz: Real, gap_m: float, held: HeldDrive) -> list[Real]:
-    """Return all Θ whose motion has exactly this gap, descending; one array per frequency."""
+    """Return all Θ, in descending order, whose motion occurs at this gap; one array per frequency."""
     grid = rig.thetas()
     rows, columns = [], []
     for first in range(0, len(frequencies_hz), _AT_ONCE):
@@ -532,7 +560,10 @@ def _roots(rig: LinearRig, frequencies_hz: Real, gap_m: float, held: HeldDrive) 
 
 
 def _stretches(counts: list[int]) -> Iterator[tuple[int, int]]:
-    """Yield (first, end) of the stretches of places with the same count > 0."""
+    """Yield (first, end) of each stretch of neighbouring indices with the same count > 0.
+
+    Over such a stretch of frequencies each motion can be followed as one curve.
+    """
     first = 0
     for place in range(1, len(counts) + 1):
         if place == len(counts) or counts[place] != counts[first]:

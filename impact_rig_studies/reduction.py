@@ -45,18 +45,20 @@ from impact_rig.analysis.uncertainty_budget import AMPLITUDES
 
 @attrs.frozen
 class Reduction:
-    """Decrease of the transmissibility by the damper."""
+    """Decrease of the transmissibility DT by the damper, relative to DT without it (DT_0)."""
 
     percent: float  # 100 (1 − DT / DT_0)
-    u_points: float  # its standard uncertainty
-    steps_points: float = 0.0  # the part of it due to the steps of sensors and converter
+    u_points: float  # standard uncertainty of `percent`, in percentage points
+    steps_points: float = 0.0  # the part of `u_points` due to the steps of sensors and converter
 
 
 def reduction(without: NDArray[np.void], rows: NDArray[np.void], calibration: Calibration) -> Reduction:
-    """Return the reduction of the mean transmissibility.
+    """Return by how many percent the damper reduces the mean transmissibility, with the uncertainty.
 
-    Both inputs are settled rows of `transmissibility/table` by the instruments of that calibration, shapes (n,) and
-    (k,).
+    Args:
+        without: settled rows of `transmissibility/table` without the damper, shape (n,), n >= 1.
+        rows: settled rows with the damper, by the same instruments, shape (k,), k >= 1.
+        calibration: calibration of these instruments.
     """
     quotient = float(np.mean(rows["transmissibility"]) / np.mean(without["transmissibility"]))
     variance = repeatability(without, calibration) ** 2 + repeatability(rows, calibration) ** 2
@@ -71,9 +73,10 @@ def reduction(without: NDArray[np.void], rows: NDArray[np.void], calibration: Ca
 
 
 def repeatability(rows: NDArray[np.void], calibration: Calibration) -> float:
-    """Return the relative standard uncertainty of the mean transmissibility without that of the sensitivities.
+    """Return the relative standard uncertainty of the mean transmissibility, without that of the sensitivities.
 
-    The rows are settled ones of `transmissibility/table` of one setting, shape (n,), n >= 1.
+    This is the part that remains in the quotient of two measurements, in which errors of the sensitivities cancel. The
+    rows are settled ones of `transmissibility/table` of one gap and frequency, shape (n,), n >= 1.
     """
     sensitivities = np.array([
         sum(
@@ -91,7 +94,10 @@ def repeatability(rows: NDArray[np.void], calibration: Calibration) -> float:
 
 
 def _steps(rows: NDArray[np.void]) -> float:
-    """Return the relative variance due to steps, the same error in all rows; 0 for rows of an earlier version."""
+    """Return the relative variance of DT due to the steps of sensors and converter, an error common to all rows.
+
+    It is 0 if the column `steps_uncertainty` is NaN, as in rows of an earlier version.
+    """
     return float(np.mean((np.nan_to_num(rows["steps_uncertainty"]) / rows["transmissibility"]) ** 2))
 
 
@@ -101,12 +107,14 @@ class Damper:
 
     added_mass: float  # force in phase with the displacement over ω² m_1 X_1: the apparent added mass
     loss_factor: float  # energy lost per cycle over 2π · ½ m_1 ω² X_1²
-    u_added_mass: float
-    u_loss_factor: float
+    u_added_mass: float  # standard uncertainty of `added_mass`
+    u_loss_factor: float  # standard uncertainty of `loss_factor`
 
 
 def damper(without: NDArray[np.void], rows: NDArray[np.void], calibration: Calibration) -> Damper:
-    """Derive the effect of a damper from DT with and without it, at one frequency and without any constant of the rig.
+    """Derive a damper's added mass and loss factor from DT with and without it at one frequency.
+
+    No constant of the rig is needed.
 
     The structure obeys m_1 ω² (K/ω² (1 − 1/D) − 1) X_1 = F, D = X_1/X_b complex, with K its complex stiffness over m_1.
     Without the damper F = 0, which is K/ω² = 1 / (1 − 1/D_0). So

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Runner of a campaign's jobs through the real graph: rig, analysis and recorder as processes, in lockstep.
+"""Measurement of a campaign's jobs through ROS: rig, analysis and recorder are node processes, in lockstep.
 
-The numbers equal those of the other ways bit for bit. For every job the rig is configured again and the analysis
-activated again, so both start as in new processes.
+The results equal those measured in this process, without ROS, bit for bit. For every job the rig is configured again
+and the analysis activated again, so both start as in new processes.
 """
 
 from __future__ import annotations
@@ -31,11 +31,14 @@ from impact_rig_studies.campaign.run import Runner
 from impact_rig_studies.operate.stepped_sine import SteppedSine
 
 Watch = Callable[[Job, SteppedSine | None], None]
-"""Function that receives a job in preparation (no sweep yet), its sweep at its start, and after every measurement."""
+"""Callback for the progress of a job, which receives the job and its sweep.
+
+The sweep is None while the rig is being prepared. The callback is called again at the start and after each measurement.
+"""
 
 
 def run_name(job: Job) -> str:
-    """Return the name of a job's run."""
+    """Return the name of the directory that a job is recorded into: its gap and frequencies, and its key."""
     case = job.describe().replace(", ", "_").replace(" ", "")
     return f"{case}_{job.key}"
 
@@ -46,13 +49,13 @@ def ros_runner(
     name: Callable[[Job], str] = run_name,
     watch: Watch = lambda _job, _sweep: None,
 ) -> Runner:
-    """Return a runner of jobs through the graph.
+    """Return a function that measures jobs on a rig, an analysis and a recorder running as ROS node processes.
 
     Args:
-        logs: directory in whose `logs` the processes log.
-        runs: directory below which every job is recorded; None means no recording.
-        name: returns the name of a job's run.
-        watch: receives the progress of each job.
+        logs: directory; the processes write their logs into its subdirectory `logs`.
+        runs: directory in which every job is recorded as one run; None means no recording.
+        name: function that returns the name of a job's run.
+        watch: callback that receives the progress of each job.
     """
 
     def run(jobs: Sequence[Job]) -> Generator[tuple[Job, Outcome], None, None]:

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Node for a sweep or a phase lock through topics: the operator's loop, fed by callbacks."""
+"""ROS node that commands a rig over topics to measure a curve (sweep), or to find and hold a resonance (phase lock)."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ from impact_rig_studies.operate.stepped_sine import ControlledSine, Setpoint, St
 
 WATCH_S = 0.1  # interval at which the node checks for the rig while a sweep waits to start
 STOPPING = {
-    InputKind.TRIP: "tripped", InputKind.STOP: "was stopped", InputKind.TIMEOUT: "missed commands",
+    InputKind.TRIP: "tripped", InputKind.STOP: "was stopped", InputKind.TIMEOUT: "received no commands in time",
     InputKind.RESET: "was reset",
 }  # fmt: skip
-"""Kinds of journal entries that end a sweep, and the action of the rig."""
+"""Kinds of journal entries after which a sweep is aborted, with a verb that completes "the rig ..." in the reason."""
 COMMAND, PHASE = "command", "phase"  # constant quantities in addition to the amplitudes of `Hold`
 
 
@@ -56,7 +56,9 @@ class SteppedSineSettings(SweepPlan, HoldPlan, LockSettings):
         "Constant quantity: the commanded current, a measured amplitude (the current is adjusted), or the phase at -90 "
         "degrees (the frequency is adjusted, starting at the first point).",
     )
-    begin: bool = switch(False, "Start when the rig is running; otherwise with ~/start.", read_only=True)
+    begin: bool = switch(
+        False, "Start the sweep as soon as the rig is running; false waits for the service ~/start.", read_only=True
+    )
     autostart: bool = switch(True, "Configure and activate at start without a request.", read_only=True)
 
     def __attrs_post_init__(self) -> None:
@@ -65,19 +67,19 @@ class SteppedSineSettings(SweepPlan, HoldPlan, LockSettings):
             self.lock_plan()  # rejects a start out of range
 
     def lock_plan(self) -> LockPlan:
-        """Return the search, from the first point on, and what follows it."""
+        """Return the plan of a phase lock that searches the resonance from the first frequency of the sweep on."""
         names = ("current_a", "superior_limit_m", *(attribute.name for attribute in attrs.fields(LockSettings)))
         return LockPlan(start_hz=self.points()[0], **{name: getattr(self, name) for name in names})
 
     def sweep(self) -> SteppedSine:
-        """Return the sweep, with a controlled amplitude if one is set."""
+        """Return a new sweep by these settings: with the commanded current, or with a controlled amplitude."""
         return SteppedSine(self) if self.hold == COMMAND else ControlledSine(self, self)
 
 
 class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     """Lifecycle node that measures a curve, one frequency after the other, or locks on a resonance.
 
-    For a held phase it reads the scans itself and acknowledges them, so that it can be a peer.
+    For a phase lock it also reads the scans. It acknowledges each block, so a rig in lockstep can wait for it.
     """
 
     COMPONENT = "sweep"
@@ -98,11 +100,11 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         self.service(Trigger, "~/stop", self._on_stop)
 
     def configure(self) -> None:
-        """Create the publishers."""
+        """Create the publishers of frequency and current, of the measured sweep, and of acknowledgements."""
         self.offer(topics.FREQUENCY, topics.CURRENT, topics.SWEEP, topics.ACK)
 
     def activate(self) -> None:
-        """Subscribe; if `begin` is set, start the sweep as soon as the rig is running."""
+        """Subscribe to rig and analysis; if `begin` is set, start the sweep as soon as the rig is running."""
         self._now_ns, self._pending = None, self.settings.begin
         self.until_deactivated(
             self.subscribe(MONITORS["base"], self._on_time, raw=True),
@@ -115,7 +117,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         self.every(WATCH_S, self._begin_when_ready)
 
     def deactivate(self) -> None:
-        """Abort a running sweep with the shaker at rest, and unsubscribe."""
+        """Abort a running sweep by commanding zero current, and unsubscribe from the scans."""
         if self._operator is not None and self.context.ok():
             self._operator.abort("the node was deactivated")
         self._acknowledgements.flush()
@@ -124,18 +126,22 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         self._scans = self._info = None
 
     def cleanup(self) -> None:
-        """Drop the last sweep."""
+        """Discard the result of the last sweep."""
         self._operator = None
 
     def settings_changed(self, settings: SteppedSineSettings, changes: dict[str, Any]) -> None:
-        """Reject changes during a sweep; the next sweep uses the new plan."""
+        """Accept changed parameters for the next sweep.
+
+        Raises:
+            ConfigError: a sweep is running.
+        """
         if self._running:
-            raise ConfigError(f"{', '.join(sorted(changes))}: a sweep is running, call ~/stop first")
+            raise ConfigError(f"cannot change {', '.join(sorted(changes))} during a sweep; call ~/stop first")
         if self.active:
             self._listen(settings)
 
     def _listen(self, settings: SteppedSineSettings) -> None:
-        """Subscribe to the scans if the phase is held, and unsubscribe otherwise."""
+        """Subscribe to the scans if these settings request a phase lock, and unsubscribe otherwise."""
         wanted = settings.hold == PHASE
         if wanted and self._scans is None:
             self._scans_heard = False
@@ -149,7 +155,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         return self._now_ns
 
     def doing(self) -> NodeState:
-        """Return the state of the last sweep."""
+        """Return the state for the node's status: idle, waiting, running, done, or aborted with the reason."""
         words = states.SteppedSineWord
         if self._pending:
             return NodeState(words.WAITING, self._missing() or "about to begin")
@@ -161,7 +167,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         return NodeState(words.RUNNING if self._operator.busy else words.DONE)
 
     def health(self) -> tuple[Level, str]:
-        """Return the progress of the sweep."""
+        """Return the level and text for the node's diagnostics: the sweep's progress, or what prevents its start."""
         if self.state != "active":
             return Level.WARN, self.state
         if self._pending:
@@ -174,7 +180,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         return Level.OK, sweep.describe()
 
     def figures(self) -> Mapping[str, object]:
-        """Return the figures of the last sweep."""
+        """Return the figures of the running or last sweep for the diagnostics, by name; empty if there was none."""
         if self.state != "active" or self._pending or self._operator is None:
             return {}
         return self._operator.run.figures()
@@ -196,14 +202,14 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
             done(True, "no sweep is running")
             return
         self._operator.abort("stopped by the operator")
-        done(True, "the shaker ramps to rest")
+        done(True, "sweep stopped; the shaker ramps to rest")
 
     def _announced(self) -> str:
         points = self.settings.points()
         return (
-            f"searching for the resonance from {points[0]:g} Hz"
+            f"started: searching for the resonance from {points[0]:g} Hz on"
             if self.settings.hold == PHASE
-            else f"{len(points)} points"
+            else f"sweep of {len(points)} points started"
         )
 
     @property
@@ -211,7 +217,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         return self._operator is not None and self._operator.busy
 
     def _missing(self) -> str:
-        """Return the missing requirements; empty when a sweep can start."""
+        """Return the first missing requirement for a sweep, as a text for the user; empty when a sweep can start."""
         if any(not self.outputs[topic.name].get_subscription_count() for topic in (topics.FREQUENCY, topics.CURRENT)):
             return "no rig subscribes to the shaker's topics"
         if self.settings.hold == PHASE:
@@ -245,9 +251,9 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         return self._now_ns or 0
 
     def _drive(self, setpoint: Setpoint) -> None:
-        """Send frequency and current, which `shaker/applied` confirms.
+        """Publish frequency and current of a setpoint for the rig, which confirms them on `shaker/applied`.
 
-        At the end send zero current, and log the reason.
+        At the end of the sweep, publish zero current, and log the result or the reason of an abort.
         """
         assert self._operator is not None
         if self._operator.busy:
@@ -269,9 +275,9 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     # Messages
 
     def _follow(self, topic: topics.Topic, callback: Callable[[Operator[ControllerRun], Table], None]) -> Any:
-        """Subscribe to a table topic.
+        """Subscribe to a topic of tables during a sweep, and return the subscription.
 
-        `callback` receives the operator, and tables newer than the start of the sweep.
+        `callback` receives the operator of the running sweep, and each table with a stamp after the sweep's start.
         """
 
         def take(table: Table) -> None:
@@ -321,4 +327,4 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
 
 
 PROGRAM = SteppedSineNode
-"""Factory of the node for the program `stepped_sine_node`."""
+"""Class of the node that the console script of this module runs."""

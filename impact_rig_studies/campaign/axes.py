@@ -36,15 +36,15 @@ _DIGITS = 12  # digits of the values of a range, so that 9.00, 9.01, ... are exa
 
 
 def wrong(key: str, rule: str, value: object) -> ConfigError:
-    """Return the error for a value that breaks a rule."""
+    """Return the error "KEY must be RULE, got VALUE", for the caller to raise."""
     return ConfigError(f"{key} must be {rule}, got {quoted(value)}")
 
 
 def check_keys(key: str, found: Mapping[str, object], known: Iterable[str]) -> None:
-    """Reject unknown keys.
+    """Reject a part of a campaign file, found under `key`, with keys other than the known ones.
 
     Raises:
-        ConfigError: names the first such key and all known ones.
+        ConfigError: a key is unknown; the message names the first such key and all known ones.
     """
     names = list(known)
     for name in found:
@@ -90,7 +90,11 @@ def word(key: str, value: object, choices: Iterable[str]) -> str:
 
 
 def words(key: str, value: object, choices: Iterable[str]) -> tuple[str, ...]:
-    """Return some of `choices`; see `values`."""
+    """Return the items of a value read by `values`, each of which must be one of `choices`.
+
+    Raises:
+        ConfigError: an item is not one of `choices`, or `values` rejects the value.
+    """
     return tuple(word(key, item, choices) for item in values(key, value))
 
 
@@ -133,7 +137,11 @@ def values(key: str, value: object) -> list[object]:
 
 
 def numbers(key: str, value: object, low: float, high: float = math.inf) -> tuple[float, ...]:
-    """Return numbers in (low, high]; see `values`."""
+    """Return the items of a value read by `values`, each of which must be a number in (low, high].
+
+    Raises:
+        ConfigError: an item is not such a number, or `values` rejects the value.
+    """
     return tuple(number(f"{key}[{i}]", item, low, high) for i, item in enumerate(values(key, value)))
 
 
@@ -160,10 +168,15 @@ def scalars(key: str, value: object) -> tuple[Value, ...]:
 
 
 def rig(top: Mapping[str, object], folder: Path, refuse: Callable[[str, str], None]) -> RigConfig:
-    """Return the rig that a file in `folder` defines by `config` and `set`, nested or dotted.
+    """Return the rig that a campaign file defines: its key `config` names a file, its key `set` changes values of it.
+
+    Args:
+        top: content of the campaign file.
+        folder: directory of the campaign file, to which the name in `config` is relative.
+        refuse: function that raises for a value that must not be set; it receives key and dotted name of each.
 
     Raises:
-        ConfigError: a value is wrong, or `refuse`, called with key and name of each value, rejects one.
+        ConfigError: a value is wrong, or `refuse` rejects one.
     """
     file = top.get("config")
     if file is not None and not isinstance(file, str):
@@ -175,7 +188,7 @@ def rig(top: Mapping[str, object], folder: Path, refuse: Callable[[str, str], No
 
 
 def settings(key: str, given: object, kind: type[S]) -> S:
-    """Return the settings of a kind defined by a part of a file, checked by their validators.
+    """Return an object of the class `kind` with the settings that a file gives under `key`; the rest are defaults.
 
     Raises:
         ConfigError: a key or value is wrong.

@@ -61,7 +61,7 @@ TRACE_BLOCKS = 2  # number of blocks kept as a trace after the last measurement
 
 @attrs.frozen(kw_only=True)
 class Job:
-    """Run of a reset rig."""
+    """Definition of one run that starts with a reset rig: configuration, drive frequencies and current."""
 
     changes: Mapping[str, Value]  # configuration values that differ from the default rig, by dotted name
     analysis: Mapping[str, Value] = attrs.field(factory=dict)
@@ -74,7 +74,9 @@ class Job:
     traces: bool = False  # whether to keep scans and truth after the last measurement
 
     def config(self) -> RigConfig:
-        """Return the rig's configuration, with one block per operator interval.
+        """Return the configuration of the rig; one block of scans lasts as long as the operator's interval.
+
+        That is 1/`UPDATES_PER_S`, or `MAX_BLOCK_SCANS` scans if these are fewer.
 
         Raises:
             ConfigError: a value is wrong.
@@ -92,11 +94,11 @@ class Job:
         return TrackerSettings(**dict(self.analysis))  # type: ignore[arg-type]  # its validators check
 
     def labelled_settings(self) -> dict[str, Value]:
-        """Return the parameters of the analysis: all its settings, and the operator's label."""
+        """Return the parameters of the analysis, by name: all its settings, and the operator's label of the gap."""
         return {**attrs.asdict(self.settings()), "gap_m": self.gap_m}
 
     def plan(self) -> SweepPlan:
-        """Return the plan of commands.
+        """Return the plan of the sweep that measures the job: frequencies, current, repetitions and limits.
 
         Raises:
             ConfigError: a value is wrong.
@@ -111,7 +113,10 @@ class Job:
 
     @property
     def key(self) -> str:
-        """Identifier from all values that determine the numbers, without traces or code: 16 hexadecimal digits."""
+        """Identifier of the job: 16 hexadecimal digits, a digest of all values that determine the results.
+
+        The code and the request for traces do not change it.
+        """
         content = {
             "config": not_default(self.config()),
             "analysis": attrs.asdict(self.settings()),
@@ -122,7 +127,7 @@ class Job:
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
     def describe(self) -> str:
-        """Return a short readable name."""
+        """Return a short name for the reader: the gap, and the frequency or the range of a sweep."""
         gap = case_of(self.gap_m)
         first, last = min(self.frequencies_hz), max(self.frequencies_hz)
         return f"{gap}, {first:g} Hz" if first == last else f"{gap}, {first:g} to {last:g} Hz {self.direction.value}"
@@ -140,7 +145,7 @@ class Outcome:
     wall_s: float = 0.0
     lost_scans: int = 0  # scans that never reached the analysis
     trace: Mapping[str, NDArray[np.generic]] = attrs.field(factory=dict)
-    """Arrays of the end of the run by name, if requested."""
+    """Scans and true motion at the end of the run, one array per column by name; empty unless the job requests them."""
 
 
 Trace = Mapping[str, NDArray[np.generic]]
@@ -184,7 +189,7 @@ def run_job(job: Job, start: Callable[[Job], RigDriver], on_update: OnUpdate = i
 
 
 def _trace(rig: RigDriver) -> Trace:
-    """Advance a few blocks and return their scans and truth."""
+    """Advance the rig by a few blocks and return their scans and true motion (`truth/scan`) as columns by name."""
     rig.configure({"output.truth_scan": True})  # changes what is published, but no sample
     rig.step()  # only half of its truth was kept
     rig.clear()
@@ -194,7 +199,9 @@ def _trace(rig: RigDriver) -> Trace:
 
 
 def columns(scans: NDArray[np.void], truth: NDArray[np.void], rate_hz: int) -> Trace:
-    """Return consecutive scans and the truth at the same times as columns; time from their first scan on [s].
+    """Return consecutive scans and the true motion at the same times as columns, by name.
+
+    The column `time` counts from the first scan [s].
 
     Args:
         scans: rows of `daq/scan`, shape (n,).
@@ -208,7 +215,7 @@ def columns(scans: NDArray[np.void], truth: NDArray[np.void], rate_hz: int) -> T
 
 
 def start_local(job: Job) -> RigDriver:
-    """Return a rig in this process for a job.
+    """Return a new rig with its analysis in this process, configured for a job.
 
     Raises:
         ConfigError: the job's values are jointly infeasible.
@@ -217,5 +224,5 @@ def start_local(job: Job) -> RigDriver:
 
 
 def execute(job: Job) -> Outcome:
-    """Measure a job in this process."""
+    """Measure a job on a rig in this process; an error becomes the outcome's `failure`."""
     return run_job(job, start_local)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The paper's results, the same quantities of a set of measurements (`Reductions`), and their allowed distance.
+"""The paper's results, the same quantities from measurements (`Reductions`), and limits for their difference.
 
 Source: `TITLE` by `AUTHORS`. No DOI of it was found.
 """
@@ -57,7 +57,7 @@ class Reductions:
 
     dt_no_sphere: float  # transmissibility without the sphere
     dt: Mapping[float, float]
-    dt_uncertainty: Mapping[float, float]  # its standard uncertainty by gap; key `NO_SPHERE` means without the sphere
+    dt_uncertainty: Mapping[float, float]  # standard uncertainty of DT by gap; key `NO_SPHERE`: without the sphere
     percent_uncertainty: Mapping[float, float]
     """Standard uncertainty of `percent` in points, by gap; see `impact_rig_studies.reduction`."""
 
@@ -85,20 +85,20 @@ class Reductions:
         return {gap: 100.0 * (1.0 - value / self.dt_no_sphere) for gap, value in self.dt.items()}
 
     def errors(self) -> dict[float, float]:
-        """Return our reductions minus the paper's, in points, for the paper's gaps."""
+        """Return the measured reductions minus the paper's, in percentage points, by gap [m]; only the paper's gaps."""
         ours = self.percent()
         return {gap: ours[gap] - paper for gap, paper in REDUCTION_PERCENT.items() if gap in ours}
 
     def max_abs_error(self) -> float:
-        """Return the largest distance from the paper in points."""
+        """Return the largest absolute value of `errors` in percentage points; NaN if there are none."""
         return max((abs(error) for error in self.errors().values()), default=math.nan)
 
     def rms_error(self) -> float:
-        """Return the root mean square distance from the paper in points."""
+        """Return the root mean square of `errors` in percentage points; NaN if there are none."""
         errors = list(self.errors().values())
         return math.sqrt(sum(error**2 for error in errors) / len(errors)) if errors else math.nan
 
     def grows_with_gap(self) -> bool:
-        """Return whether a wider gap always gave a larger reduction."""
+        """Return whether every wider gap has a larger reduction than the one before."""
         ordered = [value for _, value in sorted(self.percent().items())]
         return all(a < b for a, b in itertools.pairwise(ordered))

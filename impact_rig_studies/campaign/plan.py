@@ -44,7 +44,7 @@ DIRECTIONS = (RESET, *(direction.value for direction in Direction))
 STARTS = ("left", "centre", "right")
 GAP_VALUES = ("barriers.gap_m", "sphere.present")
 OWNED = ("daq.block_scans", "time.", "step.", "pluck.", "output.autostart", "output.truth_scan")
-"""Configuration that the campaign itself decides."""
+"""Beginnings of configuration names that the campaign itself sets, so a campaign file must not."""
 NAMED_AXES: Mapping[str, tuple[str, Callable[[str, object], tuple[Value, ...]]]] = {
     "laws": ("contact.law", lambda key, given: axes.words(key, given, LAWS)),
     "restitutions": ("contact.restitution", lambda key, given: axes.numbers(key, given, 0.0, 1.0)),
@@ -54,14 +54,17 @@ NAMED_AXES: Mapping[str, tuple[str, Callable[[str, object], tuple[Value, ...]]]]
     ),
     "seeds": ("daq.seed", lambda key, given: tuple(axes.whole(key, one, 0, 2**53) for one in axes.values(key, given))),
 }
-"""Key of a study -> the value that it varies, and its reader."""
+"""Key of a study -> the dotted name of the configuration value that it varies, and the function that reads the key."""
 OTHERWISE = {**{name: key for key, (name, _) in NAMED_AXES.items()}, **dict.fromkeys(GAP_VALUES, "gaps_m")}
-"""Values that are varied by these keys, not by name."""
+"""Dotted name of a configuration value -> key of a study that must be used to vary it, instead of `vary`."""
 
 
 @attrs.frozen(kw_only=True)
 class Study:
-    """Product of axes; each has one value unless the file gives several."""
+    """Study of a campaign file: all combinations of the values of its axes are measured.
+
+    An axis is a varied quantity, such as frequency, gap or current.
+    """
 
     name: str
     frequencies_hz: tuple[float, ...]
@@ -82,7 +85,7 @@ class Study:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Planned:
-    """Job with its position in the campaign."""
+    """Job of a campaign, with the study and the values of the study's axes that it belongs to."""
 
     study: str
     job: Job
@@ -92,7 +95,7 @@ class Planned:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Campaign:
-    """Complete campaign."""
+    """Content of a validated campaign file: the rig, the settings of the analysis, and the studies."""
 
     title: str
     base: RigConfig  # rig that all studies start with
@@ -102,7 +105,7 @@ class Campaign:
     first: Study | None = None  # study whose first combination is the reference rig; None means the first of `studies`
 
     def reference(self) -> Job:
-        """Return the first job on the reference rig.
+        """Return the first job on the reference rig, the rig for which the paper's statements are judged.
 
         Raises:
             ConfigError: its values are inconsistent; the message names the study.
@@ -239,7 +242,7 @@ def _vary(where: str, given: Mapping[str, object]) -> dict[str, tuple[Value, ...
     for name, values in flatten(axes.mapping(f"{where}.vary", given.get("vary"))).items():
         key = f"{where}.vary.{name}"
         if name in OTHERWISE:
-            raise ConfigError(f"{key}: use {where}.{OTHERWISE[name]}")
+            raise ConfigError(f"{key}: this value is varied by another key, use {where}.{OTHERWISE[name]}")
         _refuse_owned(key, name)
         vary[name] = axes.scalars(key, values)
     return vary
@@ -247,7 +250,7 @@ def _vary(where: str, given: Mapping[str, object]) -> dict[str, tuple[Value, ...
 
 def _refuse_owned(key: str, name: str) -> None:
     if name.startswith(OWNED):
-        raise ConfigError(f"{key} is decided by the campaign itself")
+        raise ConfigError(f"{key} is set by the campaign itself, remove it")
 
 
 def _without_gap(changes: Mapping[str, Value]) -> dict[str, Value]:

@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Parallel execution of jobs on all cores; results are returned as they are completed.
+"""Parallel execution of jobs, on all cores of this machine or on a Dask cluster; results arrive as they are completed.
 
-The caller defines the job and processes its result.
+The caller supplies the function that runs a job, and stores its result.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ J = TypeVar("J")
 R = TypeVar("R")
 
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-"""Variables that a library for linear algebra reads when it is loaded."""
+"""Environment variables for the number of threads, which a library for linear algebra reads when it is loaded."""
 AHEAD = 2  # jobs submitted per worker: enough to keep it busy, few enough to stop soon after Ctrl-C
 CLOSING_S = 2.0  # time limit for closing a pool whose workers were killed
 
 
 class WorkerDiedError(GoneError):
-    """External end of a worker process."""
+    """Error that a worker process was killed from outside, for example for lack of memory."""
 
 
 def in_parallel(
@@ -90,7 +90,10 @@ def in_parallel(
                     running[pool.submit(work, following)] = following
                 yield job, future.result()
     except BrokenProcessPool as error:
-        raise WorkerDiedError("a worker process was killed; run the command again to continue") from error
+        raise WorkerDiedError(
+            "a worker process was killed from outside, for example for lack of memory; run the command again to "
+            "measure what is missing"
+        ) from error
     finally:
         with defer_signals():
             if running:
@@ -106,7 +109,10 @@ def in_parallel(
 
 @contextlib.contextmanager
 def _one_thread_each() -> Iterator[None]:
-    """Limit processes started in this block to one thread for linear algebra, unless the user chose otherwise."""
+    """Limit processes started in this block to one thread for linear algebra each, since every core has its process.
+
+    Environment variables that the user has set stay.
+    """
     added = dict.fromkeys((name for name in BLAS_THREADS if name not in os.environ), "1")
     os.environ.update(added)
     try:
@@ -117,7 +123,10 @@ def _one_thread_each() -> Iterator[None]:
 
 
 def _begin_worker(parent: int) -> None:
-    """Ignore Ctrl-C, which the parent handles, and never outlive the parent."""
+    """Prepare a worker process: it ignores Ctrl-C, which the parent handles, and ends when the parent ends.
+
+    `parent` is the process id of the parent.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
     end_with(parent, lambda: os._exit(1))
@@ -132,13 +141,16 @@ CONNECT_S = 10.0
 UNLIMITED = 1_000_000
 NEEDS_DASK = "--through dask needs Dask: pip install 'impact_rig[cluster]'"
 ROOMS = (*DECIDING, "campaign", "dynamics", "kernels", "maps")
-"""Values that determine the result of any job."""
+"""Packages whose code determines the result of a job, so a cluster's workers must have the same."""
 P = TypeVar("P", bound=WorkItem)
 
 
 @attrs.frozen
 class _Made(Generic[R]):
-    """Result of a job with its worker and the worker's code; without a result if that is other code."""
+    """Result of a job on a cluster, the address of its worker, and the identifier of the worker's code.
+
+    The result is None if the worker's code differs from the caller's.
+    """
 
     worker: str
     code: str
@@ -146,7 +158,9 @@ class _Made(Generic[R]):
 
 
 def cluster_threads(address: str) -> int:
-    """Return the number of worker threads at a scheduler; `UNLIMITED` without workers, since they may still join.
+    """Return the number of worker threads of the Dask cluster whose scheduler is at `address`.
+
+    Without workers it is `UNLIMITED`, since they may still join.
 
     Raises:
         ConfigError: Dask is not installed.
@@ -168,7 +182,7 @@ def _connected(address: str) -> Any:
 
 
 def _make(work: Callable[[P], R], job: P, code: str) -> _Made[R]:
-    """Run a job on a worker if the worker has the requested code."""
+    """Run a job on the Dask worker that this is called on, if its code is `code` (a `fingerprint`)."""
     from distributed import get_worker  # noqa: PLC0415  # an optional dependency
 
     own = fingerprint(ROOMS)
@@ -176,9 +190,10 @@ def _make(work: Callable[[P], R], job: P, code: str) -> _Made[R]:
 
 
 def on_cluster(work: Callable[[P], R], address: str) -> Callable[[Sequence[P]], Generator[tuple[P, R], None, None]]:
-    """Return a function that sends jobs to the scheduler at `address`, and yields each with the result of `work`.
+    """Return a function that runs jobs on the Dask cluster at `address`, and yields each with the result of `work`.
 
-    It waits for workers if the cluster has none. A worker with other code is reported, and its jobs are sent to others.
+    It waits for workers if the cluster has none. A worker with other code is reported on stderr, and its jobs are sent
+    to other workers. Jobs that fail do not stop the others; at the end the function raises an ImpactRigError for them.
 
     Raises:
         ConfigError: Dask is not installed.
@@ -203,7 +218,10 @@ def on_cluster(work: Callable[[P], R], address: str) -> Callable[[Sequence[P]], 
                     present = client.nthreads()
                 found = [worker for worker in present if worker not in wrong]
                 if not found:
-                    raise ImpactRigError(f"no worker of the Dask cluster at {address} has this code, {code}")
+                    raise ImpactRigError(
+                        f"no worker of the Dask cluster at {address} has the code of this process, {code}: install "
+                        "this version of impact_rig for the workers"
+                    )
                 return found
 
             def submit(job: P) -> None:
@@ -226,7 +244,8 @@ def on_cluster(work: Callable[[P], R], address: str) -> Callable[[Sequence[P]], 
                     if made.worker not in wrong:
                         wrong[made.worker] = made.code
                         _warn(
-                            f"worker {made.worker} has impact_rig {made.code}, this is {code}: its results are ignored"
+                            f"worker {made.worker} has impact_rig {made.code}, but this process has {code}: the worker "
+                            "is not used"
                         )
                     submit(job)
                     continue
@@ -236,7 +255,9 @@ def on_cluster(work: Callable[[P], R], address: str) -> Callable[[Sequence[P]], 
                     yield job, made.result
                 future.release()
         if lost:
-            raise ImpactRigError(f"{len(lost)} runs were lost, run the command again to continue; {lost[0]}")
+            raise ImpactRigError(
+                f"{len(lost)} jobs failed on the cluster; run the command again to repeat them. The first: {lost[0]}"
+            )
 
     return run
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Points of a campaign: results or failure reasons of every point of every study; summary figures."""
+"""Points of a campaign: the measurements, or the reason of a failure, at every point of every study; summary file."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Point:
     direction: str  # reset, up or down
     rows: NDArray[np.void]  # settled measurements, or the one that did not settle, shape (n,)
     failure: str  # why there is no settled measurement; empty otherwise
-    key: str
+    key: str  # key of the job that measured it
 
     def _mean(self, column: str) -> float:
         return float(np.mean(self.rows[column])) if len(self.rows) else NAN
@@ -72,7 +72,7 @@ class Point:
 
     @property
     def u_dt(self) -> float:
-        """Its standard uncertainty."""
+        """Standard uncertainty of `dt`."""
         return combined(self.rows) if len(self.rows) else NAN
 
     @property
@@ -97,32 +97,32 @@ class Point:
 
     @property
     def impacts(self) -> bool:
-        """Return whether the sphere strikes at all."""
+        """Return whether the orbit counts as impacting: at least `IMPACTING` impacts per cycle."""
         return self.impacts_per_cycle >= IMPACTING
 
     @property
     def regime(self) -> str:
-        """Regime of the response; empty without a measurement."""
+        """Regime of the response in the last measurement, such as periodic or chaotic; empty without a measurement."""
         return str(self.rows["regime"][-1].decode()) if len(self.rows) else ""
 
     @property
     def status(self) -> str:
-        """Status of the last row, or the reason why there is none."""
+        """Reason why there is no settled measurement, or else the status of the last measurement."""
         return self.failure or str(self.rows["status"][-1].decode())
 
     @property
     def note(self) -> str:
-        """Caveat of its last row: a sphere that did not strike may be slow; otherwise empty."""
+        """Caveat for the reader if the last measurement saw no impacts: a slow sphere may still strike; else empty."""
         return note_on(self.rows[-1]) if len(self.rows) else ""
 
     @property
     def label(self) -> str:
-        """Readable name of the case."""
+        """Gap as a text for the reader, such as `4 mm` or `no sphere`."""
         return case_of(self.gap_m).removeprefix("gap ")
 
 
 def points_of(planned: Planned, outcome: Outcome) -> list[Point]:
-    """Return the points of one job in the order of the visit."""
+    """Return the points of one job in the order of measurement, those without a measurement with their failure."""
     job = planned.job
     visits = job.plan().points()
     once = len(job.frequencies_hz)
@@ -177,15 +177,15 @@ class Curves:
         return cls(found)
 
     def at(self, gap_m: float, frequency_hz: float) -> Point | None:
-        """Return a point, or None if there is none."""
+        """Return the settled point with this gap and frequency, or None if there is none."""
         return self.by_gap.get(gap_m, {}).get(frequency_hz)
 
     def frequencies(self, gap_m: float) -> list[float]:
-        """Return the frequencies of one gap, ascending."""
+        """Return the frequencies with a settled point for one gap, ascending."""
         return sorted(self.by_gap.get(gap_m, {}))
 
     def gaps(self) -> list[float]:
-        """Return all gaps with a sphere, ascending."""
+        """Return all gaps with a settled point, ascending; without `NO_SPHERE`."""
         return sorted(gap for gap in self.by_gap if gap != NO_SPHERE)
 
 
@@ -197,7 +197,9 @@ COLUMNS = (
 
 
 def table(points: Sequence[Point]) -> tuple[list[str], list[list[object]]]:
-    """Return the names of the columns, with one per axis of any study after the fixed ones, and one row per point.
+    """Return the points as a table: the names of the columns, and one row per point.
+
+    The columns are `COLUMNS` and then one per axis of any study.
 
     Missing measurements and the gap without sphere are NaN; an axis that a study does not have is an empty text.
     """
@@ -221,7 +223,7 @@ FILE_NAME = "summary.json"
 
 @attrs.frozen
 class Statement:
-    """Claim, judged on the data."""
+    """Result of judging a statement: whether it holds, the value that decides, and the limit for that value."""
 
     passed: bool
     value: float
@@ -239,7 +241,18 @@ def write_summary(
     seed: int,
     more: Mapping[str, object],
 ) -> None:
-    """Write `summary.json`; missing numbers are null."""
+    """Write `summary.json`, the figures of a campaign for other programs; missing numbers are null.
+
+    Args:
+        directory: directory of the campaign.
+        reductions: reductions at 9.1 Hz.
+        statements: judged statements by name.
+        lost_blocks: number of blocks of scans that never reached the analysis.
+        wall_s: duration of the measurement by the clock of this machine.
+        simulated_s: rig time that was simulated.
+        seed: seed of the rig's instruments (`daq.seed`).
+        more: further entries.
+    """
     content = {
         "version": impact_rig.__version__,
         "seed": seed,

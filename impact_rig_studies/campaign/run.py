@@ -66,7 +66,7 @@ Runner = Callable[[Sequence[Job]], Generator[tuple[Job, Outcome], None, None]]
 
 @attrs.frozen(eq=False, kw_only=True)
 class Finished:
-    """Campaign with its results."""
+    """Campaign with the results that are stored in its directory; it may be incomplete."""
 
     campaign: Campaign  # definition of the campaign
     directory: Path
@@ -83,7 +83,10 @@ class Finished:
         return statements.judge(self.curves)
 
     def reductions(self) -> Reductions:
-        """Return the reductions at 9.1 Hz for the paper's gaps; NaN or absent if not measured."""
+        """Return the reductions of DT at 9.1 Hz for the paper's gaps.
+
+        A gap that was not measured is absent; without a measurement without the sphere the values are NaN.
+        """
         curves = self.curves
         found = {gap: curves.at(gap, FREQUENCY_HZ) for gap in (NO_SPHERE, *REDUCTION_PERCENT)}
         return Reductions.of({gap: point.rows for gap, point in found.items() if point}, self.calibration)
@@ -95,7 +98,7 @@ class Finished:
 
     @property
     def info(self) -> NDArray[np.void]:
-        """Rows of `daq/info`: of the instruments of imported points, else of the reference rig.
+        """Rows of `daq/info`, which describe the instruments: those of the imported points, else the reference rig's.
 
         Raises:
             RecordingError: the file that contains them is damaged.
@@ -132,7 +135,9 @@ def unique_jobs(planned: Sequence[Planned]) -> list[Job]:
 
 
 def prepare(campaign: Campaign, directory: Path, through: str) -> Store:
-    """Create the campaign's directory and return its store.
+    """Create the directory of a campaign and return the store for its results.
+
+    `through` is the way of measuring, which is noted in `provenance.json`.
 
     Raises:
         RecordingError: the directory cannot be written, or contains something else, or results of another rig.
@@ -154,7 +159,7 @@ def prepare(campaign: Campaign, directory: Path, through: str) -> Store:
 
 
 def finished(campaign: Campaign, directory: Path) -> Finished:
-    """Return a campaign with all its stored results; studies that were not run are left out."""
+    """Return a campaign with all results stored in its directory; jobs without a stored result have no points."""
     planned = campaign.planned()
     store = Store(directory)
     outcomes = {job.key: outcome for job in unique_jobs(planned) if (outcome := store.get(job, as_it_is=True))}
@@ -163,7 +168,7 @@ def finished(campaign: Campaign, directory: Path) -> Finished:
 
 
 def open_finished(directory: Path) -> Finished:
-    """Return the campaign in a directory.
+    """Return the campaign in a directory, with its stored results.
 
     Raises:
         ConfigError: `directory` is not the directory of a campaign.
@@ -178,7 +183,7 @@ def open_finished(directory: Path) -> Finished:
 
 
 def write_results(done: Finished, wall_s: float) -> None:
-    """Write `points.csv` and `summary.json`."""
+    """Write `points.csv` and `summary.json` into the campaign's directory; `wall_s` is the measurement's duration."""
     files.write_csv(done.directory / CSV_FILE, *table(done.points))
     block_scans = done.campaign.planned()[0].job.config().daq.block_scans
     write_summary(

@@ -13,9 +13,9 @@
 # limitations under the License.
 """The paper's qualitative statements, each judged on a campaign's points, with the strength of each verdict.
 
-Every judge returns its finding and whether the statement holds, or names the points that are missing. Six constants of
-the rig were chosen so that the five reductions and these statements result (`report.build` names them). A verdict
-therefore has one of three kinds of evidence, `Worth`. `variations` shows how much a statement depends on that choice.
+A statement that cannot be judged names the points that are missing. Six constants of the rig were chosen so that the
+five reductions and these statements result (`report.build` names them). A verdict therefore has one of three kinds of
+evidence, `Worth`. `variations` shows how much a statement depends on that choice.
 """
 
 from __future__ import annotations
@@ -51,12 +51,12 @@ class Worth(enum.StrEnum):
 
 
 class MissingError(LookupError):
-    """Lack of points that a statement needs."""
+    """Error that settled points are missing which a statement needs; the message names them."""
 
 
 @attrs.frozen
 class Verdict:
-    """Verdict on one statement, with its data."""
+    """Verdict on one of the paper's statements, with the figures behind it."""
 
     name: str  # key in `summary.json`
     text: str
@@ -67,12 +67,12 @@ class Verdict:
 
     @property
     def margin(self) -> float | None:
-        """Distance of the value from its limit, in its unit; None if it was not judged."""
+        """Distance of the judged value from its limit, in `unit`; None if the statement was not judged."""
         return None if self.result is None else abs(self.result.limit - self.result.value)
 
     @property
     def word(self) -> str:
-        """Word of the verdict: pass, FAIL or `not judged`."""
+        """Verdict for display: `pass`, `FAIL` or `not judged`."""
         return "not judged" if self.result is None else "pass" if self.result.passed else "FAIL"
 
 
@@ -80,7 +80,7 @@ Judgement = tuple[Statement, str]
 
 
 def judge(curves: Curves) -> list[Verdict]:
-    """Return the verdict on each of the seven statements."""
+    """Return the verdict on each of the paper's seven statements for the settled points of the reference rig."""
     verdicts = []
     for name, kind, unit, text, judge_one in _STATEMENTS:
         result: Statement | None = None
@@ -100,7 +100,7 @@ def _need(curves: Curves, gap_m: float, frequency_hz: float) -> Point:
 
 
 def _reduction(curves: Curves, gap_m: float) -> float:
-    """Return the reduction at 9.1 Hz in percent."""
+    """Return by how many percent the sphere reduces DT at 9.1 Hz with this gap."""
     without = _need(curves, NO_SPHERE, FREQUENCY_HZ).dt
     return 100.0 * (1.0 - _need(curves, gap_m, FREQUENCY_HZ).dt / without)
 
@@ -178,7 +178,9 @@ def _frequency_unchanged(curves: Curves) -> Judgement:
 
 
 def peak_hz(curves: Curves, gap_m: float) -> float:
-    """Return the frequency of a curve's peak: vertex of the parabola through its highest point and both neighbours.
+    """Return the frequency at which DT with this gap peaks.
+
+    It is the vertex of the parabola through the highest point and its two neighbours.
 
     Raises:
         MissingError: the highest point has no neighbours within `PEAK_STEP_HZ` on both sides.
@@ -242,7 +244,7 @@ _STATEMENTS: tuple[tuple[str, Worth, str, str, Callable[[Curves], Judgement]], .
 
 @attrs.frozen(eq=False)
 class Variation:
-    """Verdicts on one variation of the rig."""
+    """Verdicts on the statements for one rig of a campaign, which may differ from the reference rig."""
 
     changed: Mapping[str, Value]
     """The constants that differ from the campaign's reference rig, by dotted name; empty for that rig itself."""
@@ -250,9 +252,10 @@ class Variation:
 
 
 def variations(points: Sequence[Point]) -> list[Variation]:
-    """Return the verdicts on every rig for which one is possible, the reference rig first.
+    """Return the verdicts for every rig of a campaign on which a statement can be judged, the reference rig first.
 
-    Empty if that is the only one. Points at another current than the reference rig's are irrelevant and left out.
+    The list is empty if only the reference rig can be judged. Only points with a reset rig and a current of the
+    reference rig count.
     """
     currents = {point.current_a for point in points if point.reference}
     rigs: dict[tuple[tuple[str, Value], ...], list[Point]] = {}

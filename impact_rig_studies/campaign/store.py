@@ -42,17 +42,17 @@ from impact_rig_studies.campaign.job import TRUE_COLUMNS, Job, Outcome
 
 FOLDER = "points"
 MAX_RESULT_BYTES, MAX_TRACE_BYTES = 10 * 2**20, 64 * 2**20
-"""Size limit of a file in a directory of another origin."""
+"""Size limits of a result and of a trace, since a campaign's directory may come from elsewhere."""
 MOST = 1e12  # above every figure of a measurement
 SHOWN = 60  # number of characters of a wrong value quoted in an error
 _POSITIVE = frozenset({"frequency", "transmissibility", "base_amplitude", "laser_amplitude"})
-"""Columns that are > 0 wherever something was measured."""
+"""Columns of a measurement that must be > 0 if its status says that something was measured."""
 _WORDS: dict[str, type[enum.StrEnum]] = {"regime": Regime, "method": Method, "status": Status}
 _TEXTS = frozenset(name for name in TRANSMISSIBILITY.names or () if TRANSMISSIBILITY[name].kind == "S")
 
 
 class DamagedPointError(RecordingError):
-    """Change of a stored result; the message names file, key, value and the allowed values."""
+    """Error that a stored result is damaged or was changed; the message names the file and what is wrong."""
 
 
 class Store:
@@ -62,7 +62,7 @@ class Store:
         directory: directory of the campaign; created if missing.
 
     Attributes:
-        damaged: problems of results that are therefore measured again.
+        damaged: messages about damaged results, which must therefore be measured again.
 
     Raises:
         RecordingError: the directory cannot be written.
@@ -75,12 +75,13 @@ class Store:
             files.make_folder(self._folder)
 
     def get(self, job: Job, *, as_it_is: bool = False) -> Outcome | None:
-        """Return the stored outcome of a job, or None if it must be measured: it never was, or its file is damaged.
+        """Return the stored outcome of a job, or None if the job must be measured.
 
-        It must also be measured again if it was with other code, or without a required trace; not with `as_it_is`.
+        This is so if there is no result, the file is damaged, the result was measured with other code, or it lacks a
+        requested trace. With `as_it_is`, used to show results, code and trace do not matter.
 
         Raises:
-            DamagedPointError: its file is damaged, and `as_it_is` is set.
+            DamagedPointError: the file is damaged, and `as_it_is` is set.
         """
         try:
             found, outcome = self._read(job)
@@ -130,7 +131,12 @@ class Store:
             files.write_text(self._path(job, "json"), json.dumps(content, indent=1) + "\n")
 
     def _read(self, job: Job) -> tuple[Mapping[str, object], Outcome]:
-        """Return the content of a job's file, and the outcome in it."""
+        """Return the content of a job's file, and the outcome in it.
+
+        Raises:
+            FileNotFoundError: the job has no file.
+            DamagedPointError: the file is damaged.
+        """
         path = self._path(job, "json")
         try:
             found = json.loads(files.read_bytes(path, MAX_RESULT_BYTES))
@@ -216,14 +222,14 @@ class _Checked:
         return value
 
     def several(self, key: str) -> list[object]:
-        """Return a list."""
+        """Return the list under a key."""
         value = self._value(key)
         if not isinstance(value, list):
             raise self._wrong(key, value, "a list")
         return value
 
     def each(self, key: str, most: int) -> list[Mapping[str, object]]:
-        """Return validated rows of measurements."""
+        """Return the measurements in the list under a key, at most `most`, after checking the values of each."""
         rows = self.several(key)
         if len(rows) > most:
             raise self._wrong(key, f"{len(rows)} rows", f"at most {most} rows")
@@ -234,7 +240,11 @@ class _Checked:
         return [row for row in rows if isinstance(row, dict)]
 
     def row(self) -> None:
-        """Check a measurement."""
+        """Check that this object is a row of `transmissibility/table`: known words, and numbers in range.
+
+        Raises:
+            DamagedPointError: a value is missing or wrong.
+        """
         for name, words in _WORDS.items():
             if self.text(name) not in [word.value for word in words]:
                 raise self._wrong(name, self.text(name), f"one of {', '.join(word.value for word in words)}")
@@ -263,7 +273,11 @@ def shortened(value: object) -> str:
 
 
 def _column(member: bytes) -> NDArray[np.generic]:
-    """Return the numbers of one array of an NPZ file; the length in its header is checked before use."""
+    """Return the numbers of one array of an NPZ file, given as the bytes of its member of the archive.
+
+    Raises:
+        ValueError: it is not one column of real numbers, or its header states another length than the data have.
+    """
     file = io.BytesIO(member)
     version = np.lib.format.read_magic(file)
     header: Callable[..., tuple[tuple[int, ...], bool, np.dtype[np.generic]]] | None = {
@@ -280,7 +294,7 @@ def _column(member: bytes) -> NDArray[np.generic]:
 
 
 def _digest(content: Mapping[str, object]) -> str:
-    """Return the digest of a stored result, without the digest itself."""
+    """Return the SHA-256 of a stored result, computed without its entry `digest`."""
     kept = {name: value for name, value in content.items() if name != "digest"}
     return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()
 
@@ -295,12 +309,15 @@ DECIDING = (
     "arithmetic", "physics", "instruments", "rig", "analysis", "config", "blocks.py", "simtime.py",
     "operate", "prediction.py", "decay.py", "reduction.py",
 )  # fmt: skip
-"""Packages that determine a measured number; the rest only commands, stores and shows."""
+"""Packages and modules whose code determines a measured number; the others only command, store and show."""
 
 
 @functools.cache
 def fingerprint(deciding: tuple[str, ...] = DECIDING) -> str:
-    """Return the version and 12 hexadecimal digits of the sources of these packages."""
+    """Return an identifier of the code that measures: the version, and a digest of the sources of these packages.
+
+    The digest has 12 hexadecimal digits. Results with another identifier are measured again.
+    """
     digest = hashlib.sha256()
     for package in (Path(impact_rig.__file__).parent, Path(__file__).parents[1]):
         for path in sorted(package.rglob("*.py")):

@@ -26,7 +26,7 @@ from impact_rig.system import extras
 
 
 def by_columns(names: Sequence[str], rows: Sequence[Sequence[object]]) -> dict[str, NDArray[np.generic]]:
-    """Return a table by columns: numbers, or texts if a column contains any.
+    """Return a table as one array per column, by name: of texts if the column contains any, else of numbers.
 
     Raises:
         RecordingError: the table is empty.
@@ -41,7 +41,7 @@ def by_columns(names: Sequence[str], rows: Sequence[Sequence[object]]) -> dict[s
 
 
 def to_dataframe(names: Sequence[str], rows: Sequence[Sequence[object]]) -> Any:
-    """Return a table as a `pandas.DataFrame`.
+    """Return a table with these column names and rows as a `pandas.DataFrame`.
 
     Raises:
         ImpactRigError: pandas is not installed, or the table is empty.
@@ -86,7 +86,10 @@ def to_xarray(
 def _spread(
     column: NDArray[np.generic], order: tuple[NDArray[np.intp], ...], shape: tuple[int, ...]
 ) -> NDArray[np.generic]:
-    """Return a column as an array over a grid; NaN or an empty text without a row."""
+    """Return a column as an array over a grid of the given shape; grid points without a row are NaN or an empty text.
+
+    `order` contains one array per dimension: the index of each row along it.
+    """
     filler: object = "" if column.dtype.kind == "U" else np.nan
     found = np.full(shape, filler, column.dtype if column.dtype.kind == "U" else float)
     found[order] = column

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Tasks: measured anywhere, in any order, stored as one file each, and never measured twice.
+"""Tasks of a map or dynamics study: measured anywhere, in any order, and stored as one file each to resume a study.
 
 | file | content |
 |---|---|
@@ -46,23 +46,23 @@ Row = Sequence[str | float]  # result at one grid point: words and numbers, NaN 
 
 
 class WorkItem(Protocol):
-    """Unit of measurement: a value that can be sent to a worker."""
+    """Unit of measurement, a job or a task: a value that can be sent to a worker process."""
 
     @property
     def key(self) -> str:
-        """Identifier from all values that determine its result."""
+        """Identifier of the unit: a digest of all values that determine its result."""
 
     def describe(self) -> str:
-        """Return a short readable name."""
+        """Return a short name of the unit for the reader."""
 
 
 @attrs.frozen
 class HashedTask:
-    """Task that consists only of its values."""
+    """Base class of tasks whose result depends on the values of their attributes alone."""
 
     @property
     def key(self) -> str:
-        """Identifier from all values that determine its numbers: 16 hexadecimal digits."""
+        """Identifier of the task: 16 hexadecimal digits, a digest of the values of all its attributes."""
         return hashlib.sha256(json.dumps(attrs.asdict(self), sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -70,10 +70,10 @@ class Task(WorkItem, Protocol):
     """Task whose result is stored as rows."""
 
     def read(self, rows: Sequence[Row]) -> Sequence[Row]:
-        """Convert stored rows to the measured ones.
+        """Return rows read from a file as they were measured, after checking them.
 
         Raises:
-            ValueError: such rows are impossible for this task.
+            ValueError: this task cannot have such rows.
         """
 
 
@@ -86,20 +86,20 @@ Runner = Callable[[Sequence[T]], Generator[tuple[T, Sequence[Row]], None, None]]
 
 @attrs.frozen
 class TaskStore(Generic[T]):
-    """Directory of a study."""
+    """Store of the results of a study's tasks in the study's directory."""
 
     directory: Path
-    what: str  # word for the study, and name of its file
-    folder: str  # name of the folder of the tasks
-    rooms: tuple[str, ...]  # packages that determine the numbers, in addition to `DECIDING`
+    what: str  # word for the kind of study in messages and commands, and name of the file that defines it
+    folder: str  # name of the folder with the files of the tasks
+    rooms: tuple[str, ...]  # packages whose code determines the results, in addition to `DECIDING`
 
     @property
     def file(self) -> Path:
-        """File that defines the study."""
+        """Path of the file in the directory that defines the study."""
         return self.directory / f"{self.what}.yaml"
 
     def prepare(self, text: str, base: RigConfig) -> None:
-        """Create the directory.
+        """Create the directory, and write the study's definition `text` and its rig `base` into it.
 
         Raises:
             RecordingError: the directory cannot be written, or contains something else, or results of another rig.
@@ -126,13 +126,13 @@ class TaskStore(Generic[T]):
         return load_config(self.directory / CONFIGURATION_FILE)
 
     def code(self) -> str:
-        """Return the identifier of the code that determines the numbers: results of other code are measured again."""
+        """Return the identifier of the code that determines the results: those of other code are measured again."""
         return fingerprint((*DECIDING, *self.rooms))
 
     def get(self, task: T) -> Sequence[Row] | None:
-        """Return the rows of a task, or None if it must be measured.
+        """Return the stored rows of a task, or None if it must be measured.
 
-        It never was, or with other code, or is damaged.
+        This is so if there is no result, it was measured with other code, or its file is damaged.
         """
         try:
             found = json.loads(files.read_bytes(self._path(task), MAX_TASK_BYTES))
@@ -167,7 +167,7 @@ def _number(value: object) -> str | float:
 
 
 def refuse_other_rig(directory: Path, rig: RigConfig) -> None:
-    """Reject a directory with results of another rig, because those of this rig would replace them.
+    """Reject a directory with results of another rig than `rig`, because those of `rig` would replace them.
 
     Raises:
         RecordingError: the configuration differs; the message names the first difference.
@@ -188,13 +188,15 @@ def measure(
     put: Callable[[K, R], None],
     runner: Callable[[Sequence[K]], Generator[tuple[K, R], None, None]],
 ) -> Generator[tuple[K, R], None, None]:
-    """Yield every task with its result as soon as it is stored: first those stored already, then the measured ones.
+    """Measure the tasks without a stored result, store the results, and yield every task with its result.
+
+    Tasks with a stored result are yielded first, each measured one as soon as it is stored.
 
     Args:
-        tasks: tasks of any kind.
-        get: returns the stored result of a task, None if it must be measured.
-        put: stores a result.
-        runner: measures tasks, in any order.
+        tasks: jobs or tasks.
+        get: function that returns the stored result of a task, None if it must be measured.
+        put: function that stores a result.
+        runner: function that measures tasks, in any order.
 
     Raises:
         RecordingError: a result cannot be stored.
@@ -218,7 +220,9 @@ P = TypeVar("P")
 
 
 def load_plan(path: Path, what: str, read: Callable[[object, str], P]) -> P:
-    """Read a plan by applying `read` to a YAML document and its text.
+    """Read the file of a campaign, map or dynamics study, and return what `read` makes of its document and text.
+
+    `what` names the kind of file in messages.
 
     Raises:
         ConfigError: the file cannot be read or is wrong; the message ends with the file.

@@ -62,9 +62,17 @@ def test_drops_noted_with_a_run_give_the_restitution_of_the_law(
 @pytest.mark.parametrize(
     ("remarks", "u", "words"),
     [
-        (["nothing fell"], "1mm", "holds no remark on `notes` like 'drop h0_m=0.2 h1_m=0.0245'"),
-        ([], "1mm", "holds no remark"),
-        (["drop h0_m=0.2 h1_m=0.3"], "1mm", "its 1 drops give no restitution: no_fit"),
+        (
+            ["nothing fell"],
+            "1mm",
+            "states the heights of a drop and its rebound in metres, like 'drop h0_m=0.2 h1_m=0.0245'",
+        ),
+        ([], "1mm", "no remark on the topic `notes` states the heights"),
+        (
+            ["drop h0_m=0.2 h1_m=0.3"],
+            "1mm",
+            "its 1 drops give no coefficient of restitution (no_fit): every height must be finite and > 0",
+        ),
     ],
 )
 def test_a_drop_test_that_is_none_says_so(

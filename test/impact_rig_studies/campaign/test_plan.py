@@ -109,7 +109,7 @@ def test_the_reference_is_the_first_rig_of_the_first_study(write):
         (study(frequencies_hz="9.1", vary="{contact.law: exact}"), "use studies.s.laws"),
         (study(frequencies_hz="9.1", vary="{sphere.weight: 1}"), "study s: unknown key 'sphere.weight'"),
         (study(frequencies_hz="9.1", vary="{sphere.density_kg_m3: -1}"), "density_kg_m3 must be >"),
-        ("set: {daq.block_scans: 5}", "set.daq.block_scans is decided by the campaign"),
+        ("set: {daq.block_scans: 5}", "set.daq.block_scans is set by the campaign"),
         ("analysis: {window_s: 0}\nstudies: {s: {frequencies_hz: 9.1}}", "analysis.window_s must be > 0 and <= 100"),
         ("studies: [", "not a YAML file"),
     ],
