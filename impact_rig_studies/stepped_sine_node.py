@@ -136,7 +136,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
             ConfigError: a sweep is running.
         """
         if self._running:
-            raise ConfigError(f"cannot change {', '.join(sorted(changes))} during a sweep; call ~/stop first")
+            raise ConfigError(f"cannot change {', '.join(sorted(changes))} while a sweep is running; call ~/stop first")
         if self.active:
             self._listen(settings)
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Import of measurements of other rigs: files of other programs become runs.
+"""Import of measurements of other rigs: files that other programs wrote become runs of this package.
 
 `readers` turn a file into `signals`. `mapping` and `assignment` assign signals to channels. `uniform` finds the rate.
 `conversion` turns the signals into scans, and `store` writes these as a run.

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Guesses of the signal of each channel, from names and units, and the option that states it."""
+"""Assignment of a file's signals to the channels of a rig: guessed from names and units, or stated by `--channel`."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ HINTS = {
     ),
     "current": ("current", "coil", "strom", "i", "drive", "amp"),
 }  # fmt: skip
-"""Words in the headings of other programs, in lower case, by channel."""
+"""Words in headings of other programs that suggest a channel, in lower case, by channel."""
 _ORDER = ("accelerometer", "laser", "base", "current")
 _SEPARATORS = re.compile(r"[\s_.:/()\[\]-]+")
 DT_CHANNELS = frozenset({"laser", "base"})  # whose ratio the transmissibility is
@@ -47,10 +47,10 @@ LONGEST_GUESSED = 200  # longest heading, in characters, that is compared
 
 
 def guess(source: ImportedSignals) -> Mapping:
-    """Return the mapping that headings, units and the name of a file suggest; unknown parts are left out.
+    """Return the mapping that headings, units and the name of a file suggest; parts without a clue are left out.
 
-    Our own names take precedence, then words of other programs, then units that only one channel has. An accelerometer
-    on the structure is also used for its motion if there is no other signal.
+    Names of our own channels take precedence, then words of other programs, then units that only one channel has. An
+    accelerometer on the structure also serves as the channel `laser`, its motion, if no other signal does.
     """
     free = _of_one_time_base(source.signals)
     chosen: dict[str, Channel] = {}
@@ -98,7 +98,7 @@ def guess(source: ImportedSignals) -> Mapping:
 
 
 def _of_one_time_base(signals: AnyMapping[str, Signal]) -> dict[str, Signal]:
-    """Return the time responses on the time base that most signals share, because a run has one time base."""
+    """Return the time responses that share the most frequent time base, because all channels of a run need the same."""
     bases: dict[object, dict[str, Signal]] = {}
     for name, one in signals.items():
         if one.kind is SignalKind.TIME_RESPONSE:
@@ -110,7 +110,7 @@ def _of_one_time_base(signals: AnyMapping[str, Signal]) -> dict[str, Signal]:
 
 
 def _words(name: str) -> frozenset[str]:
-    """Return the words of a heading and the heading itself, in lower case."""
+    """Return the words of a heading, and the complete heading, in lower case for comparison with `HINTS`."""
     lower = name[:LONGEST_GUESSED].lower()
     return frozenset({lower, *_SEPARATORS.split(lower)})
 
@@ -122,7 +122,7 @@ def _fits(signal: Signal, channel: str) -> bool:
 
 
 def reason_unused(name: str, signals: AnyMapping[str, Signal], mapping: Mapping) -> str:
-    """Return why a signal is the source of no channel; empty if it gives the frequency or the gap."""
+    """Return the reason for the user why a signal is not used; empty if it is the source of the frequency or gap."""
     if name in (mapping.frequency, mapping.gap):
         return ""
     one = signals[name]
@@ -134,21 +134,24 @@ def reason_unused(name: str, signals: AnyMapping[str, Signal], mapping: Mapping)
         return "its name matches no channel"
     fitting = [channel for channel in meant if _fits(one, channel)]
     if not fitting:
-        return f"its unit {one.unit} is none of {meant[0]}"
+        return f"its unit {one.unit} is not possible for the channel {meant[0]}"
     taken = [channel for channel in fitting if channel in mapping.channels]
     if taken:
-        return f"{taken[0]} is {mapping.channels[taken[0]].column}"
+        return f"the channel {taken[0]} is {mapping.channels[taken[0]].column}"
     if all(len(one.values) != len(other.values) for other in used):
-        return "it has other times"
+        return "its times differ from those of the channels"
     rivals = [other for other in signals if other != name and {fitting[0], *HINTS[fitting[0]]} & _words(other)]
-    return f"{fitting[0]} may be {rivals[0]} as well" if rivals else "no channel is assigned to it"
+    return f"{rivals[0]} could also be the channel {fitting[0]}" if rivals else "it is not assigned to a channel"
 
 
 def with_channel(channels: AnyMapping[str, Channel], text: str, signals: AnyMapping[str, Signal]) -> dict[str, Channel]:
-    """Return channels with one changed by a text: `laser=ai0`, `laser=ai0 mm`, `laser=ai0 V, 500 mV/mm`, `laser=`.
+    """Return channels with one changed by the text of an option `--channel`.
+
+    The text names the channel and its signal, which may be followed by a unit and a sensitivity: `laser=ai0`,
+    `laser=ai0 mm`, `laser=ai0 V, 500 mV/mm`. `laser=` removes the channel.
 
     Raises:
-        ConfigError: the text is malformed.
+        ConfigError: the text is malformed, or its channel is unknown.
     """
     name, equals, rest = text.partition("=")
     name = name.strip()

@@ -44,7 +44,10 @@ LONGEST_CELL = 64
 
 
 def number(cell: str, decimal: str = ".") -> float | None:
-    """Return the number in a cell, NaN for a missing one, or None if the cell is not a number."""
+    """Return the number in a cell, NaN for a missing one (such as `n/a`), or None if the cell contains something else.
+
+    `decimal` is the decimal sign, `.` or `,`.
+    """
     text = cell.strip().replace("\u2212", "-")
     if len(text) > LONGEST_CELL:
         return None
@@ -67,20 +70,23 @@ def number(cell: str, decimal: str = ".") -> float | None:
 
 
 def without_markers(values: Real) -> Real:
-    """Return numbers with those that instruments print instead of none, or of one out of range, as what they mean."""
+    """Return numbers with the special values of instruments replaced: 9.91e37 by NaN, ±9.9e37 by ±infinity."""
     size = np.abs(values)
     return np.where(size == SCPI_NAN, np.nan, np.where(size == SCPI_INFINITY, np.copysign(np.inf, values), values))
 
 
 def half_digit(cell: str) -> float:
-    """Return half of the last digit of a written number, the possible error of its rounding."""
+    """Return half of the last digit of a written number, its largest possible rounding error: 0.005 for `1.25`."""
     mantissa, _, exponent = cell.strip().lower().replace("d", "e").partition("e")
     decimals = len(mantissa) - 1 - max(mantissa.rfind("."), mantissa.rfind(",")) if re.search("[.,]", mantissa) else 0
     return float(0.5 * 10.0 ** (int(exponent or 0) - decimals))
 
 
 def decimal_sign(cells: Sequence[str], delimiter: str | None) -> str:
-    """Return the decimal sign of some cells: a comma if one is possible and no cell contradicts it."""
+    """Return the decimal sign of a table's cells, `.` or `,`: a comma if one is possible and no cell contradicts it.
+
+    `delimiter` is the character between cells, None for blanks.
+    """
     if delimiter == "," and not any("," in cell for cell in cells):
         return "."
     for cell in cells:
@@ -118,13 +124,13 @@ _TIMES = (
     re.compile(r"(?P<day>\d{1,2})[-./ ]{1,2}" + _NAME + r"[-./, ]{1,2}(?P<year>\d{4}|\d{2})" + _LATER, re.ASCII),
     re.compile(_NAME + r"[. ]{1,2}(?P<day>\d{1,2}),? (?P<year>\d{4})" + _LATER, re.ASCII),
 )  # fmt: skip
-"""Notations of dates, times of day and both."""
+"""Notations of dates, times of day, durations, and dates with a time of day."""
 _DAY_NS = 86_400 * NS_PER_S
 _EPOCH_DAY = dt.date(1970, 1, 1).toordinal()
 
 
 def is_time(cell: str) -> bool:
-    """Return whether a cell is a date, a time of day or both."""
+    """Return whether a cell is a date, a time of day, both, or a duration."""
     return _time(cell) is not None
 
 
@@ -134,10 +140,10 @@ def _time(cell: str) -> re.Match[str] | None:
 
 
 class Times:
-    """Column of dates and times of day."""
+    """Column of dates, times of day or durations, converted to nanoseconds (`ns`)."""
 
     def __init__(self, cells: Sequence[str]) -> None:
-        """Read the cells.
+        """Convert the cells of a column.
 
         Raises:
             ValueError: a cell is not a time; the message is its text.
@@ -155,12 +161,15 @@ class Times:
 
     @property
     def note(self) -> str:
-        """Assumption about the order of day and month, as text; empty if there was none."""
-        return "dates were read as month/day" if self._month_first else ""
+        """Assumption about the order of day and month, for the user; empty if the order was certain."""
+        return "dates were read as month/day/year" if self._month_first else ""
 
     @staticmethod
     def _is_month_first(cells: Sequence[str]) -> bool:
-        """Return whether the month precedes the day: a second part above 12 shows that, else the separator decides."""
+        """Return whether dates such as 3/4/2026 begin with the month.
+
+        They do if a second number is above 12, or if no first number is and the separator is a slash.
+        """
         slash = False
         for cell in cells:
             match = _time(cell)
@@ -174,7 +183,7 @@ class Times:
         return slash
 
     def _parse(self, cell: str) -> tuple[int, int]:
-        """Return days since 1970, or of a duration, and nanoseconds since midnight."""
+        """Return the days of a cell, since 1970 or of a duration, and its nanoseconds since midnight."""
         match = _time(cell)
         if match is None:
             raise ValueError(cell.strip()[:LONGEST_CELL])
@@ -195,7 +204,7 @@ class Times:
 
     @staticmethod
     def _clock(parts: Mapping[str, str]) -> int:
-        """Return a time of day in nanoseconds, minus its offset from UTC."""
+        """Return the time of day in the parts of a cell, in nanoseconds since midnight, minus its offset from UTC."""
         hours, minutes, seconds = (int(parts.get(unit) or 0) for unit in ("hour", "minute", "second"))
         half, zone = parts.get("half"), parts.get("zone", "").lstrip("ZUTCGM")
         if half:

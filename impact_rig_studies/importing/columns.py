@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Columns of a table as signals, with times and named rates or periods recognised."""
+"""Conversion of a table's columns to signals; columns of times, and named rates or periods, become the abscissa."""
 
 from __future__ import annotations
 
@@ -51,7 +51,10 @@ MOST_SCALARS = 100
 
 @attrs.define
 class _Axis:
-    """Abscissa of a table, as far as it is known."""
+    """Abscissa that the columns of a table define, before it is combined with a stated rate.
+
+    `values` are in seconds for times; `start_ns` is the stamp of the first row, None if it is unknown.
+    """
 
     kind: AbscissaKind = AbscissaKind.NONE
     name: str = ""
@@ -71,10 +74,10 @@ def signals_of(
     remarks: tuple[str, ...] = (),
     left_out: Mapping[str, str] | None = None,
 ) -> ImportedSignals:
-    """Return columns as signals.
+    """Return the columns of a table as signals with a common abscissa.
 
     A two-dimensional column becomes as many signals as its shorter side has. Columns that are not signals are left out,
-    with the reason.
+    with the reason for the user.
 
     Args:
         path: the file.
@@ -146,7 +149,7 @@ def signals_of(
             continue
         squeezed = np.atleast_1d(np.squeeze(values))
         if squeezed.ndim > 2:
-            omitted[heading] = "a table of tables"
+            omitted[heading] = "an array of more than two dimensions"
             continue
         rows = squeezed[None] if squeezed.ndim == 1 else squeezed if len(squeezed) < len(squeezed.T) else squeezed.T
         allow_columns(len(rows) + len(signals))
@@ -170,9 +173,9 @@ def _axis(
     dates: tuple[str, NDArray[np.int64]] | None,
     omitted: dict[str, str],
 ) -> _Axis:
-    """Remove the columns of times, or of frequencies, from the others, and return the abscissa that they define.
+    """Remove the columns of times, or of frequencies, from `numeric`, and return the abscissa that they define.
 
-    Columns that repeat it are added to `omitted`, with the reason.
+    Further columns of times are added to `omitted`, with the reason.
     """
     timed = next((name for name in numeric if headings.is_time_name(_name(name)) and _is_column(numeric[name])), None)
     if clocks:
@@ -219,7 +222,10 @@ def _axis(
 
 
 def _clock_names(clocks: list[tuple[str, cells.Times]]) -> list[str]:
-    """Return the names of the columns that give the times: the first, and one that completes its dates or clocks."""
+    """Return the names of the columns of dates or clocks that give the times: the first, and one that completes it.
+
+    A column of dates is completed by one of times of day, and the other way round.
+    """
     name, times = clocks[0]
     completing = (
         other_name
@@ -232,7 +238,7 @@ def _clock_names(clocks: list[tuple[str, cells.Times]]) -> list[str]:
 
 
 def _clock_axis(clocks: list[tuple[str, cells.Times]]) -> _Axis:
-    """Return times from dates, clocks, or a column of each."""
+    """Return the abscissa from a column of dates, of times of day or of both, or from one column of each."""
     name, times = clocks[0]
     ns = times.ns
     has_date = times.has_date
@@ -246,18 +252,18 @@ def _clock_axis(clocks: list[tuple[str, cells.Times]]) -> _Axis:
 
 
 def _date_axis(name: str, ns: NDArray[np.int64]) -> _Axis:
-    """Return times from dates in binary form."""
+    """Return the abscissa from a column of binary dates, in nanoseconds since 1970."""
     return _Axis(AbscissaKind.TIME, name, "s", (ns - ns[0]) / NS_PER_S, int(ns[0])) if len(ns) else _Axis()
 
 
 def _is_fraction(clocks: list[tuple[str, cells.Times]], values: Real) -> bool:
-    """Return whether a column holds the milliseconds of clocks that show whole seconds."""
+    """Return whether a column contains milliseconds to be added to times of day without a fraction of a second."""
     whole = all(bool(np.all(times.ns % NS_PER_S == 0)) for _, times in clocks)
     return whole and any(times.has_clock for _, times in clocks) and bool(np.all((values >= 0.0) & (values < 1e3)))
 
 
 def _epoch_axis(name: str, unit: str, column: Column) -> _Axis | None:
-    """Return times that count fractions of a second since 1970, exact where they are integers; None: they do not."""
+    """Return the abscissa from a column that counts ms, us or ns since 1970, exact for integers; None for any other."""
     first = float(column.reshape(-1)[0])
     for fraction, per_s in FRACTIONS:
         if unit in ("", fraction) and EPOCH_S[0] * per_s <= first <= EPOCH_S[1] * per_s:
@@ -268,7 +274,10 @@ def _epoch_axis(name: str, unit: str, column: Column) -> _Axis | None:
 
 
 def _time_axis(name: str, unit: str, values: Real) -> _Axis:
-    """Return times in seconds; with an unknown unit they have no meaning."""
+    """Return the abscissa from a column of times, in seconds; its kind is not time if the unit is none of time.
+
+    Without a unit, values may be days of a spreadsheet, which are recognised; otherwise, seconds are assumed.
+    """
     note = ""
     word = headings.bare(_name(name))
     finite = values[np.isfinite(values)]
@@ -301,7 +310,10 @@ def _time_axis(name: str, unit: str, values: Real) -> _Axis:
 
 
 def _abscissa(axis: _Axis, rate_hz: float | None) -> tuple[Abscissa, SignalKind]:
-    """Return the abscissa of all signals and their kind."""
+    """Return the abscissa of all signals of a table, and their kind.
+
+    `rate_hz` is the rate that the file states elsewhere, None if it states none.
+    """
     values = axis.values
     if axis.kind is AbscissaKind.FREQUENCY:
         return Abscissa(axis.kind, axis.unit, _first(values), None, values), SignalKind.SPECTRUM

@@ -39,14 +39,17 @@ POWERS = {"m": 0, "m/s": 1, "m/s^2": 2, "A": 0}  # power of the frequency in a d
 REFERENCES = ("base", "current", "laser", "accelerometer")  # the first that is measured gives the drive's frequency
 NAMED_WITHIN = 0.005  # allowed relative difference of a frequency in a file name from that of the data
 NEIGHBOURS, OUTSTANDING = 101, 6.0
-"""Lines whose median is the noise around one, and how much larger a line must be: of 10,000 of noise not one is."""
+"""Number of spectral lines whose median is the noise around a line, and the factor by which a clear line exceeds it.
+
+Of 10,000 lines of noise not one is clear.
+"""
 FREQUENCY_S, FREQUENCY_SCANS = 20, 20_000  # length of the record's end for its frequency: the longer
 FREQUENCY_HZ = 10_000  # means of neighbours represent faster scans: a fit of a million takes 150 MB
 
 
 @attrs.frozen(eq=False)
 class ImportedRun:
-    """Content of a file in the form of a run."""
+    """Content of an imported file, converted to what a run contains."""
 
     source: ImportedSignals  # what was read
     mapping: Mapping  # mapping that was used
@@ -56,7 +59,7 @@ class ImportedRun:
     rows: NDArray[np.void]  # scans, `time` unused, shape (n,)
     info: NDArray[np.void]  # rows of `daq/info`
     drive: tuple[tuple[int, float, float], ...]  # instants [ns], frequencies [Hz] and amplitudes [A] commanded
-    labels: tuple[str, ...]  # remarks
+    labels: tuple[str, ...]  # remarks for the topic `notes`, among them the labels of the gap
     estimated: AnyMapping[str, tuple[str, ...]]  # columns of `info` that the data gave, by channel; the rest is stated
     doubts: tuple[str, ...] = ()  # assumptions and guesses that the user should confirm, as text
 
@@ -67,7 +70,7 @@ def convert(
     drive: ImportedSignals | None = None,
     sheet: ImportedSignals | None = None,
 ) -> ImportedRun:
-    """Return the content of a file as scans, calibration, drive and labels.
+    """Return the content of a file as scans, calibration, drive commands and gap labels of a run.
 
     Args:
         source: content of the file.
@@ -167,16 +170,16 @@ def _unassigned(source: ImportedSignals) -> str:
     left_out = "; ".join(f"{name}: {why}" for name, why in source.left_out.items())
     rest = f"; left out: {left_out[:300]}" if left_out else ""
     return (
-        f"{source.path}: which signal is which channel is not known; it has: {known[:500]}{rest}. Say it: "
-        f'--channel laser="{example}" for the structure, --channel base=… for its base'
+        f"{source.path}: the names of its signals do not tell which is which channel; it has: {known[:500]}{rest}. "
+        f'Assign them: --channel laser="{example}" for the motion of the structure, --channel base=… for its base'
     )
 
 
 def _unit_doubts(name: str, one: Channel, si_unit: str) -> list[str]:
-    """Return the uncertain assumptions about the unit of a channel."""
-    said = f'--channel {name}="{one.column} {OTHER_UNIT[si_unit]}" gives another'
+    """Return the assumption about an unknown or ambiguous unit of a channel, for the user; empty if there is none."""
+    said = f'--channel {name}="{one.column} {OTHER_UNIT[si_unit]}" states another'
     if not one.unit and not one.sensitivity:
-        return [f"no unit is given for {one.column}: {si_unit} was taken; {said}"]
+        return [f"no unit is given for {one.column}: {si_unit} is assumed; {said}"]
     doubt = units.doubt(one.unit) if not one.sensitivity else units.doubt(one.sensitivity.rpartition("/")[2])
     return (
         [f"unit {one.unit if not one.sensitivity else one.sensitivity!r} of {one.column} was read as {doubt}"]
@@ -186,7 +189,7 @@ def _unit_doubts(name: str, one: Channel, si_unit: str) -> list[str]:
 
 
 def _differ(signals: AnyMapping[str, Signal]) -> bool:
-    """Return whether signals are given over different times."""
+    """Return whether some of the signals are given at different times."""
     one, *others = signals.values()
     return any(other.abscissa is not one.abscissa and not _fits(one, other) for other in others)
 
@@ -204,7 +207,11 @@ def _fits(one: Signal, other: Signal) -> bool:
 
 
 def _common(source: ImportedSignals, signals: AnyMapping[str, Signal]) -> tuple[Abscissa, int, dict[str, float]]:
-    """Return the common abscissa and length of the signals of all channels, and the delay of each start [s]."""
+    """Return abscissa and length that all channels share, and by how much each starts later than the first [s].
+
+    Raises:
+        RecordingError: the signals have different times or lengths.
+    """
     (first_name, first), *others = signals.items()
     for name, one in others:
         if one.abscissa is not first.abscissa and not _fits(first, one):
@@ -215,14 +222,15 @@ def _common(source: ImportedSignals, signals: AnyMapping[str, Signal]) -> tuple[
             )
         if len(one.values) != len(first.values):
             raise RecordingError(
-                f"{source.path}: {name} has {len(one.values)} values, {first_name} {len(first.values)}"
+                f"{source.path}: {name} has {len(one.values)} values, but {first_name} {len(first.values)}; all "
+                "channels need the same number"
             )
     skews = {name: one.abscissa.start - first.abscissa.start for name, one in signals.items()}
     return first.abscissa, len(first.values), skews
 
 
 def _same_steps(first: Abscissa, other: Abscissa, period: float, count: int) -> bool:
-    """Return whether two abscissas of one length agree within half a period at their ends."""
+    """Return whether two abscissas of `count` values last equally long, within half a period [s]."""
     ends = [
         one.step * (count - 1) if one.step else float(one.values[-1]) if one.values is not None and count else 0.0
         for one in (first, other)
@@ -231,7 +239,7 @@ def _same_steps(first: Abscissa, other: Abscissa, period: float, count: int) -> 
 
 
 def _scans(found: AnyMapping[str, Real], si_units: AnyMapping[str, str], info: NDArray[np.void]) -> NDArray[np.void]:
-    """Return rows of `daq/scan` with the bits of readings out of range."""
+    """Return the values as rows of `daq/scan`; `status` has a bit for each reading outside the range of its channel."""
     names = tuple(info["name"].astype(str))
     columns = (topics.SCAN.fields[0], *(Column(n, si_units[n], "") for n in names), topics.SCAN.fields[1])
     rows = np.zeros(len(found[names[0]]), row_type(columns))
@@ -245,18 +253,18 @@ def _scans(found: AnyMapping[str, Real], si_units: AnyMapping[str, str], info: N
 
 @attrs.frozen(eq=False)
 class _Instants:
-    """Instants of scans."""
+    """Conversion between positions of scans in the file and stamps [ns]."""
 
     index: NDArray[np.int64]
     rate_hz: Rate
     start_ns: int
 
     def exact(self, scan: int) -> int:
-        """Return the stamp of a scan [ns]."""
+        """Return the stamp of the scan at a position [ns]."""
         return stamp_ns(int(self.index[scan]), self.rate_hz, self.start_ns)
 
     def first_at(self, instant_ns: float) -> int:
-        """Return the number of the first scan at or after an instant."""
+        """Return the position of the first scan at or after a stamp; infinity gives the number of scans."""
         if math.isinf(instant_ns):
             return len(self.index)
         return int(np.searchsorted(self.index, (instant_ns - self.start_ns) * self.rate_hz / NS_PER_S - 1e-6))
@@ -270,10 +278,10 @@ def _calibration(
     steps: AnyMapping[str, float],
     skews: AnyMapping[str, float],
 ) -> tuple[NDArray[np.void], dict[str, tuple[str, ...]]]:
-    """Return rows of `daq/info` from the sheet and the mapping; other properties are unlimited or exact.
+    """Return rows of `daq/info` for the channels, and by channel the columns that were estimated from the data.
 
-    The steps are those of the readings themselves, the skews and the rate those of their times. The second value lists
-    which of these no sheet, mapping or option states.
+    The table of calibration (`sheet`) and the mapping state properties; the mapping takes precedence. Resolution, skew
+    and rate that neither states are estimated from readings and times. Other properties are exact or without limit.
     """
     given_rate = mapping.rate_hz is not None or mapping.resample_hz is not None
     estimated: dict[str, tuple[str, ...]] = {}
@@ -301,23 +309,31 @@ def _calibration(
 
 
 def _confirmed(mapping: Mapping, measured_hz: float, seconds: float) -> tuple[Mapping, list[str]]:
-    """Compare guesses from the file name with the data; return the mapping and a list of the guesses."""
+    """Compare frequency and gap guessed from the file name with the data; return the mapping, and texts for the user.
+
+    A guessed frequency that contradicts a clear sine is replaced by that of the sine.
+
+    Args:
+        mapping: mapping with the guesses.
+        measured_hz: frequency of the sine in the data, 0 if there is no clear one.
+        seconds: length of the record.
+    """
     said = []
     if "frequency" in mapping.guessed and isinstance(mapping.frequency, float):
         named = mapping.frequency
         within = max(NAMED_WITHIN * named, 0.5 / seconds)
         if measured_hz > 0.0 and abs(named - measured_hz) > within:
             said.append(
-                f"the file name says {named:g} Hz, the data say {measured_hz:.5g} Hz, which is used; "
-                f"--frequency HZ decides"
+                f"the file name states a drive frequency of {named:g} Hz, but the data show {measured_hz:.5g} Hz, "
+                "which is used; state another with --frequency HZ"
             )
             mapping = attrs.evolve(mapping, frequency=measured_hz)
         else:
-            data = f"the data say {measured_hz:.5g} Hz" if measured_hz > 0.0 else "the data hold no clear sine"
-            said.append(f"frequency {named:g} Hz guessed from the file name; {data}")
+            data = f"the data show {measured_hz:.5g} Hz" if measured_hz > 0.0 else "the data contain no clear sine"
+            said.append(f"drive frequency {named:g} Hz, guessed from the file name; {data}")
     if "gap" in mapping.guessed and isinstance(mapping.gap, float):
         gap = f"{mapping.gap * 1e3:g} mm" if mapping.gap else "none (no sphere)"
-        said.append(f"gap {gap} guessed from the file name; --gap decides")
+        said.append(f"gap {gap}, guessed from the file name; state another with --gap")
     return mapping, said
 
 
@@ -328,7 +344,11 @@ def _commands(
     followed: Real | None,
     instants: _Instants,
 ) -> tuple[tuple[int, float, float], ...]:
-    """Return the instants and values of the commands, from a table, a signal or a single value; empty if unknown."""
+    """Return the drive commands as (stamp [ns], frequency [Hz], amplitude [A], NaN if unknown).
+
+    They are those of the table `drive`, or else of the frequency signal `followed`, or the single frequency of the
+    mapping; empty if none is known.
+    """
     if drive is not None:
         frequency, current = (drive.signals.get(key) for key in ("frequency", "current"))
         times = None if frequency is None else frequency.time_s
@@ -350,7 +370,7 @@ def _commands(
 
 
 def _changes(values: Real) -> list[int]:
-    """Return the scans at which a signal changes, including the first; NaN counts as one value, unknown."""
+    """Return the positions at which a signal has a new value, including the first; successive NaN count as equal."""
     same = (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
     return [0, *(np.flatnonzero(~same) + 1).tolist()]
 
@@ -358,7 +378,10 @@ def _changes(values: Real) -> list[int]:
 def _with_amplitude(
     commands: Sequence[tuple[int, float, float]], found: AnyMapping[str, Real], instants: _Instants
 ) -> Iterator[tuple[int, float, float]]:
-    """Yield the commands; a missing amplitude is that of current or base as measured: √2 times its rms."""
+    """Yield the drive commands; a missing amplitude is √2 times the rms of the current, or else of the base.
+
+    The rms is that of the scans to which the command applies.
+    """
     values = found[next(name for name in ("current", *REFERENCES) if name in found)]
     ends = [*(one[0] for one in commands[1:]), math.inf]
     for (instant, frequency, amplitude), end in zip(commands, ends, strict=True):
@@ -368,10 +391,11 @@ def _with_amplitude(
 
 
 def _frequency_of(found: AnyMapping[str, Real], si_units: AnyMapping[str, str], rate: float) -> tuple[float, bool]:
-    """Return the frequency of the largest line of the first measured reference (0 if none), and whether it is clear.
+    """Return the drive frequency [Hz] that the data show (0 if none), and whether they are a clear sine.
 
-    Lines are compared as displacements, which lifts the noise of an accelerometer at the lowest frequencies: only lines
-    that stand out of the noise around them count. A clear one has more power than the rest of the signal.
+    It is that of the largest spectral line of the first measured channel in `REFERENCES`. Lines are compared as
+    displacements, which raises the noise of an accelerometer at low frequencies: only lines above the noise around them
+    count. A clear sine has more power than the rest of the signal.
     """
     from scipy.ndimage import median_filter  # noqa: PLC0415  # heavy
 

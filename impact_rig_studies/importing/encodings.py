@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Code pages of text files."""
+"""Detection of the character encoding of text files, and their lines."""
 
 from __future__ import annotations
 
@@ -27,7 +27,10 @@ SAMPLE = 4096
 
 
 def decode(content: bytes) -> tuple[str, str]:
-    """Return the text of a file and the name of its code page: by its mark, as UTF-16 or UTF-8, else Western."""
+    """Return the text of a file and the name of its encoding.
+
+    A byte order mark decides. Otherwise it is UTF-16 if the bytes look so, UTF-8 if they are valid, else cp1252.
+    """
     for mark, name in MARKS:
         if content.startswith(mark):
             return content[len(mark) :].decode(name, "replace"), name
@@ -47,6 +50,6 @@ def decode(content: bytes) -> tuple[str, str]:
 
 
 def split_lines(text: str) -> list[str]:
-    """Return the lines of a text, separated only at the line ends that occur in files."""
+    """Return the lines of a text, separated only at line feeds and carriage returns, and not at other characters."""
     lines = text.split("\n") if "\r" not in text else _LINE_END.split(text)
     return lines[:-1] if lines and not lines[-1] else lines

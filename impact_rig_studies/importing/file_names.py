@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Frequency and gap in the name of a file: guesses, with a decimal point, a comma or `p`."""
+"""Guesses of drive frequency and gap from the name of a file; the decimal sign may be a point, a comma or `p`."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ _NO_SPHERE = re.compile(
 
 
 def frequency_hz(stem: str) -> float | None:
-    """Return the frequency in a name such as `messung_9,1Hz`, `sweep_8p5Hz` or `9.1 hz`, or None."""
+    """Return the frequency [Hz] in a file name such as `messung_9,1Hz`, `sweep_8p5Hz` or `9.1 hz`; None if unclear."""
     return _only({_number(number) * (1e3 if kilo else 1.0) for number, kilo in _FREQUENCY.findall(stem)} - {0.0})
 
 
 def gap_m(stem: str) -> float | None:
-    """Return the gap in a name such as `gap_0,5mm` or `no_sphere` (0) [m], or None."""
+    """Return the gap [m] in a file name such as `gap_0,5mm`, or 0 for one such as `no_sphere`; None if unclear."""
     if _NO_SPHERE.search(stem):
         return 0.0
     lengths = list(_LENGTH.finditer(stem))
@@ -45,7 +45,7 @@ def gap_m(stem: str) -> float | None:
 
 
 def _only(values: set[float]) -> float | None:
-    """Return the only value; None: there is none, or several contradict each other."""
+    """Return the value if there is exactly one; None if there are none, or several that contradict each other."""
     return next(iter(values)) if len(values) == 1 else None
 
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Headings of columns: name and unit, in the notations that programs use."""
+"""Interpretation of the headings of columns: names, units, times and rates, in the notations that programs use."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _UNIT_OF_NAME = {
 _SIGNAL_SUFFIXES = {
     "mm": "mm", "um": "um", "cm": "cm", "ms2": "m/s^2", "mps2": "m/s^2", "mmps": "mm/s", "mps": "m/s",
 }  # fmt: skip
-"""Suffixes after an underscore that are units; others may be part of a name: `base_m`."""
+"""Units by suffix after an underscore; other suffixes may be part of a name, such as `base_m`."""
 _TIME_SUFFIX = re.compile(r"(.+?)(?:_(?i:(s|ms|us|ns|sec))|(?<=[a-z])(S|Ms|Us|Ns|Sec))")
 _UNIT_LABELS = frozenset({"unit", "units", "einheit", "einheiten", "unité", "unidad"})
 _NOT_LETTERS = re.compile(r"[\W\d_]+")
@@ -56,31 +56,34 @@ _PERIOD_NAMES = frozenset({
     "samplinginterval", "sampletime", "timestep", "timeincrement", "timeinterval", "increment", "xincrement",
     "abtastintervall",
 })  # fmt: skip
-"""Names of single numbers that state a rate or a period: lower case, letters only."""
+"""Names of single numbers that state a period, in lower case, letters only; `_RATE_NAMES` are those of rates."""
 _UNIT_SUFFIX = re.compile(r"(.+?)_?(k?[Hh]z|(?<=_)(?:s|ms|us))")
 MILLISECONDS = frozenset({"millisecond", "milliseconds", "millis", "msec", "ms", "millisekunden"})
-"""Names of columns that count the milliseconds of a clock of whole seconds."""
+"""Names of columns that hold the milliseconds within the whole seconds of another column."""
 
 
 def bare(name: str) -> str:
-    """Return the letters of a name, in lower case."""
+    """Return the letters of a name in lower case, without digits, blanks and signs, for comparison with known names."""
     return _NOT_LETTERS.sub("", name[:80].lower())
 
 
 def is_time_name(name: str) -> bool:
-    """Return whether a column of this name, without its unit, holds times; `Time  1 - default sample rate` does."""
+    """Return whether a column with this name (without its unit) contains times.
+
+    Text after ` - ` is ignored, as in `Time  1 - default sample rate`.
+    """
     word = bare(name[:80].partition(" - ")[0])
     return word in TIME_NAMES or _time_suffix(name) is not None
 
 
 def _time_suffix(name: str) -> str | None:
-    """Return the unit of times at the end of a name such as `time_ms` or `timeMs`."""
+    """Return the unit at the end of a column's name such as `time_ms` or `timeMs`; None if it has none."""
     match = _TIME_SUFFIX.fullmatch(name[:80].strip())
     return (match[2] or match[3]).lower() if match and bare(match[1]) in TIME_NAMES else None
 
 
 def rate_hz(name: str, value: float) -> float | None:
-    """Return the rate [Hz] that a number of this name states, as a rate or as a period; None: it states none."""
+    """Return the sampling rate [Hz] that a number with a name such as `fs` or `dt` states; None for other names."""
     plain, unit = split_unit(name)
     match = _UNIT_SUFFIX.fullmatch(plain[:80])
     if match and not unit:
@@ -96,7 +99,7 @@ def rate_hz(name: str, value: float) -> float | None:
 
 
 def time_unit(name: str, unit: str) -> str:
-    """Return the unit of a column of times according to its heading; empty if there is none."""
+    """Return the unit of a column of times: `unit` if it is given, or else that in its name; empty if unknown."""
     suffix = _time_suffix(name)
     return unit or _UNIT_OF_NAME.get(suffix or bare(name), suffix or "")
 
@@ -124,7 +127,7 @@ def split_unit(heading: str) -> tuple[str, str]:
 
 
 def _bracketed(text: str) -> tuple[str, str]:
-    """Return name and content of the brackets at the end of a heading; no unit without brackets."""
+    """Return the name of a heading and the unit in brackets at its end; without brackets the unit is empty."""
     if not text.endswith(("]", ")")):
         return text, ""
     opened, closed = ("[", "]") if text.endswith("]") else ("(", ")")
@@ -138,10 +141,10 @@ def _bracketed(text: str) -> tuple[str, str]:
 
 
 def is_units_row(cells: Sequence[str], above: Sequence[str] = ()) -> bool:
-    """Return whether a row holds units.
+    """Return whether a row of a table's heading contains units.
 
-    It does if every filled cell is a unit, or if it is labelled so. It also does if its first cell is a unit of time
-    below the name of a column of times. The other cells may then be units that are not known here.
+    It does if every filled cell is a unit, or the first cell is a label such as `units`. It also does if its first cell
+    is a unit of time or frequency below the name of such a column in the row `above`; the others may then be unknown.
     """
     filled = [cell for cell in cells if cell.strip()]
     if filled and cells[0].strip().strip(":").lower() in _UNIT_LABELS:
@@ -152,7 +155,7 @@ def is_units_row(cells: Sequence[str], above: Sequence[str] = ()) -> bool:
 
 
 def unit_cells(cells: Sequence[str]) -> list[str]:
-    """Return the units in a row of units."""
+    """Return the units in a row of units, without brackets; a label such as `units` in the first cell is dropped."""
     units = [cell.strip().strip("[]").strip() for cell in cells]
     units = [unit[1:-1] if unit.startswith("(") and unit.endswith(")") else unit for unit in units]
     return ["", *units[1:]] if units and units[0].strip(":").lower() in _UNIT_LABELS else units
@@ -169,10 +172,10 @@ _SAMPLES = re.compile(r"([kM]?)(?:sps|sa?/s|samples?\s?(?:/|per)\s?s\w{0,5})", r
 
 
 def stated_rate(lines: Sequence[str]) -> float | None:
-    """Return the rate [Hz] in lines around a table, such as `Sample rate: 51200 Hz` or `Delta_X 0.008`.
+    """Return the sampling rate [Hz] that lines around a table state, as in `Sample rate: 51200 Hz` or `Delta_X 0.008`.
 
-    The unit, behind the number or in the heading before it, decides whether the number is a rate or a period; without
-    one, its name does.
+    The unit, after the number or in the heading before it, determines whether the number is a rate or a period; without
+    a unit, the name does. The result is None if no line states one.
     """
     for match in (match for line in lines for match in _STATED.finditer(line[:300])):
         heading = match[0][: match.start("number") - match.start()].rstrip(" \t:=;,")
@@ -193,6 +196,6 @@ def stated_rate(lines: Sequence[str]) -> float | None:
 
 
 def _plain(text: str) -> str:
-    """Return a number with a decimal point; a last comma or point of a sentence is dropped."""
+    """Return the text of a number with a decimal point, without the comma or point of a sentence at its end."""
     text = text.rstrip(".,")
     return text.replace(",", ".") if text.count(",") == 1 and "." not in text else text.replace(",", "")

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Separate process for a reader: memory and time are limited, and a crash of a library is only an error."""
+"""Reading of a file in a separate process: memory and time are limited, and a crash of a library is only an error."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _REFUSED, _DAMAGED, _MEMORY = "refused", "damaged", "memory"
 def run(
     path: Path, what: str, file_bytes: int, reader: Callable[[], ImportedSignals], prepare: Callable[[], object]
 ) -> ImportedSignals:
-    """Return the result of a reader, computed in a child process.
+    """Run a reader in a child process with limited memory and time, and return the signals that it read.
 
     Args:
         path: the file, for messages.
@@ -78,7 +78,7 @@ def run(
     head, _, numbers = received.partition(b"\n")
     if not head:
         if os.WIFSIGNALED(status) and os.WTERMSIG(status) in (signal.SIGXCPU, signal.SIGKILL):
-            raise RecordingError(f"{path} takes longer than {seconds:.0f} s to read: it is damaged, or made to")
+            raise RecordingError(f"{path} takes longer than {seconds:.0f} s to read: it may be damaged or malicious")
         raise RecordingError(f"{path} is damaged: the library that reads it crashed")
     reply: dict[str, Any] = json.loads(head)
     if _REFUSED in reply:
@@ -86,14 +86,17 @@ def run(
         message = str(reply[_REFUSED])
         raise kind(message if str(path) in message else f"{path}: {message}")
     if _MEMORY in reply:
-        raise RecordingError(f"{path} asks for more memory than a file of {file_bytes} bytes may")
+        raise RecordingError(
+            f"{path} needs more memory to read than is allowed for a file of {file_bytes} bytes: it may be damaged or "
+            "malicious"
+        )
     if _DAMAGED in reply:
         raise RecordingError(f"{path} cannot be read as {what}: {str(reply[_DAMAGED])[:300]}")
     return _decoded(path, reply, memoryview(numbers))
 
 
 def _child(reader: Callable[[], ImportedSignals], sink: int, file_bytes: int, seconds: float) -> NoReturn:
-    """Read the file, send the result, and end."""
+    """Read the file in the child process, send the result or the error into the pipe `sink`, and end the process."""
     faulthandler.disable()
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # discards messages of a library that fails
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -119,7 +122,7 @@ def _child(reader: Callable[[], ImportedSignals], sink: int, file_bytes: int, se
 
 
 def _limit(file_bytes: int, seconds: float) -> None:
-    """Limit the computing time, and the memory beyond that of the process."""
+    """Limit the computing time of this process [s], and the memory that it may use in addition to its present one."""
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     more = (WORKING_BYTES + WORKING_PER_BYTE * file_bytes) * budget.factor()
     for kind, limit in (
@@ -133,7 +136,7 @@ def _limit(file_bytes: int, seconds: float) -> None:
 
 
 def _receive(source: int, deadline: float) -> bytes:
-    """Return everything from a pipe.
+    """Return everything that the child writes into a pipe until it closes the pipe.
 
     Raises:
         TimeoutError: the data continue after the deadline [s of the monotonic clock].
@@ -149,7 +152,7 @@ def _receive(source: int, deadline: float) -> bytes:
 
 
 def _send(found: ImportedSignals, out: BinaryIO) -> None:
-    """Write what was read: a line of JSON, then all numbers; an abscissa that signals share is sent once."""
+    """Write signals into the pipe to the parent: a line of JSON, then all numbers; shared numbers are sent once."""
     arrays: list[Real] = []
     places: dict[int, int] = {}
 

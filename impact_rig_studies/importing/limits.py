@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Memory and size limits of imports, in proportion to the size of the file."""
+"""Limits of memory and content for imported files, so that a damaged or malicious one cannot fill the memory."""
 
 from __future__ import annotations
 
@@ -28,26 +28,26 @@ EXPANDED_BYTES, EXPANDED_PER_BYTE = 64 * budget.MIB, 4
 
 
 def allow_columns(count: int) -> None:
-    """Raise an error for more columns or signals than any measurement has.
+    """Reject a file with more columns or signals than any measurement has.
 
     Raises:
-        BudgetError: there are more.
+        BudgetError: `count` is above `COLUMNS`.
     """
     budget.allow("columns in a file", count, COLUMNS)
 
 
 def allow_values(count: float, file_bytes: int) -> None:
-    """Raise an error for more numbers than a file of this size can really contain.
+    """Reject a file that claims more numbers than a file of this size can really contain.
 
     Raises:
-        BudgetError: there are more.
+        BudgetError: `count` numbers are above the limit.
     """
     budget.allow("values in a file", count, VALUES)
     allow_bytes(8.0 * count, file_bytes)
 
 
 def allow_bytes(size: float, file_bytes: int) -> None:
-    """Raise an error for content that is far larger than its file.
+    """Reject a file whose content of `size` bytes after decompression is far larger than the file.
 
     Raises:
         BudgetError: the content is too large.

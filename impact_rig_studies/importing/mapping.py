@@ -43,7 +43,7 @@ OTHER_UNIT = {"m": "mm", "m/s": "mm/s", "m/s^2": "g", "A": "mA"}
 
 @attrs.frozen(kw_only=True)
 class Channel:
-    """Signal of a channel, with its unit and calibration."""
+    """Source of a channel of the rig: the signal in an imported file, with its unit and calibration."""
 
     column: str  # name of the signal in the file
     unit: str = ""  # unit of its values; empty means SI
@@ -55,7 +55,7 @@ class Channel:
     """Columns of `daq/info` by name: range, noise, resolution, lag, skew, uncertainties."""
 
     def to_si(self, name: str) -> tuple[float, str]:
-        """Return the factor of a value for a channel of this name, and its SI unit.
+        """Return the factor that converts values of the signal to SI for the channel `name`, and the SI unit.
 
         Raises:
             ConfigError: the unit or the sensitivity is unknown, or belongs to another quantity.
@@ -66,8 +66,8 @@ class Channel:
             volts = unit_factor(self.unit or "V", "V")
             if found is None or found.unit not in allowed or volts is None:
                 raise ConfigError(
-                    f"channels.{name}.sensitivity must be like `100 mV/{USUAL[name]}` of a signal in V, "
-                    f"got {self.sensitivity!r} of {self.unit!r}"
+                    f"channels.{name}.sensitivity must be like `100 mV/{USUAL[name]}`, for a signal in V, "
+                    f"got {self.sensitivity!r} for a signal in {self.unit!r}"
                 )
             return volts / found.volts, found.unit
         if not self.unit:
@@ -82,7 +82,7 @@ class Channel:
                 + (
                     f'; a voltage needs a sensitivity: --channel {name}="{self.column} V, 100 mV/{USUAL[name]}"'
                     if is_voltage
-                    else f'; --channel {name}="{self.column} {OTHER_UNIT[allowed[0]]}" gives another'
+                    else f'; --channel {name}="{self.column} {OTHER_UNIT[allowed[0]]}" states another'
                 )
             )
         return factor, target
@@ -100,7 +100,7 @@ def _not_negative(_mapping: object, _field: object, value: float | str | None) -
 
 @attrs.frozen(kw_only=True)
 class Mapping:
-    """Channels, drive and labels of a file."""
+    """Meaning of an imported file: its signals' channels, the scan rate, the drive and the gap."""
 
     channels: AnyMapping[str, Channel]  # by name
     rate_hz: float | None = None  # rate, if the file has neither times nor a rate
@@ -112,11 +112,11 @@ class Mapping:
     """Gap label [m], 0 without sphere, or name of its signal [m]; None if unknown."""
     notes: tuple[str, ...] = ()  # remarks for the run
     guessed: frozenset[str] = attrs.field(default=frozenset(), eq=False)
-    """Fields that the name of the file suggests and no option confirms: frequency, gap."""
+    """Those of the fields frequency and gap that are only guessed from the name of the file, and not stated."""
 
 
 def refined(mapping: Mapping, text: str) -> Mapping:
-    """Return a mapping refined by a YAML text.
+    """Return a mapping in which a YAML text, as of the option `--mapping`, replaces what it states.
 
         rate_hz: 5000
         frequency: 9.1               # Hz, or the name of a column
@@ -163,7 +163,7 @@ def refined(mapping: Mapping, text: str) -> Mapping:
 
 
 def as_yaml(mapping: Mapping) -> str:
-    """Return a mapping as a text for `refined`."""
+    """Return a mapping as a YAML text, from which `refined` restores it."""
     content: dict[str, object] = {
         "channels": {
             name: {

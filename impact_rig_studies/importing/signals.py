@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Intermediate form of imported files: named signals with their abscissas, and a list of what was left out.
+"""Common form of the content of imported files: named signals with their abscissas, and a list of omitted parts.
 
-Every reader produces it, and every later step reads nothing else.
+Every reader of a format produces it, and every later step reads nothing else.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Real = NDArray[np.float64]
 
 
 class SignalKind(enum.StrEnum):
-    """Kind of data of a signal."""
+    """Kind of data that a signal contains; only time responses can be channels of a run."""
 
     TIME_RESPONSE = "time response"
     SPECTRUM = "spectrum"
@@ -39,7 +39,7 @@ class SignalKind(enum.StrEnum):
 
 
 class AbscissaKind(enum.StrEnum):
-    """Quantity of a signal's abscissa."""
+    """Quantity over which a signal is given."""
 
     TIME = "time"
     FREQUENCY = "frequency"
@@ -49,9 +49,9 @@ class AbscissaKind(enum.StrEnum):
 
 @attrs.frozen(eq=False)
 class Abscissa:
-    """Abscissa of a signal: evenly spaced, or listed one by one.
+    """Times or frequencies at which a signal is given: evenly spaced, or listed one by one.
 
-    Times are in seconds, independent of the unit in the file; `unit` keeps that of the file.
+    Times are in seconds, independent of the unit in the file, which `unit` keeps.
     """
 
     kind: AbscissaKind = AbscissaKind.NONE
@@ -64,11 +64,11 @@ class Abscissa:
 
     @property
     def is_even(self) -> bool:
-        """Evenness of the values: true if the file states one spacing for all."""
+        """Evenness of the abscissa: true if the file states one spacing for all values."""
         return self.step is not None
 
     def __str__(self) -> str:
-        """Return a description for people."""
+        """Return a description for the user, such as `time from 0 s, step 0.001 s`."""
         if self.kind is AbscissaKind.NONE:
             return "no times and no rate"
         unit = "s" if self.kind is AbscissaKind.TIME else self.unit
@@ -82,13 +82,13 @@ NO_ABSCISSA = Abscissa()
 
 
 def even_times(rate_hz: float, start_s: float = 0.0) -> Abscissa:
-    """Return evenly spaced times for a rate that the file states."""
+    """Return the abscissa of samples at a rate that the file states, the first at `start_s`."""
     return Abscissa(AbscissaKind.TIME, "s", start_s, 1.0 / rate_hz)
 
 
 @attrs.frozen(eq=False)
 class Signal:
-    """Column of numbers with its meaning."""
+    """Numbers of an imported file that belong together, with unit, abscissa and kind."""
 
     values: Real  # shape (n,)
     unit: str = ""  # unit in the file; empty if the file names none
@@ -110,21 +110,21 @@ class Signal:
 
 @attrs.frozen(eq=False)
 class ImportedSignals:
-    """Content of a file written by another program."""
+    """Content of a file that another program wrote, in the common form."""
 
     path: Path
     format: str  # name of the format for messages
     signals: Mapping[str, Signal]  # by name, in the order of the file; lengths may differ
     start_ns: int | None = None  # stamp of the first sample; None if the file has none
     texts: Mapping[str, list[str]] = attrs.field(factory=dict)
-    """Columns of words, such as the names in an exported `daq/info`."""
+    """Columns of words by heading, such as the names of channels in an exported `daq/info`."""
     left_out: Mapping[str, str] = attrs.field(factory=dict)
-    """Parts of the file that are not signals: name to reason."""
+    """Parts of the file that are not signals: name to the reason, for the user."""
     remarks: tuple[str, ...] = ()  # assumptions about the complete file, as text
 
     @property
     def begins_s(self) -> float:
-        """First listed time in the file [s]; 0 if it has none, or has stamps."""
+        """First time of the first signal over time in the file [s]; 0 without one, or if `start_ns` is known."""
         if self.start_ns is not None:
             return 0.0
         starts = (one.abscissa.start for one in self.signals.values() if one.abscissa.kind is AbscissaKind.TIME)
@@ -137,14 +137,17 @@ class ImportedSignals:
 
 
 class UniqueNames:
-    """Unique names for signals; the number of earlier names costs nothing."""
+    """Generator of unique names for signals, fast even for thousands of equal names.
+
+    `reserved` are names that must not be used.
+    """
 
     def __init__(self, reserved: tuple[str, ...] = ()) -> None:
         self._taken = set(reserved)
         self._counts: dict[str, int] = {}
 
     def unique(self, name: str, place: int | None = None) -> str:
-        """Return the name, or a variant with a number (first its place) if it is already used."""
+        """Return the name, or if it is already used, the name with a number appended; `place` is tried first."""
         candidate = name
         while candidate in self._taken:
             number = self._counts.get(name, (place if place is not None else 2) - 1) + 1

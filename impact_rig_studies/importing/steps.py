@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Step of imported readings: the spacing of values caused by a converter, integers or few digits.
+"""Step (resolution) of imported readings: the spacing of values that a converter, integers or few digits cause.
 
 No format states it reliably, because values are scaled, printed and truncated before they are imported. It is computed
 from the values themselves, as the largest number of which all their differences are integer multiples (Euclid's
@@ -36,7 +36,7 @@ CHANCE = 1e-9  # probability that differences are multiples of a number within t
 
 
 def step_of(values: Real) -> float:
-    """Return the step of a signal's values [their unit], or 0 if they have none.
+    """Return the step of which all differences of a signal's values are multiples, in their unit; 0 if there is none.
 
     If there are enough values, only those in the upper half of the amplitude count: numbers printed with a fixed number
     of significant digits have finer steps where they are small, which do not matter for the amplitude.
@@ -57,7 +57,10 @@ def step_of(values: Real) -> float:
 
 
 def _common_divisor(apart: Real, rounding: float) -> float:
-    """Return the largest number of which all differences are multiples within their rounding, or 0."""
+    """Return the largest number of which all differences `apart` are multiples; 0 if there is none above chance.
+
+    `rounding` is the possible error of each difference.
+    """
     apart = np.sort(apart[apart > rounding])
     step = float(apart[0]) if len(apart) else 0.0
     while step > rounding:

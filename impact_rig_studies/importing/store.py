@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Imported measurements as runs on disk, with the results of the analysis."""
+"""Storage of imported measurements as runs on disk, with the results of the analysis."""
 
 from __future__ import annotations
 
@@ -41,7 +41,9 @@ WRITTEN = (topics.INFO, topics.APPLIED, topics.NOTES, topics.SCAN, topics.TRANSM
 
 
 def write(found: ImportedRun, directory: Path, clock_ns: int | None = None) -> Path:
-    """Write a measurement as a run, with the results of its analysis, and return the directory.
+    """Write an imported measurement as a run, with the results of its analysis, and return the directory.
+
+    `clock_ns` is the time of recording that the run states [ns since 1970]; None means now.
 
     Raises:
         RecordingError: the run cannot be written, or the directory already contains a recording.
@@ -83,7 +85,7 @@ def write(found: ImportedRun, directory: Path, clock_ns: int | None = None) -> P
 
 
 def describe(found: ImportedRun) -> dict[str, object]:
-    """Return the origin of a run as data: what was read from the file, assumed about it, and left out."""
+    """Return the origin of an imported run as data: what was read from the file, assumed about it, and left out."""
     source = found.source
     used = {one.column: name for name, one in found.mapping.channels.items()}
     return {
@@ -103,7 +105,10 @@ def describe(found: ImportedRun) -> dict[str, object]:
 
 
 def estimated(attachments: Mapping[str, bytes]) -> dict[str, tuple[str, ...]]:
-    """Return the columns of `daq/info` that were found in the data of an imported run, by channel."""
+    """Return the columns of `daq/info` that the import estimated from the data of a run, by channel.
+
+    The result is empty for a run that was not imported. `attachments` are those of the run.
+    """
     try:
         columns = json.loads(attachments[SOURCE])["estimated"]
         return {str(name): tuple(map(str, found)) for name, found in columns.items()}
@@ -112,7 +117,7 @@ def estimated(attachments: Mapping[str, bytes]) -> dict[str, tuple[str, ...]]:
 
 
 def _heads(found: ImportedRun) -> Iterator[tuple[topics.Topic, Table | bytes]]:
-    """Yield what is known before the first scan."""
+    """Yield the messages to write before the scans, with their topics: calibration, drive commands and remarks."""
     yield topics.INFO, Table(found.start_ns, found.info)
     for instant, frequency, current in found.drive:
         row = np.zeros(1, APPLIED)
@@ -125,7 +130,7 @@ def _heads(found: ImportedRun) -> Iterator[tuple[topics.Topic, Table | bytes]]:
 
 
 def _blocks(found: ImportedRun) -> Iterator[Table]:
-    """Yield the scans in blocks, a new one after each loss."""
+    """Yield the scans in blocks of 0.1 s or less; a new block begins after missing scans."""
     length = max(1, min(BLOCK_SCANS, round(BLOCK_S * found.rate_hz)))
     cuts = [0, *(np.flatnonzero(np.diff(found.index) != 1) + 1).tolist(), len(found.index)]
     for first, end in itertools.pairwise(cuts):

@@ -53,7 +53,7 @@ Rate = int | float  # scans per second: int for a whole number
 
 @attrs.frozen(eq=False)
 class Grid:
-    """Signals on a uniform grid; missing scans are left open."""
+    """Signals at uniform times: scan number `index` is at `index / rate_hz`; missing scans are absent."""
 
     rate_hz: Rate
     index: NDArray[np.int64]  # number of each scan, counted from the first, shape (n,)
@@ -64,35 +64,40 @@ class Grid:
 def aligned(
     path: Path, abscissas: AnyMapping[str, Abscissa], found: AnyMapping[str, Real]
 ) -> tuple[Abscissa, dict[str, Real]]:
-    """Return signals of several time bases at the times of the densest, where all of them are there.
+    """Return signals with different times, interpolated at common times.
+
+    These are the times of the signal with the smallest period, from the latest start to the earliest end of all.
 
     Raises:
-        ConfigError: a signal has no times, misses scans, or is never there together with another.
+        ConfigError: a signal has no times, scans are missing, or the times of the signals do not overlap.
     """
     times: dict[str, Real] = {}
     for name, one in abscissas.items():
         if one.kind is not AbscissaKind.TIME:
-            raise ConfigError(f"{path}: {name} is given over {one}, so it cannot be brought to the times of others")
+            raise ConfigError(
+                f"{path}: {name} is given over {one}, so it cannot be resampled at the times of the other signals"
+            )
         listed = one.values if one.values is not None else np.arange(len(found[name])) * (one.step or 0.0)
         times[name] = np.asarray(one.start + listed)
         steps = np.diff(times[name])
         if not len(steps) or not float(steps.min()) > 0.0 or float(steps.max()) > HOLE * float(np.median(steps)):
-            raise ConfigError(f"{path}: {name} cannot be brought to other times: its times have holes, or go back")
+            raise ConfigError(f"{path}: {name} cannot be resampled: its times have holes, or do not increase")
         if not np.all(np.isfinite(found[name])):
-            raise ConfigError(f"{path}: {name} cannot be brought to other times: a value is no finite number")
+            raise ConfigError(f"{path}: {name} cannot be resampled: a value is not a finite number")
     densest = min(times.values(), key=lambda one: float(np.median(np.diff(one))))
     begin, end = max(one[0] for one in times.values()), min(one[-1] for one in times.values())
     common = densest[(densest >= begin) & (densest <= end)]
     if len(common) < FEWEST:
-        raise ConfigError(f"{path}: the signals of {', '.join(times)} are hardly ever there at the same time")
+        raise ConfigError(f"{path}: the times of the signals of {', '.join(times)} do not overlap")
     there = {name: scipy.interpolate.CubicSpline(times[name], values)(common) for name, values in found.items()}
     return Abscissa(AbscissaKind.TIME, "s", float(common[0]), values=common - common[0]), there
 
 
 def likely_rate(measured_hz: float, uncertainty_hz: float) -> Rate:
-    """Return the rate that a measured one most likely is: a whole number, a clock over a whole number, or itself.
+    """Return the exact rate [Hz] that most likely underlies a measured one within its uncertainty.
 
-    Where several whole numbers are as likely, a clock is likelier than the nearest of them.
+    It is a whole number, or a usual clock (`CLOCKS_HZ`) divided by a whole number, or else the measured rate. If
+    several whole numbers are possible, a clock is likelier than the nearest of them.
     """
     low, high = measured_hz - uncertainty_hz, measured_hz + uncertainty_hz
     whole = round(measured_hz)
@@ -110,7 +115,14 @@ def likely_rate(measured_hz: float, uncertainty_hz: float) -> Rate:
 def uniform(
     path: Path, abscissa: Abscissa, mapping: Mapping, found: dict[str, Real], followed: dict[str, Real]
 ) -> Grid:
-    """Return signals on a uniform grid.
+    """Return the signals of all channels at uniform times, resampled if the mapping requests it.
+
+    Args:
+        path: the file, for messages.
+        abscissa: times or rate in the file.
+        mapping: its rate takes precedence over the file's times; its `resample_hz` requests another rate.
+        found: values by channel, shape (n,) each.
+        followed: signals that give frequency or gap, shape (n,) each.
 
     Raises:
         ConfigError: neither times nor a rate are known, or the times are not uniform.
@@ -141,7 +153,10 @@ def uniform(
 
 
 def _basis(path: Path, abscissa: Abscissa, mapping: Mapping, count: int) -> tuple[Real | None, Rate | None]:
-    """Return the listed times, or the rate where one is stated that they do not contradict."""
+    """Return (listed times [s], None), or (None, rate [Hz]) if a rate is stated that the times do not contradict.
+
+    A rate that the mapping states counts even if the times contradict it.
+    """
     if mapping.rate_hz is not None:
         if not 0.0 < mapping.rate_hz <= MOST_HZ:
             raise ConfigError(f"rate_hz must be > 0 and <= {MOST_HZ:g}, got {mapping.rate_hz:g}")
@@ -154,7 +169,7 @@ def _basis(path: Path, abscissa: Abscissa, mapping: Mapping, count: int) -> tupl
         )
     if abscissa.kind is not AbscissaKind.TIME:
         raise ConfigError(
-            f"{path}: its abscissa [{abscissa.unit or 'no unit'}] is no time{_explained(abscissa)}; "
+            f"{path}: its abscissa [{abscissa.unit or 'no unit'}] is not a time{_explained(abscissa)}; "
             "if it is one, give the rate (--scan-rate HZ), in scans per second"
         )
     times = abscissa.values
@@ -173,7 +188,9 @@ def _explained(abscissa: Abscissa) -> str:
 
 
 def _measured(path: Path, times: Real, *, resampled: bool) -> tuple[Rate, NDArray[np.int64]]:
-    """Return the rate of listed times and the number of each scan.
+    """Return the scan rate [Hz] of listed times [s], and the number of each scan, with gaps for missing ones.
+
+    `resampled` means that the times need not be uniform.
 
     Raises:
         ConfigError: the times do not increase, or are not uniform although they must be.
@@ -215,7 +232,10 @@ def _measured(path: Path, times: Real, *, resampled: bool) -> tuple[Rate, NDArra
 
 
 def _without_holes(times: Real, rate: float, digit: float) -> float:
-    """Return the rate of the longest stretch of times in which no scan is missing."""
+    """Return the scan rate of the longest stretch of times in which no scan is missing.
+
+    `rate` is a first guess, and `digit` the last digit of the times [s].
+    """
     holes = np.flatnonzero(np.diff(times) > (1.5 + digit * rate) / rate) + 1
     cuts = [0, *holes.tolist(), len(times)]
     begin, end = max(itertools.pairwise(cuts), key=lambda cut: cut[1] - cut[0])
@@ -227,13 +247,16 @@ def _without_holes(times: Real, rate: float, digit: float) -> float:
 
 
 def _mostly_equal(steps: Real) -> bool:
-    """Return whether most steps are the same: then they are exact, and the others are holes."""
+    """Return whether most steps between times are equal, so that others are missing scans and not rounded times."""
     middle = float(np.median(steps))
     return bool(np.mean(np.abs(steps - middle) <= 1e-6 * abs(middle)) > MOSTLY)
 
 
 def last_digit(times: Real) -> float:
-    """Return the last digit in which times are written [s]; 0 where they have all digits of a double."""
+    """Return the value of the last decimal digit with which times are written [s], such as 0.001.
+
+    Times with more than `DECIMALS` decimals are taken as single precision: the result is the spacing of these.
+    """
     for decimals in range(DECIMALS + 1):
         scaled = times * 10.0**decimals
         noise = 8.0 * float(np.spacing(np.abs(scaled).max()))
@@ -245,20 +268,31 @@ def last_digit(times: Real) -> float:
 def _resampled(
     path: Path, times: Real, found: dict[str, Real], followed: dict[str, Real], exact: float, rate: int
 ) -> Grid:
-    """Return signals on another grid, by a cubic through the values around; never a coarser one, which would alias.
+    """Return signals at the requested rate, by cubic interpolation; a lower rate than the file's would alias.
 
-    What is followed keeps its value until the next. Nothing is made up where scans are missing: each stretch between
-    two holes has a cubic of its own.
+    Signals in `followed` keep their value until the next one. Nothing is interpolated where scans are missing: each
+    stretch between two holes has its own cubic.
+
+    Args:
+        path: the file, for messages.
+        times: times of the values since the first [s], shape (n,).
+        found: values by channel.
+        followed: signals that give frequency or gap.
+        exact: scan rate of the file [Hz].
+        rate: requested scan rate [Hz].
     """
     if not exact * (1.0 - 1e-4) <= rate <= MOST_HZ:
-        raise ConfigError(f"{path}: resample to at least its {exact:.6g} Hz, at most {MOST_HZ:g}, got {rate}")
+        raise ConfigError(
+            f"{path}: the rate for resampling must be at least that of the file, {exact:.6g} Hz, and at most "
+            f"{MOST_HZ:g} Hz, got {rate}"
+        )
     given = sum(map(len, found.values()))
     most = min(VALUES, max(RESAMPLED_VALUES, RESAMPLED_PER_VALUE * given))
     budget.allow("values after resampling", float(times[-1]) * rate * len(found), most)
     for name, values in found.items():
         if not np.all(np.isfinite(values)):
             wrong = int(np.argmin(np.isfinite(values)))
-            raise ConfigError(f"{path}: {name} cannot be resampled: value {wrong + 1} is no finite number")
+            raise ConfigError(f"{path}: {name} cannot be resampled: value {wrong + 1} is not a finite number")
     index = np.arange(int(times[-1] * rate) + 1, dtype=np.int64)
     place = np.searchsorted(times, (index + 1e-3) / rate, side="right") - 1  # a time may be rounded up
     cuts = [0, *(np.flatnonzero(np.diff(times) * exact > HOLE) + 1).tolist(), len(times)]
@@ -268,7 +302,7 @@ def _resampled(
         if end - begin > 1:
             parts.append((slice(begin, end), index[first:last]))
     if not parts:
-        raise ConfigError(f"{path}: its times have more holes than scans")
+        raise ConfigError(f"{path}: its times have a hole after every scan, so nothing can be resampled")
     spline = scipy.interpolate.CubicSpline
     splined = {
         name: np.concatenate([spline(times[part], values[part])(own / rate) for part, own in parts])

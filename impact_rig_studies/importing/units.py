@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Units as instruments and programs print them.
+"""Conversion of units as instruments and programs print them.
 
 The ordinary SI units, with prefixes, products and powers, need no library. Everything else goes through `pint` (extra
 `impact_rig[import]`). The quantities are those of this package: displacement, velocity, acceleration, current, voltage,
@@ -32,7 +32,7 @@ STANDARD_GRAVITY = 9.80665  # m/s^2
 
 
 class _Size(NamedTuple):
-    """Size of a unit: factor to SI and exponents of metre, second, ampere and volt."""
+    """Unit as a factor to SI and the exponents of metre, second, ampere and volt."""
 
     factor: float
     powers: tuple[int, int, int, int]
@@ -75,7 +75,7 @@ _WORDS = {
     0)),
     "ug": _Size(1e-6 * STANDARD_GRAVITY, (1, -2, 0, 0)),
 }  # fmt: skip
-"""Words and abbreviations, lower case: of an acceleration, g is never a gram."""
+"""Units by word or abbreviation, in lower case; g and its variants are standard gravity, never gram."""
 _CAPITALS = {
     "MM": _Size(1e-3, _METRE), "CM": _Size(1e-2, _METRE), "UM": _Size(1e-6, _METRE), "MS": _Size(1e-3, _SECOND),
     "M": _BASE["m"], "S": _BASE["s"], "MV": _Size(1e-3, _VOLT), "MA": _Size(1e-3, _AMPERE),
@@ -108,10 +108,10 @@ _FACTOR = re.compile(r"([*/]?)([^\W\d]+0?)(?:\^?(-?[1-9])|\^\((-?[1-9])\))?")
 
 
 def unit_factor(unit: str, wanted: str) -> float | None:
-    """Return the factor from a unit to another one; None: the unit is unknown or of another quantity.
+    """Return the factor that converts values in `unit` to `wanted`; None if it is unknown or of another quantity.
 
     Raises:
-        RecordingError: the unit is no ordinary SI unit and `pint` is not installed.
+        RecordingError: the unit is not an ordinary SI unit, and `pint` is not installed.
     """
     if unit == wanted:
         return 1.0
@@ -125,7 +125,7 @@ def unit_factor(unit: str, wanted: str) -> float | None:
 
 
 def quantity(unit: str) -> str | None:
-    """Return the SI unit of a unit's quantity (`m`, `m/s`, `m/s^2`, `A`, `V`, `s`, `Hz`); None: another or unknown."""
+    """Return the SI unit of the quantity that `unit` measures: m, m/s, m/s^2, A, V, s or Hz; None for any other."""
     size = _parse(unit)
     if size is not None:
         return next((name for name, powers in _QUANTITIES.items() if powers == size.powers), None)
@@ -136,14 +136,14 @@ def quantity(unit: str) -> str | None:
 
 
 def is_unit(text: str) -> bool:
-    """Return whether a cell of a heading is a unit, of whatever quantity."""
+    """Return whether a cell of a table's heading is a unit, of whatever quantity, and not a name."""
     bare = _bare(text)
     bare = bare[1:-1].strip() if bare.startswith("(") and bare.endswith(")") else bare
     return _parse(bare) is not None or bare.lower() in _OTHER_UNITS
 
 
 def doubt(unit: str) -> str:
-    """Return the assumed meaning of an ambiguous unit; empty if it has one meaning."""
+    """Return which meaning of an ambiguous unit is assumed, for the user; empty if the unit has only one."""
     return _DOUBTFUL.get(_bare(unit), "")
 
 
@@ -158,7 +158,7 @@ def _plain(unit: str) -> str:
 
 @functools.lru_cache(maxsize=1024)
 def _parse(unit: str) -> _Size | None:
-    """Return the size of a unit by the table of this module; None: it is not in there."""
+    """Return factor and exponents of a unit, with its products and powers; None if this module does not know it."""
     text = _bare(unit)
     if not text or len(text) > LONGEST_UNIT or _STRANGE.search(_plain(text)):
         return None
@@ -190,7 +190,10 @@ def _parse(unit: str) -> _Size | None:
 
 
 def _atom(word: str) -> _Size | None:
-    """Return the size of one unit without operators: SI with a prefix first, then words, plural included."""
+    """Return factor and exponents of a unit without operators; None if it is unknown.
+
+    SI units with a prefix take precedence over words, which may be in the plural.
+    """
     if word in _BASE:
         return _BASE[word]
     prefix, base = word[:1], word[1:]
@@ -211,7 +214,8 @@ def _by_pint(unit: str, wanted: str) -> float | None:
         import pint  # noqa: PLC0415  # of an extra
     except ImportError as error:
         raise RecordingError(
-            f"the unit {unit!r} is no ordinary SI unit and needs pint: pip install 'impact_rig[import]'"
+            f"the unit {unit!r} is not an ordinary SI unit; to convert it, install pint: pip install "
+            "'impact_rig[import]'"
         ) from error
     registry = pint.application_registry
     try:
@@ -222,7 +226,7 @@ def _by_pint(unit: str, wanted: str) -> float | None:
 
 
 class Sensitivity(NamedTuple):
-    """Output of a sensor per unit of its quantity."""
+    """Sensitivity of a sensor: its output voltage per unit of the measured quantity."""
 
     volts: float  # volts per SI unit
     unit: str  # SI unit of the quantity

@@ -298,4 +298,4 @@ def test_a_run_keeps_what_was_assumed_and_left_out(tmp_path: Path) -> None:
     with open_run(run) as found:
         source = json.loads(found.attachments()["source.json"])
     assert list(source["left_out"]) == ["line 202 and after"]
-    assert any("m was taken" in one for one in source["assumptions"])
+    assert any("m is assumed" in one for one in source["assumptions"])

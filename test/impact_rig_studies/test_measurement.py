@@ -253,7 +253,7 @@ STEADY = lines(lambda k: f"{k / 100},{k},{k}", "t,x1,xb")
         (STEADY, MM + "\nrate_hz: 1.0e-50\nresample_hz: 200", "its times span"),
         (STEADY, MM + "\nrate_hz: 1.0e-6\nresample_hz: 200", "values after resampling"),
         (STEADY, MM + "\nrate_hz: 0.02\nresample_hz: 2000", "values after resampling"),  # 400 MiB of 24 scans
-        (STEADY, MM + "\nresample_hz: 50", "resample to at least its 100"),
+        (STEADY, MM + "\nresample_hz: 50", "must be at least that of the file, 100 Hz"),
         ("some words\n", "{}", "no row of numbers"),
     ],
 )  # fmt: skip
@@ -284,7 +284,7 @@ def test_resampling_neither_fills_holes_nor_moves_commands(tmp_path: Path) -> No
     assert found.rows["laser"] == pytest.approx(np.sin(20 * found.index / 400), abs=2e-3)
     assert [one[:2] for one in found.drive] == [(0, 9.0), (1_000_000_000, 10.0), (4_250_000_000, 11.0)]
     broken = table(tmp_path, "\n".join(["time,laser [m]", "0,0", "0.01,nan", "0.02,1"]) + "\n")
-    with pytest.raises(ImpactRigError, match=r"laser cannot be resampled: value 2 is no finite number"):
+    with pytest.raises(ImpactRigError, match=r"laser cannot be resampled: value 2 is not a finite number"):
         convert(broken, refined(guess(broken), "resample_hz: 400"))
 
 
@@ -436,8 +436,8 @@ def test_the_command_shows_before_it_writes_and_makes_a_campaign(
     assert not (tmp_path / "out").exists()
     said = " ".join(capsys.readouterr().out.split())
     assert "nothing was written" in said
-    assert "no unit is given for laser: m was taken" in said
-    advised = re.findall(r'--channel (\w+)="([^"]+)" gives another', said)
+    assert "no unit is given for laser: m is assumed" in said
+    advised = re.findall(r'--channel (\w+)="([^"]+)" states another', said)
     assert {name for name, _ in advised} == {"accelerometer", "laser", "base", "current"}
     assert main([*words, "--dry-run", "--channel", *(f"{name}={signal}" for name, signal in advised)]) == 0
     assert "no unit is given" not in capsys.readouterr().out
@@ -492,8 +492,8 @@ def test_a_dry_run_says_why_a_column_is_not_used_and_that_the_gap_is_unknown(
     printed = capsys.readouterr().out
     for line in (
         "not used: earlier, its name matches no channel",
-        "not used: top, laser is laser 1",
-        "not used: coil, its unit mm is none of current",
+        "not used: top, the channel laser is laser 1",
+        "not used: coil, its unit mm is not possible for the channel current",
         "left out: note, texts",
         "left out: time, the times are those of timestamp",
         "gap: unknown (--gap 6mm, or --gap none without the sphere)",
@@ -581,8 +581,8 @@ def test_what_is_stated_of_the_sensors_of_a_sweep_must_agree(
 @pytest.mark.parametrize(
     ("more", "options", "second", "said"),
     [
-        ([], [], "x,y [mm]", "which signal is which channel is not known"),
-        (["--campaign"], ["--gap", "6mm"], "x,y [mm]", "which signal is which channel is not known"),
+        ([], [], "x,y [mm]", "do not tell which is which channel"),
+        (["--campaign"], ["--gap", "6mm"], "x,y [mm]", "do not tell which is which channel"),
         (["--campaign"], [], "laser [mm],base [mm]", "one: its gap is unknown: state it (--gap"),
         (["--campaign"], ["--gap", "6mm"], "laser [m/s],base [mm]", "two: unit of laser is m/s, but m in one"),
         (["--campaign"], ["--gap", "6mm", "--channel", "laser="], "laser [mm],base [mm]", "no file contains"),
@@ -668,7 +668,7 @@ def test_what_an_import_leaves_out_is_told(tmp_path: Path, capsys: pytest.Captur
     printed = capsys.readouterr().out
     for line in (
         "left out: fft, complex numbers",
-        "left out: cube, a table of tables",
+        "left out: cube, an array of more than two dimensions",
         "left out: dt, no rate or period: -1",
     ):
         assert line in printed

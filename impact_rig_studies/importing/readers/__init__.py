@@ -48,7 +48,7 @@ from impact_rig_studies.importing.signals import ImportedSignals
 
 @attrs.frozen
 class Format:
-    """File format and its reader."""
+    """File format that can be imported: its reader, and the library that the reader needs."""
 
     name: str  # name for messages, such as `a WAV file`
     read: Callable[..., ImportedSignals]  # function of path and content, and of the library if there is one
@@ -57,7 +57,7 @@ class Format:
     prepare: Callable[[], object] | None = None  # called after the library is imported
 
     def load(self) -> tuple[ModuleType, ...]:
-        """Return the library as arguments for the reader.
+        """Import the library, and return it as the additional arguments of `read`: a tuple of one module, or empty.
 
         Raises:
             RecordingError: the library is not installed.
@@ -95,7 +95,7 @@ FORMATS: Mapping[str, Format] = {
 
 
 def format_of(path: Path, content: bytes) -> Format:
-    """Return the format of a file: by its suffix, of MATLAB files by their content.
+    """Return the format of a file by its suffix; for `.mat` the content tells versions 5 and 7.3 apart.
 
     Raises:
         RecordingError: the suffix is unknown.
@@ -139,7 +139,7 @@ def read(path: Path) -> ImportedSignals:
 
 
 def _bag_bytes(path: Path) -> int:
-    """Return the size of a bag.
+    """Return the size of a ROS bag, a file or a directory, in bytes.
 
     Raises:
         RecordingError: the bag is empty, or one of its files is not a regular file.

@@ -57,7 +57,7 @@ def is_bag(path: Path) -> bool:
 
 
 def read(path: Path, file_bytes: int, library: ModuleType) -> ImportedSignals:
-    """Read the numbers of all topics.
+    """Read the numbers in the messages of a bag as signals, one per topic and field.
 
     Raises:
         RecordingError: no message contains numbers with an instant.
@@ -110,7 +110,7 @@ def read(path: Path, file_bytes: int, library: ModuleType) -> ImportedSignals:
 
 
 class _Series:
-    """Numbers of one topic."""
+    """Stamps and numbers collected from the messages of one topic."""
 
     def __init__(self) -> None:
         self.stamps = array("q")  # [ns]
@@ -121,11 +121,14 @@ class _Series:
 
     @property
     def values(self) -> int:
-        """Number of values so far, stamps included."""
+        """Number of values collected so far, stamps included."""
         return len(self.stamps) * (1 + len(self.columns))
 
     def add(self, message: Any, log_ns: int) -> None:
-        """Add the numbers of a message."""
+        """Add the numbers of a message, at the stamp in its header, or at `log_ns`, when it was recorded.
+
+        If it does not fit the earlier messages of the topic, `left_out` becomes the reason.
+        """
         header = getattr(message, "header", None)
         stamp_ns = header.stamp.sec * NS_PER_S + header.stamp.nanosec if header is not None else 0
         if not stamp_ns:  # of a driver that leaves the stamp empty
@@ -147,7 +150,7 @@ class _Series:
             self.columns[field].append(value)
 
     def _add_cloud(self, message: Any, stamp_ns: int) -> None:
-        """Add the rows of a `PointCloud2` as samples."""
+        """Add the rows of a `PointCloud2` as samples, each at the message's stamp plus the row's column `time` [s]."""
         order = ">" if message.is_bigendian else "<"
         fields = [one for one in message.fields if one.count == 1 and one.datatype in _DATATYPES]
         layout = np.dtype({
@@ -172,7 +175,10 @@ class _Series:
 
 
 def _leaves(message: Any, prefix: str, unit: str = "") -> Iterator[tuple[str, tuple[float, str]]]:
-    """Yield the numbers in a message by field, with their units; constants, covariances and stamps are left out."""
+    """Yield the numbers in a message: dotted name of the field after `prefix`, and value with unit.
+
+    Constants, covariances and stamps are left out. `unit` is that of the enclosing field.
+    """
     labels = getattr(message, "name", None)
     for field in message.__dataclass_fields__:
         value = getattr(message, field)

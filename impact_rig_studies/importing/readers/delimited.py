@@ -50,7 +50,7 @@ _QUOTED = re.compile(r'"[^"]*"|\S+')
 
 @attrs.frozen
 class Layout:
-    """Structure of a text table."""
+    """Structure of a text table as detected in its lines; lines and columns count from 0."""
 
     delimiter: str | None  # None: blanks
     decimal: str  # `.` or `,`
@@ -61,7 +61,7 @@ class Layout:
 
 
 def read(path: Path, content: bytes) -> ImportedSignals:
-    """Read a text table.
+    """Read a text table, or a LabVIEW measurement file with another suffix.
 
     Raises:
         RecordingError: there are no rows of numbers, or a row does not fit the others; the message names the line.
@@ -91,7 +91,7 @@ def read(path: Path, content: bytes) -> ImportedSignals:
 
 
 def find_layout(lines: Sequence[str]) -> Layout | None:
-    """Return separator, decimal sign, width and first row of a table, or None if it has no rows of numbers."""
+    """Return the structure that the lines of a text table most likely have; None if they contain no rows of numbers."""
     sample = _sample(lines)
     best: tuple[int, int, int] = (0, 0, 0)
     layout: Layout | None = None
@@ -124,7 +124,7 @@ def find_layout(lines: Sequence[str]) -> Layout | None:
 
 
 def _sample(lines: Sequence[str]) -> list[str]:
-    """Return lines from the second half of a file, where headings are unlikely."""
+    """Return up to `SAMPLED_LINES` lines, without comments, from a file's second half, where headings are unlikely."""
     usable = [number for number in range(len(lines) // 2, len(lines)) if lines[number].strip()]
     usable = usable[: max(1, len(usable) - len(usable) // 20)]
     picked = usable[:: max(1, len(usable) // SAMPLED_LINES)][:SAMPLED_LINES]
@@ -132,7 +132,7 @@ def _sample(lines: Sequence[str]) -> list[str]:
 
 
 def split(line: str, delimiter: str | None) -> list[str]:
-    """Return the cells of a line."""
+    """Return the cells of a line, without blanks around them; None separates at blanks, and quotes protect both."""
     if '"' in line and len(line) <= LONGEST_QUOTED:
         if delimiter is None:
             return [cell.strip('"') for cell in _QUOTED.findall(line)]
@@ -141,12 +141,15 @@ def split(line: str, delimiter: str | None) -> list[str]:
 
 
 def _is_value(cell: str) -> bool:
-    """Return whether a cell is a number, a missing number or a time."""
+    """Return whether a cell is a number in any notation, a missing number or a time."""
     return cells.number(cell) is not None or cells.number(cell, ",") is not None or cells.is_time(cell)
 
 
 def is_row(line: str, layout: Layout) -> bool:
-    """Return whether a line is a row of the table: its width, values in all columns of numbers, not all of them NaN."""
+    """Return whether a line is a row of numbers of the table.
+
+    It has as many cells as the layout, a number or time in each column of numbers, and not only missing numbers.
+    """
     if not line.strip() or line.startswith(COMMENTS):
         return False
     row = split(line, layout.delimiter)
@@ -160,7 +163,7 @@ def is_row(line: str, layout: Layout) -> bool:
 
 
 def _end(lines: Sequence[str], layout: Layout) -> int:
-    """Return the line after the last row of numbers; the rest is not part of the table."""
+    """Return the number of the line after the last row of numbers; later lines are not part of the table."""
     end = len(lines)
     for _ in range(TRAILING_LINES):
         while end > layout.first and not lines[end - 1].strip():
@@ -172,7 +175,10 @@ def _end(lines: Sequence[str], layout: Layout) -> int:
 
 
 def _headings(lines: Sequence[str], layout: Layout) -> tuple[list[str], dict[str, str], list[str]]:
-    """Return a name for each column, units by name, and the remaining lines."""
+    """Return a unique name for each column, the units by name, and the other lines before the table.
+
+    `lines` are those before the first row of numbers.
+    """
     width = layout.width
     usable: list[tuple[int, list[str]]] = []
     for number, line in enumerate(lines):
@@ -215,7 +221,10 @@ def _headings(lines: Sequence[str], layout: Layout) -> tuple[list[str], dict[str
 
 
 def _heading_cells(line: str, layout: Layout) -> list[str]:
-    """Return the cells of a line of headings: blanks may be part of them, and an empty last column has none."""
+    """Return the cells of a line of headings.
+
+    Unlike in rows, a cell may contain single blanks, and cells of empty last columns may be missing.
+    """
     width = layout.width
     row = split(line, layout.delimiter)
     if layout.delimiter is None and len(row) != width:
@@ -232,10 +241,10 @@ def _heading_cells(line: str, layout: Layout) -> list[str]:
 def read_rows(
     path: Path, lines: Sequence[str], layout: Layout, first: int, end: int
 ) -> tuple[list[NDArray[np.generic]], list[int]]:
-    """Return the columns of rows first <= line < end, and the lines among them that are comments.
+    """Return the columns of the table in the lines first <= line < end, and the numbers of lines that are comments.
 
     Raises:
-        RecordingError: a row does not fit; the message names line and cell.
+        RecordingError: a row does not fit the layout; the message names line and cell.
     """
     step = max(1, CHUNK_CELLS // layout.width)
     parts: list[list[NDArray[np.generic]]] = [[] for _ in range(layout.width)]
@@ -256,14 +265,17 @@ def read_rows(
 
 
 def _remarks(part: list[NDArray[np.generic]], layout: Layout) -> NDArray[np.generic]:
-    """Return a column that is mostly empty: as words, or as numbers where it has no words."""
+    """Return a column that is mostly empty, from its parts: as numbers if all its cells are numbers, else as words."""
     column = np.concatenate(part).astype(str).tolist() if part else []
     values = [cells.number(cell, layout.decimal) for cell in column]
     return np.array(column if None in values else values, dtype=str if None in values else np.float64)
 
 
 def _chunk(path: Path, chunk: list[tuple[int, str]], layout: Layout, skipped: list[int]) -> list[NDArray[np.generic]]:
-    """Return the columns of some rows, by NumPy's reader if all cells are plain numbers, else cell by cell."""
+    """Return the columns of some lines, by NumPy's fast reader if all cells are plain numbers, else cell by cell.
+
+    `chunk` contains the lines with their numbers; numbers of comments are added to `skipped`.
+    """
     plain = [(number, line) for number, line in chunk if line.strip()]
     if not (layout.words or layout.empty) and not any('"' in line or "_" in line for _, line in plain):
         rows = [line for _, line in plain]
@@ -297,7 +309,13 @@ def _chunk(path: Path, chunk: list[tuple[int, str]], layout: Layout, skipped: li
 
 
 def _column(path: Path, column: list[str], numbers: list[int], j: int, layout: Layout) -> NDArray[np.generic]:
-    """Return a column of cells as integers, floats, or words (which include times)."""
+    """Return the cells of column j as integers, floats, or words (which include times).
+
+    `numbers` are the lines of the cells, for messages.
+
+    Raises:
+        RecordingError: a cell in a column of numbers is not a number.
+    """
     if j in layout.words | layout.empty or (
         column and cells.is_time(column[0]) and cells.number(column[0], layout.decimal) is None
     ):

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Safe access to HDF5 files: only the file itself is read."""
+"""Safe access to HDF5 files: links to other files are not followed, and sizes are checked before reading."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def is_hdf5(content: bytes) -> bool:
 
 @attrs.define
 class Hdf5Tree:
-    """Groups and datasets of a file, and a list of what was left out."""
+    """Reader of the groups and datasets of an HDF5 file, and the parts that were left out, by name with the reason."""
 
     library: ModuleType  # h5py
     file_bytes: int
@@ -49,11 +49,11 @@ class Hdf5Tree:
     _values: int = 0
 
     def open(self, content: bytes) -> Any:
-        """Return the root of a file."""
+        """Return the h5py file for the content of an HDF5 file, which is also its root group."""
         return self.library.File(io.BytesIO(content), "r")
 
     def members(self, group: Any) -> Iterator[tuple[str, Any]]:
-        """Yield names and objects of a group, without links that leave the file."""
+        """Yield names and objects in a group; links are left out."""
         for number, name in enumerate(group):
             if number >= COLUMNS:
                 self.left_out[f"{group.name}"] = f"members after the first {COLUMNS}"
@@ -67,7 +67,12 @@ class Hdf5Tree:
                 yield name, group[name]
 
     def array(self, name: str, dataset: Any) -> NDArray[Any] | None:
-        """Return the content of a dataset, or None if it is left out."""
+        """Return the content of a dataset; None if it is empty, which is noted in `left_out`.
+
+        Raises:
+            RecordingError: the dataset keeps its data elsewhere.
+            BudgetError: the datasets read so far are larger than a file of this size may contain.
+        """
         if dataset.external:
             raise RecordingError(f"{name} keeps its data in another file, which is not opened")
         if dataset.is_virtual:
@@ -80,7 +85,7 @@ class Hdf5Tree:
         return _whole(dataset)
 
     def texts(self, name: str, dataset: Any) -> list[str]:
-        """Return a dataset of texts as a list."""
+        """Return the texts in a dataset as a list."""
         values = self.array(name, dataset)
         words = [] if values is None else values.reshape(-1).tolist()
         allow_columns(len(words))
@@ -88,7 +93,10 @@ class Hdf5Tree:
 
 
 def _whole(dataset: Any) -> NDArray[Any]:
-    """Return a dataset, read in slabs of a bounded number of chunks: some programs write a chunk for each sample."""
+    """Return the complete content of a dataset.
+
+    It is read in slabs of at most `CHUNKS_AT_ONCE` chunks, because some programs write a chunk for each sample.
+    """
     counts = [-(-length // size) for length, size in zip(dataset.shape, dataset.chunks or dataset.shape, strict=True)]
     if math.prod(counts) <= CHUNKS_AT_ONCE:
         return np.asarray(dataset[...])
@@ -102,7 +110,7 @@ def _whole(dataset: Any) -> NDArray[Any]:
 
 
 def attribute(holder: Any, name: str) -> Any:
-    """Return an attribute as a plain value, or None if it does not exist."""
+    """Return an attribute of an HDF5 object as a number or text (of an array the first), or None if it has none."""
     if name not in holder.attrs:
         return None
     value = holder.attrs[name]

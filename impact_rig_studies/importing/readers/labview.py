@@ -46,25 +46,28 @@ CONTINUES = 0.5  # of a step: largest departure of a segment that continues the 
 
 @attrs.define
 class _Segment:
-    """Part of a file with its own header."""
+    """Part of a LabVIEW measurement file with its own header, names of columns and rows."""
 
     header: dict[str, list[str]]  # values by key
     names: list[str]
     rows: list[list[str]]
 
     def column(self, j: int, decimal: str) -> Real:
-        """Return a column, with NaN where a cell is missing or not a number."""
+        """Return the numbers in column j, with NaN for a cell that is missing or not a number."""
         texts = (row[j] if j < len(row) else "" for row in self.rows)
         values = (cells.number(text, decimal) for text in texts)
         return np.array([np.nan if value is None else value for value in values])
 
     def number(self, key: str, channel: int, decimal: str) -> float | None:
-        """Return a number of the header for a channel."""
+        """Return the number that the header states for a channel under a key; None if it states none."""
         text = self.text(key, channel)
         return cells.number(text, decimal) if text else None
 
     def text(self, key: str, channel: int) -> str:
-        """Return a text of the header for a channel; where each channel has an X column, cells between are empty."""
+        """Return the text that the header states for a channel under a key; empty if it states none.
+
+        If each channel has its own X column, the header has an empty cell for each of these, which is skipped.
+        """
         values = self.header.get(key, [])
         if any(name.startswith(X_VALUE) for name in self.names[1:]) and not any(one.strip() for one in values[1::2]):
             values = values[::2]
@@ -135,7 +138,7 @@ def read_lines(path: Path, lines: Sequence[str]) -> ImportedSignals:
 
 
 def _segments(lines: Sequence[str], at: int, separator: str) -> tuple[list[_Segment], dict[str, str]]:
-    """Return the segments of a file, and the parts that are left out."""
+    """Return the segments in the lines of a file from line `at` on, and the parts that are left out, by name."""
     segments: list[_Segment] = []
     left_out: dict[str, str] = {}
     while at < len(lines):
@@ -168,7 +171,7 @@ def _segments(lines: Sequence[str], at: int, separator: str) -> tuple[list[_Segm
 
 
 def _joined(segments: Sequence[_Segment], decimal: str) -> int:
-    """Return how many segments from the first one follow each other without a gap."""
+    """Return how many segments, from the first on, follow each other without a gap and can be joined to one signal."""
     for number, (one, after) in enumerate(itertools.pairwise(segments), 1):
         step = one.number("Delta_X", 0, decimal)
         begin, following = one.number("X0", 0, decimal), after.number("X0", 0, decimal)

@@ -35,7 +35,7 @@ CONVERSIONS = {
     "table": "S = table2struct(X, 'ToScalar', true); save('plain.mat', '-struct', 'S', '-v7')",
     "timeseries": "S.time = X.Time; S.data = X.Data; save('plain.mat', '-struct', 'S', '-v7')",
 }
-"""MATLAB line that saves an object X as a plain file, by class."""
+"""Line of MATLAB code that saves an object X as a file without objects, by class of the object, for messages."""
 OTHER_CONVERSION = "S = struct(X); save('plain.mat', '-struct', 'S', '-v7')"
 DEEPEST = 6
 
@@ -43,7 +43,7 @@ Tables = dict[str, dict[str, Any]]  # columns by name, by the path of their stru
 
 
 def read_5(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
-    """Read a file of version 5 to 7."""
+    """Read the arrays in a MATLAB file of version 5 to 7; `library` is `scipy.io`."""
     found = library.loadmat(io.BytesIO(content), struct_as_record=True)
     left_out: dict[str, str] = {}
     tables: Tables = {}
@@ -54,7 +54,7 @@ def read_5(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
 
 
 def read_7_3(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
-    """Read a file of version 7.3, which is HDF5."""
+    """Read the arrays in a MATLAB file of version 7.3, which is HDF5; `library` is h5py."""
     tree = hdf5.Hdf5Tree(library, len(content))
     tables: Tables = {}
     with tree.open(content) as file:
@@ -68,7 +68,10 @@ def _object_reason(name: str, kind: str) -> str:
 
 
 def _collect(tables: Tables, left_out: dict[str, str], where: str, name: str, value: Any, depth: int) -> None:
-    """Add a variable to the columns of its struct."""
+    """Add a variable to `tables` as a column of the struct `where`, or to `left_out` with the reason.
+
+    The fields of a struct are added recursively; `depth` counts the structs around the variable.
+    """
     shown = f"{where}.{name}" if where else name
     if hasattr(value, "toarray"):
         left_out[shown] = "a sparse matrix"
@@ -102,7 +105,10 @@ def _collect(tables: Tables, left_out: dict[str, str], where: str, name: str, va
 
 
 def _collect_hdf5(tree: hdf5.Hdf5Tree, tables: Tables, where: str, group: Any, depth: int) -> None:
-    """Add the datasets of a group to the columns of its struct."""
+    """Add the datasets of an HDF5 group to `tables` as columns of the struct `where`, and its groups recursively.
+
+    `depth` counts the structs around the group.
+    """
     for name, one in tree.members(group):
         if name.startswith("#"):  # internal data of MATLAB
             continue
@@ -133,7 +139,11 @@ def _collect_hdf5(tree: hdf5.Hdf5Tree, tables: Tables, where: str, group: Any, d
 
 
 def _signals(path: Path, file_format: str, tables: Tables, left_out: dict[str, str]) -> ImportedSignals:
-    """Return the columns of all structs as signals; a struct inherits times and rate from the one around it."""
+    """Return the columns of all structs as signals; a struct without times or rate uses those of the one around it.
+
+    Raises:
+        RecordingError: there is no vector of numbers; the message names what was left out.
+    """
     parts: dict[str, ImportedSignals] = {}
     for where, columns in tables.items():
         inherited = {
@@ -163,7 +173,7 @@ def _signals(path: Path, file_format: str, tables: Tables, left_out: dict[str, s
 
 
 def _outer(where: str) -> list[str]:
-    """Return the paths of the structs around one, the file itself first."""
+    """Return the dotted paths of the structs around the struct `where`; the first, the file itself, is empty."""
     parts = where.split(".") if where else []
     return ["", *(".".join(parts[:number]) for number in range(1, len(parts)))] if parts else []
 

@@ -30,10 +30,11 @@ from impact_rig_studies.importing.signals import ImportedSignals
 
 
 def read(path: Path, content: bytes) -> ImportedSignals:
-    """Read all arrays; their sizes are checked before they are decompressed.
+    """Read all arrays of a NumPy archive; their sizes are checked before they are decompressed.
 
     Raises:
         RecordingError: an array is shorter than its header claims.
+        BudgetError: the content is larger than a file of this size may contain.
     """
     columns: dict[str, NDArray[np.generic]] = {}
     left_out: dict[str, str] = {}

@@ -26,13 +26,17 @@ from impact_rig_studies.importing.signals import ImportedSignals
 
 
 def reserve() -> None:
-    """Let the memory pool reserve its addresses, 128 MiB to 1 GiB, before the reader's process limits them."""
+    """Make pyarrow's memory pool reserve its addresses, 128 MiB to 1 GiB, before the reader's process limits memory."""
     pyarrow = __import__("pyarrow")
     pyarrow.allocate_buffer(1, memory_pool=pyarrow.default_memory_pool())
 
 
 def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
-    """Read all columns; their claimed sizes are checked before they are decompressed."""
+    """Read all columns of a Parquet file; their claimed sizes are checked before they are decompressed.
+
+    Raises:
+        BudgetError: the content is larger than a file of this size may contain.
+    """
     file = library.ParquetFile(io.BytesIO(content))
     allow_columns(file.metadata.num_columns)
     allow_values(float(file.metadata.num_rows) * file.metadata.num_columns, len(content))
@@ -52,7 +56,10 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
 
 
 def _plain(column: Any) -> Any:
-    """Return a column of a type that NumPy has; one of a dictionary would load pandas, which takes seconds."""
+    """Return a column converted to a type that NumPy has: decimals become floats, dictionaries their values.
+
+    Without this, pyarrow would load pandas for a dictionary, which takes seconds.
+    """
     kind = str(column.type)
     if kind.startswith("dictionary"):
         return column.cast(column.type.value_type)

@@ -33,14 +33,14 @@ STREAM = re.compile(r"time_data(?:_(\d{1,6}))?")
 
 
 def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
-    """Read all streams; if there are several, the longest has the plain names.
+    """Read all streams of a file; if there are several, only names of the longest one are without a prefix.
 
     Raises:
         RecordingError: the file is not one of Rattlesnake's.
     """
     if content[:3] == b"CDF":
         raise RecordingError(
-            f"{path} is netCDF of the classic format (netCDF 3): the files of Rattlesnake, netCDF4, are read"
+            f"{path} is netCDF of the classic format (netCDF 3): only netCDF4 files of Rattlesnake can be read"
         )
     tree = Hdf5Tree(library, len(content))
     with tree.open(content) as file:
@@ -79,10 +79,10 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
     remarks: tuple[str, ...] = ()
     if len(streams) > 1:
         lengths = ", ".join(f"{name} {streams_s:g} s" for name, streams_s in _lengths(signals, rate_hz).items())
-        remarks = (f"{len(streams)} streams ({lengths}): plain names are those of the longest, {longest}",)
+        remarks = (f"{len(streams)} streams ({lengths}): names without a prefix are of the longest, {longest}",)
     return ImportedSignals(path, "Rattlesnake netCDF4", signals, left_out=tree.left_out, remarks=remarks)
 
 
 def _lengths(signals: dict[str, Signal], rate_hz: float) -> dict[str, float]:
-    """Return the length of each stream [s]."""
+    """Return the length of each stream [s], by its name."""
     return {one.origin.partition(",")[0]: len(one.values) / rate_hz for one in signals.values()}

@@ -41,7 +41,7 @@ UNIT_KEYS = ("unit_string", "NI_UnitDescription", "NI_ChannelUnit", "Unit", "uni
 
 
 def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
-    """Read all channels of all groups.
+    """Read the channels of all groups of a TDMS file as signals.
 
     Raises:
         RecordingError: the file has no channel of numbers.
@@ -93,13 +93,16 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
 
 
 def _rate_hz(holder: object) -> float | None:
-    """Return the rate that a property of a channel, group or file states."""
+    """Return the sampling rate [Hz] that a property of a channel, group or file states; None if none does."""
     stated = ((str(name), _number(one)) for name, one in holder.properties.items())  # type: ignore[attr-defined]  # untyped
     return next(filter(None, (headings.rate_hz(name, one) for name, one in stated if one is not None)), None)
 
 
 def _abscissa(channel: object, listed: Real | None, rate_hz: float | None, count: int) -> tuple[Abscissa, SignalKind]:
-    """Return the abscissa of a channel: of its waveform, listed in another channel, or of a stated rate."""
+    """Return the abscissa of a channel with `count` values, and its kind.
+
+    The properties of its waveform take precedence, then times `listed` in another channel [s], then `rate_hz`.
+    """
     properties: dict[str, object] = channel.properties  # type: ignore[attr-defined]  # of an untyped library
     step = _number(properties.get("wf_increment"))
     offset = _number(properties.get("wf_start_offset")) or 0.0
@@ -118,7 +121,7 @@ def _abscissa(channel: object, listed: Real | None, rate_hz: float | None, count
 
 
 def _listed_times(group: object) -> tuple[str, Real] | None:
-    """Return name and times [s] of the channel with times in a group."""
+    """Return name and times [s] of the first channel of a group that contains times; None if there is none."""
     for channel in group.channels():  # type: ignore[attr-defined]  # as above
         name, unit = headings.split_unit(channel.name)
         values = np.asarray(channel[:])

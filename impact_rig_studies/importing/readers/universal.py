@@ -54,7 +54,7 @@ READABLE = (58, 164)
 
 
 def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
-    """Read the time responses; all other datasets are left out with the reason.
+    """Read the time responses of a universal file; all other datasets are left out, with the reason for the user.
 
     Raises:
         RecordingError: there is no time response, or the file is truncated.
@@ -104,7 +104,17 @@ def _add(
     names: UniqueNames,
     left_out: dict[str, str],
 ) -> None:
-    """Add a dataset 58 to the signals, or to the parts that are left out."""
+    """Add a dataset of type 58 (a function) to `signals`, or to `left_out` with the reason.
+
+    Args:
+        one: dataset as pyuff returns it.
+        data: values of the dataset.
+        number: position of the dataset in the file.
+        system: unit of length of the file, for values without a unit.
+        signals: signals so far.
+        names: generator of unique names.
+        left_out: reasons so far.
+    """
     words = [str(one.get(key, "")).strip() for key in ("id1", "rsp_ent_name")]
     plain = next((word for word in words if word and word.upper() != "NONE"), f"dataset_{number}")
     label = f"dataset {number + 1} ({plain})"
@@ -138,7 +148,7 @@ def _add(
 
 
 def _abscissa(one: dict[str, Any], count: int) -> Abscissa:
-    """Return the abscissa of a dataset; its header states kind, spacing and unit."""
+    """Return the abscissa that the header of a dataset with `count` values states."""
     quantity = int(one.get("abscissa_spec_data_type", UNKNOWN) or UNKNOWN)
     unit = _label(one.get("abscissa_axis_units_lab"))
     words = _label(one.get("abscissa_axis_lab")).lower()
@@ -162,7 +172,10 @@ def _abscissa(one: dict[str, Any], count: int) -> Abscissa:
 
 
 def _unit(one: dict[str, Any], system: str) -> str:
-    """Return the unit of the ordinate: its label, or else that of its quantity in the file's system of units."""
+    """Return the unit of a dataset's values: its label, or else that of their quantity with `system` as unit of length.
+
+    It is empty if neither is known.
+    """
     label = _label(one.get("ordinate_axis_units_lab"))
     quantity = int(one.get("ordinate_spec_data_type", 0) or 0)
     return label or (system + _PER_SECONDS[quantity] if system and quantity in QUANTITIES else "")

@@ -30,10 +30,10 @@ _UNKNOWN_SIZE = (0, 0xFFFFFFFF)  # size of a chunk that was written to a stream
 
 
 def read(path: Path, content: bytes) -> ImportedSignals:
-    """Read all channels; full scale is 1.
+    """Read all channels of a WAV file; full scale is 1.
 
     Raises:
-        RecordingError: the file is not a WAV file, or its encoding is not one of plain samples.
+        RecordingError: the file is not a WAV file, its header is damaged, or its samples are compressed.
     """
     if content[:4] not in (b"RIFF", b"RIFX", b"RF64") or content[8:12] != b"WAVE":
         raise RecordingError(f"{path} is not a WAV file: it does not begin with RIFF … WAVE")
@@ -43,7 +43,9 @@ def read(path: Path, content: bytes) -> ImportedSignals:
     if code == EXTENSIBLE and len(form) >= 28:
         code = struct.unpack(f"{order}I", form[24:28])[0]  # the first group of a GUID, in the order of the file
     if code not in (PCM, FLOAT):
-        raise RecordingError(f"{path}: a WAV file of encoding {code:#x}; PCM (1) and floating point (3) are read")
+        raise RecordingError(
+            f"{path}: a WAV file of encoding {code:#x}; only PCM (1) and floating point (3) can be read"
+        )
     width = block // channels if channels else 0
     if not (
         channels and rate and width in (1, 2, 3, 4, 5, 6, 7, 8) and block == width * channels and 0 < bits <= 8 * width
@@ -52,7 +54,9 @@ def read(path: Path, content: bytes) -> ImportedSignals:
             f"{path}: damaged WAV header: {channels} channels, {rate} Hz, {bits} bits in {block} bytes a scan"
         )
     if code == FLOAT and width not in (4, 8):
-        raise RecordingError(f"{path}: a WAV file of floating point with {bits} bits; 32 and 64 are read")
+        raise RecordingError(
+            f"{path}: a WAV file of floating point with {bits} bits a sample; only 32 and 64 can be read"
+        )
     allow_columns(channels)
     count = len(data) // block
     allow_values(count * channels, len(content))
@@ -73,7 +77,13 @@ def read(path: Path, content: bytes) -> ImportedSignals:
 
 
 def _chunks(path: Path, content: bytes, order: str) -> tuple[bytes, memoryview, int]:
-    """Return the format chunk, the samples that are present, and the number of bytes that the header claims."""
+    """Return the format chunk of a WAV file, its bytes of samples, and the number of these that the header claims.
+
+    `order` is the byte order, `<` or `>`.
+
+    Raises:
+        RecordingError: the file has no format or no samples.
+    """
     form, at, wide = b"", 12, 0
     while at + 8 <= len(content):
         name, size = content[at : at + 4], struct.unpack(f"{order}I", content[at + 4 : at + 8])[0]
@@ -95,7 +105,15 @@ def _chunks(path: Path, content: bytes, order: str) -> tuple[bytes, memoryview, 
 
 
 def _samples(data: memoryview, order: str, code: int, width: int, bits: int) -> Real:
-    """Return samples as parts of full scale, shape (n,); PCM is signed, except with 8 bits or less."""
+    """Return samples as fractions of full scale, shape (n,); PCM is signed, except with 8 bits or less.
+
+    Args:
+        data: bytes of the samples.
+        order: byte order, `<` or `>`.
+        code: encoding, `PCM` or `FLOAT`.
+        width: bytes per sample.
+        bits: bits per sample that carry information.
+    """
     if code == FLOAT:
         return np.frombuffer(data, f"{order}f{width}").astype(np.float64)
     if bits <= 8 and width == 1:
